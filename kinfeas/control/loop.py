@@ -179,13 +179,12 @@ class Loop:
         if (solids := self.obstacles.after(0.0)) is not None:
             self.sequence.avoid(solids, fresh)
         self._measure(state)
-        joints = state.joint_positions.copy()
         if rows is None:
+            joints = state.joint_positions.copy()
             self.periods, self._waited = np.zeros((2, len(joints)), dtype=np.intp)
             self.previous_command = np.zeros((len(joints), self.command_size))
         else:
-            others = np.setdiff1d(np.arange(len(joints)), rows)
-            joints[others] = self.joint_command[others]
+            joints = with_rows(self.joint_command, rows, state.joint_positions[rows])
             self.periods[rows] = self._waited[rows] = 0
             self.previous_command = with_rows(self.previous_command, rows, np.array(0.0))
         self.joint_command = joints
