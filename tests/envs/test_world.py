@@ -283,7 +283,8 @@ def test_a_world_with_solids_resumes_to_the_bit(hsr):
     worlds[0].start(range(3))
     for _ in range(5):
         worlds[0].step(rng.uniform(-1.0, 1.0, (3, 3)))
-    worlds[1].restore({key: values.copy() for key, values in worlds[0].snapshot().items()})
+    kept = {key: values.copy() for key, values in worlds[0].snapshot().items()}
+    np.testing.assert_array_equal(worlds[1].restore(kept), worlds[0].loop.observation)
     for _ in range(5):
         action = rng.uniform(-1.0, 1.0, (3, 3))
         one, other = (world.step(action) for world in worlds)
