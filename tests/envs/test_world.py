@@ -120,6 +120,7 @@ def test_a_world_continues_from_a_snapshot_to_the_bit(hsr, task):
     world, other = make(hsr, task), make(hsr, task)
     policy = FollowEe(hsr.base, feedback=True)
     trace(world, range(8), 60, policy)
+    world.failures += np.arange(8)
     other.restore(world.snapshot())
     for _ in range(60):
         action = policy.act(world.loop.policy_input)
@@ -157,6 +158,16 @@ def test_the_end_of_the_last_sub_goal_is_success(world, finished):
     transition = world.step(idle(world, 2))
     for ended in (transition.reached, transition.terminated, transition.done):
         np.testing.assert_array_equal(ended, finished)
+
+
+def test_a_goal_reached_with_a_touching_base_is_no_success(world):
+    world.start([0, 1])
+    touched, real = np.array([[True, False], [False, True]]), world.loop.step
+    ended = {"finished": np.ones(2, dtype=bool), "collision": touched}
+    world.loop.step = lambda action: replace(real(action), **ended)
+    transition = world.step(idle(world, 2))
+    assert transition.reached.tolist() == [False, True]
+    assert transition.terminated.all()
 
 
 @pytest.mark.parametrize("dt", [0.1, 0.02])
