@@ -254,6 +254,19 @@ def test_feasible_is_within_the_pose_tolerance(hsr):
     assert missed[:, 0].max() > 0.05  # the tolerance is used
 
 
+def test_feasible_is_within_a_tenth_of_a_millimetre_and_a_milliradian(tiago):
+    few = IkSolver(tiago.robot, replace(EXACT, self_collision=False, restarts=0, max_iterations=2))
+    joints, rng = draw(tiago.robot, 20_000), np.random.default_rng(1)
+    seeds = joints + rng.normal(scale=0.1, size=joints.shape)
+    solution = few.solve(forward(few.chain, joints), seeds)
+    errors = reported(solution) / [METRES, RADIANS]
+    np.testing.assert_array_equal(solution.feasible, np.all(errors <= 1.0, axis=1))
+    for kind in range(2):  # by the one error alone, and not by much
+        assert np.any(
+            (errors[:, kind] < 2.0) & (errors[:, kind] > 1.0) & (errors[:, 1 - kind] < 1.0)
+        )
+
+
 def test_a_seed_within_the_pose_tolerance_always_has_a_solution(hsr):
     solver, tolerance = IkSolver(hsr.robot, IkOptions(restarts=0)), hsr.robot.pose_tolerance
     joints = draw(hsr.robot, 20_000)
