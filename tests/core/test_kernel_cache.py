@@ -60,19 +60,3 @@ def test_nothing_is_run_that_another_user_may_have_written(nowhere):
     with pytest.raises(KinfeasError, match="NUMBA_CACHE_DIR"):
         kernel_cache.settle()
     assert not numba.config.CACHE_DIR
-
-
-@pytest.mark.slow
-def test_processes_may_compile_at_once(tmp_path):
-    code = """
-import numpy as np
-from kinfeas.core import spatial
-poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (4, 1))
-spatial.integrate(poses, spatial.twist_between(poses, spatial.compose(poses, poses), 1.0), 1.0)
-spatial.distance(poses, spatial.relative(poses, poses))
-"""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", code]
-    processes = [subprocess.Popen(command, env=environment) for _ in range(3)]
-    assert [process.wait(timeout=300) for process in processes] == [0, 0, 0]
-    subprocess.run(command, env=environment, check=True, timeout=300)

@@ -98,17 +98,11 @@ def test_an_invalid_scene_is_an_error_with_its_key(write, old, new, where):
 
 
 LINK = "<robot name='a'><link name='a'>{}</link></robot>"
+MESH = "<collision><geometry><mesh filename='a.stl'/></geometry></collision>"
 
 
-@pytest.mark.parametrize(("urdf", "where"), [
-    ("<robot name='a'><link name='a'>", "XML"),
-    (LINK.format(""), "<collision>"),
-    (
-        LINK.format("<collision><geometry><mesh filename='a.stl'/></geometry></collision>"),
-        "'a'",
-    ),
-])  # fmt: skip
-def test_furniture_is_made_of_primitives(write, tmp_path, urdf, where):
-    (tmp_path / "own.urdf").write_text(urdf)
+@pytest.mark.parametrize(("content", "where"), [("", "<collision>"), (MESH, "'a'")])
+def test_furniture_is_made_of_primitives(write, tmp_path, content, where):
+    (tmp_path / "own.urdf").write_text(LINK.format(content))
     with pytest.raises(KinfeasError, match=rf"own\.urdf: .*{where}"):
         read_scene(write("table.urdf", "own.urdf"))
