@@ -73,6 +73,7 @@ def test_poses_of_a_chunk_are_reached_at_their_times():
     ("late", 0.85, at()),
     ("repeated", 0.98, at()),
     ("jump", 1.0, at(0.6)),
+    ("jump", 1.0, spatial.planar_pose(0.0, 0.0, 3.0)),
 ])  # fmt: skip
 def test_a_rule_ignores_a_message(rule, sent, pose):
     box = inbox()

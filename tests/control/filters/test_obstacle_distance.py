@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -109,16 +110,17 @@ def test_a_base_may_leave_an_obstacle_that_it_touches(robot):
     assert backend.state.base_pose[0, 0] == pytest.approx(-robot.base.max_velocity * DT)
 
 
-@pytest.mark.parametrize(("dt", "limit"), [(1e-3, "braking"), (1.0, "period")])
-def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, limit):
+@pytest.mark.parametrize(("dt", "rotation"), [(1e-3, 9.0), (1e-3, 0.5), (1.0, 9.0)])
+def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, rotation):
     way, ahead = 0.02, np.array([[[1.0, 0.0]]])
     near = Fixed(lambda: ObstacleDistances(0.3 * ahead, ahead, np.array([[KEPT + way]])))
+    robot = replace(robot, base=replace(robot.base, max_rotation_acceleration=rotation))
     one = ObstacleFilter(KEPT)
     one.reset(SimpleNamespace(robot=robot, backend=near, dt=dt), np.arange(1))
     velocity = one.constraints(1).limit[0, 0]
     base = robot.base
     braking = min(base.max_acceleration, 0.5 * base.max_rotation_acceleration)
-    expected = way / (2.0 * dt) if limit == "period" else np.sqrt(2.0 * 0.5 * braking * way)
+    expected = way / (2.0 * dt) if dt == 1.0 else np.sqrt(2.0 * 0.5 * braking * way)
     assert velocity == pytest.approx(expected)
 
 

@@ -58,7 +58,14 @@ def test_the_tolerance_is_that_of_a_reached_goal():
 
 @pytest.mark.parametrize(
     ("speed", "time_scale", "factor"),
-    [(None, 1.0, None), (0.2, 1.0, None), (0.1, 0.5, None), (0.09, 1.0, 0.45), (0.05, 0.6, 0.25)],
+    [
+        (None, 1.0, None),
+        (0.2, 1.0, None),
+        (0.1, 0.5, None),
+        (0.15, 1.0, 0.75),
+        (0.09, 1.0, 0.45),
+        (0.05, 0.6, 0.25),
+    ],
 )
 def test_warns_of_a_base_that_is_slower_than_the_ee(speed, time_scale, factor):
     guards, far = Guards(max_linear_velocity=speed), goal(4.0, 0.0, 0.8)

@@ -58,7 +58,8 @@ def parts(joints=None, base=True):
     (parts(), None, "/encoders"),
     (present(PR2), "/cmd_vel", "/cmd_vel"),
     (parts(JointReading(dict.fromkeys(ARM[:-1], 0.0))), None, ARM[-1]),
-    (parts(joints_at(PR2, torso_lift_joint=0.2)), None, "torso_lift_joint"),
+    (parts(joints_at(PR2, torso_lift_joint=0.5)), None, "torso_lift_joint"),
+    (parts(joints_at(PR2, torso_lift_joint=-0.5)), None, "torso_lift_joint"),
 ])  # fmt: skip
 def test_errors_of_reset_name_the_missing_part(answer, deaf, named):
     with pytest.raises(KinfeasError, match=named):
