@@ -86,7 +86,7 @@ def offer(tmp_path, monkeypatch):
 
 _ON_A_BUS = (
     "sim2real/ros/test_ros2", "sim2real/test_ros", "sim2real/deploy/test_watchdog",
-    "cli/test_simulate", "cli/test_deploy",
+    "cli/test_deploy",
 )  # fmt: skip
 
 

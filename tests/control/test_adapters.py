@@ -25,12 +25,14 @@ def test_shipped_lists_suit_any_robot():
 
 
 def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2):
-    names, innermost = ("time_scale", "base_noise", "head_start"), AnalyticBackend()
-    backend = wrap(innermost, [PluginSpec(name) for name in names], pr2)
+    names, innermost = ("time_scale", "time_scale", "base_noise", "head_start"), AnalyticBackend()
+    jittered = PluginSpec("head_start", {"seconds": [0.5, 1.5]})
+    backend = wrap(innermost, [*(PluginSpec(name) for name in names), jittered], pr2)
     kinds = [type(link).__name__ for link in chain(backend)]
-    assert kinds == ["HeadStart", "BaseNoise", "TimeScale", "AnalyticBackend"]
+    scales = ["TimeScale", "TimeScale", "AnalyticBackend"]
+    assert kinds == ["HeadStart", "HeadStart", "BaseNoise", *scales]
     found = execution_of(backend, ExecutionConfig(time_scale=0.8, head_start=1.0))
-    assert found == ExecutionConfig(time_scale=0.4, head_start=4.0)
+    assert found == ExecutionConfig(time_scale=0.2, head_start=4.5, head_start_jitter=1.0)
     assert execution_of(innermost, ExecutionConfig()) == ExecutionConfig()
 
 

@@ -1,27 +1,11 @@
 import numpy as np
 import pytest
 
-from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
-from kinfeas.control.adapters import execution_of, wrap
-from kinfeas.control.execution import ExecutionConfig
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.tasks.ggr import ggr
 
 SLOW = PluginSpec("time_scale", {"factor": 0.5})
-
-
-def test_head_starts_add_up_and_time_scales_multiply(pr2):
-    adapters = [
-        PluginSpec("head_start", {"seconds": 2.0}),
-        SLOW,
-        PluginSpec("head_start", {"seconds": [0.5, 1.5]}),
-        SLOW,
-    ]
-    given = ExecutionConfig(head_start=1.0, time_scale=0.8)
-    found = execution_of(wrap(AnalyticBackend(), adapters, pr2), given)
-    assert (found.head_start, found.head_start_jitter) == (3.5, 1.0)
-    assert found.time_scale == pytest.approx(0.2)
 
 
 def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
