@@ -231,6 +231,7 @@ def write_evaluation(folder: Path) -> dict[str, Any]:
 
 
 def _show(done: "Progress", folder: Path) -> None:
+    from kinfeas.evaluation import evaluate
     from kinfeas.training import run as training_run
 
     best = write_evaluation(folder)
@@ -250,8 +251,9 @@ def _show(done: "Progress", folder: Path) -> None:
     command += ["--policy", str(folder)]
     settings = training_run.read_settings(folder)
     changes = {f"task.{key}": value for key, value in settings.task_parameters.items()}
-    filters = [{"name": one.name, **one.parameters} for one in settings.world.filters]
-    changes["world.filters"] = filters or None
+    filters, name = settings.world.filters, options.read_robot(settings.robot).name
+    if filters != evaluate.read_settings(name, settings.world.backend).world.filters:
+        changes["world.filters"] = [{"name": one.name, **one.parameters} for one in filters]
     for change in options.assignments(changes):
         command += ["--set", change]
     typer.echo(f"evaluate it: {shlex.join(command)}")

@@ -101,7 +101,7 @@ def _call(
     kernel: Callable[..., Any], one: Array, other: Array, *more: object, last: tuple[int] = _POSE
 ) -> Any:
     # Kernels would read or write past arrays of another last axis.
-    shapes = one.shape, other.shape
+    shapes = np.shape(one), np.shape(other)
     if shapes[0][-1:] != _POSE or shapes[1][-1:] != last:
         kinds = "poses (..., 7)" if last == _POSE else "a pose (..., 7) and a twist (..., 6)"
         raise KinfeasError(f"the shapes must be those of {kinds}, not {shapes[0]} and {shapes[1]}")
