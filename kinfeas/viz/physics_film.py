@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 from matplotlib.colors import to_hex
 
-from kinfeas.backends.physics.backend import PhysicsBackend, Stage
+from kinfeas.backends.physics.backend import PhysicsBackend
+from kinfeas.backends.physics.stage import Stage
 from kinfeas.backends.physics.visuals import LinkName, VisualShape, visual_shapes
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array, compose

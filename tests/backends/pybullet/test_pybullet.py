@@ -3,8 +3,8 @@ import sys
 import numpy as np
 import pytest
 
-from kinfeas.backends.physics.backend import Stage
 from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.stage import Stage
 from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.backends.pybullet.physics import ROOT, Physics
 from kinfeas.core.errors import KinfeasError

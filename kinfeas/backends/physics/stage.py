@@ -1,0 +1,222 @@
+"""A task in a physics world: its episodes, with the objects placed for each of them."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from kinfeas.control.targets import TargetStream
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, rotation
+from kinfeas.core.start import Start
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene, read_scene
+from kinfeas.tasks.chain import ChainTask, check_task
+from kinfeas.tasks.task import StreamTask, Subgoal, Task
+
+_DRAWS = 1000
+_SETTLE_SECONDS = 2.0  # for objects that were put down to come to rest
+_REST = 0.05  # m/s, largest speed at rest
+_UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright unit vector
+
+
+class StageBackend(ABC):
+    """What a stage needs of a backend: objects that it places, holds and measures.
+
+    Attributes:
+        robot: Robot that is simulated.
+        scene: Room and furniture; None for a floor only.
+        furniture: Number of the first places of solids that hold the furniture of the scene, which
+            is in the engine already.
+    """
+
+    robot: Robot
+    scene: Scene | None
+    furniture: int
+
+    @abstractmethod
+    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
+        """Set the link that closing grippers grasp; if `rigid`, it cannot turn in the hand."""
+
+    @abstractmethod
+    def place(
+        self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
+    ) -> bool:
+        """Place the objects of a row for its next resets, and its robot, (7,) and (j,).
+
+        Returns whether the robot has no contact.
+        """
+
+    @abstractmethod
+    def hold(self, row: int, joint_positions: Array, dt: float, periods: int) -> None:
+        """Hold a robot still for some control periods, its arm at positions (j,)."""
+
+    @abstractmethod
+    def object_motion(self, row: int, name: str) -> tuple[Array, float]:
+        """Return pose (7,) and linear speed (m/s) of the root link of an object."""
+
+    @abstractmethod
+    def object_joint(self, row: int, name: str, joint: str) -> float:
+        """Return the position of an object's joint, rad or m."""
+
+    @abstractmethod
+    def is_on(self, row: int, name: str, below: str, steepest: float) -> bool:
+        """Return whether an object is on another one.
+
+        The contact normal has a vertical part of at least `steepest`.
+        """
+
+    @abstractmethod
+    def holds(self, row: int, name: str) -> bool:
+        """Return whether the gripper holds an object."""
+
+
+class Stage:
+    """A task whose episodes also place robot and objects in a physics backend.
+
+    Starts in which the robot touches something are drawn again. The objects stay where the first
+    draw put them, so that the goals equal those without physics.
+
+    Attributes:
+        task: Task that draws the episodes.
+        scene: Scene before an episode moves objects; None for a floor only.
+        backend: Backend that simulates them.
+    """
+
+    def __init__(self, task: Task, backend: StageBackend) -> None:
+        """Connect a task to a backend with the scene of the task, or without a scene."""
+        self.task, self.backend = task, backend
+        self.scene = backend.scene
+        self._placed: dict[int, Scene] = {}
+        self._chain = task if isinstance(task, ChainTask) else None
+        self._known = self._chain.scene if self._chain and self.scene else None
+        backend.furniture = 0
+        if self._chain and self.scene and self._chain.clutter is not None:
+            backend.furniture = self._chain.solids_of(self.scene).places
+        if self._known and self.scene:
+            check_task(self.name, self._known, self.scene, backend.robot)
+            if grasped := self._known.grasped_object:
+                backend.handle(grasped.object, grasped.link, rigid=not grasped.revolute)
+
+    @property
+    def name(self) -> str:
+        """Name of the task."""
+        return self.task.name
+
+    @property
+    def subgoals(self) -> tuple[Subgoal, ...]:
+        """Sub-goals of the task."""
+        return self.task.subgoals
+
+    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode; place the first robot and its objects."""
+        return self.sample_in(0, solver, rng)
+
+    def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode; place robot and objects of a row."""
+        first, scene = self.task.sample(solver, rng), self.scene
+        if scene is not None:
+            scene = self._placed[row] = self._moved(scene, first)
+        for number in range(_DRAWS):
+            start = self._again(first, solver, rng) if number else first
+            if self.backend.place(row, scene, start.base_pose, start.joint_positions):
+                return start
+        raise KinfeasError(
+            f"task {self.name!r}: the robot touches floor or furniture in all of {_DRAWS} starts"
+        )
+
+    def drawn(self) -> tuple[str, dict[str, Array]]:
+        """Return the name of the scene and the poses of moved objects by name, or `("", {})`."""
+        if self._known is None:
+            return "", {}
+        objects = self._in(0).objects
+        return self._known.name, {name: objects[name].pose for name in self._known.moves}
+
+    def settle(self, joint_positions: Array, dt: float, row: int = 0) -> None:
+        """Hold the robot of a row still while objects come to rest; joints of all, (n, j)."""
+        if self.has_success_condition:
+            self.backend.hold(row, joint_positions[row], dt, round(_SETTLE_SECONDS / dt))
+
+    @property
+    def has_success_condition(self) -> bool:
+        """Whether the task has a success condition on objects of the scene."""
+        return self._known is not None
+
+    def task_done(
+        self, row: int, joint_positions: Array, dt: float, *, reached: bool
+    ) -> bool | None:
+        """Return whether the episode that ends in a row did its task.
+
+        A task without objects is done if the goal is reached. None if the objects are left out.
+        """
+        if not self.has_success_condition:
+            return None if self._chain and self._chain.scene else reached
+        self.settle(joint_positions, dt, row)
+        must_reach = self._known is not None and self._known.success.reached
+        return False if must_reach and not reached else self.done(row)
+
+    def done(self, row: int = 0) -> bool | None:
+        """Return whether the objects of a row meet the success condition; None without one."""
+        if self._known is None:
+            return None
+        done = self._known.success
+        if done.joint is not None:
+            position = self.backend.object_joint(row, done.object, done.joint)
+            return position < done.threshold if done.threshold < 0.0 else position > done.threshold
+        # An object in the hand was not put down.
+        return not self.backend.holds(row, done.object) and self.stands(
+            row, done.object, str(done.parent)
+        )
+
+    def stands(self, row: int, name: str, on: str) -> bool:
+        """Return whether an object is at rest on another one, and upright as in the scene."""
+        pose, speed = self.backend.object_motion(row, name)
+        upright = rotation(self._in(row).objects[name].pose).as_matrix()
+        tilt = float((rotation(pose).as_matrix() @ upright.T)[2, 2])
+        supported = self.backend.is_on(row, name, on, _UPRIGHT)
+        return speed <= _REST and supported and tilt >= _UPRIGHT
+
+    def _in(self, row: int) -> Scene:
+        """Return the scene of the episode in a row."""
+        assert self.scene is not None
+        return self._placed.get(row, self.scene)
+
+    def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return another start; of a task that moves objects, with the goals of `first`."""
+        if self._chain:
+            return self._chain.toward(first.target_poses, solver, rng, first.solids)
+        return self.task.sample(solver, rng)
+
+    def _moved(self, scene: Scene, start: Start) -> Scene:
+        """Return a scene with the objects where an episode places them."""
+        poses = self._chain.object_poses(start.target_poses) if self._chain else {}
+        if not poses:
+            return scene
+        moved = scene.with_poses(poses)
+        moved.check_places(f"task {self.name!r}")
+        return moved
+
+
+class StreamStage(Stage):
+    """A task whose targets move, in a physics backend."""
+
+    def __init__(self, task: Task, stream: StreamTask, backend: StageBackend) -> None:
+        """Connect a task, which is also `stream`, to a backend."""
+        super().__init__(task, backend)
+        self._stream = stream
+
+    @property
+    def seconds(self) -> float:
+        """Motion time of an episode."""
+        return self._stream.seconds
+
+    def target_stream(self, solver: IkSolver) -> TargetStream:
+        """Return the targets of the episodes of a loop."""
+        return self._stream.target_stream(solver)
+
+
+def task_scene(task: Task) -> Scene | None:
+    """Return the scene of a task; None for a floor only."""
+    if isinstance(task, ChainTask) and task.scene is not None:
+        return read_scene(task.scene.name)
+    return None
