@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import flatdim
 from numpy.typing import NDArray
 
 from kinfeas import config as configuration
@@ -157,6 +158,7 @@ class _Run:
     def _loop(self, logs: Logs, report: Report | None) -> None:
         if self.observation is None:
             self.observation = self.env.reset()
+            self._compile()
             # Before the first `best`, so that a run with a `best` can always be resumed.
             self._save()
         evaluator = periodic_evaluator(self.config)
@@ -194,6 +196,12 @@ class _Run:
                     report(self.progress)
         if report is not None:
             report(self.progress)
+
+    def _compile(self) -> None:
+        """Compile the kernels of a step, which does not count as training time."""
+        snapshot = self.env.snapshot()
+        self.env.step(np.zeros((self.env.num_envs, flatdim(self.env.action_space))))
+        self.observation = self.env.restore(snapshot)
 
     def _step(self) -> None:
         """Step all environments once, and learn from the replay buffer."""

@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.config.quantities import NotNegative
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.solids import Solids
@@ -22,13 +23,19 @@ class FeasibilityFilter:
     """Replaces infeasible base commands with the nearest feasible candidate.
 
     A command is infeasible if IK finds no arm solution for the next control period, or none within
-    the joint velocity limits, or if the base would touch a solid. Without a feasible candidate the
-    command stays. No row depends on the others. Candidates satisfy the velocity constraints of the
-    obstacle filters before this one.
+    the joint velocity limits and `max_deviation`, or if the base would touch a solid. Without a
+    feasible candidate the command stays. No row depends on the others. Candidates satisfy the
+    velocity constraints of the obstacle filters before this one.
+
+    Args:
+        max_deviation: Largest position error of an arm with a pose tolerance, metres.
     """
 
     speeds: ClassVar[tuple[float, ...]] = (1.0,)
     """Shares of the speed of the candidates, which are tried with each."""
+
+    def __init__(self, max_deviation: NotNegative = 0.02) -> None:
+        self.max_deviation = max_deviation
 
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
         """Use the kinematics of a loop; arguments as in `CommandFilter`."""
@@ -93,4 +100,4 @@ class FeasibilityFilter:
 
     def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:
         jumps = exceeds_joint_velocity(self._robot, joints, arm.joint_positions, self._loop.dt)
-        return arm.feasible & ~jumps
+        return arm.feasible & ~jumps & (arm.position_error <= self.max_deviation)

@@ -1,13 +1,11 @@
 """Time scaling: the EE slows down or waits where no base command lets the arm follow."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinfeas.config.quantities import NotNegative
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.ik import IkSolution
 
 _SHARES = (1.0, 0.5, 0.25, 0.0)
 """Time scales that are tried, until there is a feasible command."""
@@ -21,15 +19,14 @@ class TimeScalingFilter(FeasibilityFilter):
     and arm hold. Thus no IK failure and no joint jump is commanded. It must be the last filter.
 
     Args:
-        max_deviation: Largest position error of an arm with a pose tolerance, metres; the EE waits
-            where no candidate has a smaller one.
+        max_deviation: As of the feasibility filter; the EE waits where no candidate is within it.
     """
 
     # Near joint limits the arm only follows a slow base.
     speeds = (1.0, 0.3, 0.1)
 
     def __init__(self, max_deviation: NotNegative = 0.01) -> None:
-        self.max_deviation = max_deviation
+        super().__init__(max_deviation)
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands; arguments as in `CommandFilter`."""
@@ -50,8 +47,3 @@ class TimeScalingFilter(FeasibilityFilter):
         inputs = self._inputs(np.arange(len(command)))
         loop.solved = command, *loop.kinematic_step(command, *inputs, allow_reconfiguration=False)
         return command
-
-    def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:
-        exact = arm.position_error <= self.max_deviation
-        good: NDArray[np.bool_] = super()._in_time(joints, arm) & exact
-        return good
