@@ -1,7 +1,8 @@
 """Evaluate policies among solids and print a table: `python studies/rooms.py DIR`.
 
 Each evaluation is a JSON file in DIR, as `kinfeas evaluate --json` writes it; those that exist are
-not repeated. The last row is the upper bound, as `kinfeas ceiling --json` computes it.
+not repeated. `--policies` and `--filters`, the number of a row of `FILTERS`, restrict those of this
+process. The last row is the upper bound, as `kinfeas ceiling --json` computes it.
 """
 
 import argparse
@@ -16,12 +17,13 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 TASKS = ("ggr_obstacles", "ggr_dynamic")
-POLICIES = ("pretrained/rooms", "pretrained", "geometric_modulation")
+POLICIES = ("pretrained/rooms", "pretrained", "whole_body_qp", "geometric_modulation")
 FILTERS = (
     (),
     ("obstacle_distance",),
     ("obstacle_distance", "feasibility"),
     ("rollout_planner", "obstacle_distance"),
+    ("rollout_planner", "obstacle_distance", "feasibility"),
 )
 CEILING = "upper bound"
 
@@ -33,9 +35,12 @@ def main() -> None:
     parser.add_argument("--robot", default="hsr")
     parser.add_argument("--episodes", type=int, default=500)
     parser.add_argument("--rooms", default="pretrained/rooms", help="policy that is trained here")
+    parser.add_argument("--policies", nargs="*", default=POLICIES)
+    parser.add_argument("--filters", nargs="*", type=int, default=range(len(FILTERS)))
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
-    for task, policy, filters in product(TASKS, POLICIES, FILTERS):
+    rows = [FILTERS[number] for number in given.filters]
+    for task, policy, filters in product(TASKS, given.policies, rows):
         path = given.folder / name(given.robot, task, policy, filters)
         if not path.exists():
             chosen = [f"world.filters={json.dumps(filters)}"]
@@ -65,6 +70,8 @@ def table(folder: Path, robot: str) -> str:
     for policy, filters in [*product(POLICIES, FILTERS), (CEILING, ())]:
         files = [folder / name(robot, task, policy, filters) for task in TASKS]
         cells = [cell(json.loads(one.read_text())) if one.exists() else "-" for one in files]
+        if cells == ["-"] * len(TASKS):
+            continue
         lines.append(f"| {policy} | {', '.join(filters)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
