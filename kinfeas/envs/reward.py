@@ -27,8 +27,8 @@ class RewardConfig:
     Attributes:
         failure: `indicator` costs 1 for each kinematic failure, as in the paper; `graded` costs
             between 0.2 and 1, growing with the distance that IK could not close; `squared` costs
-            half the square of that distance, at most 50, and multiplies the reward by the time scale, as in
-            N2M2 (Honerkamp et al., IEEE T-RO 2023).
+            half the square of that distance, at most 50, and multiplies the reward by the time
+            scale, as in N2M2 (Honerkamp et al., IEEE T-RO 2023).
         action_penalty: Factor lambda on the squared norm of the action.
         jump_penalty: Cost of a step in which an arm joint has to move faster than it can.
         limit_penalty: Cost of a joint at its limit, falling linearly to 0 at `limit_margin`.
