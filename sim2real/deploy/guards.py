@@ -220,8 +220,8 @@ class Guarded(_Wrapper):
     ) -> None:
         """Put guards around the backend of one robot.
 
-        Adapters of a rehearsal come between, the first one next to the backend. `rate` ends the
-        control periods of a simulated world.
+        Adapters of a rehearsal come between, the first one next to the backend. `rate` measures the
+        control periods.
         """
         self.guards, clock = guards or Guards(), clock or Clock()
         self.commands = SafetyFilter(backend, robot, self.guards, clock)
@@ -239,7 +239,7 @@ class Guarded(_Wrapper):
         """Start a run; shapes as in `Backend`. Raises KinfeasError if a limit is exceeded."""
         with plugin_note(self._name):
             self.state = self.backend.reset(base_pose, joint_positions, env_ids)
-        if self._rate is not None:
+        if self._rate is not None and self._rate.waits:
             self._rate.wait()
         self._monitor.begin(self.state)
         self._failures, self.unstopped = 0, ""
@@ -258,11 +258,13 @@ class Guarded(_Wrapper):
         """Execute a command; shapes as in `Backend`. Before any error the robot is stopped."""
         steps, passed = self.commands.steps, False
         try:
+            if self._rate is not None and not self._rate.waits:
+                self._rate.worked()
             state = self.backend.step(base_twist, joint_targets, dt)
             if self.commands.steps == steps:
                 raise Fault("an adapter has not passed the command on")
             if self._rate is not None:
-                self._rate.wait()
+                self._rate.wait() if self._rate.waits else self._rate.tick()
             self._monitor.check(state)
             self.state, passed = state, True
         finally:

@@ -40,7 +40,7 @@ class Timing:
         p99: 99th percentile.
         longest: Maximum.
         misses: Number of periods that ended after their deadline.
-        work_p50: Median of the computing time of a period; None if the robot times the periods.
+        work_p50: Median of the computing time of a period, or None.
         work_p99: 99th percentile of it, or None.
     """
 
@@ -54,17 +54,17 @@ class Timing:
 
 
 class Rate:
-    """Waits for the end of each control period.
+    """Measures control periods, and waits for their ends unless the robot times them.
 
     Deadlines are multiples of the period: a late period does not shift later ones, and deadlines
     that have passed are skipped.
     """
 
-    def __init__(self, dt: float, clock: Clock | None = None) -> None:
+    def __init__(self, dt: float, clock: Clock | None = None, *, waits: bool = True) -> None:
         """Start at the first `wait` or `tick`; periods take `dt` seconds."""
         if not 0.0 < dt < math.inf:
             raise KinfeasError(f"the control period must be above 0 s and finite, not {dt}")
-        self.dt, self._clock = dt, clock or Clock()
+        self.dt, self._clock, self.waits = dt, clock or Clock(), waits
         self._deadline = self._last = math.nan
         self._periods: list[float] = []
         self._work: list[float] = []
@@ -83,6 +83,11 @@ class Rate:
             now = self._clock.monotonic()
         self._deadline += self.dt * (1 + math.floor(max(0.0, now - self._deadline) / self.dt))
         return self._measure(now)
+
+    def worked(self) -> None:
+        """Note the end of computing in a period that the robot times."""
+        if not math.isnan(self._last):
+            self._work.append(self._clock.monotonic() - self._last)
 
     def tick(self) -> float:
         """Return the length of a period that ends now and that the robot times, at first 0."""

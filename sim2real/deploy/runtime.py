@@ -167,14 +167,13 @@ class _Run:
     def __init__(self, setup: Setup, recorder: Recorder) -> None:
         self.setup, self.recorder = setup, recorder
         self.robot, self.clock = setup.solver.robot, setup.clock
-        self.rate = Rate(setup.dt, self.clock)
-        self.waits = setup.real_time and not setup.live
+        self.rate = Rate(setup.dt, self.clock, waits=setup.real_time and not setup.live)
         self.guarded = Guarded(
             setup.backend,
             self.robot,
             setup.guards,
             adapters=setup.adapters,
-            rate=self.rate if self.waits else None,
+            rate=self.rate,
             clock=self.clock,
         )
         execution = execution_of(self.guarded, setup.execution)
@@ -271,8 +270,6 @@ class _Run:
             if loop.target_stream is not None:
                 self.guarded.commands.brake = not loop.target_stream.live[0]
             step = loop.step(action)
-            if not self.waits:
-                self.rate.tick()
             feasible, subgoal = bool(step.feasible[0]), int(step.subgoal[0])
             self.steps, self.failures = self.steps + 1, self.failures + (not feasible)
             after = int(loop.sequence.subgoal[0])

@@ -147,8 +147,10 @@ def test_measures_periods_that_a_robot_times(time):
     assert rate.tick() == 0.0
     assert rate.timing().periods == 0
     for period in (0.02, 0.029, 0.031, 0.019):
-        time.passes(period)
+        time.passes(0.005)
+        rate.worked()
+        time.passes(period - 0.005)
         assert rate.tick() == pytest.approx(period)
     timing = rate.timing()
-    assert (timing.periods, timing.misses, timing.work_p50) == (4, 1, None)
+    assert (timing.periods, timing.misses, timing.work_p99) == (4, 1, pytest.approx(0.005))
     assert timing.longest == pytest.approx(0.031)
