@@ -7,8 +7,8 @@ from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 
-_SHARES = (1.0, 0.5, 0.25, 0.0)
-"""Time scales that are tried, until there is a feasible command."""
+_SHARES = (0.5, 0.25, 0.0)
+"""Shares of the planned step that are tried, until there is a feasible command."""
 
 
 class TimeScalingFilter(FeasibilityFilter):
@@ -31,19 +31,25 @@ class TimeScalingFilter(FeasibilityFilter):
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands; arguments as in `CommandFilter`."""
         loop, command = self._loop, command.copy()
-        planned, left = loop.time_scale, np.arange(len(command))
-        scale = planned.copy()
+        twist, arm, good = self._follow(command, np.arange(len(command)))
+        late = np.flatnonzero(~good)
         if loop.paused is not None:
-            left = left[~loop.paused]
-        for share in _SHARES:
-            if share < 1.0:
+            late = late[~loop.paused[late]]
+        if late.size:
+            planned = loop.time_scale
+            scale, left = planned.copy(), self._replace(command, late)
+            for share in _SHARES:
+                if not left.size:
+                    break
                 scale[left] = share * planned[left]
                 loop.slow_down(scale.copy())
-            late = left[~self._feasible(command[left, np.newaxis], left)[:, 0]]
-            left = self._replace(command, late)
-            if not left.size:
-                break
-        command[left] = 0.0
-        inputs = self._inputs(np.arange(len(command)))
-        loop.solved = command, *loop.kinematic_step(command, *inputs, allow_reconfiguration=False)
+                slow = left[~self._feasible(command[left, np.newaxis], left)[:, 0]]
+                left = self._replace(command, slow)
+            command[left] = 0.0
+            inputs = self._inputs(late)
+            twist[late], found = loop.kinematic_step(
+                command[late], *inputs, allow_reconfiguration=False
+            )
+            arm.put(late, found)
+        loop.solved = command, twist, arm
         return command
