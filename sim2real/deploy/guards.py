@@ -81,9 +81,11 @@ class SafetyFilter(_Wrapper):
         steps: Number of commands sent.
     """
 
-    def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
+    def __init__(
+        self, backend: Backend, robot: Robot, guards: Guards, clock: Clock, rate: Rate | None
+    ) -> None:
         super().__init__(backend)
-        self._robot, self._guards, self._clock = robot, guards, clock
+        self._robot, self._guards, self._clock, self._rate = robot, guards, clock, rate
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity
         self._velocity, self._dt = np.zeros(3), 0.0
         self._state, self._measured = RobotState(np.empty((0, 7)), np.empty((0, 0))), np.nan
@@ -129,6 +131,8 @@ class SafetyFilter(_Wrapper):
             raise Fault("the scan is blind in the direction of the base command")
         self._velocity, self._dt = velocity, dt
         self.base_twist, self.joint_targets = twist, targets
+        if self._rate is not None:
+            self._rate.worked()
         # A backend may write into its copies.
         self._state = self.backend.step(twist.copy(), targets.copy(), dt)
         self._measured = self._clock.monotonic()
@@ -224,7 +228,7 @@ class Guarded(_Wrapper):
         control periods.
         """
         self.guards, clock = guards or Guards(), clock or Clock()
-        self.commands = SafetyFilter(backend, robot, self.guards, clock)
+        self.commands = SafetyFilter(backend, robot, self.guards, clock, rate)
         super().__init__(wrap(self.commands, adapters, robot))
         self._robot_backend, self._rate = backend, rate
         self._name = f"backend {type(backend).__name__}"
@@ -258,8 +262,6 @@ class Guarded(_Wrapper):
         """Execute a command; shapes as in `Backend`. Before any error the robot is stopped."""
         steps, passed = self.commands.steps, False
         try:
-            if self._rate is not None and not self._rate.waits:
-                self._rate.worked()
             state = self.backend.step(base_twist, joint_targets, dt)
             if self.commands.steps == steps:
                 raise Fault("an adapter has not passed the command on")

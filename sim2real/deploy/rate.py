@@ -85,8 +85,8 @@ class Rate:
         return self._measure(now)
 
     def worked(self) -> None:
-        """Note the end of computing in a period that the robot times."""
-        if not math.isnan(self._last):
+        """Note the end of computing, with the command to be sent, if the robot times the period."""
+        if not (self.waits or math.isnan(self._last)):
             self._work.append(self._clock.monotonic() - self._last)
 
     def tick(self) -> float:

@@ -9,6 +9,7 @@ from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.solids import Solids
+from kinfeas.evaluation.evaluate import evaluate, prepare
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, in_base
@@ -96,3 +97,13 @@ def test_paused_rows_stay_and_change_no_other(loop, command):
     found, _ = filtered(loop, command)
     np.testing.assert_array_equal(found[loop.paused], command[loop.paused])
     np.testing.assert_array_equal(found[~loop.paused], together[~loop.paused])
+
+
+def mean_deviation_of_hsr(most):
+    chosen = f"world.filters=[{{name: feasibility, max_deviation: {most}}}]"
+    config, policy = prepare("pretrained", "hsr", "ggr", episodes=64, overrides=[chosen])
+    return evaluate(config, policy, "pretrained")["mean_deviation_m"]
+
+
+def test_max_deviation_keeps_the_arm_of_hsr_near_its_pose():
+    assert mean_deviation_of_hsr(0.02) < 0.95 * mean_deviation_of_hsr(1.0)
