@@ -102,7 +102,10 @@ class KinematicStep:
         solver: IK of the robot.
         dt: Control period in seconds.
         max_joint_step: Longest way of each arm joint in a period, shape (j,), radians or metres.
+        hold_torso: Whether the torso stays where the joints have it.
     """
+
+    hold_torso: bool = False
 
     def __init__(self, solver: IkSolver, dt: float) -> None:
         self.solver, self.dt = solver, dt
@@ -124,7 +127,7 @@ class KinematicStep:
             action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
             base_pose: World pose of the base, shape (n, 7).
             desired: World pose of the EE at the end of the period, shape (n, 7).
-            joints: Last commanded arm joints, shape (n, j), radians or metres.
+            joints: Arm joints at which IK begins, shape (n, j), radians or metres.
             solids: World solids at the end of the period, n rows, which the arms avoid.
             allow_reconfiguration: Whether IK also tries solutions out of reach in this period.
         """
@@ -136,6 +139,7 @@ class KinematicStep:
             self.max_joint_step,
             allow_reconfiguration=allow_reconfiguration,
             solids=None if solids is None else in_base(solids, reached),
+            hold_torso=self.hold_torso,
         )
 
 

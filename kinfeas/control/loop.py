@@ -91,6 +91,8 @@ class Loop:
         joint_command: Last commanded arm joints, shape (n, j).
         periods: Control periods since the start of each row, shape (n,).
         time_scale: Share of the planned motion that the last step carries out, shape (n,).
+        seed: During a step: arm joints at which IK begins, shape (n, j): the last command, with the
+            torso where the action moves it.
         next_desired: During a step: desired world pose of the EE at its end, shape (n, 7).
         paused: During a step: whether base and motion pause while the arm reconfigures, shape (n,);
             None if they never do.
@@ -145,7 +147,7 @@ class Loop:
         self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
         self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
-        self.joint_command: Array = np.empty((0, len(self.robot.arm)))
+        self.joint_command = self.seed = np.empty((0, len(self.robot.arm)))
 
     def set_policy(self, policy: Policy) -> None:
         """Use a policy: its terms, and its `reset` at each start if it has one."""
@@ -210,11 +212,12 @@ class Loop:
         sequence, before = self.sequence, self.joint_command
         self.paused = self._find_paused() if self._arm_settle_timeout else None
         self.time_scale = self._full_scale
-        command, time_scale = split_action(action, self.action_terms)
+        command, time_scale, torso = split_action(action, self.action_terms)
         if time_scale is None:
             self.next_desired = sequence.next_desired(self._next, self.paused)
         else:
             self.slow_down(time_scale)
+        self.seed = self._with_torso(torso)
         self.previous_command = command = self._filtered(command)
         sequence.move(self._next, self.paused)
         twist, arm = self._solve(command)
@@ -378,11 +381,23 @@ class Loop:
             return command
         return np.where(self.paused[:, np.newaxis], 0.0, command)
 
+    def _with_torso(self, velocity: Array | None) -> Array:
+        """Return the joints at which IK begins, (n, j); torso velocities are shares, (n,)."""
+        step, joints = self.kinematic_step, self.joint_command
+        torso, step.hold_torso = self.robot.torso, velocity is not None
+        if velocity is not None and torso is not None:
+            lower, upper = self.robot.joint_limits
+            joints, way = joints.copy(), velocity * step.max_joint_step[torso]
+            if self.paused is not None:
+                way = np.where(self.paused, 0.0, way)
+            joints[:, torso] = np.clip(joints[:, torso] + way, lower[torso], upper[torso])
+        return joints
+
     def _solve(self, command: Array) -> tuple[Array, IkSolution]:
         """Return base twists, shape (n, 6), and arm joints that reach the desired poses."""
         if self.solved is not None and np.array_equal(self.solved[0], command):
             return self.solved[1:]
-        inputs = self.state.base_pose, self.desired, self.joint_command, self.solids
+        inputs = self.state.base_pose, self.desired, self.seed, self.solids
         return self.kinematic_step(command, *inputs)
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:

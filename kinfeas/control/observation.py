@@ -116,9 +116,10 @@ SCAN_TERMS = {"scan_low", "scan_high"}
 OBSERVATION = tuple(TERMS)[:7]
 """Terms of policies by default, in this order."""
 
-ACTIONS = ("base_velocity", "time_scale")
+ACTIONS = ("base_velocity", "time_scale", "torso_velocity")
 """Action terms, each number in [-1, 1]: the base velocity in the base frame, as shares of its
-limits, and the share of the planned EE motion that a step carries out, from `SLOWEST` to 1."""
+limits, the share of the planned EE motion that a step carries out, from `SLOWEST` to 1, and the
+velocity of the torso, as a share of its limit."""
 
 ACTION: tuple[str, ...] = ACTIONS[:1]
 """Action terms of policies by default."""
@@ -150,14 +151,24 @@ def scaled(observation: Array, factors: NDArray[np.float32]) -> NDArray[np.float
 
 def action_size(robot: Robot, terms: Sequence[str] = ACTION) -> int:
     """Return the count of numbers in an action of a robot."""
-    return command_size(robot.base) + ("time_scale" in terms)
+    if "torso_velocity" in terms and robot.torso is None:
+        raise KinfeasError(f"torso_velocity: the arm of robot {robot.name!r} has no torso")
+    return command_size(robot.base) + len(terms) - 1
 
 
-def split_action(action: Array, terms: Sequence[str]) -> tuple[Array, Array | None]:
-    """Return base commands, shape (n, c), and time scales, shape (n,), if they are a term."""
-    if "time_scale" not in terms:
-        return action, None
-    return action[:, :-1], SLOWEST + (1.0 - SLOWEST) * (np.clip(action[:, -1], -1.0, 1.0) + 1.0) / 2
+def split_action(action: Array, terms: Sequence[str]) -> tuple[Array, Array | None, Array | None]:
+    """Return base commands, shape (n, c), time scales and torso velocities, shape (n,).
+
+    The last two are None unless they are terms.
+    """
+    if len(terms) == 1:
+        return action, None, None
+    size = action.shape[1] - len(terms) + 1
+    others = dict(zip(terms[1:], np.clip(action[:, size:].T, -1.0, 1.0), strict=True))
+    scale = others.get("time_scale")
+    if scale is not None:
+        scale = SLOWEST + (1.0 - SLOWEST) * (scale + 1.0) / 2
+    return action[:, :size], scale, others.get("torso_velocity")
 
 
 def describe_observation(robot: Robot, terms: Sequence[str]) -> tuple[TermInfo, ...]:
@@ -178,10 +189,19 @@ def describe_action(robot: Robot, terms: Sequence[str] = ACTION) -> tuple[TermIn
     scale = (*(base.max_velocity for _ in linear), base.max_rotation)
     entries = (*linear, "turn")
     unit = "m/s, turn in rad/s"
-    velocity = TermInfo("base_velocity", len(entries), base.frame, unit, entries, scale)
+    described = {
+        "base_velocity": TermInfo(terms[0], len(entries), base.frame, unit, entries, scale)
+    }
     slowest = f"share of the planned motion, {SLOWEST:g} at -1"
-    pace = TermInfo("time_scale", 1, robot.ee_frame, slowest, ("time_scale",), (1.0,))
-    return (velocity, pace) if "time_scale" in terms else (velocity,)
+    described["time_scale"] = TermInfo(
+        "time_scale", 1, robot.ee_frame, slowest, ("time_scale",), (1.0,)
+    )
+    if robot.torso is not None:
+        torso = robot.arm[robot.torso]
+        described["torso_velocity"] = TermInfo(
+            "torso_velocity", 1, "joint", "m/s", (torso.name,), (torso.velocity,)
+        )
+    return tuple(described[name] for name in terms)
 
 
 def check_terms(found: Sequence[TermInfo], known: Sequence[str], key: str) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """Inverse kinematics: verified, within joint limits, deterministic."""
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -103,6 +104,13 @@ class IkSolver:
         self.collision = build_collision_model(robot)
         self._problem = _make_problem(robot, options, self.chain, self.collision)
 
+    @cached_property
+    def _held_torso(self) -> Problem:
+        torso = self.robot.torso
+        if torso is None:
+            raise KinfeasError(f"the arm of robot {self.robot.name!r} has no torso to hold")
+        return _make_problem(self.robot, self.options, self.chain, self.collision, torso)
+
     def solve(
         self,
         ee_pose_in_base: Array,
@@ -111,6 +119,7 @@ class IkSolver:
         *,
         allow_reconfiguration: bool = True,
         solids: Solids | None = None,
+        hold_torso: bool = False,
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
@@ -128,9 +137,11 @@ class IkSolver:
             allow_reconfiguration: Whether solutions beyond `max_joint_step` are allowed.
             solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
                 solution.
+            hold_torso: Whether the torso stays where the seed has it.
 
         Raises:
-            KinfeasError: If an array has another shape, or `max_joint_step` is needed and missing.
+            KinfeasError: If an array has another shape, `max_joint_step` is needed and missing, or
+                there is no torso to hold.
         """
         if max_joint_step is None and not allow_reconfiguration:
             raise KinfeasError("without reconfiguration, max_joint_step must be given")
@@ -151,7 +162,7 @@ class IkSolver:
         feasible = np.empty(len(targets), dtype=np.bool_)
         errors = np.empty((len(targets), 2))
         solve_batch(
-            self._problem,
+            self._held_torso if hold_torso else self._problem,
             targets,
             within,
             allow_reconfiguration,
@@ -164,7 +175,7 @@ class IkSolver:
 
 
 def _make_problem(
-    robot: Robot, options: IkOptions, chain: Chain, collision: CollisionModel
+    robot: Robot, options: IkOptions, chain: Chain, collision: CollisionModel, held: int = -1
 ) -> Problem:
     # Copies, since kernels are compiled again for read-only arrays.
     lower, upper = (limit.copy() for limit in robot.joint_limits)
@@ -176,6 +187,8 @@ def _make_problem(
         position, turn = robot.pose_tolerance.position, robot.pose_tolerance.rotation
         weight = position / turn
     library = spread_configurations(robot, options.library)
+    if held >= 0:
+        library[:, held] = middle[held]
     if options.self_collision:
         library = library[~self_collides(collision, library)]
     ee_pose = forward(chain, library)
@@ -195,6 +208,8 @@ def _make_problem(
         candidates=options.candidates,
         accept_position=position,
         accept_rotation=turn,
+        held=held,
+        lift=chain.tree.multiplier[0] * chain.tree.rotation[0][:, 2],
     )
 
 

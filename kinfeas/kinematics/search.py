@@ -48,6 +48,9 @@ class Problem(NamedTuple):
         candidates: Number of solutions of which the nearest is taken.
         accept_position: Position error of a feasible pose, metres.
         accept_rotation: Rotation error of a feasible pose, radians.
+        held: Joint that stays where the seed has it, in the middle of its range in the library; -1
+            for none.
+        lift: Motion of the EE per unit of that joint, shape (3,).
     """
 
     chain: Chain
@@ -65,6 +68,8 @@ class Problem(NamedTuple):
     candidates: int
     accept_position: float
     accept_rotation: float
+    held: int
+    lift: Array
 
 
 def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.float32]:
@@ -102,22 +107,30 @@ def solve_batch(
     near = np.empty((2, len(max_joint_step)))
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
-    turn = np.empty((3, 3))
+    turn, position = np.empty((3, 3)), np.empty(3)
+    held, lower, upper = problem.held, problem.descent.lower.copy(), problem.descent.upper.copy()
+    limits = within(problem.descent, lower, upper)
     for i in range(len(solution)):
+        if held >= 0:
+            lower[held] = upper[held] = solution[i, held]
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
         around = solids, i
         if _solve_from_seed(
-            problem, target, max_joint_step, allow_reconfiguration, near,
+            problem, limits, target, max_joint_step, allow_reconfiguration, near,
             solution[i], errors[i], scratch, touching, around,
         ):  # fmt: skip
             feasible[i] = True
         elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
             feasible[i] = False
         else:
-            _rank_library(problem, target, scores, order)
+            copy_row(targets[i, :3], position)
+            if held >= 0:
+                for k in range(3):
+                    position[k] -= problem.lift[k] * (lower[held] - problem.library[0, held])
+            _rank_library(problem, (turn, position), scores, order)
             feasible[i] = _solve_from_library(
-                problem, target, solution[i], errors[i], order, scratch, touching, around
+                problem, limits, target, solution[i], errors[i], order, scratch, touching, around
             )
         for j in range(solution.shape[1]):
             if feasible[i] and problem.continuous[j]:
@@ -127,6 +140,7 @@ def solve_batch(
 @inlined
 def _solve_from_seed(
     problem,
+    limits,
     target,
     max_joint_step,
     allow_reconfiguration,
@@ -143,7 +157,6 @@ def _solve_from_seed(
     last one, if `allow_reconfiguration`, has the joint limits only.
     """
     q = scratch.trial
-    limits = problem.descent
     _start(limits, solution, q)
     place_chain(problem.chain, q, scratch.frames)
     cost, trace = 0.0, 0.0
@@ -204,7 +217,7 @@ def _draw(problem, max_joint_step, q, pull):
 
 
 @inlined
-def _solve_from_library(problem, target, solution, error, order, scratch, touching, around):
+def _solve_from_library(problem, limits, target, solution, error, order, scratch, touching, around):
     """Descend from library entries; keep the solution nearest to the seed."""
     q, seed = scratch.trial, solution.copy()
     closest = _cost(problem, error[0], error[1])
@@ -213,8 +226,10 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
         if attempt >= HOPEFUL and closest > HOPELESS_COST:
             break
         copy_row(problem.library[order[attempt]], q)
+        if problem.held >= 0:
+            q[problem.held] = seed[problem.held]
         place_chain(problem.chain, q, scratch.frames)
-        metres, radians = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
+        metres, radians = descend(problem.chain, limits, target[0], target[1], q, scratch)
         closest = min(closest, _cost(problem, metres, radians))
         if _close_enough(problem, metres, radians):
             if not _free(problem, q, touching, around):

@@ -78,6 +78,8 @@ class Network:
     def widened(self, robot: Robot, observation: Sequence[str], action: Sequence[str]) -> "Network":
         """Return a network with more terms that have no effect yet: a new time scale is nearly 1.
 
+        A new torso velocity is 0: the torso rests until the policy learns to move it.
+
         Raises:
             KinfeasError: If the first terms are not those of this network.
         """
@@ -86,11 +88,11 @@ class Network:
         if begin != known:
             raise KinfeasError(f"the policy has the terms {known}, not {begin}")
         rows = size(robot, observation) - len(self.scale)
-        columns = action_size(robot, action) - len(self.biases[-1])
         first, *others = self.weights
         weights = [np.pad(first, ((0, rows), (0, 0))), *others]
-        weights[-1] = np.pad(weights[-1], ((0, 0), (0, columns)))
-        biases = [*self.biases[:-1], np.pad(self.biases[-1], (0, columns), constant_values=_FULL)]
+        weights[-1] = np.pad(weights[-1], ((0, 0), (0, len(action) - len(known[1]))))
+        added = [_FULL if name == "time_scale" else 0.0 for name in action[len(known[1]) :]]
+        biases = [*self.biases[:-1], np.append(self.biases[-1], np.array(added, dtype=np.float32))]
         return Network(
             scale(robot, observation).astype(np.float32),
             tuple(weights),

@@ -13,7 +13,9 @@ from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
+from kinfeas.robots.loading import load_robot
 from tests.builders import random_poses, rngs
 
 
@@ -282,6 +284,19 @@ def test_ik_starts_from_the_last_joint_command(solver):
     loop.backend.joints -= 0.05
     loop.start(starts(solver.robot, 1), rngs(1), np.array([1]))
     np.testing.assert_array_equal(loop.joint_command[0], joint_command[0])
+
+
+def test_the_torso_moves_as_the_action_says():
+    solver = IkSolver(load_robot("tiago"))
+    loop = make_loop(solver, 3)
+    loop.action_terms = ("base_velocity", "torso_velocity")
+    step, before = solver.robot.max_joint_velocity[0] * loop.dt, loop.joint_command[:, 0]
+    loop.step(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -0.5], [0.0, 0.0, 0.0]]))
+    moved = loop.state.joint_positions[:, 0] - before
+    np.testing.assert_allclose(moved, [step, -0.5 * step, 0.0], atol=1e-12)
+    for _ in range(100):
+        loop.step(np.full((3, 3), [0.0, 0.0, 1.0]))
+    assert np.all(loop.joint_command[:, 0] == solver.robot.joint_limits[1][0])
 
 
 class Swinging(Recorder):

@@ -10,6 +10,7 @@ from kinfeas.control.observation import (
     SLOWEST,
     TERMS,
     Seen,
+    action_size,
     check_terms,
     describe_action,
     describe_observation,
@@ -23,6 +24,7 @@ from kinfeas.core.policy import TermInfo
 from kinfeas.core.spatial import compose, integrate, make_pose, planar_pose, relative, rotation
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import spread_configurations
+from kinfeas.robots.loading import load_robot
 
 
 def parts(solver, n=50, seed=0):
@@ -92,9 +94,20 @@ def test_scales_and_descriptions_have_the_size_of_observations(robot):
         check_terms([TermInfo("lidar", 3, "", "")], tuple(TERMS), "file: observation")
 
 
-def test_a_time_scale_is_the_last_number_of_an_action():
-    action = np.array([[0.5, -0.5, 1.0], [0.2, 0.1, -3.0]])
-    command, scale = split_action(action, ACTIONS)
+def test_actions_are_split_into_their_terms():
+    action = np.array([[0.5, -0.5, 1.0, 2.0], [0.2, 0.1, -3.0, 0.5]])
+    command, scale, torso = split_action(action, ACTIONS)
     np.testing.assert_array_equal(command, action[:, :2])
     np.testing.assert_allclose(scale, [1.0, SLOWEST])
-    assert split_action(action, ACTION)[1] is None
+    np.testing.assert_array_equal(torso, [1.0, 0.5])
+    command, scale, torso = split_action(action, (*ACTION, "torso_velocity"))
+    assert command.shape == (2, 3) and scale is None
+    np.testing.assert_array_equal(torso, [1.0, 0.5])
+    assert split_action(action, ACTION)[1:] == (None, None)
+    described = describe_action(load_robot("tiago"), ACTIONS)
+    assert [(one.name, one.scale) for one in described[1:]] == [
+        ("time_scale", (1.0,)),
+        ("torso_velocity", (0.07,)),
+    ]
+    with pytest.raises(KinfeasError, match="no torso"):
+        action_size(load_robot("pr2"), ACTIONS)

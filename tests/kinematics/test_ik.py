@@ -146,6 +146,21 @@ def test_without_reconfiguration_solutions_are_within_the_joint_step(tiago):
         tiago.solve(targets, joints, allow_reconfiguration=False)
 
 
+def test_a_held_torso_stays_where_the_seed_has_it(tiago):
+    joints = draw_free(tiago, 1000)
+    targets, seed = forward(tiago.chain, joints), shuffled(joints)
+    seed[:, 0] = joints[:, 0]
+    held = tiago.solve(targets, seed, hold_torso=True)
+    solved = held.feasible
+    assert solved.mean() >= 0.99
+    np.testing.assert_array_equal(held.joint_positions[:, 0], joints[:, 0])
+    check_solutions(tiago, held.joint_positions[solved])
+    metres, radians = distance(forward(tiago.chain, held.joint_positions[solved]), targets[solved])
+    assert np.all((metres <= METRES) & (radians <= RADIANS))
+    with pytest.raises(KinfeasError, match="no torso"):
+        IkSolver(load_robot("pr2")).solve(targets[:, :7], seed[:, :7], hold_torso=True)
+
+
 def tremble(solver, joints):
     """Return the joint positions after 40 steps of an EE that trembles by a millimetre."""
     home, rng = forward(solver.chain, joints), np.random.default_rng(3)

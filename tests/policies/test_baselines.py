@@ -1,10 +1,13 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import spread_configurations
@@ -123,3 +126,22 @@ def test_the_model_of_the_qp_agrees_with_our_kinematics(robot):
         np.testing.assert_allclose(found[:, carried:], jacobian(chain, q), atol=1e-9)
         base = [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0]][: carried - 1]
         np.testing.assert_allclose(found[:, :carried].T, [*base, [-y, x, 0, 0, 0, 1]], atol=1e-9)
+
+
+def test_barriers_keep_the_base_of_the_qp_off_obstacles(robot):
+    pytest.importorskip("pink")
+    pillar = np.array([[[0.4, 0.0]]]), np.array([[[1.0, 0.0]]])
+    given = moving(robot, 0.15 * np.array([np.cos(0.7), np.sin(0.7)]))
+    free = qp.whole_body_qp(robot).act(given)
+    assert free[0, 0] * robot.base.max_velocity > 0.05
+    for distance, limit in ((0.031, 0.005), (0.02, -0.05)):
+
+        class Beside(AnalyticBackend):
+            def obstacle_distances(self, within, distance=distance):
+                closing = np.zeros((1, 1))
+                return ObstacleDistances(*pillar, np.full((1, 1), distance), closing)
+
+        policy = qp.whole_body_qp(robot)
+        policy.reset(SimpleNamespace(robot=robot, backend=Beside(), dt=0.1), np.arange(1))
+        action = policy.act(given)
+        assert action[0, 0] * robot.base.max_velocity == pytest.approx(limit, abs=1e-4)

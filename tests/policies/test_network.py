@@ -92,7 +92,8 @@ def test_new_terms_of_a_widened_network_have_no_effect(hsr):
     wide = old.widened(hsr, (*OBSERVATION, "previous_command"), ACTIONS)
     seen = np.random.default_rng(0).normal(size=(5, len(wide.scale)))
     action = wide(seen)
-    np.testing.assert_array_equal(action[:, :-1], old(seen[:, : len(old.scale)]))
-    assert action[:, -1].min() > 0.9
+    np.testing.assert_array_equal(action[:, :-2], old(seen[:, : len(old.scale)]))
+    assert action[:, -2].min() > 0.9
+    assert np.all(action[:, -1] == 0.0)
     with pytest.raises(KinfeasError):
         old.widened(hsr, OBSERVATION[::-1], ACTIONS)

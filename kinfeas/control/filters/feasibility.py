@@ -85,7 +85,7 @@ class FeasibilityFilter:
         """Return the arguments of `KinematicStep` after the command."""
         loop = self._loop
         solids = None if loop.solids is None else loop.solids.of(rows)
-        return loop.state.base_pose[rows], loop.next_desired[rows], loop.joint_command[rows], solids
+        return loop.state.base_pose[rows], loop.next_desired[rows], loop.seed[rows], solids
 
     def _follow(self, command: Array, rows: Rows) -> tuple[Array, IkSolution, NDArray[np.bool_]]:
         """Return twists, arms and feasibility, shape (m,), of one command for each of m rows."""

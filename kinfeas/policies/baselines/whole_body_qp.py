@@ -5,14 +5,17 @@ a preferred posture of the arm.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.control.drive import command_size
+from kinfeas.control.filters.obstacle_distance import ObstacleFilter, VelocityConstraints
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.backend import SupportsObstacleDistances
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 from kinfeas.core.policy import PolicyInput
@@ -32,25 +35,41 @@ _BASE_COST, _TURN_COST = 0.3, 0.1
 _DAMPING, _SOLVER = 1e-6, "daqp"
 
 
-@dataclass(frozen=True)
+@dataclass
 class WholeBodyQp:
     """Moves the base as in the best next step of the whole body.
 
     Pink solves the quadratic program: bring the EE to its planned pose, hold the arm joints near
-    the middle of their ranges and move the base little, within position and velocity limits. The
-    arm part of the solution is not used: the loop's IK places the arm, as for every policy. Without
-    a solution the base rests.
+    the middle of their ranges and move the base little, within position and velocity limits.
+    Barriers limit the velocity of the base towards obstacles, as the filter `obstacle_distance`
+    does. The arm part of the solution is not used: the loop's IK places the arm, as for every
+    policy. Without a solution the base rests, unless a barrier moves it away.
     """
 
     robot: Robot
+    _barriers: ObstacleFilter | None = field(default=None, init=False, repr=False)
+
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Use the obstacles of a loop; arguments as in `RecurrentPolicy`."""
+        self._barriers = None
+        if isinstance(loop.backend, SupportsObstacleDistances):
+            self._barriers = ObstacleFilter()
+            self._barriers.reset(loop, rows)
 
     def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         joints = policy_input.joint_positions
         targets = relative(policy_input.planned, policy_input.base_pose)
-        actions = np.empty((len(joints), command_size(self.robot.base)))
-        for row, (target, q) in enumerate(zip(targets, joints, strict=True)):
-            actions[row] = self._step(target, q)
+        actions = np.zeros((len(joints), command_size(self.robot.base)))
+        barriers: list[tuple[Barriers, ...]] = [()] * len(joints)
+        if self._barriers is not None:
+            found = self._barriers.constraints(len(joints))
+            actions = found.hold(actions[:, np.newaxis])[:, 0]
+            barriers = [(Barriers(found, row),) for row in range(len(joints))]
+        for row, one in enumerate(zip(targets, joints, barriers, strict=True)):
+            action = self._step(*one)
+            if action is not None:
+                actions[row] = action
         return actions
 
     def __reduce__(self) -> tuple[type["WholeBodyQp"], tuple[Robot]]:
@@ -58,8 +77,25 @@ class WholeBodyQp:
         return WholeBodyQp, (self.robot,)
 
     @cached_property
-    def _step(self) -> Callable[[Array, Array], Array]:
+    def _step(self) -> Callable[[Array, Array, tuple["Barriers", ...]], Array | None]:
         return _make_step(self.robot)
+
+
+class Barriers:
+    """Velocity constraints on a base as a limit of Pink."""
+
+    def __init__(self, constraints: VelocityConstraints, row: int) -> None:
+        """Take the constraints of one row."""
+        limited = np.isfinite(constraints.limit[row])
+        self.normal, self.limit = constraints.normal[row, limited], constraints.limit[row, limited]
+        self.lever = constraints.full
+
+    def compute_qp_inequalities(self, body: Any, dt: float) -> tuple[Array, Array]:
+        """Return G and h of G dq <= h."""
+        gradient = np.zeros((len(self.limit), body.model.nv))
+        full = body.model.velocityLimit[: len(self.lever)]
+        gradient[:, : len(self.lever)] = self.normal * self.lever / full
+        return gradient, self.limit * dt
 
 
 def whole_body_qp(robot: Robot) -> WholeBodyQp:
@@ -105,8 +141,11 @@ def _bounds(velocity: float, lower: float, upper: float) -> list[Array]:
     return [np.array([limit]) for limit in (np.inf, velocity, lower, upper)]
 
 
-def _make_step(robot: Robot) -> Callable[[Array, Array], Array]:
-    """Return a function from planned EE pose in the base frame, and joints, to the action."""
+def _make_step(robot: Robot) -> Callable[[Array, Array, tuple[Barriers, ...]], Array | None]:
+    """Return a function from planned EE pose in the base frame, joints and barriers to the action.
+
+    It returns None where the quadratic program has no solution.
+    """
     import pinocchio as pin
     from pink import Configuration, solve_ik
     from pink.exceptions import NoSolutionFound
@@ -123,7 +162,7 @@ def _make_step(robot: Robot) -> Callable[[Array, Array], Array]:
     limits = (ConfigurationLimit(model), VelocityLimit(model))
     rest, q = np.zeros(model.nq), np.zeros(model.nq)
 
-    def step(target: Array, joints: Array) -> Array:
+    def step(target: Array, joints: Array, barriers: tuple[Barriers, ...]) -> Array | None:
         q[carried:] = joints
         np.clip(q, lower, upper, out=q)
         rest[:] = q
@@ -132,12 +171,14 @@ def _make_step(robot: Robot) -> Callable[[Array, Array], Array]:
         ee.set_target(pin.XYZQUATToSE3(target))
         body = Configuration(model, data, q, copy_data=False)
         try:
+            both = (*limits, *barriers)
             velocity = solve_ik(
-                body, (ee, posture), HORIZON, _SOLVER, _DAMPING, limits, safety_break=False
+                body, (ee, posture), HORIZON, _SOLVER, _DAMPING, both, safety_break=False
             )
         except NoSolutionFound:
-            return np.zeros(carried)
-        return np.clip(velocity[:carried] / speeds[:carried], -1.0, 1.0)
+            return None
+        action: Array = np.clip(velocity[:carried] / speeds[:carried], -1.0, 1.0)
+        return action
 
     return step
 

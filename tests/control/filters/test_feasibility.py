@@ -39,7 +39,7 @@ def loop(solver, request):
         command_size=command_size(robot.base),
         kinematic_step=KinematicStep(solver, DT),
         state=RobotState(base_pose, joints),
-        joint_command=joints,
+        seed=joints,
         solids=draw_solids(ROWS, request.param, reach=4.0) if request.param else None,
         next_desired=spatial.compose(base_pose, forward(solver.chain, joints)),
         paused=None,
@@ -63,7 +63,7 @@ def feasible(loop, command, rows):
     """Return whether IK without restarts finds an arm in time, and the base is free, shape (m,)."""
     solver = loop.kinematic_step.solver
     local = IkSolver(solver.robot, replace(solver.options, restarts=0))
-    base, joints = loop.state.base_pose[rows], loop.joint_command[rows]
+    base, joints = loop.state.base_pose[rows], loop.seed[rows]
     twist = base_twist(solver.robot.base, base, command, DT)
     reached = spatial.integrate(base, twist, DT)
     target = spatial.relative(loop.next_desired[rows], reached)
