@@ -29,7 +29,8 @@ class Sim2Real:
 
 
 def read_sim2real(name: str) -> Sim2Real:
-    """Return a list of adapters: of a YAML file, or `ideal`, `paper`, `pr2_like`, `harsh`."""
+    """Return a list of adapters: of a YAML file, or `ideal`, `paper`, `pr2_like`, `harsh`,
+    `randomised`."""
     return config.load(Sim2Real, find_recipe(name, FOLDER))
 
 

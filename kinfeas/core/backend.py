@@ -97,6 +97,20 @@ class SupportsGripper(Protocol):
         ...
 
 
+@runtime_checkable
+class SupportsDynamics(Protocol):
+    """A simulated backend whose robots can have other masses, frictions and motors."""
+
+    def scale_dynamics(
+        self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
+    ) -> None:
+        """Multiply the robot's masses, frictions and motor gains, (m,) each, in m `env_ids`.
+
+        Earlier factors of these robots no longer apply. The motors keep their largest forces.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class ObstacleDistances:
     """Obstacles near the bases of n robots, k places each; unused places are at infinity.

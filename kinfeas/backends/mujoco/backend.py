@@ -72,6 +72,7 @@ class MuJoCoBackend(PhysicsBackend):
             self.sims.place_solids(np.arange(n), bodies)
         for key, values in self.sims.state().items():
             values[:n] = snapshot[key]
+        self.sims.scale_dynamics(np.arange(n))
         width = 3 + len(self.robot.arm)
         self._positions, self._velocities = np.zeros((2, n, width))
         return self._measure(np.arange(n))
@@ -87,6 +88,13 @@ class MuJoCoBackend(PhysicsBackend):
         """Start to close or open grippers; they grasp what both fingers touch."""
         if self.robot.gripper is not None:
             self.sims.grip(grip, env_ids)
+
+    def scale_dynamics(
+        self, mass: Array, friction: Array, motor_gain: Array, env_ids: _Rows
+    ) -> None:
+        """Change the dynamics of robots, as in `SupportsDynamics`."""
+        self.sims.dynamics[env_ids] = np.stack([mass, friction, motor_gain], axis=1)
+        self.sims.scale_dynamics(env_ids)
 
     def contacts(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""

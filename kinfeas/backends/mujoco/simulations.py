@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from kinfeas.backends.mujoco.model import LAG, Model
+from kinfeas.backends.mujoco.model import LAG, ROBOT, Model
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.drives import ArmSetpoints
 from kinfeas.backends.physics.kernels import base_path
@@ -23,6 +23,9 @@ _Rows = NDArray[np.intp]
 _FIELDS = (
     "time", "qpos", "qvel", "act", "qacc_warmstart", "ctrl", "eq_active", "mocap_pos", "mocap_quat",
 )  # fmt: skip
+_SCALED = (
+    ("body_mass", "body_inertia"), ("geom_friction",), ("actuator_gainprm", "actuator_biasprm"),
+)  # fmt: skip
 _AWAY = [0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0]  # pose of empty places, quaternion w first
 
 
@@ -33,6 +36,7 @@ class Simulations:
         n: Number of simulations.
         batch: MuJoCo's states.
         fingers: Setpoints of the fingers, shape (n, 2), rad or m.
+        dynamics: Factors on the robot's masses, on frictions and on motor gains, shape (n, 3).
         touches: Number of the robot's contacts in the last physics step, shape (n,).
     """
 
@@ -44,6 +48,8 @@ class Simulations:
         names = [one.joint for one in model.servos[len(robot.arm) :]]
         self._at_rest = np.array([robot.fixed_joints[name] for name in names])
         self.fingers = np.tile(self._at_rest, (n, 1))
+        self.dynamics = np.ones((n, len(_SCALED)))
+        self._scaled: dict[str, Array] = {}
         self._base = np.zeros((n, 3))  # commanded velocity; of a differential drive forward, 0, yaw
         self._qpos = np.tile(model.rest, (n, 1))
         self._mocap = np.zeros((n, engine.nmocap, 7))
@@ -76,6 +82,7 @@ class Simulations:
             "physics_objects": self._mocap,
             "physics_closing": self._closing,
             "physics_grasp": self._ends,
+            "physics_dynamics": self.dynamics,
         }
 
     def adopt(self, other: "Simulations") -> None:
@@ -85,6 +92,23 @@ class Simulations:
             _write(states[0][mine], states[1][mine])
         for name in _FIELDS:
             _write(getattr(self.batch, name), getattr(other.batch, name))
+        self.scale_dynamics(np.arange(other.n))
+
+    def scale_dynamics(self, rows: _Rows) -> None:
+        """Apply the factors `dynamics` of some simulations to their models."""
+        if not self._scaled and np.all(self.dynamics == 1.0):
+            return
+        robot = np.flatnonzero(self.model.owner == ROBOT)
+        for factors, names in zip(self.dynamics[rows].T, _SCALED, strict=True):
+            for name in names:
+                nominal = getattr(self.model.engine, name)
+                at = robot if name.startswith("body") else np.arange(len(nominal))
+                if name not in self._scaled:
+                    self._scaled[name] = self.batch.expand(name)
+                values = self._scaled[name]
+                wide = factors.reshape(-1, *[1] * nominal.ndim)
+                values[np.ix_(rows, at)] = wide * nominal[at]
+        self.batch.set_const(rows)
 
     def place_solids(self, rows: _Rows, solids: Solids) -> None:
         """Set the shapes and poses of the solids of m simulations, m rows."""

@@ -146,6 +146,12 @@ class PhysicsBackend(StageBackend):
         """Start to close or open grippers; they grasp what both fingers touch."""
 
     @abstractmethod
+    def scale_dynamics(
+        self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
+    ) -> None:
+        """Change the dynamics of robots, as in `SupportsDynamics`."""
+
+    @abstractmethod
     def contacts(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
 

@@ -73,6 +73,13 @@ class PyBulletBackend(PhysicsBackend):
         for row in env_ids.tolist():
             self._sims[row].grip(grip)
 
+    def scale_dynamics(
+        self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
+    ) -> None:
+        """Change the dynamics of robots, as in `SupportsDynamics`."""
+        for row, *factors in zip(env_ids.tolist(), mass, friction, motor_gain, strict=True):
+            self._sims[row].scale_dynamics(*factors)
+
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the obstacles nearer than `within` metres to the bases, except grasped links."""
         return stack([one.obstacle_distances(within) for one in self._sims[: len(self._positions)]])

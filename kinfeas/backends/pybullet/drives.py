@@ -72,7 +72,12 @@ class ArmDrive:
     """Position control of the arm's joints, and of those that mimic them, along `ArmSetpoints`.
 
     The motors have the URDF's effort and velocity; `counterbalanced` joints have springs.
+
+    Attributes:
+        gain: Factor on the gains of the motors.
     """
+
+    gain = 1.0
 
     def __init__(self, body: RobotBody) -> None:
         """Connect to the arm of a robot; call `reset` next."""
@@ -106,8 +111,8 @@ class ArmDrive:
         # One by one: PyBullet's call for several joints ignores velocity limits.
         for (joint, effort, speed), position in zip(self._motors, self._path[step], strict=True):
             client.setJointMotorControl2(
-                body, joint, client.POSITION_CONTROL, targetPosition=position, positionGain=1.0,
-                force=effort, maxVelocity=speed,
+                body, joint, client.POSITION_CONTROL, targetPosition=position,
+                positionGain=self.gain, force=effort, maxVelocity=speed,
             )  # fmt: skip
         if self._sprung:
             joints = [joint for joint, _ in self._sprung]

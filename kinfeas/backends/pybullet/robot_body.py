@@ -45,6 +45,7 @@ class RobotBody:
             if name in robot.fixed_joints
         }
         self._followers = arm_followers(robot)
+        self._dynamics: dict[int, tuple[float, float, Array]] = {}
         above = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
         self.arm_links = frozenset(self.links[name] for name in above)
         client = physics.client
@@ -68,6 +69,20 @@ class RobotBody:
         positions |= dict(zip(self.arm, joint_positions.tolist(), strict=True))
         for index, position in positions.items():
             self.physics.client.resetJointState(self.body, index, position, 0.0)
+
+    def note_dynamics(self) -> None:
+        """Note masses, inertias and frictions of the links, which `scale` multiplies."""
+        for link in {*self.links.values()}:
+            mass, friction, inertia = self.physics.client.getDynamicsInfo(self.body, link)[:3]
+            self._dynamics[link] = mass, friction, np.array(inertia)
+
+    def scale(self, mass: float, friction: float) -> None:
+        """Multiply the noted masses and frictions of all links."""
+        for link, (own_mass, own_friction, inertia) in self._dynamics.items():
+            self.physics.client.changeDynamics(
+                self.body, link, mass=mass * own_mass, localInertiaDiagonal=mass * inertia,
+                lateralFriction=friction * own_friction,
+            )  # fmt: skip
 
     def positions(self) -> list[float]:
         """Return the positions of all moving joints, in PyBullet's order."""

@@ -43,6 +43,7 @@ class Simulation:
         self._surroundings = Surroundings(self.body)
         self.gripper = GripperDrive(self.body, robot.gripper) if robot.gripper else None
         self.grasp = Grasp(self.body, self.gripper) if self.gripper else None
+        self.body.note_dynamics()
         self._handled: tuple[int, int] | None = None
         self._rigid, self._closing = True, False
         self.physics.save()
@@ -88,6 +89,12 @@ class Simulation:
         else:
             self.grasp.release()
             self.gripper.open()
+
+    def scale_dynamics(self, mass: float, friction: float, motor_gain: float) -> None:
+        """Multiply masses and frictions of the robot, and the gains of the arm's motors."""
+        with self.physics.connected():
+            self.body.scale(mass, friction)
+        self._arm.gain = motor_gain
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> None:
         """Drive base, arm and gripper: world twist (6,), joint positions (j,), dt in seconds."""

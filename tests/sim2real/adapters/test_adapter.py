@@ -15,7 +15,8 @@ from kinfeas.sim2real.adapters.adapter import Adapter
 from kinfeas.sim2real.adapters.latency import CommandLatency
 from kinfeas.sim2real.adapters.noise import BaseNoise
 
-NAMES = sorted(plugin.name for plugin in registry.plugins("kinfeas.adapters"))
+PHYSICS = "domain_randomisation"
+NAMES = sorted({one.name for one in registry.plugins("kinfeas.adapters")} - {PHYSICS})
 HARSH = read_sim2real("harsh").adapters
 
 NOTHING = {

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.adapters import read_sim2real, wrap
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import planar_pose
+from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.adapters.dynamics import DomainRandomisation
+
+DT, TICKS = 0.02, 40
+
+
+@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
+def world(request):
+    pytest.importorskip(request.param)
+    backend = registry.load("kinfeas.backends", request.param)(load_robot("tiago"))
+    yield backend
+    backend.close()
+
+
+def swing(world, factors, rows=None):
+    """Return the arms after a swing, (n, j), with a row for each of the factors."""
+    home = world.robot.home["home"]
+    world.reset(planar_pose(*np.zeros((3, len(factors)))), np.tile(home, (len(factors), 1)))
+    if rows is not None:
+        world.scale_dynamics(*np.array(factors).T, rows)
+    far = np.tile(home + 0.5 * np.sign(0.5 - home), (len(factors), 1))
+    for _ in range(TICKS):
+        state = world.step(np.zeros((len(factors), 6)), far, DT)
+    return state.joint_positions
+
+
+def test_masses_and_gains_change_the_motion_of_their_rows_alone(world):
+    plain = swing(world, [(1.0, 1.0, 1.0)] * 3)
+    np.testing.assert_array_equal(plain[1:], plain[:1].repeat(2, axis=0))
+    varied = swing(world, [(1.0, 1.0, 1.0), (6.0, 1.0, 1.0), (1.0, 1.0, 0.2)], np.arange(3))
+    np.testing.assert_allclose(varied[0], plain[0], atol=1e-9)
+    assert np.abs(varied[1:] - plain[0]).max(axis=1).min() > 1e-3
+    again = swing(world, [(1.0, 1.0, 1.0)] * 3, np.arange(3))
+    np.testing.assert_allclose(again, plain, atol=1e-9)
+
+
+def test_each_episode_draws_its_own_dynamics(world):
+    drawn, scale = {}, world.scale_dynamics
+    adapter = DomainRandomisation(world, world.robot, mass=[0.5, 2.0], motor_gain=0.9)
+
+    def note(mass, friction, motor_gain, rows):
+        drawn.update(zip(rows.tolist(), zip(mass, friction, motor_gain, strict=True), strict=True))
+        scale(mass, friction, motor_gain, rows)
+
+    world.scale_dynamics = note
+    home = world.robot.home["home"]
+    try:
+        adapter.seed(np.array([7, 8, 7], dtype=np.uint64), np.arange(3))
+        adapter.reset(planar_pose(*np.zeros((3, 3))), np.tile(home, (3, 1)))
+        first = dict(drawn)
+        drawn.clear()
+        adapter.seed(np.array([9], dtype=np.uint64), np.array([1]))
+        adapter.reset(planar_pose(*np.zeros((3, 1))), home[np.newaxis], np.array([1]))
+    finally:
+        del world.scale_dynamics
+    assert first[0] == first[2] != first[1]
+    for mass, *others in first.values():
+        assert 0.5 <= mass <= 2.0
+        assert others == [1.0, 0.9]
+    assert list(drawn) == [1]
+    assert drawn[1] != first[1]
+
+
+def test_the_analytic_world_has_no_dynamics():
+    robot = load_robot("hsr")
+    adapters = read_sim2real("randomised").adapters
+    wrapped = wrap(AnalyticBackend(), adapters, robot)
+    with pytest.raises(KinfeasError, match="domain_randomisation needs a world with physics"):
+        wrapped.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
