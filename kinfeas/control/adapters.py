@@ -29,8 +29,7 @@ class Sim2Real:
 
 
 def read_sim2real(name: str) -> Sim2Real:
-    """Return a list of adapters: of a YAML file, or `ideal`, `paper`, `pr2_like`, `harsh`,
-    `randomised`."""
+    """Return a list of adapters: of a YAML file, or of one in `configs/sim2real`."""
     return config.load(Sim2Real, find_recipe(name, FOLDER))
 
 
