@@ -8,7 +8,17 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import IDENTITY, Array, compose, planar_pose, relative, wrap, yaw
+from kinfeas.core.spatial import (
+    IDENTITY,
+    Array,
+    compose,
+    integrate,
+    planar_pose,
+    relative,
+    twist_between,
+    wrap,
+    yaw,
+)
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread
 from kinfeas.kinematics.reachability import Postures, at_goals
@@ -35,7 +45,7 @@ _SHARE = 0.85
 _CLEARANCE = 0.04
 """Distance that the base keeps from solids, metres: more than the obstacle filter keeps."""
 
-_ON_THE_WAY, _ROUNDS = (1.0 / 3.0, 2.0 / 3.0), 3
+_ON_THE_WAY, _ROUNDS = (0.25, 0.5, 0.75), 3
 """Shares of a way at which the base is checked for collisions, and ways tried for each pose."""
 
 
@@ -90,8 +100,8 @@ class BasePathPlanner:
         pose = base_pose[np.newaxis]
         start = np.concatenate([pose[0, :2], yaw(pose)])[np.newaxis]
         layers = [_Layer(start, joint_positions[np.newaxis], np.zeros(1), np.zeros(1, np.intp))]
-        for ee_pose, time in zip(ee_path[1:], seconds, strict=True):
-            layer = self._next(layers[-1], ee_pose, float(time), solids)
+        for leg in zip(ee_path[:-1], ee_path[1:], seconds, strict=True):
+            layer = self._next(layers[-1], *leg, solids)
             if not len(layer.cost):
                 break
             layers.append(layer)
@@ -107,8 +117,10 @@ class BasePathPlanner:
         pose = compose(ee_pose, relative(np.broadcast_to(IDENTITY, ee.shape), ee))
         return np.column_stack([pose[:, :2], yaw(pose)])
 
-    def _next(self, last: _Layer, ee_pose: Array, time: float, solids: Solids | None) -> _Layer:
-        """Return the robots that reach the next EE pose from those of the last one."""
+    def _next(
+        self, last: _Layer, ee_before: Array, ee_pose: Array, time: float, solids: Solids | None
+    ) -> _Layer:
+        """Return the robots that reach an EE pose from those at the one before."""
         base, joints = self._proposed(last, ee_pose)
         ways = base[:, np.newaxis] - last.base
         near = np.linalg.norm(ways[..., :2], axis=2).min(axis=1)
@@ -127,12 +139,14 @@ class BasePathPlanner:
         every = np.arange(len(base))
         for _ in range(_ROUNDS):
             before = cost.argmin(axis=1) if len(base) else every
-            begin = last.base[before]
-            way = base - begin
-            way[:, 2] = wrap(way[:, 2])
+            begin = last.joints[before]
+            way = joint_displacement(self.robot, begin, joints)
             hit = np.zeros(len(base), dtype=np.bool_)
             for share in _ON_THE_WAY:
-                hit |= self._collides(begin + share * way, joints, solids)
+                pose = integrate(ee_before, share * twist_between(ee_before, ee_pose, 1.0), 1.0)
+                arms = begin + share * way
+                there = self.base_at(np.broadcast_to(pose, (len(arms), 7)), arms)
+                hit |= self._collides(there, arms, solids)
             cost[every[hit], before[hit]] = np.inf
             if not hit.any():
                 break

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.control.adapters import chain
 from kinfeas.control.drive import base_velocity
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.backend import RealTimeBackend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, distance, integrate, twist_between, wrap, yaw
@@ -69,15 +71,25 @@ class BasePathFilter:
 
     When a sub-goal begins, base poses are sampled for EE poses along the motion and connected: free
     of standing solids, with an IK solution, within velocity limits. Where no path reaches the goal,
-    the policy drives from its end on. No row depends on the others.
+    the policy drives from its end on; among moving solids it drives all the way. No row depends on
+    the others.
     """
 
     _loop: Any = None
 
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
         """Plan for the motions of a loop; arguments as in `CommandFilter`."""
-        if loop.target_stream is not None:
-            raise KinfeasError("the filter base_path needs EE motions with an end")
+        *_, innermost = chain(loop.backend)
+        for wrong, needs in (
+            (loop.target_stream is not None, "EE motions with an end"),
+            (loop.robot.base.drive != "omnidirectional", "an omnidirectional base"),
+            (
+                isinstance(innermost, RealTimeBackend),
+                "a simulated world, since it plans for seconds",
+            ),
+        ):
+            if wrong:
+                raise KinfeasError(f"the filter base_path needs {needs}")
         if self._loop is not loop:
             self._loop, self._planner = loop, BasePathPlanner(loop.solver)
             self._paths: dict[int, _Path] = {}
@@ -115,7 +127,12 @@ class BasePathFilter:
         loop, base = self._loop, self._loop.state.base_pose
         ahead = loop.sequence.ahead(np.arange(0.0, _LENGTH, _FINE))
         solids = loop.obstacles.after(0.0)
+        moving = np.zeros(len(base), dtype=np.bool_) if solids is None else loop.obstacles.moving
         for row in rows:
+            subgoal = int(loop.sequence.subgoal[row])
+            if moving[row]:
+                self._paths[row] = _Path(np.empty((0, 7)), np.empty((0, 0)), subgoal)
+                continue
             poses, seconds = _stations(ahead[row])
             around = None if solids is None else solids.of(np.array([row]))
             arm = loop.joint_command[row]
@@ -123,7 +140,7 @@ class BasePathFilter:
             places = [_comparable(poses[0], poses[0])]
             for pose in poses[1:]:
                 places.append(_comparable(pose, places[-1]))
-            self._paths[row] = _Path(np.array(places), joints, int(loop.sequence.subgoal[row]))
+            self._paths[row] = _Path(np.array(places), joints, subgoal)
 
     def _arm_on(self, path: _Path) -> Array:
         """Return the arm at the present place on a path, shape (j,)."""
