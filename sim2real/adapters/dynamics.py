@@ -47,5 +47,6 @@ class DomainRandomisation(Adapter):
             )
         state = super().reset(base_pose, joint_positions, env_ids)
         rows = np.arange(len(base_pose)) if env_ids is None else env_ids
-        innermost.scale_dynamics(*(self.number(one)[rows, 0] for one in self.ranges), rows)
+        mass, friction, motor_gain = (self.number(one)[rows, 0] for one in self.ranges)
+        innermost.scale_dynamics(mass, friction, motor_gain, rows)
         return state

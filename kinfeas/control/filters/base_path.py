@@ -69,10 +69,10 @@ class _Path:
 class BasePathFilter:
     """Replaces the policy's commands by those along a base path that is planned ahead.
 
-    When a sub-goal begins, base poses are sampled for EE poses along the motion and connected: free
-    of standing solids, with an IK solution, within velocity limits. Where no path reaches the goal,
-    the policy drives from its end on; among moving solids it drives all the way. No row depends on
-    the others.
+    When a sub-goal begins, base poses are sampled for EE poses along the motion and connected by
+    dynamic programming: free of standing solids, with an IK solution, within velocity limits. Where
+    no path reaches the goal, the policy drives from its end on; among moving solids it drives all
+    the way. No row depends on the others.
     """
 
     _loop: Any = None
