@@ -85,8 +85,8 @@ class BasePathPlanner:
         base_pose: Array,
         joint_positions: Array,
         solids: Solids | None = None,
-    ) -> Array:
-        """Return arm joints along the EE path, shape (m, j), up to the pose that is reached last.
+    ) -> Array | None:
+        """Return arm joints along the EE path, shape (k, j), or None if no path is found.
 
         The base pose of each follows by `base_at`.
 
@@ -103,7 +103,7 @@ class BasePathPlanner:
         for leg in zip(ee_path[:-1], ee_path[1:], seconds, strict=True):
             layer = self._next(layers[-1], *leg, solids)
             if not len(layer.cost):
-                break
+                return None
             layers.append(layer)
         number, path = int(layers[-1].cost.argmin()), []
         for layer in reversed(layers):

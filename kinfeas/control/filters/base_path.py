@@ -37,21 +37,21 @@ class _Path:
     """The path of one robot.
 
     Attributes:
-        places: Positions and quaternions of the EE on it, shape (k, 7), metres.
-        joints: Arms on it, shape (m, j); m < k where it does not reach the goal.
         subgoal: Sub-goal that it leads to.
+        places: Positions and quaternions of the EE on it, shape (k, 7), metres.
+        joints: Arms on it, shape (k, j); None without a path.
         at: Place on it now, 0 to k - 1.
         age: Seconds since it was planned.
     """
 
-    places: Array
-    joints: Array
     subgoal: int
+    places: Array
+    joints: Array | None
     at: float = 0.0
     age: float = 0.0
 
-    def advance(self, pose: Array) -> bool:
-        """Move on to an EE pose, shape (7,); return whether the path goes on from there."""
+    def advance(self, pose: Array) -> None:
+        """Move on to an EE pose, shape (7,)."""
         first = int(self.at)
         begin, end = self.places[first : first + 3], self.places[first + 1 : first + 4]
         begin = begin[: len(end)]
@@ -62,8 +62,6 @@ class _Path:
             off = np.linalg.norm(begin + share[:, np.newaxis] * way - place, axis=1)
             best = int(off.argmin())
             self.at = max(self.at, first + best + float(share[best]))
-        whole = len(self.joints) == len(self.places)
-        return len(self.joints) > 1 and (whole or self.at < len(self.joints) - 1)
 
 
 class BasePathFilter:
@@ -71,8 +69,7 @@ class BasePathFilter:
 
     When a sub-goal begins, base poses are sampled for EE poses along the motion and connected by
     dynamic programming: free of standing solids, with an IK solution, within velocity limits. Where
-    no path reaches the goal, the policy drives from its end on; among moving solids it drives all
-    the way. No row depends on the others.
+    no path is found, and among moving solids, the policy drives. No row depends on the others.
     """
 
     _loop: Any = None
@@ -103,19 +100,20 @@ class BasePathFilter:
         due = [row for row, one in enumerate(subgoal) if current.get(row) != one]
         if due:
             self._plan(due)
-        rows = np.array(
-            [r for r, pose in enumerate(policy_input.planned) if self._paths[r].advance(pose)],
-            dtype=np.intp,
-        )
-        if not rows.size:
+        paths = {
+            r: path for r in range(len(command)) if (path := self._paths[r]).joints is not None
+        }
+        if not paths:
             return command
-        arms = np.stack([self._arm_on(self._paths[row]) for row in rows.tolist()])
+        rows, planned = list(paths), policy_input.planned
+        for row, path in paths.items():
+            path.advance(planned[row])
+        arms = np.stack([self._arm_on(path) for path in paths.values()])
         base = policy_input.base_pose[rows]
-        way = self._planner.base_at(policy_input.planned[rows], arms)
+        way = self._planner.base_at(planned[rows], arms)
         way -= np.column_stack([base[:, :2], yaw(base)])
         way[:, 2] = wrap(way[:, 2])
-        for row, off in zip(rows.tolist(), np.linalg.norm(way[:, :2], axis=1), strict=True):
-            path = self._paths[row]
+        for path, off in zip(paths.values(), np.linalg.norm(way[:, :2], axis=1), strict=True):
             path.age += loop.dt
             if off > _LOST and path.age > _PATIENCE:
                 path.subgoal = -1
@@ -129,21 +127,20 @@ class BasePathFilter:
         solids = loop.obstacles.after(0.0)
         moving = np.zeros(len(base), dtype=np.bool_) if solids is None else loop.obstacles.moving
         for row in rows:
-            subgoal = int(loop.sequence.subgoal[row])
-            if moving[row]:
-                self._paths[row] = _Path(np.empty((0, 7)), np.empty((0, 0)), subgoal)
-                continue
             poses, seconds = _stations(ahead[row])
             around = None if solids is None else solids.of(np.array([row]))
-            arm = loop.joint_command[row]
-            joints = self._planner.plan(poses, seconds, base[row], arm, around)
+            joints = None
+            if len(poses) > 1 and not moving[row]:
+                arm = loop.joint_command[row]
+                joints = self._planner.plan(poses, seconds, base[row], arm, around)
             places = [_comparable(poses[0], poses[0])]
             for pose in poses[1:]:
                 places.append(_comparable(pose, places[-1]))
-            self._paths[row] = _Path(np.array(places), joints, subgoal)
+            self._paths[row] = _Path(int(loop.sequence.subgoal[row]), np.array(places), joints)
 
     def _arm_on(self, path: _Path) -> Array:
         """Return the arm at the present place on a path, shape (j,)."""
+        assert path.joints is not None
         k = min(int(path.at), len(path.joints) - 2)
         begin, end = path.joints[k : k + 2]
         arm: Array = begin + (path.at - k) * joint_displacement(self._loop.robot, begin, end)
