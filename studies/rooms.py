@@ -24,7 +24,7 @@ FILTERS = (
     ("obstacle_distance", "feasibility"),
     ("rollout_planner", "obstacle_distance"),
     ("rollout_planner", "obstacle_distance", "feasibility"),
-    ("base_path", "feasibility"),
+    ("base_path", "obstacle_distance", "feasibility"),
 )
 CEILING = "upper bound"
 
