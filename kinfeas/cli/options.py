@@ -130,7 +130,7 @@ EngineAddress = Annotated[
 ]
 AdapterList = Annotated[
     str | None,
-    typer.Option(help="ideal, paper, pr2_like, harsh, randomised, or a YAML file."),
+    typer.Option(help="paper, pr2_like, harsh, randomised, or a file."),
 ]
 Filters = Annotated[
     str | None,

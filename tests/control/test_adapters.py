@@ -12,7 +12,7 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 
-LADDER = ("ideal", "paper", "pr2_like", "harsh")
+LADDER = ("ideal", "paper", "pr2_like", "harsh", "randomised")
 
 
 def test_shipped_lists_suit_any_robot():
