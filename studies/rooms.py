@@ -24,7 +24,6 @@ FILTERS = (
     ("obstacle_distance", "feasibility"),
     ("rollout_planner", "obstacle_distance"),
     ("rollout_planner", "obstacle_distance", "feasibility"),
-    ("base_path", "obstacle_distance", "feasibility"),
 )
 CEILING = "upper bound"
 
@@ -43,9 +42,8 @@ def main() -> None:
     rows = [FILTERS[number] for number in given.filters]
     for task, policy, filters in product(TASKS, given.policies, rows):
         path = given.folder / name(given.robot, task, policy, filters)
-        # `whole_body_qp` has a state, and a base path is planned around solids that stand.
+        # `whole_body_qp` has a state, which the rollout planner does not allow.
         fits = not (policy == "whole_body_qp" and "rollout_planner" in filters)
-        fits &= not (task == "ggr_dynamic" and "base_path" in filters)
         if fits and not path.exists():
             chosen = [f"world.filters={json.dumps(filters)}"]
             source = given.rooms if policy == POLICIES[0] else policy
