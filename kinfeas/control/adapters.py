@@ -29,7 +29,7 @@ class Sim2Real:
 
 
 def read_sim2real(name: str) -> Sim2Real:
-    """Return a list of adapters: of a YAML file, or of one in `configs/sim2real`."""
+    """Return the adapters of a YAML file, or of a name in `configs/sim2real`."""
     return config.load(Sim2Real, find_recipe(name, FOLDER))
 
 

@@ -104,9 +104,9 @@ class SupportsDynamics(Protocol):
     def scale_dynamics(
         self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
     ) -> None:
-        """Multiply the robot's masses, frictions and motor gains, (m,) each, in m `env_ids`.
+        """Multiply masses and frictions of robots, and gains of their arms' motors, shape (m,).
 
-        Earlier factors of these robots no longer apply. The motors keep their largest forces.
+        Earlier factors of the m robots `env_ids` no longer apply. Motors keep their largest forces.
         """
         ...
 

@@ -20,7 +20,7 @@ class DomainRandomisation(Adapter):
     Args:
         mass: Factor on the masses and inertias of the robot's links.
         friction: Factor on friction coefficients.
-        motor_gain: Factor on the gains of the motors, whose largest forces stay.
+        motor_gain: Factor on the gains of the arm's motors, whose largest forces stay.
     """
 
     def __init__(

@@ -36,7 +36,7 @@ class Simulations:
         n: Number of simulations.
         batch: MuJoCo's states.
         fingers: Setpoints of the fingers, shape (n, 2), rad or m.
-        dynamics: Factors on the robot's masses, on frictions and on motor gains, shape (n, 3).
+        dynamics: Factors on the robot's masses, all frictions and the arm's gains, shape (n, 3).
         touches: Number of the robot's contacts in the last physics step, shape (n,).
     """
 
@@ -98,11 +98,12 @@ class Simulations:
         """Apply the factors `dynamics` of some simulations to their models."""
         if not self._scaled and np.all(self.dynamics == 1.0):
             return
-        robot = np.flatnonzero(self.model.owner == ROBOT)
-        for factors, names in zip(self.dynamics[rows].T, _SCALED, strict=True):
+        model = self.model
+        arm = 3 + np.arange(len(model.robot.arm))  # after the base
+        changed = (np.flatnonzero(model.owner == ROBOT), np.arange(model.engine.ngeom), arm)
+        for factors, names, at in zip(self.dynamics[rows].T, _SCALED, changed, strict=True):
             for name in names:
-                nominal = getattr(self.model.engine, name)
-                at = robot if name.startswith("body") else np.arange(len(nominal))
+                nominal = getattr(model.engine, name)
                 if name not in self._scaled:
                     self._scaled[name] = self.batch.expand(name)
                 values = self._scaled[name]

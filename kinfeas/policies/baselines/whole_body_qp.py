@@ -88,13 +88,13 @@ class Barriers:
         """Take the constraints of one row."""
         limited = np.isfinite(constraints.limit[row])
         self.normal, self.limit = constraints.normal[row, limited], constraints.limit[row, limited]
-        self.lever = constraints.full
+        self.full_velocity = constraints.full
 
     def compute_qp_inequalities(self, body: Any, dt: float) -> tuple[Array, Array]:
         """Return G and h of G dq <= h."""
         gradient = np.zeros((len(self.limit), body.model.nv))
-        full = body.model.velocityLimit[: len(self.lever)]
-        gradient[:, : len(self.lever)] = self.normal * self.lever / full
+        size = len(self.full_velocity)
+        gradient[:, :size] = self.normal * self.full_velocity / body.model.velocityLimit[:size]
         return gradient, self.limit * dt
 
 

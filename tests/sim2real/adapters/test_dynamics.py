@@ -42,6 +42,19 @@ def test_masses_and_gains_change_the_motion_of_their_rows_alone(world):
     np.testing.assert_allclose(again, plain, atol=1e-9)
 
 
+def test_friction_changes_in_its_row_alone(world):
+    swing(world, [(1.0, 1.0, 1.0), (1.0, 0.5, 1.0)], np.arange(2))
+    if world.engine == "PyBullet":
+        bodies = [one.body for one in world.sims[:2]]
+        plain, slippery = (
+            [one.physics.client.getDynamicsInfo(one.body, k)[1] for k in sorted(one.links.values())]
+            for one in bodies
+        )
+    else:
+        plain, slippery = world.sims.batch.expand("geom_friction")[:2]
+    np.testing.assert_allclose(slippery, 0.5 * np.array(plain))
+
+
 def test_each_episode_draws_its_own_dynamics(world):
     drawn, scale = {}, world.scale_dynamics
     adapter = DomainRandomisation(world, world.robot, mass=[0.5, 2.0], motor_gain=0.9)
