@@ -111,6 +111,15 @@ class SupportsDynamics(Protocol):
         ...
 
 
+@runtime_checkable
+class NeedsAbility(Protocol):
+    """An adapter for some backends only."""
+
+    def check_backend(self) -> None:
+        """Raise KinfeasError if the wrapped backend lacks an ability."""
+        ...
+
+
 @dataclass(frozen=True)
 class ObstacleDistances:
     """Obstacles near the bases of n robots, k places each; unused places are at infinity.

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import section
-from kinfeas.control.adapters import execution_of, wrap
+from kinfeas.control.adapters import chain, execution_of, wrap
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Step
-from kinfeas.core.backend import RealTimeBackend, build_backend
+from kinfeas.core.backend import NeedsAbility, RealTimeBackend, build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
@@ -141,6 +141,9 @@ class World:
             self.task = self.backend.stage(task)
         self._staged = isinstance(self.task, StagedTask)
         wrapped = wrap(self.backend, config.adapters, robot)
+        for link in chain(wrapped):
+            if isinstance(link, NeedsAbility):
+                link.check_backend()
         execution = execution_of(wrapped, config)
         seconds = task.seconds if isinstance(task, StreamTask) else config.max_seconds
         self._max_steps = max(1, round(seconds / execution.time_scale / config.dt))

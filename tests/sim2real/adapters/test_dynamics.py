@@ -6,8 +6,10 @@ from kinfeas.control.adapters import read_sim2real, wrap
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import planar_pose
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.adapters.dynamics import DomainRandomisation
+from kinfeas.tasks.loading import load_task
 
 DT, TICKS = 0.02, 40
 
@@ -88,3 +90,5 @@ def test_the_analytic_world_has_no_dynamics():
     wrapped = wrap(AnalyticBackend(), adapters, robot)
     with pytest.raises(KinfeasError, match="domain_randomisation needs a world with physics"):
         wrapped.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
+    with pytest.raises(KinfeasError, match="domain_randomisation needs a world with physics"):
+        World(robot, load_task("ggr", {}), WorldConfig(adapters=adapters), seed=0)
