@@ -91,8 +91,8 @@ def squared_way(a, b):
 
 
 @kernel
-def positions_at(points, share, out):
-    """Write the positions of n paths at shares in [0, 1] of their way, shape (n, 3).
+def places_at(points, share, out):
+    """Write the places of n paths at shares in [0, 1] of their way, shape (n, d).
 
     A path is a uniform cubic B-spline from its first to its last control point.
     """
@@ -125,20 +125,20 @@ def shares_ahead(points, share, distances, out):
 
 @kernel
 def on_curve(points, t):
-    """Return the position of a path at `t` control points from its beginning, shape (3,)."""
+    """Return the place of a path at `t` control points from its beginning, shape (d,)."""
     k = min(int(t), POINTS - 2)
     u = t - k
     v = 1.0 - u
     p, q = v * v * v, u * u * u
-    position = np.empty(3)
-    for i in range(3):
+    place = np.empty(points.shape[1])
+    for i in range(len(place)):
         b, c = points[k, i], points[k + 1, i]
         a = points[k - 1, i] if k > 0 else 2.0 * b - c
         d = points[k + 2, i] if k < POINTS - 2 else 2.0 * c - b
-        position[i] = (
+        place[i] = (
             p * a + (4.0 - 6.0 * u * u + 3.0 * q) * b + (4.0 - 6.0 * v * v + 3.0 * p) * c + q * d
         ) / 6.0
-    return position
+    return place
 
 
 @kernel

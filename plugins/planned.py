@@ -1,17 +1,18 @@
-"""The `planned` motion around solids, and the `spline` motion along random curves."""
+"""Motions around solids, `planned` and `whole_body`, and along random curves, `spline`."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Positive
-from kinfeas.core.motion import State
+from kinfeas.core.motion import State, WholeBodyPath
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, integrate, twist_between
 from kinfeas.plugins.limits import norm, slowed
 from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.plugins.path_geometry import POINTS, positions_at, shares_ahead
+from kinfeas.plugins.path_geometry import POINTS, places_at, shares_ahead
 from kinfeas.plugins.path_search import replan_batch
 
 _MOVED = 0.05
@@ -24,9 +25,8 @@ _MOMENT = 0.05
 class SmoothPath:
     """Motion along a path of its own for each start, from rest to rest.
 
-    A path is a cubic B-spline. The speed rises and falls along quintic ramps. Orientations follow
-    the slerp, in step with the way. A path may change on the way; its beginning then has the twist
-    of the motion before.
+    A path is a cubic B-spline of positions and quaternions. The speed rises and falls along quintic
+    ramps. A path may change on the way; its beginning then has the twist of the motion before.
 
     Args:
         ramp: Seconds from rest to full speed, and from full speed to rest.
@@ -52,18 +52,16 @@ class SmoothPath:
         """Return straight motions.
 
         The keys are those of `minimum_jerk`; the target of the plan, shape (n, 7); its control
-        points, (n, 64, 3); its rates at the beginning and on the way as shares of the path in a
+        points, (n, 64, 7); its rates at the beginning and on the way as shares of the path in a
         second, (n,), 0 for straight motions; and the twist, (n, 6), by which the motion before
         differs from the beginning of the plan.
         """
         state = self._straight.start(ee_pose, target_pose, rngs)
         n = len(target_pose)
-        begin, end = state["start_pose"][:, np.newaxis, :3], target_pose[:, np.newaxis, :3]
-        share = np.linspace(0.0, 1.0, POINTS)[:, np.newaxis]
         return {
             **state,
             "planned_target": np.array(target_pose, dtype=np.float64),
-            "points": begin + share * (end - begin),
+            "points": _slerped(state["start_pose"], target_pose),
             "first_rate": np.zeros(n),
             "rate": np.zeros(n),
             "drift": np.zeros((n, 6)),
@@ -92,17 +90,27 @@ class SmoothPath:
         return np.stack(poses, axis=1) if poses else np.empty((len(ee_pose), 0, 7))
 
     def _begin(
-        self, state: State, ee_pose: Array, target_pose: Array, points: Array, velocity: Array
+        self,
+        state: State,
+        poses: tuple[Array, Array],
+        points: Array,
+        velocity: Array,
+        least_seconds: Array | float = 0.0,
     ) -> State:
-        """Return the state at the beginning of new paths, at a twist, shape (n, 6)."""
-        way = twist_between(ee_pose, target_pose, 1.0)
-        steps = points[:, 1:] - points[:, :-1]
-        x, y, z = steps[..., 0], steps[..., 1], steps[..., 2]
-        length = np.sqrt(x * x + y * y + z * z).max(axis=1) * (POINTS - 1)
-        seconds = np.maximum(
-            length / self._max_velocity, norm(way[:, 3:]) / self._max_angular_velocity
-        )
-        tangent = np.concatenate([steps[:, 0] * (POINTS - 1), way[:, 3:]], axis=1)  # per share
+        """Return the state at the beginning of new paths.
+
+        Args:
+            state: State before.
+            poses: World poses of EE and target, shape (n, 7) each.
+            points: Control points, shape (n, 64, 7).
+            velocity: Twist at the beginning, shape (n, 6).
+            least_seconds: Shortest durations at full speed, shape (n,).
+        """
+        (ee_pose, target_pose), steps = poses, points[:, 1:] - points[:, :-1]
+        seconds = self._seconds(points[:, :-1], points[:, 1:]).max(axis=1) * (POINTS - 1)
+        seconds = np.maximum(seconds, least_seconds)
+        turn = twist_between(points[:, 0], points[:, 1], 1.0 / (POINTS - 1))[:, 3:]
+        tangent = np.concatenate([steps[:, 0, :3] * (POINTS - 1), turn], axis=1)  # per share
         squared = np.maximum(norm(tangent) ** 2, 1e-12)
         forward = velocity[:, 0] * tangent[:, 0] + velocity[:, 1] * tangent[:, 1]
         first = np.maximum(forward + velocity[:, 2] * tangent[:, 2], 0.0) / squared
@@ -152,13 +160,23 @@ class SmoothPath:
 
     def _on_path(self, state: State, target_pose: Array, share: Array) -> Array:
         """Return the poses at shares of the paths, which end at the current targets, (n, 7)."""
-        way = twist_between(state["start_pose"], target_pose, 1.0)
-        pose = integrate(state["start_pose"], way * share[:, np.newaxis], 1.0)
-        position = np.empty((len(share), 3))
-        positions_at(state["points"], share, position)
-        moved = (target_pose - state["planned_target"])[:, :3]
-        pose[:, :3] = position + share[:, np.newaxis] * moved
-        return pose
+        pose = np.empty((len(share), 7))
+        places_at(state["points"], share, pose)
+        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+        moved = twist_between(state["planned_target"], target_pose, 1.0)
+        return integrate(pose, moved * share[:, np.newaxis], 1.0)
+
+    def _velocity(self, state: State, target_pose: Array) -> Array:
+        """Return the present twists, shape (n, 6)."""
+        soon = np.minimum(state["time"] + _MOMENT, state["duration"])
+        now, then = (self._at(state, target_pose, time) for time in (state["time"], soon))
+        velocity = twist_between(now, then, _MOMENT)
+        return np.where(state["time"][:, np.newaxis] > 0.0, velocity, 0.0)
+
+    def _seconds(self, begin: Array, end: Array) -> Array:
+        """Return the shortest times between poses, shape (..., 7) -> (...)."""
+        metres, radians = distance(begin, end)
+        return np.maximum(metres / self._max_velocity, radians / self._max_angular_velocity)
 
 
 class Planned(SmoothPath):
@@ -203,23 +221,77 @@ class Planned(SmoothPath):
         share = self._share(state, state["time"])
         moved = distance(state["planned_target"], target_pose)[0]
         new = (state["rate"] > 0.0) & (moved < _MOVED)
-        points = state["points"].copy()
+        points = state["points"][..., :3].copy()
         places = tuple(
             np.ascontiguousarray(one)
             for one in (solids.pose, solids.size, solids.cylinder, solids.velocity)
         )
         here, end = (np.ascontiguousarray(pose[:, :3]) for pose in (ee_pose, target_pose))
         replan_batch(new, share, here, end, places, self._limits, points)
-        soon = np.minimum(state["time"] + _MOMENT, state["duration"])
-        then = self._at(state, target_pose, soon)
-        velocity = twist_between(self._at(state, target_pose, state["time"]), then, _MOMENT)
-        velocity = np.where(state["time"][:, np.newaxis] > 0.0, velocity, 0.0)
-        begun = self._begin(state, ee_pose, target_pose, points, velocity)
-        chosen = {
-            key: np.where(new.reshape(-1, *[1] * (values.ndim - 1)), begun[key], values)
-            for key, values in state.items()
-        }
-        return chosen
+        velocity = self._velocity(state, target_pose)
+        turned = _slerped(ee_pose, target_pose)[..., 3:]
+        points = np.concatenate([points, turned], axis=2)
+        begun = self._begin(state, (ee_pose, target_pose), points, velocity)
+        return _chosen(new, begun, state)
+
+
+class WholeBody(Planned):
+    """Motion around solids along which the base can follow, from rest to rest.
+
+    A planner finds a motion of base and arm to the target without collisions; the EE moves as it
+    does there. Where none is found, the motion is that of `planned`, whose parameters it has.
+    """
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return straight motions.
+
+        The keys are those of `planned` and the base on the path: x, y and yaw, shape (n, 64, 3),
+        NaN without one.
+        """
+        state = super().start(ee_pose, target_pose, rngs)
+        return {**state, "base": np.full((len(target_pose), POINTS, 3), np.nan)}
+
+    def follow(
+        self,
+        state: State,
+        ee_pose: Array,
+        target_pose: Array,
+        paths: Sequence[WholeBodyPath | None],
+    ) -> State:
+        """Return the state of motions along paths; those without one go on."""
+        points, base, least = state["points"].copy(), state["base"].copy(), np.zeros(len(paths))
+        new = np.array([path is not None for path in paths])
+        for row, path in enumerate(paths):
+            if path is not None:
+                points[row], base[row], least[row] = self._timed(path)
+        velocity, poses = self._velocity(state, target_pose), (ee_pose, target_pose)
+        begun = self._begin(state, poses, points, velocity, least)
+        return _chosen(new, {**begun, "base": base}, state)
+
+    def base_ahead(self, state: State, seconds: Array) -> Array:
+        """Return x, y and yaw of the base some seconds ahead, (s,) -> (n, s, 3), or NaN."""
+        base = np.empty((len(state["time"]), len(seconds), 3))
+        for k, ahead in enumerate(seconds):
+            time = np.minimum(state["time"] + ahead, state["duration"])
+            places_at(state["base"], self._share(state, time), base[:, k])
+        return base
+
+    def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
+        """Return the state of motions around the solids; whole-body paths go on."""
+        alone = np.isnan(state["base"][:, 0, 0])
+        return _chosen(alone, super().replan(state, ee_pose, target_pose, solids), state)
+
+    def _timed(self, path: WholeBodyPath) -> tuple[Array, Array, float]:
+        """Return points of the EE, (64, 7), and of the base, (64, 3), at even times; all time."""
+        seconds = np.maximum(self._seconds(path.ee[:-1], path.ee[1:]), path.seconds)
+        time = np.concatenate([[0.0], np.cumsum(seconds + 1e-6)])
+        at = np.linspace(0.0, time[-1], POINTS)
+        every = np.concatenate([path.ee[:, :3], _continuous(path.ee[:, 3:]), path.base], axis=1)
+        places = np.stack([np.interp(at, time, column) for column in every.T], axis=1)
+        places[:, 3:7] /= np.linalg.norm(places[:, 3:7], axis=1, keepdims=True)
+        return places[:, :7], places[:, 7:], float(time[-1])
 
 
 class RandomSpline(SmoothPath):
@@ -252,14 +324,16 @@ class RandomSpline(SmoothPath):
         """Return motions along random curves, a state as that of `SmoothPath`."""
         state = super().start(ee_pose, target_pose, rngs)
         knots = np.linspace(0.0, 1.0, self._bends + 2)
-        points = np.empty_like(state["points"])
+        points = state["points"].copy()
         for row, rng in enumerate(rngs):
             begin, end = ee_pose[row, :3], target_pose[row, :3]
             bends = begin + knots[:, np.newaxis] * (end - begin)
             bends[1:-1] += self._spread * rng.uniform(-1.0, 1.0, (self._bends, 3))
-            points[row] = _even(CubicSpline(knots, bends)(np.linspace(0.0, 1.0, 16 * POINTS)))
+            points[row, :, :3] = _even(
+                CubicSpline(knots, bends)(np.linspace(0.0, 1.0, 16 * POINTS))
+            )
         rest = np.zeros((len(rngs), 6))
-        return self._begin(state, ee_pose, target_pose, points, rest)
+        return self._begin(state, (ee_pose, target_pose), points, rest)
 
 
 def _even(curve: Array) -> Array:
@@ -267,6 +341,32 @@ def _even(curve: Array) -> Array:
     length = np.concatenate([[0.0], np.cumsum(norm(np.diff(curve, axis=0)))])
     at = np.linspace(0.0, length[-1], POINTS)
     return np.stack([np.interp(at, length, axis) for axis in curve.T], axis=1)
+
+
+def _slerped(begin: Array, end: Array) -> Array:
+    """Return poses at even steps of straight motions, shape (n, 7) -> (n, 64, 7)."""
+    share = np.linspace(0.0, 1.0, POINTS)[:, np.newaxis]
+    way = twist_between(begin, end, 1.0)[:, np.newaxis]
+    poses = integrate(begin[:, np.newaxis], way * share, 1.0)
+    poses[..., 3:] = _continuous(poses[..., 3:])
+    return poses
+
+
+def _continuous(quaternions: Array) -> Array:
+    """Return the same rotations with signs as those of the ones before, shape (..., k, 4)."""
+    near = np.sum(quaternions[..., 1:, :] * quaternions[..., :-1, :], axis=-1)
+    signs = np.cumprod(np.where(near < 0.0, -1.0, 1.0), axis=-1)
+    continuous = quaternions.copy()
+    continuous[..., 1:, :] *= signs[..., np.newaxis]
+    return continuous
+
+
+def _chosen(rows: NDArray[np.bool_], new: State, old: State) -> State:
+    """Return the new state in some rows, shape (n,), and the old one in the others."""
+    return {
+        key: np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), new[key], values)
+        for key, values in old.items()
+    }
 
 
 def _ramped(u: Array) -> Array:

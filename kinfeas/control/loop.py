@@ -125,7 +125,7 @@ class Loop:
         self.solver, self.backend, self.dt, self.filters = solver, backend, dt, tuple(filters)
         self._backend_name, self._unchecked = f"backend {type(backend).__name__}", True
         self.robot = solver.robot
-        self.sequence = MotionSequence(subgoals, self.robot, dt, execution)
+        self.sequence = MotionSequence(subgoals, solver, dt, execution)
         self.kinematic_step = KinematicStep(solver, dt)
         self.policy: Policy | None = None
         self._recurrent: RecurrentPolicy | None = None
@@ -178,9 +178,9 @@ class Loop:
         self._unchecked = True
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
         self.sequence.start(ee, start.target_poses, rngs, rows)
-        if (solids := self.obstacles.after(0.0)) is not None:
-            self.sequence.avoid(solids, fresh)
         self._measure(state)
+        if (solids := self.obstacles.after(0.0)) is not None:
+            self.sequence.avoid(solids, fresh, (state.base_pose, state.joint_positions))
         if rows is None:
             joints = state.joint_positions.copy()
             self.periods, self._waited = np.zeros((2, len(joints)), dtype=np.intp)
@@ -335,6 +335,7 @@ class Loop:
             desired=self.desired,
             planned=self.planned,
             demonstrated_base=self.sequence.demonstrated_base,
+            planned_base=self.sequence.planned_base,
         )
 
     @property
@@ -351,7 +352,8 @@ class Loop:
         if solids is not None and self.sequence.avoids_solids:
             due = self.periods % max(1, round(_REPLAN_SECONDS / self.dt)) == 0
             due &= self.obstacles.moving & (self.periods > 0)
-            self.sequence.avoid(solids, np.flatnonzero(due))
+            robots = self.state.base_pose, self.state.joint_positions
+            self.sequence.avoid(solids, np.flatnonzero(due), robots)
 
     def _check(self, method: str, state: RobotState, n: int) -> None:
         check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")
@@ -423,6 +425,8 @@ class Loop:
         if "planned_ahead" in self.observation_terms:
             ahead = spatial.relative(self.sequence.ahead(AHEAD), base[:, np.newaxis])
             seen.ahead = ahead[:, :, :3].reshape(len(base), -1)
+        if "planned_base" in self.observation_terms:
+            seen.planned_base = _in_base(self.sequence.planned_base, base)
         self.observation = observe(seen, self.observation_terms)
         if time_scale != 1.0:
             twist = spatial.twist_between(self.desired, self.planned, HORIZON)
@@ -440,3 +444,10 @@ class Loop:
         self._waited = np.where(reconfigures, self._waited + 1, 0)
         paused: NDArray[np.bool_] = reconfigures & (self._waited <= self._arm_settle_timeout)
         return paused
+
+
+def _in_base(wanted: Array, base_pose: Array) -> Array:
+    """Return x, y and yaw of wanted base poses, (n, 7), as seen from the bases; 0 for NaN."""
+    known = ~np.isnan(wanted).any(axis=1, keepdims=True)
+    seen = spatial.relative(np.where(known, wanted, base_pose), base_pose)
+    return np.column_stack([seen[:, :2], spatial.yaw(seen)])

@@ -12,13 +12,13 @@ from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
-from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
+from kinfeas.core.motion import Rows, State, WholeBodyPath, merged, of_rows, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.robot import Robot
+from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,9 @@ class Plan:
     preview: Array
     states: list[State]
 
+
+LEAD = 1.0
+"""Seconds by which the planned base that policies see is ahead of the EE."""
 
 _STATES, _ROWS = "motion", ("desired", "subgoal", "waiting", "seeds", "targets")
 
@@ -58,7 +61,7 @@ class MotionSequence:
     def __init__(
         self,
         subgoals: Sequence[SubgoalMotion],
-        robot: Robot,
+        solver: IkSolver,
         dt: float,
         execution: ExecutionConfig | None = None,
     ) -> None:
@@ -74,13 +77,16 @@ class MotionSequence:
         self._periods = np.array([_periods(one.dwell, dt) for one in subgoals], dtype=np.intp)
         settling = [grasp_settle_time if one.grip else 0 for one in subgoals]
         self._grasp_settle_time = np.array(settling, dtype=np.intp)
-        tool, nothing = tool_pose(robot), np.tile(spatial.IDENTITY, (len(subgoals), 1))
+        tool, nothing = tool_pose(solver.robot), np.tile(spatial.IDENTITY, (len(subgoals), 1))
         tips = np.array([one.frame == "tip" for one in subgoals])
         self._tips, self._tool = bool(tips.any()), np.where(tips[:, np.newaxis], tool, nothing)
         self._ee_in_tool = spatial.relative(nothing, self._tool)
         self._demonstrated = any(one.demonstrated for one in self.generators)
         self.avoids_solids = any(one.avoids_solids for one in self.generators)
         self._solids: Solids | None = None
+        self._robots: tuple[Array, Array] | None = None
+        follows = any(one.follows_whole_body for one in self.generators)
+        self._planner = WholeBodyPlanner(solver) if follows else None
         self.desired: Array = np.empty((0, 7))
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
@@ -109,7 +115,7 @@ class MotionSequence:
         if rows is None:
             self._put(fresh)
             self._states = [{} for _ in self.generators]
-            self._solids, rows = None, np.arange(len(rngs))
+            self._solids, self._robots, rows = None, None, np.arange(len(rngs))
         else:
             pairs = zip(self._arrays(), fresh, strict=True)
             self._put(tuple(with_rows(old, rows, new) for old, new in pairs))
@@ -142,13 +148,25 @@ class MotionSequence:
             return np.full((len(self.subgoal), 7), np.nan)
         return self._ask(CheckedMotion.base_pose)
 
+    @property
+    def planned_base(self) -> Array:
+        """World pose of the base on a whole-body path in `LEAD` seconds, shape (n, 7), or NaN."""
+        if self._planner is None:
+            return np.full((len(self.subgoal), 7), np.nan)
+        return self._ask(_base_soon)
+
     def aim(self, target_poses: Array) -> None:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
         self._targets = self._targets.copy()
         self._targets[np.arange(len(self.subgoal)), self.subgoal] = target_poses
         self._goal = None
 
-    def avoid(self, solids: Solids, rows: Rows | None = None) -> None:
+    def avoid(
+        self,
+        solids: Solids,
+        rows: Rows | None = None,
+        robots: tuple[Array, Array] | None = None,
+    ) -> None:
         """Plan the motions of rows around the solids as they stand now.
 
         Motions that begin later, at other sub-goals, also avoid them; those of `start` do not.
@@ -156,8 +174,10 @@ class MotionSequence:
         Args:
             solids: Solids around each of the n rows.
             rows: Which motions are planned anew; all of them by default.
+            robots: World poses of the bases, shape (n, 7), and arm joints, shape (n, j), now; some
+                generators plan for them, too.
         """
-        self._solids = solids
+        self._solids, self._robots = solids, robots
         if self.avoids_solids:
             self._replan(np.arange(len(self.subgoal)) if rows is None else rows)
 
@@ -269,7 +289,7 @@ class MotionSequence:
         """Continue from a state that `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
         self._states, self._goal = [{} for _ in self.generators], None
-        self._solids = None
+        self._solids = self._robots = None
         for name, values in snapshot.items():
             kind, _, rest = name.partition(".")
             if kind == _STATES:
@@ -314,8 +334,26 @@ class MotionSequence:
                 state = of_rows(self._states[number], group)
                 given = frame[group], targets[group], self._solids.of(group)
                 state = generator.replan(state, *given)
+                if generator.follows_whole_body:
+                    ahead = generator.base_ahead(state, CHECKED_AHEAD)
+                    state = generator.follow(state, *given[:2], self._paths(group, ahead))
                 self._states[number] = merged(self._states[number], group, state, len(frame))
         self._goal = None
+
+    def _paths(self, rows: Rows, ahead: Array) -> list[WholeBodyPath | None]:
+        """Return whole-body motions to the goals of rows; None where none is found or needed.
+
+        `ahead` are the base poses of present motions at `CHECKED_AHEAD`, shape (r, s, 3).
+        """
+        paths: list[WholeBodyPath | None] = [None] * len(rows)
+        if self._planner is None or self._robots is None or self._solids is None:
+            return paths
+        goal, (base, joints) = self.goal, self._robots
+        for number, row in enumerate(rows.tolist()):
+            solids = self._solids.of(np.array([row]))
+            if not self._planner.free(ahead[number], solids):
+                paths[number] = self._planner.plan(base[row], joints[row], goal[row], solids)
+        return paths
 
     @property
     def _target(self) -> Array:
@@ -350,6 +388,13 @@ class MotionSequence:
         return spatial.compose(frame, self._ee_in_tool[self.subgoal]) if self._tips else frame
 
 
+def _base_soon(generator: CheckedMotion, state: State, target_pose: Array) -> Array:
+    """Return the base poses on whole-body paths in `LEAD` seconds, shape (n, 7)."""
+    if not generator.follows_whole_body:
+        return np.full((len(target_pose), 7), np.nan)
+    return spatial.planar_pose(*generator.base_ahead(state, np.array([LEAD]))[:, 0].T)
+
+
 def begin_motions(
     solver: IkSolver,
     subgoals: Sequence[SubgoalMotion],
@@ -358,7 +403,7 @@ def begin_motions(
 ) -> MotionSequence:
     """Return the motions of n episodes at their start, in steps of `HORIZON` and without dwells."""
     undelayed = [replace(subgoal, dwell=0.0) for subgoal in subgoals]
-    sequence = MotionSequence(undelayed, solver.robot, HORIZON)
+    sequence = MotionSequence(undelayed, solver, HORIZON)
     ee = spatial.compose(start.base_pose, forward(solver.chain, start.joint_positions))
     sequence.start(ee, start.target_poses, rngs)
     return sequence

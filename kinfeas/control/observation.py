@@ -40,11 +40,13 @@ class Seen:
         joint_positions: Arm joints, continuous ones in (-pi, pi], shape (n, j).
         previous_command: Base command of the last period, shape (n, c), where a term needs it.
         ahead: Positions `AHEAD` on the planned motion, shape (n, 3 d), metres, likewise.
+        planned_base: x, y and yaw of the base on a whole-body path, shape (n, 3), likewise.
         ranges: Ranges of a scan, shape (n, 2, beams), metres, likewise.
     """
 
     previous_command: Array | None = None
     ahead: Array | None = None
+    planned_base: Array | None = None
     ranges: Array | None = None
 
     def __init__(
@@ -105,6 +107,9 @@ TERMS = {
         lambda robot: command_size(robot.base), "", (1.0,), lambda seen: seen.previous_command
     ),
     "planned_ahead": ObservationTerm(3 * len(AHEAD), "m", (0.5,), lambda seen: seen.ahead),
+    "planned_base": ObservationTerm(
+        3, "m, yaw in rad", (3.0, 3.0, 2.0), lambda seen: seen.planned_base
+    ),
     "scan_low": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda seen: _closeness(seen, 0)),
     "scan_high": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda seen: _closeness(seen, 1)),
 }

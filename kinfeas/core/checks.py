@@ -7,7 +7,15 @@ import numpy as np
 
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, plugin_note
-from kinfeas.core.motion import AvoidsSolids, Demonstrated, LooksAhead, MotionGenerator, State
+from kinfeas.core.motion import (
+    AvoidsSolids,
+    Demonstrated,
+    FollowsWholeBodyPath,
+    LooksAhead,
+    MotionGenerator,
+    State,
+    WholeBodyPath,
+)
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, integrate, twist_between
 
@@ -83,6 +91,7 @@ class CheckedMotion:
     Attributes:
         demonstrated: Whether the generator has demonstrated base poses.
         avoids_solids: Whether it plans around solids.
+        follows_whole_body: Whether it follows motions that are planned for base and arm.
 
     Raises:
         ConformanceError: From all methods, if a return value is invalid.
@@ -94,6 +103,7 @@ class CheckedMotion:
         self.generator = generator
         self.demonstrated = isinstance(generator, Demonstrated)
         self.avoids_solids = isinstance(generator, AvoidsSolids)
+        self.follows_whole_body = isinstance(generator, FollowsWholeBodyPath)
         self._ahead = generator.ahead if isinstance(generator, LooksAhead) else None
         self.subject = f"motion generator {name or type(generator).__name__}"
         self._every_step, self._unchecked = every_step, True
@@ -153,6 +163,29 @@ class CheckedMotion:
             state = self.generator.replan(state, ee_pose, target_pose, solids)
         self._check_state("replan", state, len(ee_pose))
         return state
+
+    def follow(
+        self,
+        state: State,
+        ee_pose: Array,
+        target_pose: Array,
+        paths: Sequence[WholeBodyPath | None],
+    ) -> State:
+        """Return the state of motions along paths; the same if the generator does not follow."""
+        if not isinstance(self.generator, FollowsWholeBodyPath):
+            return state
+        with plugin_note(self.subject):
+            state = self.generator.follow(state, ee_pose, target_pose, paths)
+        self._check_state("follow", state, len(ee_pose))
+        return state
+
+    def base_ahead(self, state: State, seconds: Array) -> Array:
+        """Return the base some seconds ahead on whole-body paths, shape (n, s, 3), or NaN."""
+        assert isinstance(self.generator, FollowsWholeBodyPath)
+        with plugin_note(self.subject):
+            base = self.generator.base_ahead(state, seconds)
+        self._check_array("base_ahead", base, (len(base), len(seconds), 3), finite=False)
+        return base
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses some metres ahead, (n, 7) and (d,) -> (n, d, 7), at most the goal.

@@ -1,6 +1,7 @@
 """Protocol of motion generators, which plugins implement, and rows of their states."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -79,6 +80,52 @@ class AvoidsSolids(Protocol):
             ee_pose: Current desired world pose, shape (n, 7).
             target_pose: Current poses of the targets, shape (n, 7).
             solids: Solids around each motion, n rows.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class WholeBodyPath:
+    """A motion of EE and base.
+
+    Attributes:
+        ee: World poses of the EE, shape (k, 7).
+        base: x, y and unwrapped yaw of the base, shape (k, 3), metres and radians.
+        seconds: Shortest times that base and arm need from each to the next, shape (k - 1,).
+    """
+
+    ee: Array
+    base: Array
+    seconds: Array
+
+
+@runtime_checkable
+class FollowsWholeBodyPath(Protocol):
+    """A motion generator that follows motions which a planner finds for base and arm."""
+
+    def follow(
+        self,
+        state: State,
+        ee_pose: Array,
+        target_pose: Array,
+        paths: Sequence[WholeBodyPath | None],
+    ) -> State:
+        """Return the state of n motions along their paths; those without one go on as before.
+
+        Called after `replan` of `AvoidsSolids`.
+
+        Args:
+            state: State of n motions.
+            ee_pose: Current desired world pose, shape (n, 7).
+            target_pose: Current poses of the targets, shape (n, 7).
+            paths: A path for each motion, from about `ee_pose` to the target, or None.
+        """
+        ...
+
+    def base_ahead(self, state: State, seconds: Array) -> Array:
+        """Return x, y and yaw of the base some seconds ahead on the paths, shape (n, s, 3).
+
+        Motions without a path have NaN. `seconds` has the shape (s,).
         """
         ...
 

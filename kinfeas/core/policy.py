@@ -23,6 +23,8 @@ class PolicyInput:
             scale of the execution; the observation shows the motion at full speed.
         demonstrated_base: World pose of the base in the demonstration, shape (n, 7); NaN where the
             motion has none.
+        planned_base: World pose of the base on a whole-body path, `LEAD` seconds ahead, shape
+            (n, 7); NaN where the motion has none.
     """
 
     observation: Array
@@ -32,6 +34,7 @@ class PolicyInput:
     desired: Array
     planned: Array
     demonstrated_base: Array
+    planned_base: Array
 
 
 @dataclass(frozen=True)

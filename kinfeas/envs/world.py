@@ -52,7 +52,7 @@ class WorldConfig(ExecutionConfig):
 
     dt: Annotated[float, Interval(ge=0.001, le=1.0)] = 0.1
     max_failures: Annotated[int, Interval(ge=0)] = 19
-    max_seconds: PositiveSeconds = 150.0
+    max_seconds: PositiveSeconds = 300.0
     adapters: tuple[PluginSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)
     ik: IkOptions = field(default_factory=IkOptions)

@@ -99,7 +99,7 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
     subgoals, starts, rngs = _starts(solver, task, episodes, seed)
     sequence = begin_motions(solver, subgoals, starts, rngs)
     if starts.solids is not None:
-        sequence.avoid(starts.solids)
+        sequence.avoid(starts.solids, None, (starts.base_pose, starts.joint_positions))
     steps = list(_follow(sequence))
     desired, subgoal = (np.stack(each, 1) for each in zip(*steps, strict=True))
     chosen = [

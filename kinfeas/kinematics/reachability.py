@@ -70,7 +70,7 @@ def reachable(
         start: Starts with the solids of each goal: then base and arm must be free of them, and the
             base pose must be connected with the start for a disc within the base.
     """
-    postures = _Postures(solver)
+    postures = Postures(solver)
     reached = np.zeros(len(goals), dtype=np.bool_)
     convergence = []
     for first, last in zip((tried, *stages), stages, strict=False):
@@ -84,7 +84,7 @@ def reachable(
     return Reachability(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
 
 
-class _Postures:
+class Postures:
     """Arm configurations without self-collision that propose base poses."""
 
     def __init__(self, solver: IkSolver) -> None:
@@ -97,14 +97,8 @@ class _Postures:
 
     def reach(self, goal: Array, first: int, last: int, start: Start | None = None) -> bool:
         """Return whether one of the proposals `first` to `last` reaches `goal`, shape (7,)."""
-        heading, cost = self._face(goal)
-        best = np.argsort(cost, kind="stable")[first:last]
-        heading, ee = heading[best], self.ee_pose[best]
-        cosine, sine = np.cos(heading), np.sin(heading)
-        x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
-        y = goal[1] - (sine * ee[:, 0] + cosine * ee[:, 1])
-        base = planar_pose(x, y, heading)
-        joints, solids = self.joints[best], None
+        base, joints = self.around(goal, first, last)
+        solids = None
         if start is not None and start.solids is not None:
             solids = start.solids.of(np.zeros(len(base), dtype=np.intp))
             free = ~collides(self.solver.collision, joints, base, solids)[:, 0]
@@ -114,6 +108,16 @@ class _Postures:
             solids = in_base(solids.of(rows), base)
         targets = relative(np.broadcast_to(goal, base.shape), base)
         return bool(np.any(self.solver.solve(targets, joints, solids=solids).feasible))
+
+    def around(self, goal: Array, first: int, last: int) -> tuple[Array, Array]:
+        """Return the proposals for `goal`: base poses, shape (m, 7), and arms, shape (m, j)."""
+        heading, cost = self._face(goal)
+        best = np.argsort(cost, kind="stable")[first:last]
+        heading, ee = heading[best], self.ee_pose[best]
+        cosine, sine = np.cos(heading), np.sin(heading)
+        x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
+        y = goal[1] - (sine * ee[:, 0] + cosine * ee[:, 1])
+        return planar_pose(x, y, heading), self.joints[best]
 
     def _face(self, goal: Array) -> tuple[Array, Array]:
         """Return the best heading and its squared error for each configuration, shape (l,).

@@ -17,6 +17,7 @@ BASELINES = (
     "follow_ee",
     "follow_ee_feedback",
     "demonstrated_base",
+    "planned_base",
     "geometric_modulation",
     "whole_body_qp",
 )

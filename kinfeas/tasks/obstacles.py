@@ -36,7 +36,7 @@ class ReachingAmongSolids(GoalReaching, Clutter):
     """
 
     name: str = "ggr_obstacles"
-    motion: MotionSpec = field(default_factory=lambda: MotionSpec("planned"))
+    motion: MotionSpec = field(default_factory=lambda: MotionSpec("whole_body"))
     distance: tuple[Distance, Distance] = (0.5, 8.0)
     places: Count = MOST_SOLIDS
     extent: Distance = 14.0

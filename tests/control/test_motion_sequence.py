@@ -6,6 +6,7 @@ from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
+from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
 from tests.builders import random_poses
 
@@ -48,7 +49,7 @@ def chain():
 
 def begin(robot, n=6, subgoals=None, dt=HORIZON, **execution):
     subgoals = chain() if subgoals is None else subgoals
-    sequence = MotionSequence(subgoals, robot, dt, ExecutionConfig(**execution))
+    sequence = MotionSequence(subgoals, IkSolver(robot), dt, ExecutionConfig(**execution))
     targets = random_poses(n * len(subgoals), 1).reshape(n, len(subgoals), 7)
     sequence.start(random_poses(n), targets, rngs(range(n)))
     return sequence
@@ -121,7 +122,7 @@ def test_a_restart_is_the_same_in_any_row_and_touches_no_other(robot):
 
 @pytest.mark.parametrize("subgoal", range(4))
 def test_snapshot_goes_on_to_the_bit(robot, subgoal):
-    sequence, again = begin(robot), MotionSequence(chain(), robot, HORIZON)
+    sequence, again = begin(robot), MotionSequence(chain(), IkSolver(robot), HORIZON)
     follow(sequence, 1)
     while not np.any(sequence.subgoal == subgoal):
         follow(sequence, 1)
@@ -221,7 +222,9 @@ def test_paused_rows_stay(robot):
 
 
 def test_randomness_differs_between_rows_and_subgoals(robot):
-    sequence = MotionSequence([SubgoalMotion(Wander()), SubgoalMotion(Wander())], robot, HORIZON)
+    sequence = MotionSequence(
+        [SubgoalMotion(Wander()), SubgoalMotion(Wander())], IkSolver(robot), HORIZON
+    )
     sequence.start(random_poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
     first = sequence.goal
     sequence.advance(np.ones(2, dtype=bool))

@@ -1,11 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 
+from kinfeas.core.motion import WholeBodyPath
 from kinfeas.core.solids import Solids, stacked_solids
 from kinfeas.core.spatial import distance, integrate
 from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.plugins.planned import Planned, RandomSpline
+from kinfeas.plugins.planned import Planned, RandomSpline, WholeBody
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, random_poses, run, speeds
 
@@ -121,12 +124,12 @@ def across(high, half=3.0, at=1.5):
 def test_without_solids_the_motion_is_that_of_minimum_jerk():
     start, goal = random_poses(5, 0), random_poses(5, 1)
     expected = run(MinimumJerk(), start, goal, 60.0)[0]
-    np.testing.assert_allclose(run(Planned(), start, goal, 60.0)[0], expected, atol=1e-9)
+    np.testing.assert_allclose(run(Planned(), start, goal, 60.0)[0], expected, atol=1e-6)
 
 
 def test_free_motions_are_straight_and_low_solids_are_passed_above():
     points = planned(*across(0.1, at=50.0))[1]["points"][0]
-    np.testing.assert_allclose(points[:, 1:], np.tile([0.0, 0.5], (64, 1)), atol=1e-12)
+    np.testing.assert_allclose(points[:, 1:3], np.tile([0.0, 0.5], (64, 1)), atol=1e-12)
     points = planned(*across(0.6))[1]["points"][0]
     assert points[:, 2].max() > 0.75
     assert np.abs(points[:, 1]).max() < 0.1
@@ -173,3 +176,63 @@ def test_splines_are_random_smooth_and_within_their_spread():
     assert np.all(middle.max(axis=0) < [0.8, 0.3])
     assert middle[:, 0].std() > 0.05
     assert speeds(np.diff(twists, axis=0, prepend=0.0) / DT)[0].max() < 0.25
+
+
+def along(k=30):
+    """Return start and goal of one motion, and a whole-body path around a corner."""
+    share = np.linspace(0.0, 1.0, k)[:, np.newaxis]
+    ee = np.tile([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0], (k, 1))
+    ee[:, :2] = np.where(share < 0.5, [2.0, 0.0] * share, [1.0, -1.0] + [0.0, 2.0] * share)
+    base = np.column_stack([ee[:, :2] - [0.6, 0.0], 0.5 * share])
+    return ee[:1], ee[-1:], WholeBodyPath(ee, base, np.full(k - 1, 0.1))
+
+
+def test_whole_body_motions_follow_their_path_with_the_base_ahead():
+    check_motion_generator(WholeBody())
+    start, goal, path = along()
+    generator, seconds = WholeBody(), np.array([0.0, 1.0])
+    state = generator.start(start, goal, [None])
+    assert np.isnan(generator.base_ahead(state, seconds)).all()
+    state = generator.follow(state, start, goal, [path])
+    np.testing.assert_allclose(generator.base_ahead(state, seconds)[0, 0], path.base[0], atol=1e-9)
+    bases = []
+
+    def watch(i, state, ee):
+        bases.append(generator.base_ahead(state, seconds)[0])
+        return state
+
+    poses, twists = follow(generator, state, start, goal, 60.0, watch)
+    assert np.max(distance(poses[-1], goal)) < 1e-6
+    assert max(map(np.max, speeds(twists))) <= 0.1 * (1.0 + 1e-9)
+    off = np.linalg.norm(poses[:, 0, np.newaxis, :3] - path.ee[:, :3], axis=2).min(axis=1)
+    assert off.max() < 0.05
+    bases = np.array(bases)
+    np.testing.assert_allclose(bases[-1], path.base[[-1, -1]], atol=1e-6)
+    np.testing.assert_allclose(bases[:-10, 1], bases[10:, 0], atol=1e-9)
+    np.testing.assert_allclose(bases[:, 0, :2], poses[1:, 0, :2] - [0.6, 0.0], atol=0.02)
+
+
+def test_slow_base_paths_take_their_time_and_others_go_on():
+    start, goal, path = along()
+    generator = WholeBody()
+    state = generator.start(np.tile(start, (2, 1)), np.tile(goal, (2, 1)), [None, None])
+    slow = replace(path, seconds=np.full(29, 5.0))
+    both = np.tile(start, (2, 1)), np.tile(goal, (2, 1))
+    begun = generator.follow(state, *both, [slow, None])
+    assert begun["duration"][0] > 145.0
+    for key, values in state.items():
+        np.testing.assert_array_equal(begun[key][1], values[1])
+
+
+def test_whole_body_paths_stay_where_those_of_the_ee_are_replanned():
+    solids, start, goal = across(2.0)
+    generator = WholeBody()
+    state = generator.start(start, goal, [None])
+    around = generator.replan(state, start, goal, solids)
+    assert np.abs(around["points"][0, :, 1]).max() > 3.0
+    path = along()[2]
+    state = generator.follow(state, start, goal, [path])
+    assert generator.replan(state, start, goal, solids)["points"] is not around["points"]
+    np.testing.assert_array_equal(
+        generator.replan(state, start, goal, solids)["points"], state["points"]
+    )

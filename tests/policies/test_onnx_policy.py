@@ -41,7 +41,7 @@ def test_acts_as_the_training_policy_whatever_the_batch(path, exported, hsr):
         np.testing.assert_array_equal(np.concatenate(parts), together)
     np.testing.assert_array_equal(policy(np.asfortranarray(seen)[::-1]), together[::-1])
     unused = np.full((64, 7), np.nan)
-    policy_input = PolicyInput(seen, *[unused] * 6)
+    policy_input = PolicyInput(seen, *[unused] * 7)
     np.testing.assert_array_equal(policy.act(policy_input), together)
 
 

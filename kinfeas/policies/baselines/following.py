@@ -1,6 +1,7 @@
 """Baselines that follow: the base moves with the EE, or along the base of a demonstration."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -76,7 +77,9 @@ class BaselineConfig:
 
 @dataclass(frozen=True)
 class DemonstratedBase:
-    """Drives to the base pose of the demonstration; without one, it copies the EE's velocity.
+    """Drives to the base pose of a demonstration, or of a whole-body path.
+
+    Without one, it copies the EE's velocity.
 
     It keeps the speed of the EE: a base at full speed would leave an EE behind that is still on
     its way to the start of the demonstration. An omnidirectional base drives and turns at once; a
@@ -84,17 +87,20 @@ class DemonstratedBase:
 
     Attributes:
         base: Drive and velocity limits.
-        forward_shift: Distance ahead of the demonstrated base pose, metres.
+        forward_shift: Distance ahead of that base pose, metres.
+        source: Which base pose.
     """
 
     base: Base
     forward_shift: float = 0.0
+    source: Literal["demonstrated_base", "planned_base"] = "demonstrated_base"
 
     def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        known = ~np.isnan(policy_input.demonstrated_base).any(axis=1, keepdims=True)
+        wanted: Array = getattr(policy_input, self.source)
+        known = ~np.isnan(wanted).any(axis=1, keepdims=True)
         # Any finite numbers take the place of missing ones; their result is not used.
-        wanted = np.where(known, policy_input.demonstrated_base, policy_input.base_pose)
+        wanted = np.where(known, wanted, policy_input.base_pose)
         follow = FollowEe(self.base).act(policy_input)
         return np.where(known, self._toward(policy_input, wanted), follow)
 
@@ -125,3 +131,8 @@ def demonstrated_base(robot: Robot) -> DemonstratedBase:
     """Return the baseline that drives to the base pose of the demonstration."""
     known = load_section(BaselineConfig, "baselines", robot.name)
     return DemonstratedBase(robot.base, known.forward_shift)
+
+
+def planned_base(robot: Robot) -> DemonstratedBase:
+    """Return the baseline that drives to the base pose of the whole-body path."""
+    return DemonstratedBase(robot.base, source="planned_base")

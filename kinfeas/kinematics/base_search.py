@@ -1,0 +1,229 @@
+"""Shortest base paths among solids: A* on a lattice of x, y and heading."""
+
+import heapq
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.kinematics.kernels import kernel, square
+from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
+from kinfeas.kinematics.solids import is_empty, squared_radius, touches_solids
+
+CELL, HEADINGS = 0.125, 16
+"""Side of a cell of the lattice, metres, and its headings in a full turn."""
+
+LEVER = 1.0
+"""Metres of driving that take as long as a radian of turning."""
+
+_CLEARANCE, _CROWDED = 0.6, 6.0
+"""Distance that the base prefers to keep from solids, metres, and what a metre beside one costs
+more."""
+
+_SIDEWAYS = 1.0
+"""What a metre sideways costs more than one ahead; a metre back costs twice that."""
+
+_GREED = 1.3
+"""Factor of the estimated cost ahead: paths may be longer by this, and are found sooner."""
+
+
+def lattice_moves(*, omnidirectional: bool) -> NDArray[np.int64]:
+    """Return the moves from each heading, shape (headings, m, 4).
+
+    Each has steps of x, y and heading, and a cost in millimetres.
+    """
+    moves = []
+    for heading in range(HEADINGS):
+        angle = 2.0 * np.pi / HEADINGS * heading
+        each = [(0, 0, side) for side in (-1, 1)]
+        if omnidirectional:
+            around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+            each += [(i, j, side) for i, j in around for side in (-1, 0, 1)]
+        else:
+            length = 2.2 if heading % 2 else 1.4  # to a corner, or as in a knight's move
+            i, j = (round(length * f(angle)) for f in (np.cos, np.sin))
+            each += [(i, j, side) for side in (-1, 0, 1)] + [(-i, -j, 0)]
+        costs = []
+        for i, j, side in each:
+            aside = 1.0 - math.cos(math.atan2(j, i) - angle) if i or j else 0.0
+            way = CELL * math.hypot(i, j) * (1.0 + _SIDEWAYS * aside)
+            costs.append(round(1000 * max(way, LEVER * 2.0 * np.pi / HEADINGS * abs(side))))
+        moves.append([(*one, cost) for one, cost in zip(each, costs, strict=True)])
+    return np.array(moves)
+
+
+@kernel
+def driving_costs(origin, shape, solids, disc):
+    """Return what a metre of driving costs at each cell, shape (x, y).
+
+    Args:
+        origin: Position of the first cell, shape (2,), metres.
+        shape: Number of cells along x and y.
+        solids: Pose, size and cylinder of one row of `Solids`.
+        disc: Radius and height of a disc within the base, metres; where it touches a solid, the
+            cost is infinite.
+    """
+    pose, size, cylinder = solids
+    want = disc[0] + _CLEARANCE
+    cost = np.full((shape[0], shape[1]), want)  # first the distance from solids
+    for k in range(len(pose)):
+        if is_empty(size[k]) or size[k, 2] > disc[1]:
+            continue
+        cosine, sine = math.cos(pose[k, 2]), math.sin(pose[k, 2])
+        reach = math.sqrt(squared_radius(size[k], cylinder[k])) + want
+        first, last = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
+        for i in range(2):
+            first[i] = max(int((pose[k, i] - reach - origin[i]) / CELL), 0)
+            last[i] = min(int((pose[k, i] + reach - origin[i]) / CELL) + 1, shape[i] - 1)
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                dx, dy = origin[0] + CELL * i - pose[k, 0], origin[1] + CELL * j - pose[k, 1]
+                if cylinder[k]:
+                    gap = math.sqrt(dx * dx + dy * dy) - size[k, 0]
+                else:
+                    along = max(abs(cosine * dx + sine * dy) - size[k, 0], 0.0)
+                    across = max(abs(cosine * dy - sine * dx) - size[k, 1], 0.0)
+                    gap = math.sqrt(along * along + across * across)
+                cost[i, j] = min(cost[i, j], gap)
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            near = 1.0 - cost[i, j] / want
+            cost[i, j] = np.inf if cost[i, j] < disc[0] else 1.0 + _CROWDED * near * near
+    return cost
+
+
+@kernel
+def search_base(model, rest, reach, start, places, place_cost, solids, grid, moves):
+    """Return base poses on the cheapest way to a place, shape (k, 3), and its number, or -1.
+
+    Args:
+        model: Shapes of the robot.
+        rest: Arm joints on the way, shape (j,).
+        reach: Distance from start and places within which the arm is not at rest, metres.
+        start: x, y and yaw of the base, shape (3,).
+        places: The same where it may arrive, shape (p, 3).
+        place_cost: What it costs to arrive there, shape (p,), metres.
+        solids: Pose, size and cylinder of one row of `Solids`.
+        grid: Position of the first cell, and `driving_costs`.
+        moves: From `lattice_moves`.
+    """
+    origin, cost = grid
+    nx, ny = cost.shape
+    total, first = nx * ny * HEADINGS, _node(start, origin, ny)
+    ahead = _costs_ahead(places, place_cost, origin, cost)
+    best, parent = np.full(total, np.inf), np.full(total, -1, dtype=np.int64)
+    state = np.zeros(total, dtype=np.int8)  # 1 is free, 2 is blocked, 3 is done
+    arrival = np.full(total, -1, dtype=np.int64)
+    for p in range(len(places)):
+        node = _node(places[p], origin, ny)
+        if arrival[node] < 0 or place_cost[p] < place_cost[arrival[node]]:
+            arrival[node], state[node] = p, 1
+    scratch, local = make_collision_scratch(model), np.empty_like(solids[0])
+    place_shapes(model, rest, scratch)
+    best[first], parent[first], state[first] = 0.0, first, 1
+    queue = [(0.0, first)]
+    if ahead[first // HEADINGS // ny, first // HEADINGS % ny] == np.inf:
+        queue.clear()
+    while len(queue) > 0:
+        _, node = heapq.heappop(queue)
+        if node >= total:  # an arrival, at its whole cost
+            return _way_to(node - total, parent, origin, ny), arrival[node - total]
+        if state[node] == 3:
+            continue
+        state[node] = 3
+        if arrival[node] >= 0:
+            heapq.heappush(queue, (best[node] + place_cost[arrival[node]], total + node))
+        heading, x, y = node % HEADINGS, node // HEADINGS // ny, node // HEADINGS % ny
+        for m in range(moves.shape[1]):
+            move = moves[heading, m]
+            i, j = x + move[0], y + move[1]
+            if i < 0 or j < 0 or i >= nx or j >= ny or ahead[i, j] == np.inf:
+                continue
+            turned = (heading + move[2]) % HEADINGS
+            other = (i * ny + j) * HEADINGS + turned
+            if state[other] >= 2:
+                continue
+            metre = min(cost[x, y], 1.0 + _CROWDED) + min(cost[i, j], 1.0 + _CROWDED)
+            new = best[node] + 0.0005 * move[3] * metre
+            if new >= best[other]:
+                continue
+            if state[other] == 0:
+                at = origin[0] + CELL * i, origin[1] + CELL * j
+                _write_local(solids[0], at, 2.0 * np.pi / HEADINGS * turned, local)
+                near = square(at[0] - start[0]) + square(at[1] - start[1])
+                for p in range(len(places)):
+                    away = square(at[0] - places[p, 0]) + square(at[1] - places[p, 1])
+                    near = min(near, away)
+                hit = touches_solids(model, False, local, solids[1], solids[2], scratch)
+                if not hit and near > square(reach):
+                    hit = touches_solids(model, True, local, solids[1], solids[2], scratch)
+                state[other] = 2 if hit else 1
+                if hit:
+                    continue
+            best[other], parent[other] = new, node
+            heapq.heappush(queue, (new + _GREED * ahead[i, j], other))
+    return np.empty((0, 3)), -1
+
+
+@kernel
+def _costs_ahead(places, place_cost, origin, cost):
+    """Return the least costs of driving from each cell to a place without turning, (x, y)."""
+    nx, ny = cost.shape
+    ahead, done = np.full((nx, ny), np.inf), np.zeros((nx, ny), dtype=np.bool_)
+    queue = [(0.0, 0)]
+    queue.clear()
+    for p in range(len(places)):
+        cell = _node(places[p], origin, ny) // HEADINGS
+        ahead[cell // ny, cell % ny] = min(ahead[cell // ny, cell % ny], place_cost[p])
+        heapq.heappush(queue, (place_cost[p], cell))
+    while len(queue) > 0:
+        _, cell = heapq.heappop(queue)
+        x, y = cell // ny, cell % ny
+        if done[x, y]:
+            continue
+        done[x, y] = True
+        for way in range(9):
+            i, j = x + way // 3 - 1, y + way % 3 - 1
+            if i < 0 or j < 0 or i >= nx or j >= ny or done[i, j] or cost[i, j] == np.inf:
+                continue
+            length = CELL if i == x or j == y else math.sqrt(2.0) * CELL
+            here = min(cost[x, y], 1.0 + _CROWDED)  # places may be in cells that are blocked
+            new = ahead[x, y] + 0.5 * length * (here + cost[i, j])
+            if new < ahead[i, j]:
+                ahead[i, j] = new
+                heapq.heappush(queue, (new, i * ny + j))
+    return ahead
+
+
+@kernel
+def _node(place, origin, ny):
+    """Return the number of the node nearest to a place."""
+    x = int((place[0] - origin[0]) / CELL + 0.5)
+    y = int((place[1] - origin[1]) / CELL + 0.5)
+    heading = math.floor(place[2] / (2.0 * np.pi / HEADINGS) + 0.5) % HEADINGS
+    return (x * ny + y) * HEADINGS + heading
+
+
+@kernel
+def _write_local(pose, at, yaw, out):
+    """Write the poses of solids, shape (k, 3), as seen from a base."""
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    for k in range(len(pose)):
+        dx, dy = pose[k, 0] - at[0], pose[k, 1] - at[1]
+        out[k, 0], out[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
+        out[k, 2] = pose[k, 2] - yaw
+
+
+@kernel
+def _way_to(last, parent, origin, ny):
+    """Return the base poses from the first node, which is its own parent, to the last, (k, 3)."""
+    count, node = 1, last
+    while parent[node] != node:
+        node, count = parent[node], count + 1
+    path, node = np.empty((count, 3)), last
+    for k in range(count - 1, -1, -1):
+        path[k, 0] = origin[0] + CELL * (node // HEADINGS // ny)
+        path[k, 1] = origin[1] + CELL * (node // HEADINGS % ny)
+        path[k, 2] = 2.0 * np.pi / HEADINGS * (node % HEADINGS)
+        node = parent[node]
+    return path

@@ -1,0 +1,315 @@
+"""Motions of base and arm to EE goals among solids."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from kinfeas.core.motion import WholeBodyPath
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, compose, planar_pose, relative, yaw
+from kinfeas.kinematics.base_search import (
+    CELL,
+    LEVER,
+    driving_costs,
+    lattice_moves,
+    search_base,
+)
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.kernels import kernel
+from kinfeas.kinematics.reachability import Postures, at_goals
+from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes, self_collides
+from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.robots.robot import joint_displacement
+
+CHECKED_AHEAD = np.arange(1.0, 7.0)
+"""Seconds after which a motion among moving solids is checked."""
+
+_FORESIGHT = 5.0
+"""Seconds for which moving solids take the room that they move into."""
+
+
+class _Try(NamedTuple):
+    """One try to find a motion; later tries ask for less.
+
+    Attributes:
+        margin: Distance of the base path from solids, metres.
+        reach: Distance from start and goal within which the arm is not at rest, metres.
+        rounding: Standard deviation of the smoothing of the base path, metres.
+        small: Whether the arm rests where it takes least room, or else near start and goal.
+    """
+
+    margin: float
+    reach: float
+    rounding: float
+    small: bool
+
+
+_TRIES = (
+    _Try(0.07, 0.8, 0.25, small=False),
+    _Try(0.03, 0.8, 0.25, small=True),
+    _Try(0.0, np.inf, 0.1, small=True),
+)
+
+_USED = 0.5
+"""What a place costs more in later tries, metres."""
+
+_MARGIN = 0.02
+"""Distance from solids on the motion, metres."""
+
+_PROPOSALS, _AT_GOAL, _ENOUGH = (0, 64, 256, 1024, 2048), (0.08, 0.08, 0.03, 0.0), 8
+"""Stages of base poses that are proposed for a goal, distances from solids there by stage, metres,
+and how many base poses suffice."""
+
+_BORDER = 3.0
+"""Width of the floor around start and goal that is searched, metres."""
+
+_STEP, _UNFOLD = 0.05, (3.0, 1.2, 0.3)
+"""Distance between the poses of a motion, and ways of the base on which the arm leaves or reaches
+its rest, metres."""
+
+_AHEAD, _ASIDE, _HEIGHT = (0.4, 0.75), 0.6, (0.5, 1.1)
+"""Where the EE of an arm at rest is: distances from the base's origin and heights, metres, and the
+largest bearing, radians."""
+
+_RESTS = 64
+"""Arm configurations at rest."""
+
+_SPEED = 0.7
+"""Share of the velocity limits of base and arm that a motion uses."""
+
+_JOINT_COST = 0.1
+"""Metres that a radian of the arm costs where goals are compared."""
+
+
+class WholeBodyPlanner:
+    """Finds motions of one robot to EE goals among solids.
+
+    A* finds the way of the base, with the arm at rest, to base poses from which IK reaches the
+    goal. The arm moves to its rest on the first metres and from there to the goal on the last ones.
+    Solids that move take the room that they move into soon.
+    """
+
+    def __init__(self, solver: IkSolver) -> None:
+        """Choose the arm configurations in which the robot drives."""
+        self.robot = robot = solver.robot
+        self.solver = IkSolver(robot, at_goals(robot, solver.options))
+        self._postures = Postures(self.solver)
+        self._rests = _rests(self._postures)
+        self._small = int(_room(self.solver.collision, self._rests).argmin())
+        self._moves = lattice_moves(omnidirectional=robot.base.drive == "omnidirectional")
+
+    def plan(
+        self, base_pose: Array, joints: Array, goal: Array, solids: Solids
+    ) -> WholeBodyPath | None:
+        """Return a motion to a goal, or None if none is found.
+
+        In narrow places, some of its poses may touch solids.
+
+        Args:
+            base_pose: World pose of the base now, shape (7,).
+            joints: Arm joints now, shape (j,).
+            goal: World pose of the EE, shape (7,).
+            solids: In the world, one row.
+        """
+        solids = _swept(solids)
+        places, arms = self._places(goal, solids)
+        if not len(places):
+            return None
+        leave = np.abs(self._way(joints, self._rests)).max(axis=1)
+        reach = np.abs(self._way(self._rests[:, np.newaxis], arms)).max(axis=2)
+        near = int((leave + reach.min(axis=1)).argmin())
+        start = np.array([*base_pose[:2], float(yaw(base_pose))])
+        used, found, fewest = np.zeros(len(places)), None, np.inf
+        for one in _TRIES:
+            rest = self._small if one.small else near
+            arm = self._rests[rest], one.reach
+            cost = _JOINT_COST * reach[rest] + used
+            way, place = self._drive(start, places, cost, arm, _wider(solids, one.margin))
+            if place < 0:
+                continue
+            base = _smooth(np.vstack([start, way, places[place]]), one.rounding)
+            path, touching = self._with_arm(base, (joints, arm[0], arms[place]), solids)
+            if touching < fewest:
+                found, fewest = path, touching
+            if not touching:
+                break
+            used[place] += _USED
+        if found is not None:
+            found.ee[-1] = goal
+        return found
+
+    def free(self, base: Array, solids: Solids) -> bool:
+        """Return whether the base will touch no solid on its way.
+
+        Args:
+            base: x, y and yaw after `CHECKED_AHEAD` seconds, shape (s, 3); NaN without a way.
+            solids: In the world, one row.
+        """
+        if np.isnan(base).any():
+            return False
+        then = _repeated(_wider(solids, _MARGIN), len(base))
+        pose = then.pose.copy()
+        pose[..., :2] += then.velocity * CHECKED_AHEAD[:, np.newaxis, np.newaxis]
+        arm = np.tile(self._rests[0], (len(base), 1))
+        touching = collides(
+            self.solver.collision, arm, planar_pose(*base.T), replace(then, pose=pose)
+        )
+        return not touching[:, 0].any()
+
+    def _places(self, goal: Array, solids: Solids) -> tuple[Array, Array]:
+        """Return base poses x, y, yaw, (p, 3), and arms, (p, j), that reach a goal."""
+        places, arms = np.empty((0, 3)), np.empty((0, len(self.robot.arm)))
+        for first, last, margin in zip(_PROPOSALS, _PROPOSALS[1:], _AT_GOAL, strict=False):
+            wide = _wider(solids, margin)
+            base, joints = self._postures.around(goal, first, last)
+            among = _repeated(wide, len(base))
+            rows = np.flatnonzero(~collides(self.solver.collision, joints, base, among)[:, 0])
+            base, joints = base[rows], joints[rows]
+            found = self.solver.solve(
+                relative(np.broadcast_to(goal, base.shape), base),
+                joints,
+                solids=in_base(among.of(rows), base),
+            )
+            rows = np.flatnonzero(found.feasible)
+            places = np.concatenate([places, np.column_stack([base[rows, :2], yaw(base[rows])])])
+            arms = np.concatenate([arms, found.joint_positions[rows]])
+            if len(places) >= _ENOUGH:
+                break
+        return places[: 2 * _ENOUGH], arms[: 2 * _ENOUGH]
+
+    def _drive(
+        self, start: Array, places: Array, cost: Array, arm: tuple[Array, float], solids: Solids
+    ) -> tuple[Array, int]:
+        """Return base poses on the way to the cheapest place, (k, 3), and its number, or -1."""
+        known = np.concatenate([start[np.newaxis, :2], places[:, :2]])
+        low, high = known.min(axis=0) - _BORDER, known.max(axis=0) + _BORDER
+        shape = np.ceil((high - low) / CELL).astype(np.int64) + 1
+        rows = solids.pose[0], solids.size[0], solids.cylinder[0]
+        disc = np.array(self._postures.footprint)
+        grid = low, driving_costs(low, shape, rows, disc)
+        model = self.solver.collision
+        way, place = search_base(model, *arm, start, places, cost, rows, grid, self._moves)
+        return way, int(place)
+
+    def _with_arm(
+        self, base: Array, arms: tuple[Array, Array, Array], solids: Solids
+    ) -> tuple[WholeBodyPath, int]:
+        """Return the motion along base poses, (k, 3), and how many of its poses touch something.
+
+        `arms` are the configurations at the start, at rest and at the end.
+        """
+        way = np.linalg.norm(np.diff(base[:, :2], axis=0), axis=1)
+        length = np.maximum(way, LEVER * np.abs(np.diff(base[:, 2]))) + 1e-9
+        s = np.concatenate([[0.0], np.cumsum(length)])
+        begin, rest, end = arms
+        model, pose = self.solver.collision, planar_pose(*base.T)
+        among = _wider(solids, _MARGIN)
+
+        def touching(arm: Array, rows: NDArray[np.bool_]) -> int:
+            touches = collides(model, arm, pose[rows], _repeated(among, len(arm))).any(axis=1)
+            return int(np.sum(self_collides(model, arm) | touches))
+
+        first, total = s <= s[-1] / 2.0, 0
+        arm = np.empty((len(base), len(begin)))
+        for half, other, away in ((first, begin, s), (~first, end, s[-1] - s)):
+            fewest = len(base) + 1
+            for unfold in _UNFOLD:
+                share = 1.0 - _eased(away[half] / min(unfold, s[-1] / 2.0))
+                tried = rest + share[:, np.newaxis] * self._way(rest, other)
+                if (count := touching(tried, half)) < fewest:
+                    fewest, arm[half] = count, tried
+                if not count:
+                    break
+            total += fewest
+        if total:
+            direct = begin + _eased(s / s[-1])[:, np.newaxis] * self._way(begin, end)
+            if (count := touching(direct, np.ones_like(first))) < total:
+                total, arm = count, direct
+        return self._path(base, pose, arm), total
+
+    def _path(self, base: Array, pose: Array, arm: Array) -> WholeBodyPath:
+        limits, way = self.robot.base, np.abs(np.diff(base, axis=0))
+        joints = np.abs(self._way(arm[:-1], arm[1:])) / self.robot.max_joint_velocity
+        driving = np.hypot(way[:, 0], way[:, 1]) / limits.max_velocity
+        turning = way[:, 2] / limits.max_rotation
+        seconds = np.maximum(np.maximum(driving, turning), joints.max(axis=1)) / _SPEED
+        return WholeBodyPath(compose(pose, forward(self.solver.chain, arm)), base, seconds)
+
+    def _way(self, begin: Array, end: Array) -> Array:
+        return joint_displacement(self.robot, begin, end)
+
+
+def _rests(postures: Postures) -> Array:
+    """Return arm configurations with the EE ahead, those with centred joints first, (r, j)."""
+    robot, joints, ee = postures.solver.robot, postures.joints, postures.ee_pose
+    reach, bearing = np.hypot(ee[:, 0], ee[:, 1]), np.arctan2(ee[:, 1], ee[:, 0])
+    fits = (reach > _AHEAD[0]) & (reach < _AHEAD[1]) & (np.abs(bearing) < _ASIDE)
+    fits &= (ee[:, 2] > _HEIGHT[0]) & (ee[:, 2] < _HEIGHT[1])
+    lower, upper = robot.finite_joint_limits
+    off = np.abs(joints - (lower + upper) / 2.0) / np.maximum((upper - lower) / 2.0, 1e-9)
+    off[:, ~np.isfinite(np.subtract(*robot.joint_limits))] = 0.0
+    order = np.argsort(np.where(fits, off.max(axis=1), np.inf), kind="stable")
+    return joints[order[:_RESTS]]
+
+
+@kernel
+def _room(model, joints):
+    """Return how far arms reach from the base's origin, seen from above, (n, j) -> (n,)."""
+    scratch, room = make_collision_scratch(model), np.zeros(len(joints))
+    for i in range(len(joints)):
+        place_shapes(model, joints[i], scratch)
+        for s in range(len(model.body)):
+            if model.body[s] >= 0:
+                x, y, _ = scratch.position[s]
+                room[i] = max(room[i], math.sqrt(x * x + y * y) + model.radius[s])
+    return room
+
+
+def _smooth(corners: Array, deviation: float) -> Array:
+    """Return base poses at even steps along corners, rounded, shape (m, 3) -> (k, 3)."""
+    corners = np.column_stack([corners[:, :2], np.unwrap(corners[:, 2])])
+    steps = np.diff(corners, axis=0)
+    length = np.maximum(np.hypot(steps[:, 0], steps[:, 1]), LEVER * np.abs(steps[:, 2])) + 1e-9
+    s = np.concatenate([[0.0], np.cumsum(length)])
+    count = max(int(s[-1] / _STEP), 8) + 1
+    even = np.linspace(0.0, s[-1], count)
+    path = np.stack([np.interp(even, s, column) for column in corners.T], axis=1)
+    sigma = min(deviation, s[-1] / 6.0) / even[1]
+    mirrored = [2.0 * path[0] - path[:0:-1], path, 2.0 * path[-1] - path[-2::-1]]
+    smooth = gaussian_filter1d(np.concatenate(mirrored), sigma, axis=0)
+    smooth = np.asarray(smooth[count - 1 : 2 * count - 1])
+    smooth[[0, -1]] = path[[0, -1]]
+    return smooth
+
+
+def _eased(share: Array) -> Array:
+    """Return the share after smooth acceleration and deceleration, 0 and 1 beyond [0, 1]."""
+    u = np.clip(share, 0.0, 1.0)
+    return np.asarray(u * u * (3.0 - 2.0 * u))
+
+
+def _wider(solids: Solids, margin: float) -> Solids:
+    grown = np.where(solids.filled[..., np.newaxis], [margin, margin, 0.0, 0.0], 0.0)
+    return replace(solids, size=solids.size + grown)
+
+
+def _swept(solids: Solids) -> Solids:
+    """Return solids with the room that they move into within `_FORESIGHT`."""
+    if not solids.velocity.any():
+        return solids
+    x, y = np.moveaxis(0.5 * _FORESIGHT * solids.velocity, -1, 0)
+    cosine, sine = np.cos(solids.pose[..., 2]), np.sin(solids.pose[..., 2])
+    pose, size, around = solids.pose.copy(), solids.size.copy(), np.hypot(x, y)
+    pose[..., 0], pose[..., 1] = pose[..., 0] + x, pose[..., 1] + y
+    size[..., 0] += np.where(solids.cylinder, around, np.abs(cosine * x + sine * y))
+    size[..., 1] += np.where(solids.cylinder, around, np.abs(cosine * y - sine * x))
+    return replace(solids, pose=pose, size=size)
+
+
+def _repeated(solids: Solids, n: int) -> Solids:
+    return solids.of(np.zeros(n, dtype=np.intp))

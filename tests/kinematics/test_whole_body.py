@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import compose, distance, planar_pose, relative
+from kinfeas.core.start import episode_rng
+from kinfeas.kinematics.base_search import CELL, HEADINGS, lattice_moves
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.task import sample_start
+
+EPISODES = 12
+
+
+@pytest.fixture(scope="module", params=["pr2", "tiago", "hsr"])
+def planned(request):
+    """Planner, starts among solids, and the path of each."""
+    solver = IkSolver(load_robot(request.param))
+    task, planner = load_task("ggr_obstacles"), WholeBodyPlanner(solver)
+    starts = [sample_start(task, solver, episode_rng(1, k)) for k in range(EPISODES)]
+    return planner, starts, [plan(planner, start) for start in starts]
+
+
+def plan(planner, start, solids=None):
+    given = start.base_pose, start.joint_positions, start.target_poses[0]
+    return planner.plan(*given, solids or start.solids)
+
+
+def repeated(solids, n):
+    return solids.of(np.zeros(n, dtype=np.intp))
+
+
+def test_paths_lead_from_the_start_to_the_goal_within_the_limits(planned):
+    planner, starts, paths = planned
+    robot, chain = planner.robot, planner.solver.chain
+    assert sum(path is not None for path in paths) >= 0.8 * EPISODES
+    for start, path in zip(starts, paths, strict=True):
+        if path is None:
+            continue
+        ee = compose(start.base_pose, forward(chain, start.joint_positions))
+        assert np.max(distance(path.ee[0], ee)) < 1e-6
+        assert np.max(distance(path.ee[-1], start.target_poses[0])) < 1e-9
+        step = np.diff(path.base, axis=0)
+        speed = np.linalg.norm(step[:, :2], axis=1) / path.seconds
+        assert speed.max() <= robot.base.max_velocity
+        assert np.max(np.abs(step[:, 2]) / path.seconds) <= robot.base.max_rotation
+        assert np.max(distance(path.ee[:-1], path.ee[1:])) < 0.5
+
+
+def test_base_and_arm_follow_the_paths_without_collisions(planned):
+    planner, starts, paths = planned
+    solver, good, found = planner.solver, 0, 0
+    for start, path in zip(starts, paths, strict=True):
+        if path is None:
+            continue
+        base, joints = planar_pose(*path.base.T), start.joint_positions
+        free = True
+        for pose, ee in zip(base, path.ee, strict=True):
+            here = in_base(start.solids, pose[np.newaxis])
+            target = relative(ee, pose)[np.newaxis]
+            arm = solver.solve(target, joints[np.newaxis], solids=here)
+            joints = arm.joint_positions[0]
+            hit = collides(solver.collision, joints[np.newaxis], pose[np.newaxis], start.solids)
+            free = free and bool(arm.feasible[0]) and not hit[0, 0]
+        good, found = good + free, found + 1
+    assert good >= 0.8 * found
+
+
+def test_plans_are_deterministic_and_walls_have_none(planned):
+    planner, starts, paths = planned
+    for start, path in zip(starts[:3], paths, strict=False):
+        again = plan(planner, start)
+        if path is not None:
+            np.testing.assert_array_equal(path.ee, again.ee)
+    walls = Solids.empty(1, 4)
+    x, y = starts[0].target_poses[0, :2]
+    walls.pose[0] = [[x + 2, y, 0], [x - 2, y, 0], [x, y + 2, 0], [x, y - 2, 0]]
+    walls.size[0] = [[0.1, 2.2, 0, 2], [0.1, 2.2, 0, 2], [2.2, 0.1, 0, 2], [2.2, 0.1, 0, 2]]
+    if np.hypot(x, y) > 3.0:
+        assert plan(planner, starts[0], walls) is None
+
+
+def test_a_way_is_free_until_something_moves_into_it(planned):
+    planner = planned[0]
+    base = np.column_stack([0.1 * CHECKED_AHEAD, np.zeros((len(CHECKED_AHEAD), 2))])
+    solids = Solids.empty(1, 1)
+    solids.pose[0, 0, :2], solids.size[0, 0] = [0.3, -1.5], [0.1, 0.1, 0.0, 0.3]
+    assert planner.free(base, solids)
+    solids.velocity[0, 0, 1] = 0.4
+    assert not planner.free(base, solids)
+    assert not planner.free(np.full_like(base, np.nan), solids)
+
+
+@pytest.mark.parametrize("omnidirectional", [True, False])
+def test_moves_of_differential_bases_are_along_their_heading(omnidirectional):
+    moves = lattice_moves(omnidirectional=omnidirectional)
+    assert len(moves) == HEADINGS
+    x, y, _, cost = np.moveaxis(moves, -1, 0)
+    assert np.all(cost >= 1000 * CELL * np.hypot(x, y) - 1)
+    heading = 2.0 * np.pi / HEADINGS * np.arange(HEADINGS)[:, np.newaxis]
+    aside = np.abs(np.cos(heading) * y - np.sin(heading) * x) / np.maximum(np.hypot(x, y), 1)
+    assert (aside.max() > 0.9) == omnidirectional
+    assert omnidirectional or aside.max() < 0.1
