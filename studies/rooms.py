@@ -1,8 +1,8 @@
 """Evaluate policies among solids and print a table: `python studies/rooms.py DIR`.
 
 Each evaluation is a JSON file in DIR, as `kinfeas evaluate --json` writes it; those that exist are
-not repeated. `--policies` and `--filters`, the number of a row of `FILTERS`, restrict those of this
-process. The last row is the upper bound, as `kinfeas ceiling --json` computes it.
+not repeated. `--tasks`, `--policies` and `--filters`, the number of a row of `FILTERS`, restrict
+those of this process. The last row is the upper bound, as `kinfeas ceiling --json` computes it.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 TASKS = ("ggr_obstacles", "ggr_dynamic")
-POLICIES = ("pretrained/rooms", "pretrained", "whole_body_qp", "geometric_modulation")
+POLICIES = ("pretrained/rooms", "pretrained", "planned_base", "whole_body_qp")
 FILTERS = (
     (),
     ("obstacle_distance",),
@@ -35,12 +35,13 @@ def main() -> None:
     parser.add_argument("--robot", default="hsr")
     parser.add_argument("--episodes", type=int, default=500)
     parser.add_argument("--rooms", default="pretrained/rooms", help="policy that is trained here")
+    parser.add_argument("--tasks", nargs="*", default=TASKS)
     parser.add_argument("--policies", nargs="*", default=POLICIES)
     parser.add_argument("--filters", nargs="*", type=int, default=range(len(FILTERS)))
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     rows = [FILTERS[number] for number in given.filters]
-    for task, policy, filters in product(TASKS, given.policies, rows):
+    for task, policy, filters in product(given.tasks, given.policies, rows):
         path = given.folder / name(given.robot, task, policy, filters)
         # `whole_body_qp` has a state, which the rollout planner does not allow.
         fits = not (policy == "whole_body_qp" and "rollout_planner" in filters)
@@ -51,7 +52,7 @@ def main() -> None:
                 source, given.robot, task, episodes=given.episodes, overrides=chosen
             )
             path.write_text(json.dumps(evaluate(config, driver, policy), indent=2))
-    for task in TASKS:
+    for task in given.tasks:
         path = given.folder / name(given.robot, task, CEILING, ())
         if not path.exists():
             robot, seed = load_robot(given.robot), 0

@@ -66,6 +66,8 @@ class Step:
         joint_jump: Whether an arm joint was commanded to move faster than its limit.
         time_scale: Share of the planned motion that was carried out.
         collision: Whether the base, then the arm, touches a solid, shape (n, 2); None without any.
+        base_error: Distance of the base from the planned base, metres, half a metre for each
+            radian; 0 without a planned base, None unless the policy observes it.
     """
 
     feasible: NDArray[np.bool_]
@@ -79,6 +81,7 @@ class Step:
     joint_jump: NDArray[np.bool_]
     time_scale: Array
     collision: NDArray[np.bool_] | None = None
+    base_error: Array | None = None
 
 
 class Loop:
@@ -245,6 +248,7 @@ class Loop:
             joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
             time_scale=self.time_scale,
             collision=collision,
+            base_error=self._base_error(),
         )
         self._replan()
         stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))
@@ -401,6 +405,13 @@ class Loop:
             return self.solved[1:]
         inputs = self.state.base_pose, self.desired, self.seed, self.solids
         return self.kinematic_step(command, *inputs)
+
+    def _base_error(self) -> Array | None:
+        if "planned_base" not in self.observation_terms:
+            return None
+        away = np.abs(_in_base(self.sequence.planned_base, self.state.base_pose))
+        error: Array = np.hypot(away[:, 0], away[:, 1]) + 0.5 * away[:, 2]
+        return error
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
         """Command the grippers of rows whose sub-goals have just ended."""

@@ -56,6 +56,8 @@ class MotionSequence:
             the motion settles, then those of its dwell. Below zero, periods until it
             begins the first one.
         avoids_solids: Whether the generator of any sub-goal plans around solids.
+        planner: Planner of whole-body motions, where a generator follows them; None leaves those
+            that there are.
     """
 
     def __init__(
@@ -85,8 +87,8 @@ class MotionSequence:
         self.avoids_solids = any(one.avoids_solids for one in self.generators)
         self._solids: Solids | None = None
         self._robots: tuple[Array, Array] | None = None
-        follows = any(one.follows_whole_body for one in self.generators)
-        self._planner = WholeBodyPlanner(solver) if follows else None
+        self._whole_body = any(one.follows_whole_body for one in self.generators)
+        self.planner = WholeBodyPlanner(solver) if self._whole_body else None
         self.desired: Array = np.empty((0, 7))
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
@@ -151,7 +153,7 @@ class MotionSequence:
     @property
     def planned_base(self) -> Array:
         """World pose of the base on a whole-body path in `LEAD` seconds, shape (n, 7), or NaN."""
-        if self._planner is None:
+        if not self._whole_body:
             return np.full((len(self.subgoal), 7), np.nan)
         return self._ask(_base_soon)
 
@@ -346,13 +348,13 @@ class MotionSequence:
         `ahead` are the base poses of present motions at `CHECKED_AHEAD`, shape (r, s, 3).
         """
         paths: list[WholeBodyPath | None] = [None] * len(rows)
-        if self._planner is None or self._robots is None or self._solids is None:
+        if self.planner is None or self._robots is None or self._solids is None:
             return paths
         goal, (base, joints) = self.goal, self._robots
         for number, row in enumerate(rows.tolist()):
             solids = self._solids.of(np.array([row]))
-            if not self._planner.free(ahead[number], solids):
-                paths[number] = self._planner.plan(base[row], joints[row], goal[row], solids)
+            if not self.planner.free(ahead[number], solids):
+                paths[number] = self.planner.plan(base[row], joints[row], goal[row], solids)
         return paths
 
     @property

@@ -18,6 +18,7 @@ kernel_cache.settle()  # before the first kernel
 _FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4
 _FAILURE_METRES, _FAILURE_RADIANS, _SQUARED_RADIANS = 0.1, 0.3, 0.05
 _SQUARED_MOST = 50.0
+_BASE_METRES = 0.5
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class RewardConfig:
             with the square of the distance, where it is nearer.
         collision_penalty: Cost of a collision of the base with a solid, which ends the episode; of
             the arm, a tenth of it.
+        base_penalty: Cost of a step with the base 0.5 m or more from the planned base, which is
+            ahead of it; less, with the square of the distance, where it is nearer.
         slow_penalty: Factor on the squared share of the planned motion that a step leaves out.
     """
 
@@ -47,6 +50,7 @@ class RewardConfig:
     limit_margin: PositiveShare = 0.2
     deviation_penalty: NotNegative = 0.0
     collision_penalty: NotNegative = 10.0
+    base_penalty: NotNegative = 0.0
     slow_penalty: NotNegative = 0.0
 
 
@@ -77,6 +81,8 @@ def reward(
     )  # fmt: skip
     if step.collision is not None:
         earned -= config.collision_penalty * (step.collision @ np.array([1.0, 0.1]))
+    if config.base_penalty and step.base_error is not None:
+        earned -= config.base_penalty * np.minimum(step.base_error / _BASE_METRES, 1.0) ** 2
     if config.failure == "squared":
         earned *= step.time_scale
     if config.slow_penalty > 0.0:

@@ -53,6 +53,7 @@ _TRIES = (
     _Try(0.07, 0.8, 0.25, small=False),
     _Try(0.03, 0.8, 0.25, small=True),
     _Try(0.0, np.inf, 0.1, small=True),
+    _Try(-0.03, np.inf, 0.1, small=True),
 )
 
 _USED = 0.5
@@ -72,12 +73,12 @@ _STEP, _UNFOLD = 0.05, (3.0, 1.2, 0.3)
 """Distance between the poses of a motion, and ways of the base on which the arm leaves or reaches
 its rest, metres."""
 
-_AHEAD, _ASIDE, _HEIGHT = (0.4, 0.75), 0.6, (0.5, 1.1)
+_AHEAD, _ASIDE, _HEIGHT = (0.4, 0.75), 0.6, (0.5, 1.3)
 """Where the EE of an arm at rest is: distances from the base's origin and heights, metres, and the
 largest bearing, radians."""
 
-_RESTS = 64
-"""Arm configurations at rest."""
+_RESTS, _TABLE = 512, 0.9
+"""Arm configurations at rest, and height above which few solids reach, metres."""
 
 _SPEED = 0.7
 """Share of the velocity limits of base and arm that a motion uses."""
@@ -108,7 +109,8 @@ class WholeBodyPlanner:
     ) -> WholeBodyPath | None:
         """Return a motion to a goal, or None if none is found.
 
-        In narrow places, some of its poses may touch solids.
+        In narrow places, some of its poses may touch solids. If the room that solids move into
+        leaves no way, there may be one around them as they stand.
 
         Args:
             base_pose: World pose of the base now, shape (7,).
@@ -116,7 +118,32 @@ class WholeBodyPlanner:
             goal: World pose of the EE, shape (7,).
             solids: In the world, one row.
         """
-        solids = _swept(solids)
+        path = self._plan(base_pose, joints, goal, _swept(solids))
+        if path is None and solids.velocity.any():
+            path = self._plan(base_pose, joints, goal, solids)
+        return path
+
+    def free(self, base: Array, solids: Solids) -> bool:
+        """Return whether the base will touch no solid on its way.
+
+        Args:
+            base: x, y and yaw after `CHECKED_AHEAD` seconds, shape (s, 3); NaN without a way.
+            solids: In the world, one row.
+        """
+        if np.isnan(base).any():
+            return False
+        then = _repeated(_wider(solids, _MARGIN), len(base))
+        pose = then.pose.copy()
+        pose[..., :2] += then.velocity * CHECKED_AHEAD[:, np.newaxis, np.newaxis]
+        arm = np.tile(self._rests[0], (len(base), 1))
+        touching = collides(
+            self.solver.collision, arm, planar_pose(*base.T), replace(then, pose=pose)
+        )
+        return not touching[:, 0].any()
+
+    def _plan(
+        self, base_pose: Array, joints: Array, goal: Array, solids: Solids
+    ) -> WholeBodyPath | None:
         places, arms = self._places(goal, solids)
         if not len(places):
             return None
@@ -142,24 +169,6 @@ class WholeBodyPlanner:
         if found is not None:
             found.ee[-1] = goal
         return found
-
-    def free(self, base: Array, solids: Solids) -> bool:
-        """Return whether the base will touch no solid on its way.
-
-        Args:
-            base: x, y and yaw after `CHECKED_AHEAD` seconds, shape (s, 3); NaN without a way.
-            solids: In the world, one row.
-        """
-        if np.isnan(base).any():
-            return False
-        then = _repeated(_wider(solids, _MARGIN), len(base))
-        pose = then.pose.copy()
-        pose[..., :2] += then.velocity * CHECKED_AHEAD[:, np.newaxis, np.newaxis]
-        arm = np.tile(self._rests[0], (len(base), 1))
-        touching = collides(
-            self.solver.collision, arm, planar_pose(*base.T), replace(then, pose=pose)
-        )
-        return not touching[:, 0].any()
 
     def _places(self, goal: Array, solids: Solids) -> tuple[Array, Array]:
         """Return base poses x, y, yaw, (p, 3), and arms, (p, j), that reach a goal."""
@@ -254,7 +263,7 @@ def _rests(postures: Postures) -> Array:
     off = np.abs(joints - (lower + upper) / 2.0) / np.maximum((upper - lower) / 2.0, 1e-9)
     off[:, ~np.isfinite(np.subtract(*robot.joint_limits))] = 0.0
     order = np.argsort(np.where(fits, off.max(axis=1), np.inf), kind="stable")
-    return joints[order[:_RESTS]]
+    return joints[order[: min(_RESTS, int(fits.sum()))]]
 
 
 @kernel
@@ -265,8 +274,9 @@ def _room(model, joints):
         place_shapes(model, joints[i], scratch)
         for s in range(len(model.body)):
             if model.body[s] >= 0:
-                x, y, _ = scratch.position[s]
-                room[i] = max(room[i], math.sqrt(x * x + y * y) + model.radius[s])
+                x, y, z = scratch.position[s]
+                far = math.sqrt(x * x + y * y) + model.radius[s]
+                room[i] = max(room[i], far if z - model.radius[s] < _TABLE else 0.6 * far)
     return room
 
 
@@ -300,8 +310,6 @@ def _wider(solids: Solids, margin: float) -> Solids:
 
 def _swept(solids: Solids) -> Solids:
     """Return solids with the room that they move into within `_FORESIGHT`."""
-    if not solids.velocity.any():
-        return solids
     x, y = np.moveaxis(0.5 * _FORESIGHT * solids.velocity, -1, 0)
     cosine, sine = np.cos(solids.pose[..., 2]), np.sin(solids.pose[..., 2])
     pose, size, around = solids.pose.copy(), solids.size.copy(), np.hypot(x, y)

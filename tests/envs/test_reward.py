@@ -120,3 +120,12 @@ def test_collisions_and_slow_motions_cost(exact_robot):
     seen = replace(step(np.ones(3, dtype=bool)), collision=touched, time_scale=scale)
     earned = reward(weights, exact_robot, seen, np.zeros((3, 2)), middle(exact_robot, 3))
     np.testing.assert_allclose(earned, [-10.0, -1.0, -0.32])
+
+
+def test_the_distance_from_the_planned_base_costs(exact_robot):
+    weights = RewardConfig("indicator", 0.0, limit_penalty=0.0, base_penalty=0.2)
+    seen = step(np.ones(3, dtype=bool))
+    given = np.zeros((3, 2)), middle(exact_robot, 3)
+    np.testing.assert_array_equal(reward(weights, exact_robot, seen, *given), 0.0)
+    seen = replace(seen, base_error=np.array([0.0, 0.25, 3.0]))
+    np.testing.assert_allclose(reward(weights, exact_robot, seen, *given), [0.0, -0.05, -0.2])

@@ -12,9 +12,9 @@ from kinfeas.core import registry
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import planar_pose, yaw
-from kinfeas.envs.world import World, WorldConfig
-from kinfeas.policies.baselines.following import FollowEe
+from kinfeas.core.spatial import planar_pose, relative, yaw
+from kinfeas.envs.world import World, WorldConfig, evaluation_world
+from kinfeas.policies.baselines.following import DemonstratedBase, FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
@@ -301,6 +301,46 @@ def test_a_world_with_solids_resumes_to_the_bit(hsr):
         one, other = (world.step(action) for world in worlds)
         np.testing.assert_array_equal(one.observation, other.observation)
         np.testing.assert_array_equal(one.reward, other.reward)
+
+
+def moving_solids(hsr):
+    world = World(hsr, load_task("ggr_dynamic"), WorldConfig(), 0)
+    world.loop.observation_terms = ("ee_position", "planned_base")
+    return world
+
+
+def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
+    world = World(hsr, load_task("ggr_obstacles"), evaluation_world(), 1)
+    world.loop.observation_terms = ("planned_base",)
+    seen = world.start(range(8))
+    base = world.loop.policy_input.planned_base
+    expected = relative(base, world.loop.state.base_pose)
+    np.testing.assert_allclose(seen[:, :2], expected[:, :2])
+    assert np.isfinite(base).sum() >= 6 * 7
+    along = DemonstratedBase(hsr.base, source="planned_base")
+    off = []
+    for _ in range(100):
+        step = world.step(along.act(world.loop.policy_input)).step
+        off.append(step.base_error)
+    assert np.median(off) < 0.25
+    still = World(hsr, load_task("ggr"), WorldConfig(), 1)
+    still.loop.observation_terms = ("planned_base",)
+    assert not still.start(range(2)).any()
+    assert not still.step(np.ones((2, 3))).step.base_error.any()
+
+
+def test_whole_body_plans_among_moving_solids_resume_to_the_bit(hsr):
+    worlds = [moving_solids(hsr) for _ in range(2)]
+    worlds[0].start(range(2))
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        worlds[0].step(rng.uniform(-1.0, 1.0, (2, 3)))
+    kept = {key: values.copy() for key, values in worlds[0].snapshot().items()}
+    np.testing.assert_array_equal(worlds[1].restore(kept), worlds[0].loop.observation)
+    for _ in range(15):
+        action = rng.uniform(-1.0, 1.0, (2, 3))
+        one, other = (world.step(action) for world in worlds)
+        np.testing.assert_array_equal(one.observation, other.observation)
 
 
 def test_furniture_is_scanned_and_has_distances_in_the_analytic_world(hsr):
