@@ -55,7 +55,7 @@ def main() -> None:
     for task in given.tasks:
         path = given.folder / name(given.robot, task, CEILING, ())
         if not path.exists():
-            robot, seed = load_robot(given.robot), 0
+            robot, seed = load_robot(given.robot), 1  # as in `prepare`
             found = measure_reachability(robot, load_task(task), given.episodes, seed)
             path.write_text(json.dumps({"success": found.share.value, "episodes": given.episodes}))
     print(table(given.folder, given.robot))
