@@ -353,8 +353,13 @@ class MotionSequence:
         goal, (base, joints) = self.goal, self._robots
         for number, row in enumerate(rows.tolist()):
             solids = self._solids.of(np.array([row]))
-            if not self.planner.free(ahead[number], solids):
-                paths[number] = self.planner.plan(base[row], joints[row], goal[row], solids)
+            if self.planner.free(ahead[number], solids):
+                continue
+            path = self.planner.plan(base[row], joints[row], goal[row], solids)
+            if path is not None and self._tips:
+                moved = spatial.compose(path.ee, self._tool[self.subgoal[row]])
+                path = replace(path, ee=moved)
+            paths[number] = path
         return paths
 
     @property
