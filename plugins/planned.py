@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Positive
-from kinfeas.core.motion import State, WholeBodyPath
+from kinfeas.core.motion import State, WholeBodyPath, merged, of_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, integrate, twist_between
 from kinfeas.plugins.limits import norm, slowed
@@ -280,8 +280,11 @@ class WholeBody(Planned):
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of motions around the solids; whole-body paths go on."""
-        alone = np.isnan(state["base"][:, 0, 0])
-        return _chosen(alone, super().replan(state, ee_pose, target_pose, solids), state)
+        alone = np.flatnonzero(np.isnan(state["base"][:, 0, 0]))
+        if not alone.size:
+            return state
+        given = of_rows(state, alone), ee_pose[alone], target_pose[alone], solids.of(alone)
+        return merged(state, alone, super().replan(*given), len(ee_pose))
 
     def _timed(self, path: WholeBodyPath) -> tuple[Array, Array, float]:
         """Return points of the EE, (64, 7), and of the base, (64, 3), at even times; all time."""

@@ -335,10 +335,10 @@ class MotionSequence:
             if generator.avoids_solids:
                 state = of_rows(self._states[number], group)
                 given = frame[group], targets[group], self._solids.of(group)
-                state = generator.replan(state, *given)
                 if generator.follows_whole_body:
                     ahead = generator.base_ahead(state, CHECKED_AHEAD)
                     state = generator.follow(state, *given[:2], self._paths(group, ahead))
+                state = generator.replan(state, *given)
                 self._states[number] = merged(self._states[number], group, state, len(frame))
         self._goal = None
 

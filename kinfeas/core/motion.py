@@ -112,7 +112,7 @@ class FollowsWholeBodyPath(Protocol):
     ) -> State:
         """Return the state of n motions along their paths; those without one go on as before.
 
-        Called after `replan` of `AvoidsSolids`.
+        Called before `replan` of `AvoidsSolids`, which leaves these motions as they are.
 
         Args:
             state: State of n motions.

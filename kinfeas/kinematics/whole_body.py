@@ -37,10 +37,10 @@ class _Try(NamedTuple):
     """One try to find a motion; later tries ask for less.
 
     Attributes:
-        margin: Distance of the base path from solids, metres.
+        margin: Distance of the base path from solids, metres; negative lets the lattice touch them.
         reach: Distance from start and goal within which the arm is not at rest, metres.
         rounding: Standard deviation of the smoothing of the base path, metres.
-        small: Whether the arm rests where it takes least room, or else near start and goal.
+        small: Whether the arm takes least room at rest, or else is nearest to start and goal.
     """
 
     margin: float
@@ -194,7 +194,10 @@ class WholeBodyPlanner:
     def _drive(
         self, start: Array, places: Array, cost: Array, arm: tuple[Array, float], solids: Solids
     ) -> tuple[Array, int]:
-        """Return base poses on the way to the cheapest place, (k, 3), and its number, or -1."""
+        """Return base poses on the way to the cheapest place, (k, 3), and its number, or -1.
+
+        `arm` has the joints at rest and the `reach` of the try, `cost` is of the places, (p,).
+        """
         known = np.concatenate([start[np.newaxis, :2], places[:, :2]])
         low, high = known.min(axis=0) - _BORDER, known.max(axis=0) + _BORDER
         shape = np.ceil((high - low) / CELL).astype(np.int64) + 1
@@ -242,6 +245,7 @@ class WholeBodyPlanner:
         return self._path(base, pose, arm), total
 
     def _path(self, base: Array, pose: Array, arm: Array) -> WholeBodyPath:
+        """Return the motion of base and arm, shapes (k, 3), (k, 7) and (k, j), with its times."""
         limits, way = self.robot.base, np.abs(np.diff(base, axis=0))
         joints = np.abs(self._way(arm[:-1], arm[1:])) / self.robot.max_joint_velocity
         driving = np.hypot(way[:, 0], way[:, 1]) / limits.max_velocity
@@ -262,13 +266,17 @@ def _rests(postures: Postures) -> Array:
     lower, upper = robot.finite_joint_limits
     off = np.abs(joints - (lower + upper) / 2.0) / np.maximum((upper - lower) / 2.0, 1e-9)
     off[:, ~np.isfinite(np.subtract(*robot.joint_limits))] = 0.0
-    order = np.argsort(np.where(fits, off.max(axis=1), np.inf), kind="stable")
-    return joints[order[: min(_RESTS, int(fits.sum()))]]
+    # A robot whose EE never comes there drives with the most centred arm.
+    order = np.lexsort((off.max(axis=1), ~fits))
+    return joints[order[: min(_RESTS, max(int(fits.sum()), 1))]]
 
 
 @kernel
 def _room(model, joints):
-    """Return how far arms reach from the base's origin, seen from above, (n, j) -> (n,)."""
+    """Return how far arms reach from the base's origin, seen from above, (n, j) -> (n,), metres.
+
+    Of what is above tables, 0.6 times the distance counts.
+    """
     scratch, room = make_collision_scratch(model), np.zeros(len(joints))
     for i in range(len(joints)):
         place_shapes(model, joints[i], scratch)

@@ -4,6 +4,7 @@ import pytest
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, distance, planar_pose, relative
 from kinfeas.core.start import episode_rng
+from kinfeas.kinematics import whole_body
 from kinfeas.kinematics.base_search import CELL, HEADINGS, lattice_moves
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
@@ -105,3 +106,11 @@ def test_moves_of_differential_bases_are_along_their_heading(omnidirectional):
     aside = np.abs(np.cos(heading) * y - np.sin(heading) * x) / np.maximum(np.hypot(x, y), 1)
     assert (aside.max() > 0.9) == omnidirectional
     assert omnidirectional or aside.max() < 0.1
+
+
+def test_a_robot_whose_ee_never_is_ahead_plans_too(monkeypatch):
+    monkeypatch.setattr(whole_body, "_AHEAD", (50.0, 60.0))
+    solver, task = IkSolver(load_robot("hsr")), load_task("ggr_obstacles")
+    planner = WholeBodyPlanner(solver)
+    starts = [sample_start(task, solver, episode_rng(1, k)) for k in range(3)]
+    assert any(plan(planner, start) is not None for start in starts)
