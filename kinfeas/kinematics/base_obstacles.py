@@ -94,13 +94,13 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
             squared = square(pose[i, k, 0]) + square(pose[i, k, 1])
             if is_empty(size[i, k]) or squared > square(farthest):
                 continue
-            _write_prism(pose[i, k], size[i, k], cylinder[i, k], solid)
+            write_prism(pose[i, k], size[i, k], cylinder[i, k], solid)
             count, nearest = 0, within
             for s in range(len(prisms)):
                 one = prisms[s]
                 if one[7] >= solid[8] or solid[7] >= one[8]:
                     continue
-                gap, _, _ = _outward(one[2], one[3], solid)
+                gap, _, _ = outward(one[2], one[3], solid)
                 radius = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6] + solid[6]
                 if gap - radius > nearest + _AS_NEAR:
                     continue
@@ -121,7 +121,7 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
 
 
 @inlined
-def _write_prism(pose, size, cylinder, out):
+def write_prism(pose, size, cylinder, out):
     """Write a solid as in `base_prisms`."""
     out[0], out[1], out[2], out[3] = math.cos(pose[2]), math.sin(pose[2]), pose[0], pose[1]
     out[4], out[5], out[6] = size[0], size[1], 0.0
@@ -141,7 +141,7 @@ def _pair_corners(one, other, sign, pairs, count):
         u = one[4] if corner % 2 == 0 else -one[4]
         v = one[5] if corner < 2 else -one[5]
         x, y = one[2] + one[0] * u - one[1] * v, one[3] + one[1] * u + one[0] * v
-        gap, normal_x, normal_y = _outward(x, y, other)
+        gap, normal_x, normal_y = outward(x, y, other)
         normal_x, normal_y = -sign * normal_x, -sign * normal_y
         way = one[6] if sign > 0.0 else other[6] - gap
         pairs[count, 0], pairs[count, 1] = x + way * normal_x, y + way * normal_y
@@ -152,7 +152,7 @@ def _pair_corners(one, other, sign, pairs, count):
 
 
 @inlined
-def _outward(x, y, prism):
+def outward(x, y, prism):
     """Return the distance of a point to a prism, negative inside, and the direction away from it.
 
     Both are those without the rounding of the prism.

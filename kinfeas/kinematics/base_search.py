@@ -6,6 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.kinematics.base_obstacles import outward, write_prism
 from kinfeas.kinematics.kernels import kernel, square
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
 from kinfeas.kinematics.solids import is_empty, squared_radius, touches_solids
@@ -64,12 +65,12 @@ def driving_costs(origin, shape, solids, disc):
             cost is infinite.
     """
     pose, size, cylinder = solids
-    want = disc[0] + _CLEARANCE
+    want, prism = disc[0] + _CLEARANCE, np.zeros(9)
     cost = np.full((shape[0], shape[1]), want)  # first the distance from solids
     for k in range(len(pose)):
         if is_empty(size[k]) or size[k, 2] > disc[1]:
             continue
-        cosine, sine = math.cos(pose[k, 2]), math.sin(pose[k, 2])
+        write_prism(pose[k], size[k], cylinder[k], prism)
         reach = math.sqrt(squared_radius(size[k], cylinder[k])) + want
         first, last = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
         for i in range(2):
@@ -77,14 +78,8 @@ def driving_costs(origin, shape, solids, disc):
             last[i] = min(int((pose[k, i] + reach - origin[i]) / CELL) + 1, shape[i] - 1)
         for i in range(first[0], last[0] + 1):
             for j in range(first[1], last[1] + 1):
-                dx, dy = origin[0] + CELL * i - pose[k, 0], origin[1] + CELL * j - pose[k, 1]
-                if cylinder[k]:
-                    gap = math.sqrt(dx * dx + dy * dy) - size[k, 0]
-                else:
-                    along = max(abs(cosine * dx + sine * dy) - size[k, 0], 0.0)
-                    across = max(abs(cosine * dy - sine * dx) - size[k, 1], 0.0)
-                    gap = math.sqrt(along * along + across * across)
-                cost[i, j] = min(cost[i, j], gap)
+                gap, _, _ = outward(origin[0] + CELL * i, origin[1] + CELL * j, prism)
+                cost[i, j] = min(cost[i, j], gap - prism[6])
     for i in range(shape[0]):
         for j in range(shape[1]):
             near = 1.0 - cost[i, j] / want

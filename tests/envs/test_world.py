@@ -14,7 +14,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import planar_pose, relative, yaw
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
-from kinfeas.policies.baselines.following import DemonstratedBase, FollowEe
+from kinfeas.policies.baselines.following import FollowBase, FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
@@ -317,7 +317,7 @@ def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
     expected = relative(base, world.loop.state.base_pose)
     np.testing.assert_allclose(seen[:, :2], expected[:, :2])
     assert np.isfinite(base).sum() >= 6 * 7
-    along = DemonstratedBase(hsr.base, source="planned_base")
+    along = FollowBase(hsr.base, source="planned_base")
     off = []
     for _ in range(100):
         step = world.step(along.act(world.loop.policy_input)).step

@@ -12,7 +12,7 @@ from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.policies.baselines import whole_body_qp as qp
-from kinfeas.policies.baselines.following import DemonstratedBase, FollowEe, demonstrated_base
+from kinfeas.policies.baselines.following import FollowBase, FollowEe, demonstrated_base
 from kinfeas.policies.baselines.geometric_modulation import (
     GeometricModulation,
     fit_ellipses,
@@ -63,7 +63,7 @@ def demonstrated(robot, count=20):
 
 @pytest.mark.parametrize("shift", [0.0, 0.25])
 def test_demonstrated_base_arrives_at_the_shifted_pose(robot, shift):
-    policy, given = DemonstratedBase(robot.base, shift), demonstrated(robot)
+    policy, given = FollowBase(robot.base, shift), demonstrated(robot)
     wanted = given.demonstrated_base
     heading = yaw(wanted)
     aim = wanted[:, :2] + shift * np.stack([np.cos(heading), np.sin(heading)], axis=1)
@@ -80,7 +80,7 @@ def test_demonstrated_base_follows_the_ee_without_a_demonstration(robot):
     given = demonstrated(robot)
     given.demonstrated_base[::2] = np.nan
     with np.errstate(all="raise"):
-        action = DemonstratedBase(robot.base).act(given)
+        action = FollowBase(robot.base).act(given)
     follow = FollowEe(robot.base).act(given)
     np.testing.assert_array_equal(action[::2], follow[::2])
     assert np.all(np.any(action[1::2] != follow[1::2], axis=1))

@@ -1,4 +1,4 @@
-"""Baselines that follow: the base moves with the EE, or along the base of a demonstration."""
+"""Baselines that follow: the base moves with the EE, or along a known base motion."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -76,7 +76,7 @@ class BaselineConfig:
 
 
 @dataclass(frozen=True)
-class DemonstratedBase:
+class FollowBase:
     """Drives to the base pose of a demonstration, or of a whole-body path.
 
     Without one, it copies the EE's velocity.
@@ -127,12 +127,12 @@ def _length(vectors: Array) -> Array:
     return np.sqrt((vectors * vectors).sum(axis=1))
 
 
-def demonstrated_base(robot: Robot) -> DemonstratedBase:
+def demonstrated_base(robot: Robot) -> FollowBase:
     """Return the baseline that drives to the base pose of the demonstration."""
     known = load_section(BaselineConfig, "baselines", robot.name)
-    return DemonstratedBase(robot.base, known.forward_shift)
+    return FollowBase(robot.base, known.forward_shift)
 
 
-def planned_base(robot: Robot) -> DemonstratedBase:
+def planned_base(robot: Robot) -> FollowBase:
     """Return the baseline that drives to the base pose of the whole-body path."""
-    return DemonstratedBase(robot.base, source="planned_base")
+    return FollowBase(robot.base, source="planned_base")
