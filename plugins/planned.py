@@ -163,8 +163,14 @@ class SmoothPath:
         pose = np.empty((len(share), 7))
         places_at(state["points"], share, pose)
         pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
-        moved = twist_between(state["planned_target"], target_pose, 1.0)
-        return integrate(pose, moved * share[:, np.newaxis], 1.0)
+        begin, moved = pose, twist_between(state["planned_target"], target_pose, 1.0)
+        if (straight := state["rate"] == 0.0).any():
+            rows, way = (
+                straight[:, np.newaxis],
+                twist_between(state["start_pose"], target_pose, 1.0),
+            )
+            begin, moved = np.where(rows, state["start_pose"], pose), np.where(rows, way, moved)
+        return integrate(begin, moved * share[:, np.newaxis], 1.0)
 
     def _velocity(self, state: State, target_pose: Array) -> Array:
         """Return the present twists, shape (n, 6)."""

@@ -17,6 +17,11 @@ from kinfeas.tasks.task import sample_start
 EPISODES = 12
 
 
+def goal_of(start):
+    """Return x and y of the goal."""
+    return start.target_poses[0, :2]
+
+
 @pytest.fixture(scope="module", params=["pr2", "tiago", "hsr"])
 def planned(request):
     """Planner, starts among solids, and the path of each."""
@@ -29,10 +34,6 @@ def planned(request):
 def plan(planner, start, solids=None):
     given = start.base_pose, start.joint_positions, start.target_poses[0]
     return planner.plan(*given, solids or start.solids)
-
-
-def repeated(solids, n):
-    return solids.of(np.zeros(n, dtype=np.intp))
 
 
 def test_paths_lead_from_the_start_to_the_goal_within_the_limits(planned):
@@ -77,12 +78,13 @@ def test_plans_are_deterministic_and_walls_have_none(planned):
         again = plan(planner, start)
         if path is not None:
             np.testing.assert_array_equal(path.ee, again.ee)
-    walls = Solids.empty(1, 4)
-    x, y = starts[0].target_poses[0, :2]
+    walls, far = Solids.empty(1, 4), [one for one in starts if np.hypot(*goal_of(one)) > 4.0]
+    x, y = goal_of(far[0])
     walls.pose[0] = [[x + 2, y, 0], [x - 2, y, 0], [x, y + 2, 0], [x, y - 2, 0]]
     walls.size[0] = [[0.1, 2.2, 0, 2], [0.1, 2.2, 0, 2], [2.2, 0.1, 0, 2], [2.2, 0.1, 0, 2]]
-    if np.hypot(x, y) > 3.0:
-        assert plan(planner, starts[0], walls) is None
+    assert plan(planner, far[0], walls) is None
+    walls.size[0, 0] = 0.0
+    assert plan(planner, far[0], walls) is not None
 
 
 def test_a_way_is_free_until_something_moves_into_it(planned):

@@ -124,7 +124,7 @@ def across(high, half=3.0, at=1.5):
 def test_without_solids_the_motion_is_that_of_minimum_jerk():
     start, goal = random_poses(5, 0), random_poses(5, 1)
     expected = run(MinimumJerk(), start, goal, 60.0)[0]
-    np.testing.assert_allclose(run(Planned(), start, goal, 60.0)[0], expected, atol=1e-6)
+    np.testing.assert_allclose(run(Planned(), start, goal, 60.0)[0], expected, atol=1e-9)
 
 
 def test_free_motions_are_straight_and_low_solids_are_passed_above():
@@ -232,7 +232,6 @@ def test_whole_body_paths_stay_where_those_of_the_ee_are_replanned():
     assert np.abs(around["points"][0, :, 1]).max() > 3.0
     path = along()[2]
     state = generator.follow(state, start, goal, [path])
-    assert generator.replan(state, start, goal, solids)["points"] is not around["points"]
     np.testing.assert_array_equal(
         generator.replan(state, start, goal, solids)["points"], state["points"]
     )
