@@ -10,11 +10,12 @@ import numpy as np
 from numba import njit
 
 from kinfeas.core import kernel_cache
+from kinfeas.core.motion import WAYPOINTS
 
 kernel_cache.settle()  # before the first kernel
 kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
 
-POINTS = 64
+POINTS = WAYPOINTS
 """Control points of a path."""
 
 _WINDOW = 0.35

@@ -253,11 +253,10 @@ class WholeBody(Planned):
     ) -> State:
         """Return straight motions.
 
-        The keys are those of `planned` and the base on the path: x, y and yaw, shape (n, 64, 3),
-        NaN without one.
+        The keys are those of `planned`, and 1 where there is a whole-body path, shape (n,).
         """
         state = super().start(ee_pose, target_pose, rngs)
-        return {**state, "base": np.full((len(target_pose), POINTS, 3), np.nan)}
+        return {**state, "follows": np.zeros(len(target_pose))}
 
     def follow(
         self,
@@ -265,39 +264,41 @@ class WholeBody(Planned):
         ee_pose: Array,
         target_pose: Array,
         paths: Sequence[WholeBodyPath | None],
-    ) -> State:
-        """Return the state of motions along paths; those without one go on."""
-        points, base, least = state["points"].copy(), state["base"].copy(), np.zeros(len(paths))
+    ) -> tuple[State, Array]:
+        """Return the state of motions along paths, those without one go on; and waypoints."""
+        points, least = state["points"].copy(), np.zeros(len(paths))
         new = np.array([path is not None for path in paths])
+        size = max((path.robot.shape[1] for path in paths if path is not None), default=0)
+        waypoints = np.full((len(paths), POINTS, size), np.nan)
         for row, path in enumerate(paths):
             if path is not None:
-                points[row], base[row], least[row] = self._timed(path)
+                points[row], waypoints[row], least[row] = self._timed(path)
         velocity, poses = self._velocity(state, target_pose), (ee_pose, target_pose)
         begun = self._begin(state, poses, points, velocity, least)
-        return _chosen(new, {**begun, "base": base}, state)
+        return _chosen(new, {**begun, "follows": np.ones(len(new))}, state), waypoints
 
-    def base_ahead(self, state: State, seconds: Array) -> Array:
-        """Return x, y and yaw of the base some seconds ahead, (s,) -> (n, s, 3), or NaN."""
-        base = np.empty((len(state["time"]), len(seconds), 3))
+    def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
+        """Return base and joints some seconds ahead, (s,) -> (n, s, 3 + j), or NaN."""
+        robot = np.empty((len(waypoints), len(seconds), waypoints.shape[2]))
         for k, ahead in enumerate(seconds):
             time = np.minimum(state["time"] + ahead, state["duration"])
-            places_at(state["base"], self._share(state, time), base[:, k])
-        return base
+            places_at(waypoints, self._share(state, time), robot[:, k])
+        return robot
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of motions around the solids; whole-body paths go on."""
-        alone = np.flatnonzero(np.isnan(state["base"][:, 0, 0]))
+        alone = np.flatnonzero(state["follows"] == 0.0)
         if not alone.size:
             return state
         given = of_rows(state, alone), ee_pose[alone], target_pose[alone], solids.of(alone)
         return merged(state, alone, super().replan(*given), len(ee_pose))
 
     def _timed(self, path: WholeBodyPath) -> tuple[Array, Array, float]:
-        """Return points of the EE, (64, 7), and of the base, (64, 3), at even times; all time."""
+        """Return points of the EE, (64, 7), and of the robot, at even times; all time."""
         seconds = np.maximum(self._seconds(path.ee[:-1], path.ee[1:]), path.seconds)
         time = np.concatenate([[0.0], np.cumsum(seconds + 1e-6)])
         at = np.linspace(0.0, time[-1], POINTS)
-        every = np.concatenate([path.ee[:, :3], _continuous(path.ee[:, 3:]), path.base], axis=1)
+        every = np.concatenate([path.ee[:, :3], _continuous(path.ee[:, 3:]), path.robot], axis=1)
         places = np.stack([np.interp(at, time, column) for column in every.T], axis=1)
         places[:, 3:7] /= np.linalg.norm(places[:, 3:7], axis=1, keepdims=True)
         return places[:, :7], places[:, 7:], float(time[-1])

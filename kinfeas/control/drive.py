@@ -111,13 +111,14 @@ class KinematicStep:
         self.solver, self.dt = solver, dt
         self.max_joint_step: Array = solver.robot.max_joint_velocity * dt
 
-    def __call__(
+    def __call__(  # noqa: PLR0913 - what IK needs
         self,
         action: Array,
         base_pose: Array,
         desired: Array,
         joints: Array,
         solids: Solids | None = None,
+        guide: Array | None = None,
         *,
         allow_reconfiguration: bool = True,
     ) -> tuple[Array, IkSolution]:
@@ -129,6 +130,7 @@ class KinematicStep:
             desired: World pose of the EE at the end of the period, shape (n, 7).
             joints: Arm joints at which IK begins, shape (n, j), radians or metres.
             solids: World solids at the end of the period, n rows, which the arms avoid.
+            guide: Arm joints that IK prefers, shape (n, j); NaN for none.
             allow_reconfiguration: Whether IK also tries solutions out of reach in this period.
         """
         twist = base_twist(self.solver.robot.base, base_pose, action, self.dt)
@@ -140,6 +142,7 @@ class KinematicStep:
             allow_reconfiguration=allow_reconfiguration,
             solids=None if solids is None else in_base(solids, reached),
             hold_torso=self.hold_torso,
+            guide=guide,
         )
 
 

@@ -96,6 +96,7 @@ class Loop:
         time_scale: Share of the planned motion that the last step carries out, shape (n,).
         seed: During a step: arm joints at which IK begins, shape (n, j): the last command, with the
             torso where the action moves it.
+        guide: During a step: arm joints that IK prefers, shape (n, j), where the motion knows them.
         next_desired: During a step: desired world pose of the EE at its end, shape (n, 7).
         paused: During a step: whether base and motion pause while the arm reconfigures, shape (n,);
             None if they never do.
@@ -151,6 +152,7 @@ class Loop:
         self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.joint_command = self.seed = np.empty((0, len(self.robot.arm)))
+        self.guide: Array | None = None
 
     def set_policy(self, policy: Policy) -> None:
         """Use a policy: its terms, and its `reset` at each start if it has one."""
@@ -221,6 +223,7 @@ class Loop:
         else:
             self.slow_down(time_scale)
         self.seed = self._with_torso(torso)
+        self.guide = sequence.planned_joints(self.dt)
         self.previous_command = command = self._filtered(command)
         sequence.move(self._next, self.paused)
         twist, arm = self._solve(command)
@@ -403,7 +406,7 @@ class Loop:
         """Return base twists, shape (n, 6), and arm joints that reach the desired poses."""
         if self.solved is not None and np.array_equal(self.solved[0], command):
             return self.solved[1:]
-        inputs = self.state.base_pose, self.desired, self.seed, self.solids
+        inputs = self.state.base_pose, self.desired, self.seed, self.solids, self.guide
         return self.kinematic_step(command, *inputs)
 
     def _base_error(self) -> Array | None:

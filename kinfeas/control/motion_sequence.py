@@ -12,7 +12,7 @@ from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
-from kinfeas.core.motion import Rows, State, WholeBodyPath, merged, of_rows, with_rows
+from kinfeas.core.motion import WAYPOINTS, Rows, State, WholeBodyPath, merged, of_rows, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
@@ -39,7 +39,7 @@ class Plan:
 LEAD = 1.0
 """Seconds by which the planned base that policies see is ahead of the EE."""
 
-_STATES, _ROWS = "motion", ("desired", "subgoal", "waiting", "seeds", "targets")
+_STATES, _ROWS = "motion", ("desired", "subgoal", "waiting", "seeds", "targets", "waypoints")
 
 
 class MotionSequence:
@@ -89,10 +89,13 @@ class MotionSequence:
         self._robots: tuple[Array, Array] | None = None
         self._whole_body = any(one.follows_whole_body for one in self.generators)
         self.planner = WholeBodyPlanner(solver) if self._whole_body else None
+        self._robot_size = 3 + len(solver.robot.arm)
         self.desired: Array = np.empty((0, 7))
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
         self._targets: Array = np.empty((0, len(subgoals), 7))
+        # Base and arm on whole-body paths; none if no generator follows any.
+        self._waypoints: Array = np.empty((0, WAYPOINTS, self._robot_size))
         self._states: list[State] = []
         self._goal: Array | None = None  # until something moves
 
@@ -113,7 +116,9 @@ class MotionSequence:
         """
         none = np.zeros(len(rngs), dtype=np.intp)
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        fresh = (ee_pose, none, none - self._head_starts(rngs), seeds, target_poses)
+        waypoints = np.full((len(rngs), WAYPOINTS * self._whole_body, self._robot_size), np.nan)
+        head_starts = self._head_starts(rngs)
+        fresh = (ee_pose, none, none - head_starts, seeds, target_poses, waypoints)
         if rows is None:
             self._put(fresh)
             self._states = [{} for _ in self.generators]
@@ -155,7 +160,16 @@ class MotionSequence:
         """World pose of the base on a whole-body path in `LEAD` seconds, shape (n, 7), or NaN."""
         if not self._whole_body:
             return np.full((len(self.subgoal), 7), np.nan)
-        return self._ask(_base_soon)
+        return spatial.planar_pose(*self._robot_ahead(np.array([LEAD]))[:, 0, :3].T)
+
+    def planned_joints(self, seconds: float) -> Array | None:
+        """Return the arms on whole-body paths in some seconds, shape (n, j), or NaN.
+
+        None if no generator follows any.
+        """
+        if not self._whole_body:
+            return None
+        return self._robot_ahead(np.array([seconds]))[:, 0, 3:]
 
     def aim(self, target_poses: Array) -> None:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
@@ -299,10 +313,12 @@ class MotionSequence:
                 self._states[int(number)][key] = values.copy()
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        return self.desired, self.subgoal, self.waiting, self._seeds, self._targets
+        moving = self.desired, self.subgoal, self.waiting
+        return *moving, self._seeds, self._targets, self._waypoints
 
     def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
-        self.desired, self.subgoal, self.waiting, self._seeds, self._targets = arrays
+        self.desired, self.subgoal, self.waiting = arrays[:3]
+        self._seeds, self._targets, self._waypoints = arrays[3:]
 
     def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
         """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
@@ -315,6 +331,7 @@ class MotionSequence:
         """Start the motion of the sub-goal that each of `rows` is at, from its desired pose."""
         begins = np.zeros(len(self.subgoal), dtype=np.bool_)
         begins[rows] = True
+        self._waypoints = with_rows(self._waypoints, rows, np.array(np.nan))
         frame, targets = self._to_frame(self.desired), self._target
         for number, generator, group in self._groups(begins):
             subgoals = self.subgoal[group]
@@ -336,8 +353,12 @@ class MotionSequence:
                 state = of_rows(self._states[number], group)
                 given = frame[group], targets[group], self._solids.of(group)
                 if generator.follows_whole_body:
-                    ahead = generator.base_ahead(state, CHECKED_AHEAD)
-                    state = generator.follow(state, *given[:2], self._paths(group, ahead))
+                    ahead = generator.robot_ahead(state, self._waypoints[group], CHECKED_AHEAD)
+                    paths = self._paths(group, ahead)
+                    state, waypoints = generator.follow(state, *given[:2], paths)
+                    new = np.array([path is not None for path in paths])
+                    if new.any():
+                        self._waypoints = with_rows(self._waypoints, group[new], waypoints[new])
                 state = generator.replan(state, *given)
                 self._states[number] = merged(self._states[number], group, state, len(frame))
         self._goal = None
@@ -345,7 +366,7 @@ class MotionSequence:
     def _paths(self, rows: Rows, ahead: Array) -> list[WholeBodyPath | None]:
         """Return whole-body motions to the goals of rows; None where none is found or needed.
 
-        `ahead` are the base poses of present motions at `CHECKED_AHEAD`, shape (r, s, 3).
+        `ahead` are the robots of present motions at `CHECKED_AHEAD`, shape (r, s, 3 + j).
         """
         paths: list[WholeBodyPath | None] = [None] * len(rows)
         if self.planner is None or self._robots is None or self._solids is None:
@@ -370,6 +391,15 @@ class MotionSequence:
         target: Array = self._targets[np.arange(len(self.subgoal)), self.subgoal]
         return target
 
+    def _robot_ahead(self, seconds: Array) -> Array:
+        """Return base and arm of each row on its whole-body path, (s,) -> (n, s, 3 + j), or NaN."""
+        robot = np.full((len(self.subgoal), len(seconds), self._robot_size), np.nan)
+        for number, generator, rows in self._groups(np.ones(len(robot), dtype=np.bool_)):
+            if generator.follows_whole_body:
+                state = of_rows(self._states[number], rows)
+                robot[rows] = generator.robot_ahead(state, self._waypoints[rows], seconds)
+        return robot
+
     def _ask(self, question: Callable[[CheckedMotion, State, Array], Array]) -> Array:
         """Return the answer of each row's generator, shape (n, 7)."""
         targets = self._target
@@ -393,13 +423,6 @@ class MotionSequence:
     def _to_ee(self, frame: Array) -> Array:
         """Return the EE poses that put the moved frames at `frame`, shape (n, 7)."""
         return spatial.compose(frame, self._ee_in_tool[self.subgoal]) if self._tips else frame
-
-
-def _base_soon(generator: CheckedMotion, state: State, target_pose: Array) -> Array:
-    """Return the base poses on whole-body paths in `LEAD` seconds, shape (n, 7)."""
-    if not generator.follows_whole_body:
-        return np.full((len(target_pose), 7), np.nan)
-    return spatial.planar_pose(*generator.base_ahead(state, np.array([LEAD]))[:, 0].T)
 
 
 def begin_motions(

@@ -170,22 +170,22 @@ class CheckedMotion:
         ee_pose: Array,
         target_pose: Array,
         paths: Sequence[WholeBodyPath | None],
-    ) -> State:
-        """Return the state of motions along paths; the same if the generator does not follow."""
-        if not isinstance(self.generator, FollowsWholeBodyPath):
-            return state
-        with plugin_note(self.subject):
-            state = self.generator.follow(state, ee_pose, target_pose, paths)
-        self._check_state("follow", state, len(ee_pose))
-        return state
-
-    def base_ahead(self, state: State, seconds: Array) -> Array:
-        """Return the base some seconds ahead on whole-body paths, shape (n, s, 3), or NaN."""
+    ) -> tuple[State, Array]:
+        """Return the state of motions along paths, and the waypoints of the robots."""
         assert isinstance(self.generator, FollowsWholeBodyPath)
         with plugin_note(self.subject):
-            base = self.generator.base_ahead(state, seconds)
-        self._check_array("base_ahead", base, (len(base), len(seconds), 3), finite=False)
-        return base
+            state, waypoints = self.generator.follow(state, ee_pose, target_pose, paths)
+        self._check_state("follow", state, len(ee_pose))
+        return state, waypoints
+
+    def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
+        """Return base and joints some seconds ahead, shape (n, s, 3 + j), or NaN."""
+        assert isinstance(self.generator, FollowsWholeBodyPath)
+        with plugin_note(self.subject):
+            robot = self.generator.robot_ahead(state, waypoints, seconds)
+        shape = len(waypoints), len(seconds), waypoints.shape[2]
+        self._check_array("robot_ahead", robot, shape, finite=False)
+        return robot
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses some metres ahead, (n, 7) and (d,) -> (n, d, 7), at most the goal.

@@ -84,18 +84,23 @@ class AvoidsSolids(Protocol):
         ...
 
 
+WAYPOINTS = 64
+"""Points that are kept of a whole-body path."""
+
+
 @dataclass(frozen=True)
 class WholeBodyPath:
-    """A motion of EE and base.
+    """A motion of the whole robot.
 
     Attributes:
         ee: World poses of the EE, shape (k, 7).
-        base: x, y and unwrapped yaw of the base, shape (k, 3), metres and radians.
+        robot: x, y and unwrapped yaw of the base, then arm joints, shape (k, 3 + j), metres and
+            radians.
         seconds: Shortest times that base and arm need from each to the next, shape (k - 1,).
     """
 
     ee: Array
-    base: Array
+    robot: Array
     seconds: Array
 
 
@@ -109,10 +114,12 @@ class FollowsWholeBodyPath(Protocol):
         ee_pose: Array,
         target_pose: Array,
         paths: Sequence[WholeBodyPath | None],
-    ) -> State:
+    ) -> tuple[State, Array]:
         """Return the state of n motions along their paths; those without one go on as before.
 
-        Called before `replan` of `AvoidsSolids`, which leaves these motions as they are.
+        The second value has `WAYPOINTS` robots of the paths, shape (n, 64, 3 + j), NaN for motions
+        without one; `robot_ahead` gets them again. Called before `replan` of `AvoidsSolids`, which
+        leaves these motions as they are.
 
         Args:
             state: State of n motions.
@@ -122,10 +129,13 @@ class FollowsWholeBodyPath(Protocol):
         """
         ...
 
-    def base_ahead(self, state: State, seconds: Array) -> Array:
-        """Return x, y and yaw of the base some seconds ahead on the paths, shape (n, s, 3).
+    def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
+        """Return base and joints some seconds ahead on the paths, shape (n, s, 3 + j), or NaN.
 
-        Motions without a path have NaN. `seconds` has the shape (s,).
+        Args:
+            state: State of n motions.
+            waypoints: From `follow`, shape (n, 64, 3 + j).
+            seconds: Shape (s,).
         """
         ...
 

@@ -24,6 +24,9 @@ more."""
 _SIDEWAYS = 1.0
 """What a metre sideways costs more than one ahead; a metre back costs twice that."""
 
+FORESIGHT = 10.0
+"""Seconds for which solids are assumed to move on."""
+
 _GREED = 1.3
 """Factor of the estimated cost ahead: paths may be longer by this, and are found sooner."""
 
@@ -60,15 +63,17 @@ def driving_costs(origin, shape, solids, disc):
     Args:
         origin: Position of the first cell, shape (2,), metres.
         shape: Number of cells along x and y.
-        solids: Pose, size and cylinder of one row of `Solids`.
+        solids: Pose, size, cylinder and velocity of one row of `Solids`; those that move have no
+            cost.
         disc: Radius and height of a disc within the base, metres; where it touches a solid, the
             cost is infinite.
     """
-    pose, size, cylinder = solids
+    pose, size, cylinder, velocity = solids
     want, prism = disc[0] + _CLEARANCE, np.zeros(9)
     cost = np.full((shape[0], shape[1]), want)  # first the distance from solids
     for k in range(len(pose)):
-        if is_empty(size[k]) or size[k, 2] > disc[1]:
+        moves = velocity[k, 0] != 0.0 or velocity[k, 1] != 0.0
+        if is_empty(size[k]) or size[k, 2] > disc[1] or moves:
             continue
         write_prism(pose[k], size[k], cylinder[k], prism)
         reach = math.sqrt(squared_radius(size[k], cylinder[k])) + want
@@ -88,8 +93,10 @@ def driving_costs(origin, shape, solids, disc):
 
 
 @kernel
-def search_base(model, rest, reach, start, places, place_cost, solids, grid, moves):
+def search_base(model, rest, reach, start, places, place_cost, solids, grid, moves, speed):
     """Return base poses on the cheapest way to a place, shape (k, 3), and its number, or -1.
+
+    Solids that move are where they will be when the base comes by.
 
     Args:
         model: Shapes of the robot.
@@ -98,22 +105,26 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
         start: x, y and yaw of the base, shape (3,).
         places: The same where it may arrive, shape (p, 3).
         place_cost: What it costs to arrive there, shape (p,), metres.
-        solids: Pose, size and cylinder of one row of `Solids`.
+        solids: Pose, size, cylinder and velocity of one row of `Solids`.
         grid: Position of the first cell, and `driving_costs`.
         moves: From `lattice_moves`.
+        speed: Of the base, m/s and rad/s.
     """
     origin, cost = grid
+    pose, size, cylinder, velocity = solids
+    moving = np.any(velocity != 0.0)
     nx, ny = cost.shape
     total, first = nx * ny * HEADINGS, _node(start, origin, ny)
     ahead = _costs_ahead(places, place_cost, origin, cost)
     best, parent = np.full(total, np.inf), np.full(total, -1, dtype=np.int64)
     state = np.zeros(total, dtype=np.int8)  # 1 is free, 2 is blocked, 3 is done
+    seconds = np.zeros(total if moving else 1)
     arrival = np.full(total, -1, dtype=np.int64)
     for p in range(len(places)):
         node = _node(places[p], origin, ny)
         if arrival[node] < 0 or place_cost[p] < place_cost[arrival[node]]:
             arrival[node], state[node] = p, 1
-    scratch, local = make_collision_scratch(model), np.empty_like(solids[0])
+    scratch, local = make_collision_scratch(model), np.empty_like(pose)
     place_shapes(model, rest, scratch)
     best[first], parent[first], state[first] = 0.0, first, 1
     queue = [(0.0, first)]
@@ -142,19 +153,28 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
             new = best[node] + 0.0005 * move[3] * metre
             if new >= best[other]:
                 continue
-            if state[other] == 0:
+            time = 0.0
+            if moving:
+                length = CELL * math.sqrt(square(move[0]) + square(move[1]))
+                turn = 2.0 * np.pi / HEADINGS * abs(move[2])
+                time = seconds[node] + max(length / speed[0], turn / speed[1])
+            if state[other] == 0 or moving:
                 at = origin[0] + CELL * i, origin[1] + CELL * j
-                _write_local(solids[0], at, 2.0 * np.pi / HEADINGS * turned, local)
+                heading_there = 2.0 * np.pi / HEADINGS * turned
+                _write_local((pose, velocity), min(time, FORESIGHT), at, heading_there, local)
                 near = square(at[0] - start[0]) + square(at[1] - start[1])
                 for p in range(len(places)):
                     away = square(at[0] - places[p, 0]) + square(at[1] - places[p, 1])
                     near = min(near, away)
-                hit = touches_solids(model, False, local, solids[1], solids[2], scratch)
+                hit = touches_solids(model, False, local, size, cylinder, scratch)
                 if not hit and near > square(reach):
-                    hit = touches_solids(model, True, local, solids[1], solids[2], scratch)
-                state[other] = 2 if hit else 1
+                    hit = touches_solids(model, True, local, size, cylinder, scratch)
+                if not moving:
+                    state[other] = 2 if hit else 1
                 if hit:
                     continue
+                if moving:
+                    seconds[other] = time
             best[other], parent[other] = new, node
             heapq.heappush(queue, (new + _GREED * ahead[i, j], other))
     return np.empty((0, 3)), -1
@@ -200,11 +220,15 @@ def _node(place, origin, ny):
 
 
 @kernel
-def _write_local(pose, at, yaw, out):
-    """Write the poses of solids, shape (k, 3), as seen from a base."""
-    cosine, sine = math.cos(yaw), math.sin(yaw)
+def _write_local(solids, seconds, at, yaw, out):
+    """Write the poses of solids after some seconds, shape (k, 3), as seen from a base.
+
+    `solids` are poses, shape (k, 3), and velocities, (k, 2).
+    """
+    (pose, velocity), cosine, sine = solids, math.cos(yaw), math.sin(yaw)
     for k in range(len(pose)):
-        dx, dy = pose[k, 0] - at[0], pose[k, 1] - at[1]
+        dx = pose[k, 0] + velocity[k, 0] * seconds - at[0]
+        dy = pose[k, 1] + velocity[k, 1] * seconds - at[1]
         out[k, 0], out[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
         out[k, 2] = pose[k, 2] - yaw
 

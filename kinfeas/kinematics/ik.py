@@ -14,16 +14,13 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import Chain, build_chain, forward
-from kinfeas.kinematics.search import Problem, library_features, solve_batch
+from kinfeas.kinematics.search import AIM, Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
 from kinfeas.kinematics.solids import rows_of
 from kinfeas.robots.robot import Robot
 
 ROTATION_WEIGHT = 0.4
 """Metres equivalent to one radian of error in the search of robots without pose tolerance."""
-
-AIM = 0.2
-"""Share of the tolerances at which a descent ends early."""
 
 POSE_DIMENSIONS = 6
 
@@ -120,6 +117,7 @@ class IkSolver:
         allow_reconfiguration: bool = True,
         solids: Solids | None = None,
         hold_torso: bool = False,
+        guide: Array | None = None,
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
@@ -138,6 +136,8 @@ class IkSolver:
             solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
                 solution.
             hold_torso: Whether the torso stays where the seed has it.
+            guide: Joint positions towards which arms move within `max_joint_step` if a solution is
+                there, shape (n, v); NaN for none.
 
         Raises:
             KinfeasError: If an array has another shape, `max_joint_step` is needed and missing, or
@@ -151,9 +151,13 @@ class IkSolver:
         if max_joint_step is not None:
             within = np.ascontiguousarray(max_joint_step, dtype=np.float64)
         joints = self.chain.variables
+        guides = np.empty((0, joints))
+        if guide is not None:
+            guides = np.ascontiguousarray(guide, dtype=np.float64)
         expected = {
             "targets": (targets, (len(targets), 7)),
             "seeds": (solution, (len(targets), joints)),
+            "guides": (guides, (0 if guide is None else len(targets), joints)),
             "max_joint_step": (within, within.shape if max_joint_step is None else (joints,)),
         }
         for name, (array, shape) in expected.items():  # the kernels do not check
@@ -166,6 +170,7 @@ class IkSolver:
             targets,
             within,
             allow_reconfiguration,
+            guides,
             _NO_SOLIDS if solids is None else rows_of(solids, len(targets)),
             solution,
             feasible,

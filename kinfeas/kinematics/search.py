@@ -18,14 +18,18 @@ from kinfeas.kinematics.self_collision import (
 )
 from kinfeas.kinematics.solids import touches_solids
 
+AIM = 0.2
+"""Share of the tolerances at which a descent ends early."""
+
 WARM_COST = 0.3**2
 """Squared error, m^2, up to which the search begins with descents from the seed."""
 
 HOPEFUL, HOPELESS_COST = 6, 0.02**2
 """The search ends after so many restarts if none had a smaller squared error, m^2."""
 
-DRAWN, NEAR, WIDE = range(3)
-"""Descents from the seed: within `max_joint_step`, centring the joints or not, or anywhere."""
+GUIDED, DRAWN, NEAR, WIDE = range(4)
+"""Descents within `max_joint_step` of the seed: from the guide, centring the joints or not; and one
+from the seed to anywhere."""
 
 
 class Problem(NamedTuple):
@@ -90,6 +94,7 @@ def solve_batch(
     targets,
     max_joint_step,
     allow_reconfiguration,
+    guide,
     solids,
     solution,
     feasible,
@@ -97,14 +102,14 @@ def solve_batch(
 ):
     """Solve row by row; arguments as in `IkSolver.solve`, `max_joint_step` (0,) for none.
 
-    `solids` are `Rows`; those without places may have fewer rows.
+    `solids` are `Rows`; those without places may have fewer rows, as `guide` without any.
 
     `solution`, shape (n, v), has the seeds and receives the solutions, `feasible` whether there is
     one, `errors`, shape (n, 2), its errors or those of the closest attempt, metres and radians.
     """
     scratch = make_scratch(len(problem.chain.tree.variable), solution.shape[1])
     touching = make_collision_scratch(problem.collision)
-    near = np.empty((2, len(max_joint_step)))
+    near = np.empty((4, len(max_joint_step)))
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
     turn, position = np.empty((3, 3)), np.empty(3)
@@ -118,7 +123,7 @@ def solve_batch(
         around = solids, i
         if _solve_from_seed(
             problem, limits, target, max_joint_step, allow_reconfiguration, near,
-            solution[i], errors[i], scratch, touching, around,
+            guide[i : i + 1], solution[i], errors[i], scratch, touching, around,
         ):  # fmt: skip
             feasible[i] = True
         elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
@@ -145,6 +150,7 @@ def _solve_from_seed(
     max_joint_step,
     allow_reconfiguration,
     near,
+    guide,
     solution,
     error,
     scratch,
@@ -153,8 +159,9 @@ def _solve_from_seed(
 ):
     """Descend from the seed if it is near the target; return whether there is a solution.
 
-    The first descents stay within `max_joint_step`, with and without centring of the joints. The
-    last one, if `allow_reconfiguration`, has the joint limits only.
+    The first descents stay within `max_joint_step`, towards the guide if there is one, then with
+    and without centring of the joints. The last one, if `allow_reconfiguration`, has the joint
+    limits only.
     """
     q = scratch.trial
     _start(limits, solution, q)
@@ -170,23 +177,33 @@ def _solve_from_seed(
         return False
     metres_here, radians_here = error[0], error[1]
     first = WIDE if len(max_joint_step) == 0 else NEAR if len(problem.centering) == 0 else DRAWN
+    if first != WIDE and len(guide) > 0 and not math.isnan(guide[0, 0]):
+        first = GUIDED
     if first != WIDE:
         for j in range(len(q)):
             near[0, j] = max(limits.lower[j], q[j] - max_joint_step[j])
             near[1, j] = min(limits.upper[j], q[j] + max_joint_step[j])
     for attempt in range(first, WIDE + 1 if allow_reconfiguration else WIDE):
+        if attempt == DRAWN and len(problem.centering) == 0:
+            continue
         bounds = limits if attempt == WIDE else within(limits, near[0], near[1])
-        if attempt == DRAWN:
+        if attempt == GUIDED:
+            _go_to_guide(problem, max_joint_step, guide[0], near, q)
+            bounds = within(limits, near[2], near[3])
+            place_chain(problem.chain, q, scratch.frames)
+        elif attempt == DRAWN:
             _draw(problem, max_joint_step, q, scratch.pull)
         metres, radians = descend(problem.chain, bounds, target[0], target[1], q, scratch)
-        if _close_enough(problem, metres, radians):
+        # A guide must not cost accuracy.
+        share = AIM if attempt == GUIDED else 1.0
+        if _close_enough(problem, metres / share, radians / share):
             if _free(problem, q, touching, around):
                 error[0], error[1] = metres, radians
                 copy_row(q, solution)
                 return True
         elif _improves(problem, metres, radians, error, q, touching, around):
             error[0], error[1] = metres, radians
-        if attempt == DRAWN:
+        if attempt <= DRAWN:
             _start(limits, solution, q)
             place_chain(problem.chain, q, scratch.frames)
     # With a pose tolerance, the seed itself may be a solution that every descent has left.
@@ -205,6 +222,17 @@ def _start(limits, seed, q):
     """Write the seed, within the joint limits."""
     for j in range(len(q)):
         q[j] = min(max(seed[j], limits.lower[j]), limits.upper[j])
+
+
+@inlined
+def _go_to_guide(problem, max_joint_step, guide, near, q):
+    """Move `q` to the guide within the first limits of `near`; write those around it, too."""
+    for j in range(len(q)):
+        way = guide[j] - q[j]
+        way = _wrap(way) if problem.continuous[j] else way
+        q[j] = min(max(q[j] + way, near[0, j]), near[1, j])
+        near[2, j] = max(near[0, j], q[j] - max_joint_step[j])
+        near[3, j] = min(near[1, j], q[j] + max_joint_step[j])
 
 
 @inlined

@@ -13,6 +13,7 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, planar_pose, relative, yaw
 from kinfeas.kinematics.base_search import (
     CELL,
+    FORESIGHT,
     LEVER,
     driving_costs,
     lattice_moves,
@@ -29,8 +30,8 @@ from kinfeas.robots.robot import joint_displacement
 CHECKED_AHEAD = np.arange(1.0, 7.0)
 """Seconds after which a motion among moving solids is checked."""
 
-_FORESIGHT = 5.0
-"""Seconds for which moving solids take the room that they move into."""
+_EARLY = 1.0
+"""Seconds by which the robot may be earlier or later than planned where solids move."""
 
 
 class _Try(NamedTuple):
@@ -92,7 +93,7 @@ class WholeBodyPlanner:
 
     A* finds the way of the base, with the arm at rest, to base poses from which IK reaches the
     goal. The arm moves to its rest on the first metres and from there to the goal on the last ones.
-    Solids that move take the room that they move into soon.
+    Solids that move are where they will be when the robot comes by.
     """
 
     def __init__(self, solver: IkSolver) -> None:
@@ -103,14 +104,14 @@ class WholeBodyPlanner:
         self._rests = _rests(self._postures)
         self._small = int(_room(self.solver.collision, self._rests).argmin())
         self._moves = lattice_moves(omnidirectional=robot.base.drive == "omnidirectional")
+        self._speed = _SPEED * np.array([robot.base.max_velocity, robot.base.max_rotation])
 
     def plan(
         self, base_pose: Array, joints: Array, goal: Array, solids: Solids
     ) -> WholeBodyPath | None:
         """Return a motion to a goal, or None if none is found.
 
-        In narrow places, some of its poses may touch solids. If the room that solids move into
-        leaves no way, there may be one around them as they stand.
+        In narrow places, some of its poses may touch solids.
 
         Args:
             base_pose: World pose of the base now, shape (7,).
@@ -118,33 +119,8 @@ class WholeBodyPlanner:
             goal: World pose of the EE, shape (7,).
             solids: In the world, one row.
         """
-        path = self._plan(base_pose, joints, goal, _swept(solids))
-        if path is None and solids.velocity.any():
-            path = self._plan(base_pose, joints, goal, solids)
-        return path
-
-    def free(self, base: Array, solids: Solids) -> bool:
-        """Return whether the base will touch no solid on its way.
-
-        Args:
-            base: x, y and yaw after `CHECKED_AHEAD` seconds, shape (s, 3); NaN without a way.
-            solids: In the world, one row.
-        """
-        if np.isnan(base).any():
-            return False
-        then = _repeated(_wider(solids, _MARGIN), len(base))
-        pose = then.pose.copy()
-        pose[..., :2] += then.velocity * CHECKED_AHEAD[:, np.newaxis, np.newaxis]
-        arm = np.tile(self._rests[0], (len(base), 1))
-        touching = collides(
-            self.solver.collision, arm, planar_pose(*base.T), replace(then, pose=pose)
-        )
-        return not touching[:, 0].any()
-
-    def _plan(
-        self, base_pose: Array, joints: Array, goal: Array, solids: Solids
-    ) -> WholeBodyPath | None:
-        places, arms = self._places(goal, solids)
+        solids = _blurred(solids)
+        places, arms = self._places(goal, self._at_arrival(base_pose, goal, solids))
         if not len(places):
             return None
         leave = np.abs(self._way(joints, self._rests)).max(axis=1)
@@ -169,6 +145,25 @@ class WholeBodyPlanner:
         if found is not None:
             found.ee[-1] = goal
         return found
+
+    def free(self, robot: Array, solids: Solids) -> bool:
+        """Return whether the robot will touch no solid on its way.
+
+        Args:
+            robot: x, y and yaw of the base and arm joints after `CHECKED_AHEAD` seconds, shape
+                (s, 3 + j); NaN without a way.
+            solids: In the world, one row.
+        """
+        if np.isnan(robot).any():
+            return False
+        then = _later(_wider(solids, _MARGIN), CHECKED_AHEAD)
+        base, arm = planar_pose(*robot[:, :3].T), np.ascontiguousarray(robot[:, 3:])
+        return not collides(self.solver.collision, arm, base, then).any()
+
+    def _at_arrival(self, base_pose: Array, goal: Array, solids: Solids) -> Solids:
+        """Return the solids as they will stand when a robot has driven straight to its goal."""
+        seconds = float(np.hypot(*(goal - base_pose)[:2])) / self._speed[0]
+        return _later(solids, np.array([seconds]))
 
     def _places(self, goal: Array, solids: Solids) -> tuple[Array, Array]:
         """Return base poses x, y, yaw, (p, 3), and arms, (p, j), that reach a goal."""
@@ -201,11 +196,12 @@ class WholeBodyPlanner:
         known = np.concatenate([start[np.newaxis, :2], places[:, :2]])
         low, high = known.min(axis=0) - _BORDER, known.max(axis=0) + _BORDER
         shape = np.ceil((high - low) / CELL).astype(np.int64) + 1
-        rows = solids.pose[0], solids.size[0], solids.cylinder[0]
+        rows = solids.pose[0], solids.size[0], solids.cylinder[0], solids.velocity[0]
         disc = np.array(self._postures.footprint)
         grid = low, driving_costs(low, shape, rows, disc)
         model = self.solver.collision
-        way, place = search_base(model, *arm, start, places, cost, rows, grid, self._moves)
+        how = self._moves, self._speed
+        way, place = search_base(model, *arm, start, places, cost, rows, grid, *how)
         return way, int(place)
 
     def _with_arm(
@@ -220,10 +216,10 @@ class WholeBodyPlanner:
         s = np.concatenate([[0.0], np.cumsum(length)])
         begin, rest, end = arms
         model, pose = self.solver.collision, planar_pose(*base.T)
-        among = _wider(solids, _MARGIN)
+        among = _later(_wider(solids, _MARGIN), self._times(base))
 
         def touching(arm: Array, rows: NDArray[np.bool_]) -> int:
-            touches = collides(model, arm, pose[rows], _repeated(among, len(arm))).any(axis=1)
+            touches = collides(model, arm, pose[rows], among.of(np.flatnonzero(rows))).any(axis=1)
             return int(np.sum(self_collides(model, arm) | touches))
 
         first, total = s <= s[-1] / 2.0, 0
@@ -246,12 +242,17 @@ class WholeBodyPlanner:
 
     def _path(self, base: Array, pose: Array, arm: Array) -> WholeBodyPath:
         """Return the motion of base and arm, shapes (k, 3), (k, 7) and (k, j), with its times."""
-        limits, way = self.robot.base, np.abs(np.diff(base, axis=0))
-        joints = np.abs(self._way(arm[:-1], arm[1:])) / self.robot.max_joint_velocity
-        driving = np.hypot(way[:, 0], way[:, 1]) / limits.max_velocity
-        turning = way[:, 2] / limits.max_rotation
-        seconds = np.maximum(np.maximum(driving, turning), joints.max(axis=1)) / _SPEED
-        return WholeBodyPath(compose(pose, forward(self.solver.chain, arm)), base, seconds)
+        joints = np.abs(self._way(arm[:-1], arm[1:])) / (_SPEED * self.robot.max_joint_velocity)
+        seconds = np.maximum(np.diff(self._times(base)), joints.max(axis=1))
+        ee = compose(pose, forward(self.solver.chain, arm))
+        return WholeBodyPath(ee, np.concatenate([base, arm], axis=1), seconds)
+
+    def _times(self, base: Array) -> Array:
+        """Return when the base is at each of its poses, (k, 3) -> (k,), seconds."""
+        way = np.abs(np.diff(base, axis=0))
+        driving, turning = np.hypot(way[:, 0], way[:, 1]), way[:, 2]
+        seconds = np.maximum(driving / self._speed[0], turning / self._speed[1])
+        return np.concatenate([[0.0], np.cumsum(seconds)])
 
     def _way(self, begin: Array, end: Array) -> Array:
         return joint_displacement(self.robot, begin, end)
@@ -316,15 +317,22 @@ def _wider(solids: Solids, margin: float) -> Solids:
     return replace(solids, size=solids.size + grown)
 
 
-def _swept(solids: Solids) -> Solids:
-    """Return solids with the room that they move into within `_FORESIGHT`."""
-    x, y = np.moveaxis(0.5 * _FORESIGHT * solids.velocity, -1, 0)
+def _later(solids: Solids, seconds: Array) -> Solids:
+    """Return one row of solids as they will stand after some seconds, m rows."""
+    later = _repeated(solids, len(seconds))
+    pose = later.pose.copy()
+    pose[..., :2] += later.velocity * np.minimum(seconds, FORESIGHT)[:, np.newaxis, np.newaxis]
+    return replace(later, pose=pose)
+
+
+def _blurred(solids: Solids) -> Solids:
+    """Return solids with the room in which they are within `_EARLY`."""
+    x, y = np.moveaxis(_EARLY * solids.velocity, -1, 0)
     cosine, sine = np.cos(solids.pose[..., 2]), np.sin(solids.pose[..., 2])
-    pose, size, around = solids.pose.copy(), solids.size.copy(), np.hypot(x, y)
-    pose[..., 0], pose[..., 1] = pose[..., 0] + x, pose[..., 1] + y
-    size[..., 0] += np.where(solids.cylinder, around, np.abs(cosine * x + sine * y))
-    size[..., 1] += np.where(solids.cylinder, around, np.abs(cosine * y - sine * x))
-    return replace(solids, pose=pose, size=size)
+    size = solids.size.copy()
+    size[..., 0] += np.where(solids.cylinder, np.hypot(x, y), np.abs(cosine * x + sine * y))
+    size[..., 1] += np.where(solids.cylinder, np.hypot(x, y), np.abs(cosine * y - sine * x))
+    return replace(solids, size=size)
 
 
 def _repeated(solids: Solids, n: int) -> Solids:

@@ -17,6 +17,7 @@ from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.policies.baselines.following import FollowBase, FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import joint_displacement
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
 from kinfeas.tasks.loading import load_task
@@ -327,6 +328,18 @@ def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
     still.loop.observation_terms = ("planned_base",)
     assert not still.start(range(2)).any()
     assert not still.step(np.ones((2, 3))).step.base_error.any()
+
+
+def test_redundant_arms_follow_their_whole_body_plan():
+    robot = load_robot("tiago")
+    world = World(robot, load_task("ggr_obstacles"), evaluation_world(), 1)
+    world.start(range(8))
+    along = FollowBase(robot.base, source="planned_base")
+    for _ in range(100):
+        world.step(along.act(world.loop.policy_input))
+    planned = world.loop.sequence.planned_joints(0.0)
+    way = joint_displacement(robot, world.loop.joint_command, planned)
+    assert np.nanmedian(np.abs(way)) < 0.1  # 0.21 where IK does not know the plan
 
 
 def test_whole_body_plans_among_moving_solids_resume_to_the_bit(hsr):

@@ -146,6 +146,28 @@ def test_without_reconfiguration_solutions_are_within_the_joint_step(tiago):
         tiago.solve(targets, joints, allow_reconfiguration=False)
 
 
+def test_arms_go_to_their_guide_within_the_joint_step(tiago):
+    rng, robot = np.random.default_rng(5), tiago.robot
+    joints, step = draw_free(tiago, 1000), TIME * robot.max_joint_velocity
+    moved = np.clip(joints + rng.uniform(-0.5, 0.5, joints.shape) * step, *robot.joint_limits)
+    free = ~self_collides(tiago.collision, moved)
+    seed, guide = joints[free], moved[free]
+    targets, turns = forward(tiago.chain, guide), 2.0 * np.pi * robot.continuous
+    alone = tiago.solve(targets, seed, step)
+    guided = tiago.solve(targets, seed, step, guide=guide + turns)
+    reached = displacement(robot, guided.joint_positions, guide).max(axis=1) < 1e-6
+    assert reached.mean() > 0.99
+    assert displacement(robot, alone.joint_positions, guide).max(axis=1).mean() > 0.01
+    beyond = rng.permutation(guide)  # far away, so that only a part of the way is possible
+    bound = tiago.solve(targets, seed, step, guide=beyond, allow_reconfiguration=False)
+    check_solutions(tiago, bound.joint_positions[bound.feasible])
+    assert bound.feasible.mean() > 0.99
+    moved = displacement(robot, seed, bound.joint_positions)
+    assert np.all(moved <= step * (1.0 + 1e-9))
+    none = tiago.solve(targets, seed, step, guide=np.full_like(seed, np.nan))
+    np.testing.assert_array_equal(none.joint_positions, alone.joint_positions)
+
+
 def test_a_held_torso_stays_where_the_seed_has_it(tiago):
     joints = draw_free(tiago, 1000)
     targets, seed = forward(tiago.chain, joints), shuffled(joints)

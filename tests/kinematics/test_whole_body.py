@@ -2,15 +2,17 @@ import numpy as np
 import pytest
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import compose, distance, planar_pose, relative
+from kinfeas.core.spatial import compose, distance, planar_pose
 from kinfeas.core.start import episode_rng
 from kinfeas.kinematics import whole_body
-from kinfeas.kinematics.base_search import CELL, HEADINGS, lattice_moves
+from kinfeas.kinematics.base_search import CELL, FORESIGHT, HEADINGS, lattice_moves
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.kinematics.solids import collides
 from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import joint_displacement
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import sample_start
 
@@ -26,9 +28,14 @@ def goal_of(start):
 def planned(request):
     """Planner, starts among solids, and the path of each."""
     solver = IkSolver(load_robot(request.param))
-    task, planner = load_task("ggr_obstacles"), WholeBodyPlanner(solver)
-    starts = [sample_start(task, solver, episode_rng(1, k)) for k in range(EPISODES)]
+    planner = WholeBodyPlanner(solver)
+    starts = starts_of(planner, "ggr_obstacles")
     return planner, starts, [plan(planner, start) for start in starts]
+
+
+def starts_of(planner, task):
+    task = load_task(task)
+    return [sample_start(task, planner.solver, episode_rng(1, k)) for k in range(EPISODES)]
 
 
 def plan(planner, start, solids=None):
@@ -46,30 +53,32 @@ def test_paths_lead_from_the_start_to_the_goal_within_the_limits(planned):
         ee = compose(start.base_pose, forward(chain, start.joint_positions))
         assert np.max(distance(path.ee[0], ee)) < 1e-6
         assert np.max(distance(path.ee[-1], start.target_poses[0])) < 1e-9
-        step = np.diff(path.base, axis=0)
+        base, arm = planar_pose(*path.robot[:, :3].T), path.robot[:, 3:]
+        assert np.max(distance(path.ee[:-1], compose(base, forward(chain, arm))[:-1])) < 1e-9
+        step = np.diff(path.robot, axis=0)
         speed = np.linalg.norm(step[:, :2], axis=1) / path.seconds
         assert speed.max() <= robot.base.max_velocity
         assert np.max(np.abs(step[:, 2]) / path.seconds) <= robot.base.max_rotation
+        joints = np.abs(joint_displacement(robot, arm[:-1], arm[1:]))
+        assert np.all(joints <= robot.max_joint_velocity * path.seconds[:, np.newaxis] + 1e-9)
         assert np.max(distance(path.ee[:-1], path.ee[1:])) < 0.5
 
 
-def test_base_and_arm_follow_the_paths_without_collisions(planned):
+@pytest.mark.parametrize("task", ["ggr_obstacles", "ggr_dynamic"])
+def test_base_and_arm_follow_the_paths_without_collisions(planned, task):
     planner, starts, paths = planned
-    solver, good, found = planner.solver, 0, 0
+    if task == "ggr_dynamic":
+        starts = starts_of(planner, task)
+        paths = [plan(planner, start) for start in starts]
+    shapes, free = planner.solver.collision, []
     for start, path in zip(starts, paths, strict=True):
-        if path is None:
-            continue
-        base, joints = planar_pose(*path.base.T), start.joint_positions
-        free = True
-        for pose, ee in zip(base, path.ee, strict=True):
-            here = in_base(start.solids, pose[np.newaxis])
-            target = relative(ee, pose)[np.newaxis]
-            arm = solver.solve(target, joints[np.newaxis], solids=here)
-            joints = arm.joint_positions[0]
-            hit = collides(solver.collision, joints[np.newaxis], pose[np.newaxis], start.solids)
-            free = free and bool(arm.feasible[0]) and not hit[0, 0]
-        good, found = good + free, found + 1
-    assert good >= 0.8 * found
+        if path is not None:
+            seconds = np.minimum(np.concatenate([[0.0], np.cumsum(path.seconds)]), FORESIGHT)
+            among = start.solids.of(np.zeros(len(path.ee), dtype=np.intp)).at(seconds)
+            base, arm = planar_pose(*path.robot[:, :3].T), np.ascontiguousarray(path.robot[:, 3:])
+            touching = collides(shapes, arm, base, among).any(axis=1)
+            free.append(not np.any(touching | self_collides(shapes, arm)))
+    assert np.mean(free) >= 0.8
 
 
 def test_plans_are_deterministic_and_walls_have_none(planned):
@@ -88,14 +97,15 @@ def test_plans_are_deterministic_and_walls_have_none(planned):
 
 
 def test_a_way_is_free_until_something_moves_into_it(planned):
-    planner = planned[0]
-    base = np.column_stack([0.1 * CHECKED_AHEAD, np.zeros((len(CHECKED_AHEAD), 2))])
+    planner, starts, _ = planned
+    arm = np.tile(starts[0].joint_positions, (len(CHECKED_AHEAD), 1))
+    robot = np.column_stack([0.1 * CHECKED_AHEAD, np.zeros((len(CHECKED_AHEAD), 2)), arm])
     solids = Solids.empty(1, 1)
     solids.pose[0, 0, :2], solids.size[0, 0] = [0.3, -1.5], [0.1, 0.1, 0.0, 0.3]
-    assert planner.free(base, solids)
+    assert planner.free(robot, solids)
     solids.velocity[0, 0, 1] = 0.4
-    assert not planner.free(base, solids)
-    assert not planner.free(np.full_like(base, np.nan), solids)
+    assert not planner.free(robot, solids)
+    assert not planner.free(np.full_like(robot, np.nan), solids)
 
 
 @pytest.mark.parametrize("omnidirectional", [True, False])

@@ -183,22 +183,21 @@ def along(k=30):
     share = np.linspace(0.0, 1.0, k)[:, np.newaxis]
     ee = np.tile([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0], (k, 1))
     ee[:, :2] = np.where(share < 0.5, [2.0, 0.0] * share, [1.0, -1.0] + [0.0, 2.0] * share)
-    base = np.column_stack([ee[:, :2] - [0.6, 0.0], 0.5 * share])
-    return ee[:1], ee[-1:], WholeBodyPath(ee, base, np.full(k - 1, 0.1))
+    robot = np.column_stack([ee[:, :2] - [0.6, 0.0], 0.5 * share, 2.0 * share])
+    return ee[:1], ee[-1:], WholeBodyPath(ee, robot, np.full(k - 1, 0.1))
 
 
-def test_whole_body_motions_follow_their_path_with_the_base_ahead():
+def test_whole_body_motions_follow_their_path_with_the_robot_ahead():
     check_motion_generator(WholeBody())
     start, goal, path = along()
     generator, seconds = WholeBody(), np.array([0.0, 1.0])
     state = generator.start(start, goal, [None])
-    assert np.isnan(generator.base_ahead(state, seconds)).all()
-    state = generator.follow(state, start, goal, [path])
-    np.testing.assert_allclose(generator.base_ahead(state, seconds)[0, 0], path.base[0], atol=1e-9)
-    bases = []
+    state, waypoints = generator.follow(state, start, goal, [path])
+    robots = [generator.robot_ahead(state, waypoints, seconds)[0]]
+    np.testing.assert_allclose(robots[0][0], path.robot[0], atol=1e-9)
 
     def watch(i, state, ee):
-        bases.append(generator.base_ahead(state, seconds)[0])
+        robots.append(generator.robot_ahead(state, waypoints, seconds)[0])
         return state
 
     poses, twists = follow(generator, state, start, goal, 60.0, watch)
@@ -206,10 +205,11 @@ def test_whole_body_motions_follow_their_path_with_the_base_ahead():
     assert max(map(np.max, speeds(twists))) <= 0.1 * (1.0 + 1e-9)
     off = np.linalg.norm(poses[:, 0, np.newaxis, :3] - path.ee[:, :3], axis=2).min(axis=1)
     assert off.max() < 0.05
-    bases = np.array(bases)
-    np.testing.assert_allclose(bases[-1], path.base[[-1, -1]], atol=1e-6)
-    np.testing.assert_allclose(bases[:-10, 1], bases[10:, 0], atol=1e-9)
-    np.testing.assert_allclose(bases[:, 0, :2], poses[1:, 0, :2] - [0.6, 0.0], atol=0.02)
+    robots = np.array(robots[1:])
+    np.testing.assert_allclose(robots[-1], path.robot[[-1, -1]], atol=1e-6)
+    np.testing.assert_allclose(robots[:-10, 1], robots[10:, 0], atol=1e-9)
+    np.testing.assert_allclose(robots[:, 0, :2], poses[1:, 0, :2] - [0.6, 0.0], atol=0.02)
+    np.testing.assert_allclose(robots[:, 0, 3], 4.0 * robots[:, 0, 2], atol=1e-9)
 
 
 def test_slow_base_paths_take_their_time_and_others_go_on():
@@ -218,7 +218,9 @@ def test_slow_base_paths_take_their_time_and_others_go_on():
     state = generator.start(np.tile(start, (2, 1)), np.tile(goal, (2, 1)), [None, None])
     slow = replace(path, seconds=np.full(29, 5.0))
     both = np.tile(start, (2, 1)), np.tile(goal, (2, 1))
-    begun = generator.follow(state, *both, [slow, None])
+    begun, waypoints = generator.follow(state, *both, [slow, None])
+    ahead = generator.robot_ahead(begun, waypoints, np.zeros(1))
+    np.testing.assert_array_equal(np.isnan(ahead).all(axis=(1, 2)), [False, True])
     assert begun["duration"][0] > 145.0
     for key, values in state.items():
         np.testing.assert_array_equal(begun[key][1], values[1])
@@ -231,7 +233,7 @@ def test_whole_body_paths_stay_where_those_of_the_ee_are_replanned():
     around = generator.replan(state, start, goal, solids)
     assert np.abs(around["points"][0, :, 1]).max() > 3.0
     path = along()[2]
-    state = generator.follow(state, start, goal, [path])
+    state, _ = generator.follow(state, start, goal, [path])
     np.testing.assert_array_equal(
         generator.replan(state, start, goal, solids)["points"], state["points"]
     )

@@ -81,17 +81,18 @@ class FeasibilityFilter:
         m, k, size = tries.shape
         return self._follow(tries.reshape(m * k, size), rows.repeat(k))[2].reshape(m, k)
 
-    def _inputs(self, rows: Rows) -> tuple[Array, Array, Array, Solids | None]:
+    def _inputs(self, rows: Rows) -> tuple[Array, Array, Array, Solids | None, Array | None]:
         """Return the arguments of `KinematicStep` after the command."""
         loop = self._loop
         solids = None if loop.solids is None else loop.solids.of(rows)
-        return loop.state.base_pose[rows], loop.next_desired[rows], loop.seed[rows], solids
+        guide = None if loop.guide is None else loop.guide[rows]
+        return loop.state.base_pose[rows], loop.next_desired[rows], loop.seed[rows], solids, guide
 
     def _follow(self, command: Array, rows: Rows) -> tuple[Array, IkSolution, NDArray[np.bool_]]:
         """Return twists, arms and feasibility, shape (m,), of one command for each of m rows."""
         step, dt = self._loop.kinematic_step, self._loop.dt
-        base_pose, desired, joints, solids = self._inputs(rows)
-        twist, arm = step(command, base_pose, desired, joints, solids, allow_reconfiguration=False)
+        base_pose, _, joints, solids, _ = inputs = self._inputs(rows)
+        twist, arm = step(command, *inputs, allow_reconfiguration=False)
         good = self._in_time(joints, arm)
         if solids is not None:
             reached = integrate(base_pose, twist, dt)

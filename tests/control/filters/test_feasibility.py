@@ -40,6 +40,7 @@ def loop(solver, request):
         kinematic_step=KinematicStep(solver, DT),
         state=RobotState(base_pose, joints),
         seed=joints,
+        guide=None,
         solids=draw_solids(ROWS, request.param, reach=4.0) if request.param else None,
         next_desired=spatial.compose(base_pose, forward(solver.chain, joints)),
         paused=None,
