@@ -102,10 +102,15 @@ def ggr_obstacles(**parameters: object) -> ReachingAmongSolids:
 
 
 def ggr_dynamic(**parameters: object) -> ReachingAmongSolids:
-    """Goal reaching among 16 solids that move to and fro, none of them a wall."""
+    """Goal reaching among 16 solids that move to and fro, none of them a wall.
+
+    The EE is as fast as the solids, so that the robot can give way.
+    """
     moving = {"places": 16, "spacing": 2.8, "jitter": 0.7, "speed": (0.1, 0.15)}
     lower = {"walls": 0.0, "footprint": (0.8, 0.8)}
-    return _reaching("ggr_dynamic", {**moving, **lower}, parameters)
+    fast = {"ramp": 1.0, "max_velocity": 0.2, "max_angular_velocity": 0.5}
+    motion = {"generator": "whole_body", "parameters": fast}
+    return _reaching("ggr_dynamic", {**moving, **lower, "motion": motion}, parameters)
 
 
 def _reaching(
