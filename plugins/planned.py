@@ -280,9 +280,9 @@ class WholeBody(Planned):
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead, (s,) -> (n, s, 3 + j), or NaN."""
         robot = np.empty((len(waypoints), len(seconds), waypoints.shape[2]))
-        for k, ahead in enumerate(seconds):
-            time = np.minimum(state["time"] + ahead, state["duration"])
-            places_at(waypoints, self._share(state, time), robot[:, k])
+        time = np.minimum(state["time"] + seconds[:, np.newaxis], state["duration"])
+        for k, share in enumerate(self._share(state, time)):
+            places_at(waypoints, share, robot[:, k])
         return robot
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:

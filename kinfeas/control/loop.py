@@ -223,7 +223,7 @@ class Loop:
         else:
             self.slow_down(time_scale)
         self.seed = self._with_torso(torso)
-        self.guide = sequence.planned_joints(self.dt)
+        self.guide = sequence.planned_joints
         self.previous_command = command = self._filtered(command)
         sequence.move(self._next, self.paused)
         twist, arm = self._solve(command)

@@ -97,7 +97,9 @@ class MotionSequence:
         # Base and arm on whole-body paths; none if no generator follows any.
         self._waypoints: Array = np.empty((0, WAYPOINTS, self._robot_size))
         self._states: list[State] = []
-        self._goal: Array | None = None  # until something moves
+        # Until something moves:
+        self._goal: Array | None = None
+        self._robot_soon: tuple[Array, Array] | None = None
 
     def start(
         self,
@@ -160,16 +162,15 @@ class MotionSequence:
         """World pose of the base on a whole-body path in `LEAD` seconds, shape (n, 7), or NaN."""
         if not self._whole_body:
             return np.full((len(self.subgoal), 7), np.nan)
-        return spatial.planar_pose(*self._robot_ahead(np.array([LEAD]))[:, 0, :3].T)
+        return self._planned[0]
 
-    def planned_joints(self, seconds: float) -> Array | None:
-        """Return the arms on whole-body paths in some seconds, shape (n, j), or NaN.
+    @property
+    def planned_joints(self) -> Array | None:
+        """Arms on whole-body paths after this control period, shape (n, j), or NaN.
 
         None if no generator follows any.
         """
-        if not self._whole_body:
-            return None
-        return self._robot_ahead(np.array([seconds]))[:, 0, 3:]
+        return self._planned[1] if self._whole_body else None
 
     def aim(self, target_poses: Array) -> None:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
@@ -262,7 +263,8 @@ class MotionSequence:
                 for state, old in pairs
             ]
         self.desired = self.next_desired(plan, paused)
-        self._states, self._goal = states, None
+        self._states = states
+        self._forget()
 
     def advance(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
@@ -304,7 +306,8 @@ class MotionSequence:
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
-        self._states, self._goal = [{} for _ in self.generators], None
+        self._states = [{} for _ in self.generators]
+        self._forget()
         self._solids = self._robots = None
         for name, values in snapshot.items():
             kind, _, rest = name.partition(".")
@@ -339,11 +342,11 @@ class MotionSequence:
             rngs = [np.random.default_rng(key) for key in keys]
             state = generator.start(frame[group], targets[group], rngs)
             self._states[number] = merged(self._states[number], group, state, len(frame))
-        self._goal = None
+        self._forget()
 
     def _replan(self, rows: Rows) -> None:
         """Let the motions of `rows` avoid the solids, if there are any."""
-        if self._solids is None or not self.avoids_solids:
+        if self._solids is None or not self.avoids_solids or not rows.size:
             return
         chosen = np.zeros(len(self.subgoal), dtype=np.bool_)
         chosen[rows] = True
@@ -361,7 +364,7 @@ class MotionSequence:
                         self._waypoints = with_rows(self._waypoints, group[new], waypoints[new])
                 state = generator.replan(state, *given)
                 self._states[number] = merged(self._states[number], group, state, len(frame))
-        self._goal = None
+        self._forget()
 
     def _paths(self, rows: Rows, ahead: Array) -> list[WholeBodyPath | None]:
         """Return whole-body motions to the goals of rows; None where none is found or needed.
@@ -374,7 +377,7 @@ class MotionSequence:
         goal, (base, joints) = self.goal, self._robots
         for number, row in enumerate(rows.tolist()):
             solids = self._solids.of(np.array([row]))
-            if self.planner.free(ahead[number], solids):
+            if not solids.filled.any() or self.planner.free(ahead[number], solids):
                 continue
             path = self.planner.plan(base[row], joints[row], goal[row], solids)
             if path is not None and self._tips:
@@ -390,6 +393,16 @@ class MotionSequence:
             return self._targets[:, 0]
         target: Array = self._targets[np.arange(len(self.subgoal)), self.subgoal]
         return target
+
+    def _forget(self) -> None:
+        self._goal = self._robot_soon = None
+
+    @property
+    def _planned(self) -> tuple[Array, Array]:
+        if self._robot_soon is None:
+            soon = self._robot_ahead(np.array([LEAD, self._dt]))
+            self._robot_soon = spatial.planar_pose(*soon[:, 0, :3].T), soon[:, 1, 3:]
+        return self._robot_soon
 
     def _robot_ahead(self, seconds: Array) -> Array:
         """Return base and arm of each row on its whole-body path, (s,) -> (n, s, 3 + j), or NaN."""

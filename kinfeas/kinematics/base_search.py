@@ -14,6 +14,8 @@ from kinfeas.kinematics.solids import is_empty, squared_radius, touches_solids
 CELL, HEADINGS = 0.125, 16
 """Side of a cell of the lattice, metres, and its headings in a full turn."""
 
+_TURN = 2.0 * math.pi / HEADINGS
+
 LEVER = 1.0
 """Metres of driving that take as long as a radian of turning."""
 
@@ -38,7 +40,7 @@ def lattice_moves(*, omnidirectional: bool) -> NDArray[np.int64]:
     """
     moves = []
     for heading in range(HEADINGS):
-        angle = 2.0 * np.pi / HEADINGS * heading
+        angle = _TURN * heading
         each = [(0, 0, side) for side in (-1, 1)]
         if omnidirectional:
             around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
@@ -51,7 +53,7 @@ def lattice_moves(*, omnidirectional: bool) -> NDArray[np.int64]:
         for i, j, side in each:
             aside = 1.0 - math.cos(math.atan2(j, i) - angle) if i or j else 0.0
             way = CELL * math.hypot(i, j) * (1.0 + _SIDEWAYS * aside)
-            costs.append(round(1000 * max(way, LEVER * 2.0 * np.pi / HEADINGS * abs(side))))
+            costs.append(round(1000 * max(way, LEVER * _TURN * abs(side))))
         moves.append([(*one, cost) for one, cost in zip(each, costs, strict=True)])
     return np.array(moves)
 
@@ -118,7 +120,7 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
     ahead = _costs_ahead(places, place_cost, origin, cost)
     best, parent = np.full(total, np.inf), np.full(total, -1, dtype=np.int64)
     state = np.zeros(total, dtype=np.int8)  # 1 is free, 2 is blocked, 3 is done
-    seconds = np.zeros(total if moving else 1)
+    seconds = np.zeros(total)
     arrival = np.full(total, -1, dtype=np.int64)
     for p in range(len(places)):
         node = _node(places[p], origin, ny)
@@ -153,15 +155,12 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
             new = best[node] + 0.0005 * move[3] * metre
             if new >= best[other]:
                 continue
-            time = 0.0
-            if moving:
-                length = CELL * math.sqrt(square(move[0]) + square(move[1]))
-                turn = 2.0 * np.pi / HEADINGS * abs(move[2])
-                time = seconds[node] + max(length / speed[0], turn / speed[1])
+            way, turn = CELL * math.hypot(move[0], move[1]), _TURN * abs(move[2])
+            time = seconds[node] + max(way / speed[0], turn / speed[1])
             if state[other] == 0 or moving:
                 at = origin[0] + CELL * i, origin[1] + CELL * j
-                heading_there = 2.0 * np.pi / HEADINGS * turned
-                _write_local((pose, velocity), min(time, FORESIGHT), at, heading_there, local)
+                then, yaw = min(time, FORESIGHT), _TURN * turned
+                _write_local((pose, velocity), then, at, yaw, local)
                 near = square(at[0] - start[0]) + square(at[1] - start[1])
                 for p in range(len(places)):
                     away = square(at[0] - places[p, 0]) + square(at[1] - places[p, 1])
@@ -169,13 +168,10 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
                 hit = touches_solids(model, False, local, size, cylinder, scratch)
                 if not hit and near > square(reach):
                     hit = touches_solids(model, True, local, size, cylinder, scratch)
-                if not moving:
-                    state[other] = 2 if hit else 1
+                state[other] = 2 if hit and not moving else 1
                 if hit:
                     continue
-                if moving:
-                    seconds[other] = time
-            best[other], parent[other] = new, node
+            best[other], parent[other], seconds[other] = new, node, time
             heapq.heappush(queue, (new + _GREED * ahead[i, j], other))
     return np.empty((0, 3)), -1
 
@@ -215,7 +211,7 @@ def _node(place, origin, ny):
     """Return the number of the node nearest to a place."""
     x = int((place[0] - origin[0]) / CELL + 0.5)
     y = int((place[1] - origin[1]) / CELL + 0.5)
-    heading = math.floor(place[2] / (2.0 * np.pi / HEADINGS) + 0.5) % HEADINGS
+    heading = math.floor(place[2] / _TURN + 0.5) % HEADINGS
     return (x * ny + y) * HEADINGS + heading
 
 
@@ -243,6 +239,6 @@ def _way_to(last, parent, origin, ny):
     for k in range(count - 1, -1, -1):
         path[k, 0] = origin[0] + CELL * (node // HEADINGS // ny)
         path[k, 1] = origin[1] + CELL * (node // HEADINGS % ny)
-        path[k, 2] = 2.0 * np.pi / HEADINGS * (node % HEADINGS)
+        path[k, 2] = _TURN * (node % HEADINGS)
         node = parent[node]
     return path

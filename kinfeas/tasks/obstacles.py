@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from kinfeas import config
-from kinfeas.config.quantities import Count, Distance, NotNegative
+from kinfeas.config.quantities import Count, Distance, NotNegative, Share
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import compose
@@ -33,6 +33,7 @@ class ReachingAmongSolids(GoalReaching, Clutter):
         places: Largest number of solids.
         start_clearance: Radius of free discs around the base and the EE at the start, metres.
         goal_clearance: Radius of a sphere around the EE at the goal that stays free, metres.
+        empty: Share of episodes without any solid.
     """
 
     name: str = "ggr_obstacles"
@@ -45,6 +46,7 @@ class ReachingAmongSolids(GoalReaching, Clutter):
     footprint: tuple[Distance, Distance] = (1.5, 1.0)
     start_clearance: Distance = 0.7
     goal_clearance: Distance = 0.25
+    empty: Share = 0.0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -59,6 +61,8 @@ class ReachingAmongSolids(GoalReaching, Clutter):
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode with its solids."""
+        if self.empty and rng.random() < self.empty:
+            return replace(super().sample(solver, rng), solids=Solids.empty(1, self.places))
         for _ in range(_ROUNDS):
             start = super().sample(solver, rng)
             solids = self._solids(solver, start, rng)

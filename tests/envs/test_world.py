@@ -337,7 +337,7 @@ def test_redundant_arms_follow_their_whole_body_plan():
     along = FollowBase(robot.base, source="planned_base")
     for _ in range(100):
         world.step(along.act(world.loop.policy_input))
-    planned = world.loop.sequence.planned_joints(0.0)
+    planned = world.loop.sequence.planned_joints
     way = joint_displacement(robot, world.loop.joint_command, planned)
     assert np.nanmedian(np.abs(way)) < 0.1  # 0.21 where IK does not know the plan
 

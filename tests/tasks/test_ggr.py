@@ -4,6 +4,7 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, rotation, yaw
+from kinfeas.envs.world import World, evaluation_world
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.kinematics.solids import collides
@@ -114,6 +115,19 @@ def test_standing_solids_fill_the_room_and_a_third_is_high(sample):
         assert abs(of_kind.mean() - share) < 0.05
     assert 0.1 < solids.cylinder[full].mean() < 0.3
     assert not solids.velocity.any()
+
+
+def test_a_share_of_the_rooms_is_empty_and_motions_there_are_straight(hsr, sample):
+    found = sample(ggr_obstacles(empty=0.3), 200)
+    empty = ~found.solids.filled.any(axis=1)
+    assert 0.2 < empty.mean() < 0.4
+    world = World(hsr.robot, ggr_obstacles(empty=0.5), evaluation_world(), 0)
+    world.start(range(12))
+    planned = np.isfinite(world.loop.sequence.planned_base[:, 0])
+    empty = ~world.loop.solids.filled.any(axis=1)
+    assert 2 < empty.sum() < 10
+    assert not planned[empty].any()
+    assert planned[~empty].mean() > 0.5
 
 
 @pytest.mark.parametrize("wrong", [{"places": 65}, {"spacing": 0.1}, {"footprint": [0.1, 1.0]}])
