@@ -154,9 +154,12 @@ def _signature(factory: Any) -> inspect.Signature:
 def _in_types(
     signature: inspect.Signature, given: Mapping[str, object], subject: str
 ) -> dict[str, object]:
-    typed = dict(given)
-    for name in given.keys() & signature.parameters.keys():
-        value, parameter = given[name], signature.parameters[name]
+    typed, known = dict(given), signature.parameters
+    if all(one.kind is not one.VAR_KEYWORD for one in known.values()):
+        for name in sorted(given.keys() - known.keys()):
+            raise KinfeasError(f"{subject}: unknown parameter {name!r}{no_such(name, known)}")
+    for name in given.keys() & known.keys():
+        value, parameter = given[name], known[name]
         if value is not parameter.default:
             typed[name] = convert(parameter.annotation, value, subject, name)
     return typed

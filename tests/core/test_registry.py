@@ -102,7 +102,7 @@ def test_unknown_names_and_groups(sound):
 
 
 @pytest.mark.parametrize(("name", "parameters", "key"), [
-    ("wave", {"hight": 1}, "hight"),
+    ("wave", {"hight": 1}, "'hight' .did you mean 'height'.*known are height"),
     ("wave", {}, "height"),
     ("wave", {"height": -1}, "height must be positive, not -1"),
     ("wave", {"height": "x"}, "str"),
