@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from kinfeas.core import kernel_cache
+from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.motion import WAYPOINTS
 
 kernel_cache.settle()  # before the first kernel
@@ -92,16 +93,6 @@ def squared_way(a, b):
 
 
 @kernel
-def places_at(points, share, out):
-    """Write the places of n paths at shares in [0, 1] of their way, shape (n, d).
-
-    A path is a uniform cubic B-spline from its first to its last control point.
-    """
-    for i in range(len(share)):
-        out[i] = on_curve(points[i], share[i] * (POINTS - 1))
-
-
-@kernel
 def shares_ahead(points, share, distances, out):
     """Write the shares of paths that lie some metres ahead, (n,) and (d,) -> (n, d), at most 1."""
     lengths = np.empty(POINTS - 1)
@@ -140,6 +131,55 @@ def on_curve(points, t):
             p * a + (4.0 - 6.0 * u * u + 3.0 * q) * b + (4.0 - 6.0 * v * v + 3.0 * p) * c + q * d
         ) / 6.0
     return place
+
+
+@compiled(["void(f8[:, :], f8, f8[:])"], "(k,d),()->(d)")
+def place_at(points, share, out):
+    """Place of a path, a uniform cubic B-spline, at a share in [0, 1] of its way."""
+    out[:] = on_curve(points, share * (POINTS - 1))
+
+
+@kernel
+def phases(first, rate, ramp):
+    """Return the seconds in which the rate of a motion changes, is constant, and falls to rest."""
+    rate = max(rate, 1e-9)
+    rise, fall = 0.0 if first == rate else ramp, min(ramp, 2.0 / rate)
+    cruise = (1.0 - 0.5 * rise * (first + rate) - 0.5 * fall * rate) / rate
+    return rise, max(cruise, 0.0), fall
+
+
+@compiled(["void(f8, f8, f8, f8[:])"], "(),(),()->()")
+def duration(first, rate, ramp, out):
+    """Seconds that a motion takes: its rate rises or falls from the first one, in the end to 0."""
+    rise, cruise, fall = phases(first, rate, ramp)
+    out[0] = rise + cruise + fall
+
+
+@kernel
+def _ramped(u):
+    """Return the integral of the quintic step `10 u^3 - 15 u^4 + 6 u^5` from 0 to u in [0, 1]."""
+    return u * u * u * u * (2.5 + u * (u - 3.0))
+
+
+@compiled(["void(f8, f8, f8, f8, f8, f8[:])"], "(),(),(),(),()->()")
+def share_after(time, seconds, first, rate, ramp, out):
+    """Share of its path that a motion of some `seconds` has behind it after a time.
+
+    Without a rate it is that of `minimum_jerk`.
+    """
+    if rate <= 0.0:
+        s = time / seconds
+        out[0] = s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        return
+    rise, cruise, fall = phases(first, rate, ramp)
+    share = 0.0
+    if rise > 0.0:
+        u = min(time / rise, 1.0)
+        share = rise * (first * u + (rate - first) * _ramped(u))
+    v = min(max((time - rise - cruise) / max(fall, 1e-9), 0.0), 1.0)
+    share += rate * min(max(time - rise, 0.0), cruise)
+    share += rate * fall * (v - _ramped(v))
+    out[0] = min(share, 1.0)
 
 
 @kernel

@@ -12,7 +12,13 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, integrate, twist_between
 from kinfeas.plugins.limits import norm, slowed
 from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.plugins.path_geometry import POINTS, places_at, shares_ahead
+from kinfeas.plugins.path_geometry import (
+    POINTS,
+    duration,
+    place_at,
+    share_after,
+    shares_ahead,
+)
 from kinfeas.plugins.path_search import replan_batch
 
 _MOVED = 0.05
@@ -86,8 +92,7 @@ class SmoothPath:
         shares = np.empty((len(ee_pose), len(distances)))
         now = self._share(state, state["time"])
         shares_ahead(state["points"], now, np.asarray(distances, dtype=np.float64), shares)
-        poses = [self._on_path(state, target_pose, column) for column in shares.T]
-        return np.stack(poses, axis=1) if poses else np.empty((len(ee_pose), 0, 7))
+        return self._on_path(state, target_pose, shares.T).swapaxes(0, 1)
 
     def _begin(
         self,
@@ -117,7 +122,7 @@ class SmoothPath:
         first = np.minimum(first, 1.0 / np.maximum(seconds, self._ramp))
         rate = np.minimum(1.0 / np.maximum(seconds, 1e-6), 1.0 / self._ramp - first / 2.0)
         rate = np.maximum(rate, first)
-        state = {
+        return {
             **state,
             "start_pose": np.array(ee_pose, dtype=np.float64),
             "planned_target": np.array(target_pose, dtype=np.float64),
@@ -126,30 +131,14 @@ class SmoothPath:
             "rate": rate,
             "time": np.zeros(len(rate)),
             "drift": velocity - first[:, np.newaxis] * tangent,
+            "duration": duration(first, rate, self._ramp),
         }
-        rise, cruise, fall = self._phases(state)
-        return {**state, "duration": rise + cruise + fall}
-
-    def _phases(self, state: State) -> tuple[Array, Array, Array]:
-        """Return the seconds in which the rate changes, is constant, and falls to rest, (n,)."""
-        first, rate = state["first_rate"], np.maximum(state["rate"], 1e-9)
-        rise = np.where(first == rate, 0.0, self._ramp)
-        fall = np.minimum(self._ramp, 2.0 / rate)
-        cruise = (1.0 - 0.5 * rise * (first + rate) - 0.5 * fall * rate) / rate
-        return rise, np.maximum(cruise, 0.0), fall
 
     def _share(self, state: State, time: Array) -> Array:
-        """Return the shares of the paths that are behind the EE after some seconds, (n,)."""
-        s = time / state["duration"]
-        straight = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        first, rate = state["first_rate"], state["rate"]
-        rise, cruise, fall = self._phases(state)
-        u = np.minimum(time / np.maximum(rise, 1e-9), 1.0)
-        v = np.clip((time - rise - cruise) / np.maximum(fall, 1e-9), 0.0, 1.0)
-        share = np.where(rise > 0.0, rise * (first * u + (rate - first) * _ramped(u)), 0.0)
-        share = share + rate * np.clip(time - rise, 0.0, cruise)
-        share = share + rate * fall * (v - _ramped(v))
-        return np.where(rate > 0.0, np.minimum(share, 1.0), straight)
+        """Return the shares of the paths that are behind the EE after some seconds, (..., n)."""
+        rates = state["first_rate"], state["rate"]
+        share: Array = share_after(time, state["duration"], *rates, self._ramp)
+        return share
 
     def _at(self, state: State, target_pose: Array, time: Array) -> Array:
         """Return the poses of the motions after some seconds, shape (n, 7)."""
@@ -159,10 +148,12 @@ class SmoothPath:
         return integrate(pose, state["drift"] * (time * left * left * left)[:, np.newaxis], 1.0)
 
     def _on_path(self, state: State, target_pose: Array, share: Array) -> Array:
-        """Return the poses at shares of the paths, which end at the current targets, (n, 7)."""
-        pose = np.empty((len(share), 7))
-        places_at(state["points"], share, pose)
-        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+        """Return the poses at shares of the paths, which end at the current targets.
+
+        Shape (..., n) -> (..., n, 7).
+        """
+        pose = place_at(state["points"], share)
+        pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
         begin, moved = pose, twist_between(state["planned_target"], target_pose, 1.0)
         if (straight := state["rate"] == 0.0).any():
             rows, way = (
@@ -170,7 +161,7 @@ class SmoothPath:
                 twist_between(state["start_pose"], target_pose, 1.0),
             )
             begin, moved = np.where(rows, state["start_pose"], pose), np.where(rows, way, moved)
-        return integrate(begin, moved * share[:, np.newaxis], 1.0)
+        return integrate(begin, moved * share[..., np.newaxis], 1.0)
 
     def _velocity(self, state: State, target_pose: Array) -> Array:
         """Return the present twists, shape (n, 6)."""
@@ -279,11 +270,9 @@ class WholeBody(Planned):
 
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead, (s,) -> (n, s, 3 + j), or NaN."""
-        robot = np.empty((len(waypoints), len(seconds), waypoints.shape[2]))
         time = np.minimum(state["time"] + seconds[:, np.newaxis], state["duration"])
-        for k, share in enumerate(self._share(state, time)):
-            places_at(waypoints, share, robot[:, k])
-        return robot
+        robot: Array = place_at(waypoints, self._share(state, time))
+        return robot.swapaxes(0, 1)
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of motions around the solids; whole-body paths go on."""
@@ -377,8 +366,3 @@ def _chosen(rows: NDArray[np.bool_], new: State, old: State) -> State:
         key: np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), new[key], values)
         for key, values in old.items()
     }
-
-
-def _ramped(u: Array) -> Array:
-    """Return the integral of the quintic step `10 u^3 - 15 u^4 + 6 u^5` from 0 to u in [0, 1]."""
-    return u * u * u * u * (2.5 + u * (u - 3.0))

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.benchmark import peers
 from kinfeas.benchmark.learning_speed import learning_curve, levels, recipe_of
+from kinfeas.config.recipes import load_section
 from kinfeas.control import drive, observation
 from kinfeas.core import registry, spatial
 from kinfeas.core.policy import Policy
@@ -24,7 +25,7 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.policies.baselines.following import FollowEe
+from kinfeas.policies.baselines.following import FollowBase, FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
@@ -32,6 +33,9 @@ from kinfeas.sim2real.deploy.rate import peak_memory_mb
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""
+
+ROOM_STEPS = 800
+"""Timed steps among solids: about an episode, since its start takes most time."""
 
 METRES, RADIANS = 1e-4, 1e-3
 """Tolerances of an IK solution."""
@@ -94,6 +98,7 @@ def measure_speed(
     parts: dict[str, Callable[[], Iterator[Figure]]] = {
         "inverse kinematics": lambda: measure_ik(known, effort),
         "environment": lambda: measure_environments(known, effort),
+        "rooms": lambda: measure_rooms(robot, effort),
         "action": lambda: measure_action(known, random_network(known), effort),
         "training": lambda: measure_training(robot, effort),
     }
@@ -131,19 +136,34 @@ def measure_environments(robot: Robot, effort: Effort) -> Iterator[Figure]:
     """Yield environment steps per second of bases that follow the EE, with self-collision."""
     with one_core():
         for batch, steps in BATCHES.items():
-            rate = environment_rate(robot, FollowEe(robot.base), batch, steps, effort.repeats)
+            world = World(robot, registry.build("kinfeas.tasks", "ggr", {}), WorldConfig(), seed=0)
+            rate = environment_rate(world, FollowEe(robot.base), batch, steps, effort.repeats)
             text = f"environment, batch {batch}"
             yield Figure(text, rate, "steps/s", f"env_steps_per_s_{batch}")
 
 
+def measure_rooms(robot: str, effort: Effort) -> Iterator[Figure]:
+    """Yield environment steps per second in the recipe for rooms, among 32 solids."""
+    from kinfeas.training.config import TrainConfig
+    from kinfeas.training.worlds import training_world
+
+    model, solids = load_robot(robot), "task_parameters={places: 32}"
+    recipe = load_section(TrainConfig, "train_rooms", model.name, [f"robot={robot}", solids])
+    policy = FollowBase(model.base, source="planned_base")
+    with one_core():
+        batch = recipe.num_envs
+        rate = environment_rate(training_world(recipe), policy, batch, ROOM_STEPS, effort.repeats)
+    text = f"environment among 32 solids, batch {batch}"
+    yield Figure(text, rate, "steps/s", "room_steps_per_s")
+
+
 def environment_rate(
-    robot: Robot, policy: Policy, batch: int, steps: int, repeats: int = 3
+    world: World, policy: Policy, batch: int, steps: int, repeats: int = 3
 ) -> float:
     """Return environment steps per second, including the policy and restarts.
 
     `batch` robots move side by side for `steps` control periods; the fastest repetition counts.
     """
-    world = World(robot, registry.build("kinfeas.tasks", "ggr", {}), WorldConfig(), seed=0)
     rates = []
     for _ in range(repeats):
         world.next_episode = 0

@@ -23,6 +23,7 @@ from tests.builders import assert_near
 KEYS = {
     "ik_warm_us", "ik_cold_us", "ik_cold_solved", "pinocchio_warm_us", "pinocchio_cold_us",
     "pybullet_warm_us", "env_steps_per_s_1", "env_steps_per_s_128", "env_steps_per_s_1024",
+    "room_steps_per_s",
     "train_steps_per_s", "action_us", "peak_rss_mb",
 }  # fmt: skip
 SMALL = Effort(targets=20, repeats=1)
@@ -41,6 +42,7 @@ def warm(pr2):
 @pytest.mark.parametrize("installed", [True, False])
 def test_all_figures(monkeypatch, installed):
     monkeypatch.setattr(speed, "BATCHES", {1: 3, 128: 2, 1024: 1})
+    monkeypatch.setattr(speed, "ROOM_STEPS", 2)
     trained = Figure("training", 3000.0, "steps/s", "train_steps_per_s")
     monkeypatch.setattr(speed, "measure_training", lambda robot, effort: iter([trained]))
     if not installed:
@@ -49,7 +51,7 @@ def test_all_figures(monkeypatch, installed):
     figures = measure_speed("hsr", effort=SMALL, on_part=parts.append)
     assert {figure.key for figure in figures if figure.key} == KEYS
     assert all(figure.value is None or math.isfinite(figure.value) for figure in figures)
-    assert len(parts) == 4
+    assert len(parts) == 5
     missing = {figure.key for figure in figures if figure.value is None and figure.key}
     assert installed or missing == {"pinocchio_warm_us", "pinocchio_cold_us", "pybullet_warm_us"}
 
