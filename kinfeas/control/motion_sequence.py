@@ -88,7 +88,9 @@ class MotionSequence:
         self._solids: Solids | None = None
         self._robots: tuple[Array, Array] | None = None
         self._whole_body = any(one.follows_whole_body for one in self.generators)
-        self.planner = WholeBodyPlanner(solver) if self._whole_body else None
+        self._time_scale, self.planner = execution.time_scale, None
+        if self._whole_body:
+            self.planner = WholeBodyPlanner(solver, execution.time_scale)
         self._robot_size = 3 + len(solver.robot.arm)
         self.desired: Array = np.empty((0, 7))
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
@@ -356,7 +358,8 @@ class MotionSequence:
                 state = of_rows(self._states[number], group)
                 given = frame[group], targets[group], self._solids.of(group)
                 if generator.follows_whole_body:
-                    ahead = generator.robot_ahead(state, self._waypoints[group], CHECKED_AHEAD)
+                    moments = self._time_scale * CHECKED_AHEAD
+                    ahead = generator.robot_ahead(state, self._waypoints[group], moments)
                     paths = self._paths(group, ahead)
                     state, waypoints = generator.follow(state, *given[:2], paths)
                     new = np.array([path is not None for path in paths])

@@ -96,15 +96,19 @@ class WholeBodyPlanner:
     Solids that move are where they will be when the robot comes by.
     """
 
-    def __init__(self, solver: IkSolver) -> None:
-        """Choose the arm configurations in which the robot drives."""
+    def __init__(self, solver: IkSolver, time_scale: float = 1.0) -> None:
+        """Choose the arm configurations in which the robot drives.
+
+        Motions are carried out at a share `time_scale` of their speed.
+        """
         self.robot = robot = solver.robot
         self.solver = IkSolver(robot, at_goals(robot, solver.options))
         self._postures = Postures(self.solver)
         self._rests = _rests(self._postures)
         self._small = int(_room(self.solver.collision, self._rests).argmin())
         self._moves = lattice_moves(omnidirectional=robot.base.drive == "omnidirectional")
-        self._speed = _SPEED * np.array([robot.base.max_velocity, robot.base.max_rotation])
+        limits = np.array([robot.base.max_velocity, robot.base.max_rotation])
+        self._time_scale, self._speed = time_scale, _SPEED * time_scale * limits
 
     def plan(
         self, base_pose: Array, joints: Array, goal: Array, solids: Solids
@@ -243,7 +247,8 @@ class WholeBodyPlanner:
     def _path(self, base: Array, pose: Array, arm: Array) -> WholeBodyPath:
         """Return the motion of base and arm, shapes (k, 3), (k, 7) and (k, j), with its times."""
         joints = np.abs(self._way(arm[:-1], arm[1:])) / (_SPEED * self.robot.max_joint_velocity)
-        seconds = np.maximum(np.diff(self._times(base)), joints.max(axis=1))
+        driving = self._time_scale * np.diff(self._times(base))
+        seconds = np.maximum(driving, joints.max(axis=1))
         ee = compose(pose, forward(self.solver.chain, arm))
         return WholeBodyPath(ee, np.concatenate([base, arm], axis=1), seconds)
 

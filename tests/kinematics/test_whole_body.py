@@ -64,16 +64,20 @@ def test_paths_lead_from_the_start_to_the_goal_within_the_limits(planned):
         assert np.max(distance(path.ee[:-1], path.ee[1:])) < 0.5
 
 
-@pytest.mark.parametrize("task", ["ggr_obstacles", "ggr_dynamic"])
-def test_base_and_arm_follow_the_paths_without_collisions(planned, task):
+@pytest.mark.parametrize(
+    ("task", "time_scale"), [("ggr_obstacles", 1.0), ("ggr_dynamic", 1.0), ("ggr_dynamic", 0.5)]
+)
+def test_base_and_arm_follow_the_paths_without_collisions(planned, task, time_scale):
     planner, starts, paths = planned
     if task == "ggr_dynamic":
+        planner = WholeBodyPlanner(planner.solver, time_scale)
         starts = starts_of(planner, task)
         paths = [plan(planner, start) for start in starts]
     shapes, free = planner.solver.collision, []
     for start, path in zip(starts, paths, strict=True):
         if path is not None:
-            seconds = np.minimum(np.concatenate([[0.0], np.cumsum(path.seconds)]), FORESIGHT)
+            seconds = np.concatenate([[0.0], np.cumsum(path.seconds / time_scale)])
+            seconds = np.minimum(seconds, FORESIGHT)
             among = start.solids.of(np.zeros(len(path.ee), dtype=np.intp)).at(seconds)
             base, arm = planar_pose(*path.robot[:, :3].T), np.ascontiguousarray(path.robot[:, 3:])
             touching = collides(shapes, arm, base, among).any(axis=1)
