@@ -156,11 +156,9 @@ class SmoothPath:
         pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
         begin, moved = pose, twist_between(state["planned_target"], target_pose, 1.0)
         if (straight := state["rate"] == 0.0).any():
-            rows, way = (
-                straight[:, np.newaxis],
-                twist_between(state["start_pose"], target_pose, 1.0),
-            )
-            begin, moved = np.where(rows, state["start_pose"], pose), np.where(rows, way, moved)
+            rows, start = straight[:, np.newaxis], state["start_pose"]
+            moved = np.where(rows, twist_between(start, target_pose, 1.0), moved)
+            begin = np.where(rows, start, pose)
         return integrate(begin, moved * share[..., np.newaxis], 1.0)
 
     def _velocity(self, state: State, target_pose: Array) -> Array:
@@ -254,19 +252,14 @@ class WholeBody(Planned):
         state: State,
         ee_pose: Array,
         target_pose: Array,
-        paths: Sequence[WholeBodyPath | None],
+        paths: Sequence[WholeBodyPath],
     ) -> tuple[State, Array]:
-        """Return the state of motions along paths, those without one go on; and waypoints."""
-        points, least = state["points"].copy(), np.zeros(len(paths))
-        new = np.array([path is not None for path in paths])
-        size = max((path.robot.shape[1] for path in paths if path is not None), default=0)
-        waypoints = np.full((len(paths), POINTS, size), np.nan)
-        for row, path in enumerate(paths):
-            if path is not None:
-                points[row], waypoints[row], least[row] = self._timed(path)
+        """Return the state of motions along paths, and their waypoints, shape (n, 64, 3 + j)."""
+        timed = zip(*map(self._timed, paths), strict=True)
+        points, waypoints, least = (np.stack(each) for each in timed)
         velocity, poses = self._velocity(state, target_pose), (ee_pose, target_pose)
         begun = self._begin(state, poses, points, velocity, least)
-        return _chosen(new, {**begun, "follows": np.ones(len(new))}, state), waypoints
+        return {**begun, "follows": np.ones(len(paths))}, waypoints
 
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead, (s,) -> (n, s, 3 + j), or NaN."""
@@ -282,15 +275,15 @@ class WholeBody(Planned):
         given = of_rows(state, alone), ee_pose[alone], target_pose[alone], solids.of(alone)
         return merged(state, alone, super().replan(*given), len(ee_pose))
 
-    def _timed(self, path: WholeBodyPath) -> tuple[Array, Array, float]:
-        """Return points of the EE, (64, 7), and of the robot, at even times; all time."""
+    def _timed(self, path: WholeBodyPath) -> tuple[Array, Array, Array]:
+        """Return EE and robot at even times, (64, 7) and (64, 3 + j), and all time, seconds."""
         seconds = np.maximum(self._seconds(path.ee[:-1], path.ee[1:]), path.seconds)
         time = np.concatenate([[0.0], np.cumsum(seconds + 1e-6)])
         at = np.linspace(0.0, time[-1], POINTS)
         every = np.concatenate([path.ee[:, :3], _continuous(path.ee[:, 3:]), path.robot], axis=1)
         places = np.stack([np.interp(at, time, column) for column in every.T], axis=1)
         places[:, 3:7] /= np.linalg.norm(places[:, 3:7], axis=1, keepdims=True)
-        return places[:, :7], places[:, 7:], float(time[-1])
+        return places[:, :7], places[:, 7:], time[-1]
 
 
 class RandomSpline(SmoothPath):

@@ -35,7 +35,7 @@ BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""
 
 ROOM_STEPS = 800
-"""Timed steps among solids: about an episode, since its start takes most time."""
+"""Timed steps among solids: more than an episode, so that its start counts, too."""
 
 METRES, RADIANS = 1e-4, 1e-3
 """Tolerances of an IK solution."""

@@ -360,21 +360,25 @@ class MotionSequence:
                 if generator.follows_whole_body:
                     moments = self._time_scale * CHECKED_AHEAD
                     ahead = generator.robot_ahead(state, self._waypoints[group], moments)
-                    paths = self._paths(group, ahead)
-                    state, waypoints = generator.follow(state, *given[:2], paths)
-                    new = np.array([path is not None for path in paths])
-                    if new.any():
-                        self._waypoints = with_rows(self._waypoints, group[new], waypoints[new])
+                    if paths := self._paths(group, ahead):
+                        new = np.array(list(paths))
+                        poses = (one[new] for one in given[:2])
+                        along = of_rows(state, new), *poses, list(paths.values())
+                        followed, waypoints = generator.follow(*along)
+                        state = merged(state, new, followed, len(group))
+                        self._waypoints = with_rows(self._waypoints, group[new], waypoints)
                 state = generator.replan(state, *given)
                 self._states[number] = merged(self._states[number], group, state, len(frame))
         self._forget()
 
-    def _paths(self, rows: Rows, ahead: Array) -> list[WholeBodyPath | None]:
-        """Return whole-body motions to the goals of rows; None where none is found or needed.
+    def _paths(self, rows: Rows, ahead: Array) -> dict[int, WholeBodyPath]:
+        """Return the whole-body motions that are needed and found to the goals of rows.
+
+        Keys are places in `rows`.
 
         `ahead` are the robots of present motions at `CHECKED_AHEAD`, shape (r, s, 3 + j).
         """
-        paths: list[WholeBodyPath | None] = [None] * len(rows)
+        paths: dict[int, WholeBodyPath] = {}
         if self.planner is None or self._robots is None or self._solids is None:
             return paths
         goal, (base, joints) = self.goal, self._robots
@@ -383,7 +387,9 @@ class MotionSequence:
             if not solids.filled.any() or self.planner.free(ahead[number], solids):
                 continue
             path = self.planner.plan(base[row], joints[row], goal[row], solids)
-            if path is not None and self._tips:
+            if path is None:
+                continue
+            if self._tips:
                 moved = spatial.compose(path.ee, self._tool[self.subgoal[row]])
                 path = replace(path, ee=moved)
             paths[number] = path
@@ -403,7 +409,7 @@ class MotionSequence:
     @property
     def _planned(self) -> tuple[Array, Array]:
         if self._robot_soon is None:
-            soon = self._robot_ahead(np.array([LEAD, self._dt]))
+            soon = self._robot_ahead(np.array([LEAD, self._time_scale * self._dt]))
             self._robot_soon = spatial.planar_pose(*soon[:, 0, :3].T), soon[:, 1, 3:]
         return self._robot_soon
 

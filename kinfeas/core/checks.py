@@ -8,6 +8,7 @@ import numpy as np
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import (
+    WAYPOINTS,
     AvoidsSolids,
     Demonstrated,
     FollowsWholeBodyPath,
@@ -169,13 +170,15 @@ class CheckedMotion:
         state: State,
         ee_pose: Array,
         target_pose: Array,
-        paths: Sequence[WholeBodyPath | None],
+        paths: Sequence[WholeBodyPath],
     ) -> tuple[State, Array]:
-        """Return the state of motions along paths, and the waypoints of the robots."""
+        """Return the state of motions along paths, and their waypoints, (n, 64, 3 + j)."""
         assert isinstance(self.generator, FollowsWholeBodyPath)
         with plugin_note(self.subject):
             state, waypoints = self.generator.follow(state, ee_pose, target_pose, paths)
         self._check_state("follow", state, len(ee_pose))
+        shape = len(ee_pose), WAYPOINTS, paths[0].robot.shape[1]
+        self._check_array("follow", waypoints, shape)
         return state, waypoints
 
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:

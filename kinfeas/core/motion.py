@@ -113,19 +113,19 @@ class FollowsWholeBodyPath(Protocol):
         state: State,
         ee_pose: Array,
         target_pose: Array,
-        paths: Sequence[WholeBodyPath | None],
+        paths: Sequence[WholeBodyPath],
     ) -> tuple[State, Array]:
-        """Return the state of n motions along their paths; those without one go on as before.
+        """Return the state of n motions along their paths.
 
-        The second value has `WAYPOINTS` robots of the paths, shape (n, 64, 3 + j), NaN for motions
-        without one; `robot_ahead` gets them again. Called before `replan` of `AvoidsSolids`, which
-        leaves these motions as they are.
+        The second value has `WAYPOINTS` robots of each path, shape (n, 64, 3 + j), which
+        `robot_ahead` gets again. Called before `replan` of `AvoidsSolids`, which leaves these
+        motions as they are.
 
         Args:
             state: State of n motions.
             ee_pose: Current desired world pose, shape (n, 7).
             target_pose: Current poses of the targets, shape (n, 7).
-            paths: A path for each motion, from about `ee_pose` to the target, or None.
+            paths: A path for each motion, from about `ee_pose` to the target.
         """
         ...
 
@@ -134,8 +134,8 @@ class FollowsWholeBodyPath(Protocol):
 
         Args:
             state: State of n motions.
-            waypoints: From `follow`, shape (n, 64, 3 + j).
-            seconds: Shape (s,).
+            waypoints: From `follow`, shape (n, 64, 3 + j); NaN for motions without a path.
+            seconds: From now on, shape (s,).
         """
         ...
 

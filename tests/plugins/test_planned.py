@@ -212,18 +212,16 @@ def test_whole_body_motions_follow_their_path_with_the_robot_ahead():
     np.testing.assert_allclose(robots[:, 0, 3], 4.0 * robots[:, 0, 2], atol=1e-9)
 
 
-def test_slow_base_paths_take_their_time_and_others_go_on():
+def test_slow_base_paths_take_their_time():
     start, goal, path = along()
-    generator = WholeBody()
-    state = generator.start(np.tile(start, (2, 1)), np.tile(goal, (2, 1)), [None, None])
+    generator, both = WholeBody(), (np.tile(start, (2, 1)), np.tile(goal, (2, 1)))
+    state = generator.start(*both, [None, None])
     slow = replace(path, seconds=np.full(29, 5.0))
-    both = np.tile(start, (2, 1)), np.tile(goal, (2, 1))
-    begun, waypoints = generator.follow(state, *both, [slow, None])
+    begun, waypoints = generator.follow(state, *both, [slow, path])
+    assert begun["duration"][0] > 145.0 > 2.0 * begun["duration"][1]
+    waypoints[1] = np.nan
     ahead = generator.robot_ahead(begun, waypoints, np.zeros(1))
     np.testing.assert_array_equal(np.isnan(ahead).all(axis=(1, 2)), [False, True])
-    assert begun["duration"][0] > 145.0
-    for key, values in state.items():
-        np.testing.assert_array_equal(begun[key][1], values[1])
 
 
 def test_whole_body_paths_stay_where_those_of_the_ee_are_replanned():
