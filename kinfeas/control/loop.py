@@ -464,4 +464,4 @@ def _in_base(wanted: Array, base_pose: Array) -> Array:
     """Return x, y and yaw of wanted base poses, (n, 7), as seen from the bases; 0 for NaN."""
     known = ~np.isnan(wanted).any(axis=1, keepdims=True)
     seen = spatial.relative(np.where(known, wanted, base_pose), base_pose)
-    return np.column_stack([seen[:, :2], spatial.yaw(seen)])
+    return np.where(known, np.column_stack([seen[:, :2], spatial.yaw(seen)]), 0.0)

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
+from kinfeas.control.whole_body_motion import Motions, WholeBodyMotions
 from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
-from kinfeas.core.motion import WAYPOINTS, Rows, State, WholeBodyPath, merged, of_rows, with_rows
+from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,8 @@ class Plan:
     states: list[State]
 
 
-LEAD = 1.0
-"""Seconds by which the planned base that policies see is ahead of the EE."""
-
-_STATES, _ROWS = "motion", ("desired", "subgoal", "waiting", "seeds", "targets", "waypoints")
+_STATES, _PATHS = "motion", "waypoints"
+_ROWS = "desired", "subgoal", "waiting", "seeds", "targets"
 
 
 class MotionSequence:
@@ -56,8 +54,7 @@ class MotionSequence:
             the motion settles, then those of its dwell. Below zero, periods until it
             begins the first one.
         avoids_solids: Whether the generator of any sub-goal plans around solids.
-        planner: Planner of whole-body motions, where a generator follows them; None leaves those
-            that there are.
+        whole_body: Paths of base and arm that the motions follow among solids.
     """
 
     def __init__(
@@ -86,22 +83,15 @@ class MotionSequence:
         self._demonstrated = any(one.demonstrated for one in self.generators)
         self.avoids_solids = any(one.avoids_solids for one in self.generators)
         self._solids: Solids | None = None
-        self._robots: tuple[Array, Array] | None = None
-        self._whole_body = any(one.follows_whole_body for one in self.generators)
-        self._time_scale, self.planner = execution.time_scale, None
-        if self._whole_body:
-            self.planner = WholeBodyPlanner(solver, execution.time_scale)
-        self._robot_size = 3 + len(solver.robot.arm)
+        self.whole_body = WholeBodyMotions(solver, dt, execution.time_scale, self.generators)
         self.desired: Array = np.empty((0, 7))
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
         self._targets: Array = np.empty((0, len(subgoals), 7))
-        # Base and arm on whole-body paths; none if no generator follows any.
-        self._waypoints: Array = np.empty((0, WAYPOINTS, self._robot_size))
         self._states: list[State] = []
         # Until something moves:
         self._goal: Array | None = None
-        self._robot_soon: tuple[Array, Array] | None = None
+        self._robot_soon: tuple[Array, Array | None] | None = None
 
     def start(
         self,
@@ -120,13 +110,12 @@ class MotionSequence:
         """
         none = np.zeros(len(rngs), dtype=np.intp)
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        waypoints = np.full((len(rngs), WAYPOINTS * self._whole_body, self._robot_size), np.nan)
-        head_starts = self._head_starts(rngs)
-        fresh = (ee_pose, none, none - head_starts, seeds, target_poses, waypoints)
+        fresh = (ee_pose, none, none - self._head_starts(rngs), seeds, target_poses)
         if rows is None:
             self._put(fresh)
             self._states = [{} for _ in self.generators]
-            self._solids, self._robots, rows = None, None, np.arange(len(rngs))
+            self.whole_body.start(len(rngs))
+            self._solids, rows = None, np.arange(len(rngs))
         else:
             pairs = zip(self._arrays(), fresh, strict=True)
             self._put(tuple(with_rows(old, rows, new) for old, new in pairs))
@@ -162,8 +151,6 @@ class MotionSequence:
     @property
     def planned_base(self) -> Array:
         """World pose of the base on a whole-body path in `LEAD` seconds, shape (n, 7), or NaN."""
-        if not self._whole_body:
-            return np.full((len(self.subgoal), 7), np.nan)
         return self._planned[0]
 
     @property
@@ -172,7 +159,7 @@ class MotionSequence:
 
         None if no generator follows any.
         """
-        return self._planned[1] if self._whole_body else None
+        return self._planned[1]
 
     def aim(self, target_poses: Array) -> None:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
@@ -196,7 +183,7 @@ class MotionSequence:
             robots: World poses of the bases, shape (n, 7), and arm joints, shape (n, j), now; some
                 generators plan for them, too.
         """
-        self._solids, self._robots = solids, robots
+        self._solids, self.whole_body.robots = solids, robots
         if self.avoids_solids:
             self._replan(np.arange(len(self.subgoal)) if rows is None else rows)
 
@@ -303,14 +290,16 @@ class MotionSequence:
             for number, state in enumerate(self._states)
             for key, values in state.items()
         }
-        return dict(zip(_ROWS, self._arrays(), strict=True)) | states
+        paths = {_PATHS: self.whole_body.waypoints}
+        return dict(zip(_ROWS, self._arrays(), strict=True)) | paths | states
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
         self._states = [{} for _ in self.generators]
         self._forget()
-        self._solids = self._robots = None
+        self._solids = self.whole_body.robots = None
+        self.whole_body.waypoints = snapshot[_PATHS].copy()
         for name, values in snapshot.items():
             kind, _, rest = name.partition(".")
             if kind == _STATES:
@@ -318,12 +307,10 @@ class MotionSequence:
                 self._states[int(number)][key] = values.copy()
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        moving = self.desired, self.subgoal, self.waiting
-        return *moving, self._seeds, self._targets, self._waypoints
+        return self.desired, self.subgoal, self.waiting, self._seeds, self._targets
 
     def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
-        self.desired, self.subgoal, self.waiting = arrays[:3]
-        self._seeds, self._targets, self._waypoints = arrays[3:]
+        self.desired, self.subgoal, self.waiting, self._seeds, self._targets = arrays
 
     def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
         """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
@@ -336,7 +323,7 @@ class MotionSequence:
         """Start the motion of the sub-goal that each of `rows` is at, from its desired pose."""
         begins = np.zeros(len(self.subgoal), dtype=np.bool_)
         begins[rows] = True
-        self._waypoints = with_rows(self._waypoints, rows, np.array(np.nan))
+        self.whole_body.drop(rows)
         frame, targets = self._to_frame(self.desired), self._target
         for number, generator, group in self._groups(begins):
             subgoals = self.subgoal[group]
@@ -356,44 +343,14 @@ class MotionSequence:
         for number, generator, group in self._groups(chosen):
             if generator.avoids_solids:
                 state = of_rows(self._states[number], group)
-                given = frame[group], targets[group], self._solids.of(group)
+                poses, solids = (frame[group], targets[group]), self._solids.of(group)
                 if generator.follows_whole_body:
-                    moments = self._time_scale * CHECKED_AHEAD
-                    ahead = generator.robot_ahead(state, self._waypoints[group], moments)
-                    if paths := self._paths(group, ahead):
-                        new = np.array(list(paths))
-                        poses = (one[new] for one in given[:2])
-                        along = of_rows(state, new), *poses, list(paths.values())
-                        followed, waypoints = generator.follow(*along)
-                        state = merged(state, new, followed, len(group))
-                        self._waypoints = with_rows(self._waypoints, group[new], waypoints)
-                state = generator.replan(state, *given)
+                    motions = Motions(generator, group, state)
+                    ends = self.goal[group], self._tool[self.subgoal[group]]
+                    state = self.whole_body.follow(motions, poses, ends, solids)
+                state = generator.replan(state, *poses, solids)
                 self._states[number] = merged(self._states[number], group, state, len(frame))
         self._forget()
-
-    def _paths(self, rows: Rows, ahead: Array) -> dict[int, WholeBodyPath]:
-        """Return the whole-body motions that are needed and found to the goals of rows.
-
-        Keys are places in `rows`.
-
-        `ahead` are the robots of present motions at `CHECKED_AHEAD`, shape (r, s, 3 + j).
-        """
-        paths: dict[int, WholeBodyPath] = {}
-        if self.planner is None or self._robots is None or self._solids is None:
-            return paths
-        goal, (base, joints) = self.goal, self._robots
-        for number, row in enumerate(rows.tolist()):
-            solids = self._solids.of(np.array([row]))
-            if not solids.filled.any() or self.planner.free(ahead[number], solids):
-                continue
-            path = self.planner.plan(base[row], joints[row], goal[row], solids)
-            if path is None:
-                continue
-            if self._tips:
-                moved = spatial.compose(path.ee, self._tool[self.subgoal[row]])
-                path = replace(path, ee=moved)
-            paths[number] = path
-        return paths
 
     @property
     def _target(self) -> Array:
@@ -407,20 +364,16 @@ class MotionSequence:
         self._goal = self._robot_soon = None
 
     @property
-    def _planned(self) -> tuple[Array, Array]:
+    def _planned(self) -> tuple[Array, Array | None]:
         if self._robot_soon is None:
-            soon = self._robot_ahead(np.array([LEAD, self._time_scale * self._dt]))
-            self._robot_soon = spatial.planar_pose(*soon[:, 0, :3].T), soon[:, 1, 3:]
+            groups = self._groups(np.ones(len(self.subgoal), dtype=np.bool_))
+            motions = [
+                Motions(generator, rows, of_rows(self._states[number], rows))
+                for number, generator, rows in groups
+                if generator.follows_whole_body
+            ]
+            self._robot_soon = self.whole_body.soon(motions)
         return self._robot_soon
-
-    def _robot_ahead(self, seconds: Array) -> Array:
-        """Return base and arm of each row on its whole-body path, (s,) -> (n, s, 3 + j), or NaN."""
-        robot = np.full((len(self.subgoal), len(seconds), self._robot_size), np.nan)
-        for number, generator, rows in self._groups(np.ones(len(robot), dtype=np.bool_)):
-            if generator.follows_whole_body:
-                state = of_rows(self._states[number], rows)
-                robot[rows] = generator.robot_ahead(state, self._waypoints[rows], seconds)
-        return robot
 
     def _ask(self, question: Callable[[CheckedMotion, State, Array], Array]) -> Array:
         """Return the answer of each row's generator, shape (n, 7)."""

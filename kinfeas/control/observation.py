@@ -118,6 +118,9 @@ TERMS = {
 SCAN_TERMS = {"scan_low", "scan_high"}
 """Terms that need a scan."""
 
+SURROUNDINGS = SCAN_TERMS | {"planned_base"}
+"""Terms that are 0 where nothing stands around the robot."""
+
 OBSERVATION = tuple(TERMS)[:7]
 """Terms of policies by default, in this order."""
 
@@ -147,6 +150,12 @@ def scale(robot: Robot, terms: Sequence[str] = OBSERVATION) -> Array:
     """Return factors that bring each number of an observation to about unit range, shape (d,)."""
     each = [np.resize(TERMS[name].scale, TERMS[name].width(robot)) for name in terms]
     return np.concatenate(each)
+
+
+def surroundings(robot: Robot, terms: Sequence[str]) -> list[int]:
+    """Return the places of the numbers of `SURROUNDINGS` in an observation."""
+    each = [[name in SURROUNDINGS] * TERMS[name].width(robot) for name in terms]
+    return np.flatnonzero(np.concatenate(each)).tolist()
 
 
 def scaled(observation: Array, factors: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -38,7 +38,8 @@ class LearnerConfig:
         critic_steps: With `init`, steps after these in which only the critics learn.
         net_arch: Units of each hidden layer.
         anchor: SAC, with `init`: factor on the squared difference between the actions of the actor
-            and of the initial policy, in the actor's loss.
+            and of the initial policy, in the actor's loss. Of a policy without the terms of the
+            surroundings, it counts where these are 0: no base is planned, nothing in range.
         ent_coef: SAC: fixed entropy coefficient, or `learned`.
         exploration_noise: TD3: standard deviation of the noise on actions.
         policy_noise: TD3: standard deviation of the target policy's noise.

@@ -125,7 +125,7 @@ class FastSAC(SAC):
     Attributes:
         policy_delay: Updates of the critics for each update of the actor.
         anchor_weight: Factor on the squared difference between the mean actions of the actor and
-            of the policy that `anchor` kept, summed over the action terms.
+            of the policy that `anchor` kept, summed over the action.
     """
 
     policy_delay = 1
@@ -149,9 +149,9 @@ class FastSAC(SAC):
                 [ours.vector], lr=self.lr_schedule(1.0), **(self.policy.optimizer_kwargs)
             )
 
-    def anchor(self, weight: float) -> None:
-        """Hold the actor near its current weights."""
-        self.anchor_weight = weight
+    def anchor(self, weight: float, zero: Sequence[int] = ()) -> None:
+        """Hold the actor near its current actions where the observed numbers `zero` are all 0."""
+        self.anchor_weight, self._zero = weight, torch.tensor(zero, dtype=torch.long)
         self._start = deepcopy(nn.Sequential(self.actor.latent_pi, self.actor.mu))
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
@@ -229,7 +229,8 @@ class FastSAC(SAC):
         by_log_std = by_mean * free.exp() * drawn.noise - ent_coef / n
         loss = (ent_coef * drawn.log_prob - value[0]).mean()
         if self.anchor_weight:
-            off = torch.tanh(mean) - torch.tanh(self._start(observations))
+            held = (observations[:, self._zero] == 0.0).all(dim=1, keepdim=True)
+            off = held * (torch.tanh(mean) - torch.tanh(self._start(observations)))
             loss = loss + self.anchor_weight * off.square().sum(1).mean()
             by_mean += 2.0 * self.anchor_weight / n * off * (1.0 - torch.tanh(mean).square())
         by_log_std[(free < LOG_STD_MIN) | (free > LOG_STD_MAX)] = 0.0

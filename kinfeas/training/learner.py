@@ -1,7 +1,7 @@
 """SAC and TD3 as Stable-Baselines3 learners, and the networks that they learn."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -156,10 +156,13 @@ def save_policy(model: Learner, env: EpisodesVecEnv, folder: Path) -> None:
     write_network(network_of(model, env), folder, env.robot, {"steps": model.num_timesteps})
 
 
-def take_network(learner: Learner, network: Network, anchor: float = 0.0) -> None:
+def take_network(
+    learner: Learner, network: Network, anchor: float = 0.0, surroundings: Sequence[int] = ()
+) -> None:
     """Copy a network into a fresh learner's actor, whose hidden layers are as wide.
 
-    SAC's actions get the deviation `INITIAL_STD`; a positive `anchor` holds SAC near the network.
+    SAC's actions get the deviation `INITIAL_STD`. A positive `anchor` holds SAC near the network
+    where it does not ignore what there is: where inputs `surroundings` without weights are 0.
     """
     with torch.no_grad():
         for layer, weight, bias in zip(
@@ -174,7 +177,8 @@ def take_network(learner: Learner, network: Network, anchor: float = 0.0) -> Non
         else:
             learner.actor_target.load_state_dict(learner.actor.state_dict())
     if isinstance(learner, FastSAC):
-        learner.anchor(anchor)
+        ignored = [number for number in surroundings if not network.weights[0][number].any()]
+        learner.anchor(anchor, ignored)
 
 
 def _layers(learner: Learner) -> list[nn.Linear]:

@@ -14,6 +14,7 @@ from gymnasium.spaces import flatdim
 from numpy.typing import NDArray
 
 from kinfeas import config as configuration
+from kinfeas.control.observation import surroundings
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, summarize
 from kinfeas.io.files import alone, find_folder, write_folder, writing
@@ -122,7 +123,8 @@ class _Run:
         """Take the weights of the initial policy, if there is one."""
         if self.config.init is not None:
             network = initial_policy(self.config, self.env.scale)
-            take_network(self.learner, network, self.config.learner.anchor)
+            seen = surroundings(self.env.robot, self.env.observation_terms)
+            take_network(self.learner, network, self.config.learner.anchor, seen)
 
     def load(self) -> None:
         """Load the last checkpoint, or begin if there is none."""

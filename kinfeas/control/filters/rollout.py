@@ -117,7 +117,7 @@ class RolloutPlanner:
         execution = replace(loop.execution, arm_settle_timeout=0.0)
         analytic = registry.build("kinfeas.backends", "analytic", {})
         self._twin = Loop(solver, loop.sequence.subgoals, analytic, HORIZON, execution)
-        self._twin.sequence.planner = None  # plans take longer than rollouts
+        self._twin.sequence.whole_body.planner = None  # plans take longer than rollouts
         self._policy = self.simulated_policy(loop.policy)
         self._twin.set_policy(self._policy)
         self._every = max(1, round(self.replan_interval / loop.dt))

@@ -1,0 +1,127 @@
+"""Whole-body motions that n EEs follow among solids, each row with its own."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from kinfeas.core import spatial
+from kinfeas.core.checks import CheckedMotion
+from kinfeas.core.motion import WAYPOINTS, Rows, State, WholeBodyPath, merged, of_rows, with_rows
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
+
+LEAD = 1.0
+"""Seconds by which the planned base that policies see is ahead of the EE."""
+
+
+class Motions(NamedTuple):
+    """The motions of r rows, which one generator moves along whole-body paths.
+
+    Attributes:
+        generator: Of these motions.
+        rows: Which of the n motions they are, shape (r,).
+        state: State of the generator for them.
+    """
+
+    generator: CheckedMotion
+    rows: Rows
+    state: State
+
+
+class WholeBodyMotions:
+    """Paths of base and arm of n EE motions, planned again where solids come into their way.
+
+    Attributes:
+        planner: Planner of the paths, if a generator follows any; None leaves those that there are.
+        robots: World poses of the bases, shape (n, 7), and arm joints, shape (n, j), now; None
+            while they are not known.
+        waypoints: Base and arm along each row's path, shape (n, w, 3 + j), or NaN; w is 0 if no
+            generator follows any.
+    """
+
+    def __init__(
+        self, solver: IkSolver, dt: float, time_scale: float, generators: Iterable[CheckedMotion]
+    ) -> None:
+        """Set up the planner.
+
+        Motions are carried out in periods of `dt` seconds at a share `time_scale` of their speed.
+        """
+        used = any(one.follows_whole_body for one in generators)
+        self.planner = WholeBodyPlanner(solver, time_scale) if used else None
+        self.robots: tuple[Array, Array] | None = None
+        self.waypoints: Array = np.empty((0, WAYPOINTS * used, 3 + len(solver.robot.arm)))
+        self._soon, self._checked = np.array([LEAD, time_scale * dt]), time_scale * CHECKED_AHEAD
+
+    def start(self, n: int) -> None:
+        """Begin n motions, none of them with a path."""
+        self.waypoints, self.robots = np.full((n, *self.waypoints.shape[1:]), np.nan), None
+
+    def drop(self, rows: Rows) -> None:
+        """Forget the paths of rows."""
+        self.waypoints = with_rows(self.waypoints, rows, np.array(np.nan))
+
+    def soon(self, motions: Sequence[Motions]) -> tuple[Array, Array | None]:
+        """Return the base in `LEAD` seconds, (n, 7), and the arm after this period, (n, j), or NaN.
+
+        There are no arms if no generator follows any path.
+        """
+        n, points, size = self.waypoints.shape
+        if not points:
+            return np.full((n, 7), np.nan), None
+        robot = np.full((n, len(self._soon), size), np.nan)
+        for one in motions:
+            robot[one.rows] = self._ahead(one, self._soon)
+        return spatial.planar_pose(*robot[:, 0, :3].T), robot[:, 1, 3:]
+
+    def follow(
+        self,
+        motions: Motions,
+        poses: tuple[Array, Array],
+        ends: tuple[Array, Array],
+        solids: Solids,
+    ) -> State:
+        """Plan paths where there are none or they are not free any more; return the next state.
+
+        Args:
+            motions: The motions of r rows.
+            poses: World poses of the frames that they move, and of their targets, shapes (r, 7).
+            ends: World poses of the EE at their ends, and poses of the frames in that of the EE,
+                shapes (r, 7).
+            solids: Solids around each of the r rows.
+        """
+        generator, rows, state = motions
+        paths = self._paths(motions, ends, solids)
+        if not paths:
+            return state
+        new = np.array(list(paths))
+        frame, target = (one[new] for one in poses)
+        along = list(paths.values())
+        followed, waypoints = generator.follow(of_rows(state, new), frame, target, along)
+        self.waypoints = with_rows(self.waypoints, rows[new], waypoints)
+        return merged(state, new, followed, len(rows))
+
+    def _paths(
+        self, motions: Motions, ends: tuple[Array, Array], solids: Solids
+    ) -> dict[int, WholeBodyPath]:
+        """Return the paths that are needed and found, by their places in the rows."""
+        paths: dict[int, WholeBodyPath] = {}
+        if self.planner is None or self.robots is None:
+            return paths
+        ahead, (base, joints) = self._ahead(motions, self._checked), self.robots
+        for number, (row, goal, tool) in enumerate(zip(motions.rows, *ends, strict=True)):
+            around = solids.of(np.array([number]))
+            if not around.filled.any() or self.planner.free(ahead[number], around):
+                continue
+            path = self.planner.plan(base[row], joints[row], goal, around)
+            if path is not None:
+                paths[number] = replace(path, ee=spatial.compose(path.ee, tool))
+        return paths
+
+    def _ahead(self, motions: Motions, seconds: Array) -> Array:
+        """Return base and arm of motions some seconds ahead, (s,) -> (r, s, 3 + j), or NaN."""
+        waypoints = self.waypoints[motions.rows]
+        return motions.generator.robot_ahead(motions.state, waypoints, seconds)
