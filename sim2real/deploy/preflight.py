@@ -9,10 +9,12 @@ import numpy as np
 from kinfeas.config import PluginSpec
 from kinfeas.control.loop import Loop
 from kinfeas.control.motion_sequence import subgoal_ends
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
+from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.policy import CommandFilter, Policy
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
@@ -24,6 +26,7 @@ from kinfeas.tasks.task import Task, build_subgoals
 
 _WARM_UP_STEPS = 5
 _WARM_UP_WAY = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE to its targets
+_WARM_UP_SOLIDS = Solids.from_table(np.array([[0.0, 3.0, 0, 0.2, 0.2, 0, 1, 0, 0, 0, 0]]))  # a box
 
 
 def preflight(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards) -> str:
@@ -60,11 +63,11 @@ def warm_up(
     joints = robot.home["home"][np.newaxis]
     target = forward(solver.chain, joints) + _WARM_UP_WAY
     targets = np.stack([target] * len(task.subgoals), axis=1)
-    analytic = registry.build("kinfeas.backends", "analytic", {})
+    analytic = build_backend("analytic", {}, robot=robot)
     backend = Guarded(analytic, robot, Guards().timeless(), adapters=adapters)
     loop = Loop(solver, build_subgoals(task.subgoals), backend, dt, filters=filters)
     loop.set_policy(policy)
-    loop.start(Start(spatial.IDENTITY[np.newaxis], joints, targets), [rng])
+    loop.start(Start(spatial.IDENTITY[np.newaxis], joints, targets, _WARM_UP_SOLIDS), [rng])
     for _ in range(_WARM_UP_STEPS):
         loop.step(policy.act(loop.policy_input))
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.config import PluginSpec
+from kinfeas.control.filters import build_filters
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
@@ -98,7 +100,8 @@ def trained():
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
-    warm_up(PR2, Drive(), goal(1.0, 0.0, 0.8), DT)
+    filters = build_filters((PluginSpec("obstacle_distance"), PluginSpec("feasibility")))
+    warm_up(PR2, Drive(), goal(1.0, 0.0, 0.8), DT, filters=filters)
 
 
 def goal(*position):
