@@ -49,7 +49,7 @@ class _Wrapper(BackendWrapper):
         if isinstance(backend, SupportsObstacleDistances):
             self.obstacle_distances = backend.obstacle_distances
         if isinstance(backend, SupportsScan):
-            self.scan = self._scan
+            self._inner_scan, self.scan = backend.scan, self._scan
 
     def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
         """Seed a backend that draws random numbers."""
@@ -58,8 +58,7 @@ class _Wrapper(BackendWrapper):
 
     def _scan(self) -> Array:
         """Return the ranges that the backend measures, as in `SupportsScan`."""
-        assert isinstance(self.backend, SupportsScan)
-        return self.backend.scan()
+        return self._inner_scan()
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Close or open the grippers of a backend that has them."""
@@ -92,6 +91,8 @@ class SafetyFilter(_Wrapper):
         self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
         self.hold, self.brake, self.stopped, self.steps = "", False, True, 0
         self._blind = np.zeros(SCAN_BEAMS, dtype=np.bool_)
+        # Once, since protocols are checked by looking up each of their members.
+        self._measuring = backend if isinstance(backend, SupportsMeasuredScan) else None
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -141,9 +142,9 @@ class SafetyFilter(_Wrapper):
 
     def _scan(self) -> Array:
         """Return the ranges that the backend measures; raise Fault if they are old or blind."""
-        if not isinstance(self.backend, SupportsMeasuredScan):
+        if self._measuring is None:
             return super()._scan()
-        scan = self.backend.measured_scan()
+        scan = self._measuring.measured_scan()
         check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
         if scan.blind.all():
             raise Fault("the scan is blind in all directions")

@@ -7,6 +7,7 @@ import traceback
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 from types import FrameType
 from typing import Any, Protocol, runtime_checkable
 
@@ -134,7 +135,7 @@ class Setup:
             object.__setattr__(self, "guards", self.guards.timeless())
         self.guards.check_rate(self.dt)
 
-    @property
+    @cached_property
     def live(self) -> bool:
         """Whether the robot moves in real time by itself."""
         return isinstance(self.backend, RealTimeBackend)
