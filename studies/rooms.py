@@ -1,8 +1,10 @@
-"""Evaluate policies among solids and print a table: `python studies/rooms.py DIR`.
+"""Evaluate policies among solids and on empty floors, and print a table.
 
-Each evaluation is a JSON file in DIR, as `kinfeas evaluate --json` writes it; those that exist are
-not repeated. `--tasks`, `--policies` and `--filters`, the number of a row of `FILTERS`, restrict
-those of this process. The last row is the upper bound, as `kinfeas ceiling --json` computes it.
+`python studies/rooms.py DIR`: each evaluation is a JSON file in DIR, as `kinfeas evaluate --json`
+writes it; those that exist are not repeated. `--tasks`, `--policies` and `--filters`, the number of
+a row of `FILTERS`, restrict those of this process. With `--rooms RUN RUN RUN` the rows of
+`pretrained/rooms` are of runs that differ by their seed, all episodes together. The last row is
+the upper bound, as `kinfeas ceiling --json` computes it.
 """
 
 import argparse
@@ -16,7 +18,8 @@ from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
-TASKS = ("ggr_obstacles", "ggr_dynamic")
+EMPTY = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
+TASKS = ("ggr_obstacles", "ggr_dynamic", *EMPTY)
 POLICIES = ("pretrained/rooms", "pretrained", "planned_base", "whole_body_qp")
 FILTERS = (
     (),
@@ -34,7 +37,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--robot", default="hsr")
     parser.add_argument("--episodes", type=int, default=500)
-    parser.add_argument("--rooms", default="pretrained/rooms", help="policy that is trained here")
+    parser.add_argument("--rooms", nargs="*", default=POLICIES[:1], help="runs, one for each seed")
     parser.add_argument("--tasks", nargs="*", default=TASKS)
     parser.add_argument("--policies", nargs="*", default=POLICIES)
     parser.add_argument("--filters", nargs="*", type=int, default=range(len(FILTERS)))
@@ -42,18 +45,19 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     rows = [FILTERS[number] for number in given.filters]
     for task, policy, filters in product(given.tasks, given.policies, rows):
-        path = given.folder / name(given.robot, task, policy, filters)
         # `whole_body_qp` has a state, which the rollout planner does not allow.
-        fits = not (policy == "whole_body_qp" and "rollout_planner" in filters)
-        if fits and not path.exists():
-            chosen = [f"world.filters={json.dumps(filters)}"]
-            source = given.rooms if policy == POLICIES[0] else policy
-            config, driver = prepare(
-                source, given.robot, task, episodes=given.episodes, overrides=chosen
-            )
-            path.write_text(json.dumps(evaluate(config, driver, policy), indent=2))
+        if policy == "whole_body_qp" and "rollout_planner" in filters:
+            continue
+        for number, run in enumerate(given.rooms if policy == POLICIES[0] else [policy]):
+            path = given.folder / f"{name(given.robot, task, policy, filters)}-{number}.json"
+            if not path.exists():
+                chosen = [f"world.filters={json.dumps(filters)}"]
+                config, driver = prepare(
+                    run, given.robot, task, episodes=given.episodes, overrides=chosen
+                )
+                path.write_text(json.dumps(evaluate(config, driver, policy), indent=2))
     for task in given.tasks:
-        path = given.folder / name(given.robot, task, CEILING, ())
+        path = given.folder / f"{name(given.robot, task, CEILING, ())}-0.json"
         if not path.exists():
             robot, seed = load_robot(given.robot), 1  # as in `prepare`
             found = measure_reachability(robot, load_task(task), given.episodes, seed)
@@ -62,27 +66,30 @@ def main() -> None:
 
 
 def name(robot: str, task: str, policy: str, filters: tuple[str, ...]) -> str:
-    """Return the file of an evaluation."""
-    return "-".join([robot, task, policy.replace("/", "_").replace(" ", "_"), *filters]) + ".json"
+    """Return the beginning of the files of an evaluation."""
+    return "-".join([robot, task, policy.replace("/", "_").replace(" ", "_"), *filters])
 
 
 def table(folder: Path, robot: str) -> str:
     """Return the Markdown table of a folder."""
     lines = [f"| success, % | filters | {' | '.join(f'`{task}`' for task in TASKS)} |"]
-    lines.append("|---|---|---|---|")
+    lines.append("|---|---|" + "---|" * len(TASKS))
     for policy, filters in [*product(POLICIES, FILTERS), (CEILING, ())]:
-        files = [folder / name(robot, task, policy, filters) for task in TASKS]
-        cells = [cell(json.loads(one.read_text())) if one.exists() else "-" for one in files]
+        names = [name(robot, task, policy, filters) for task in TASKS]
+        cells = [cell(sorted(folder.glob(f"{one}-[0-9].json"))) for one in names]
         if cells == ["-"] * len(TASKS):
             continue
         lines.append(f"| {policy} | {', '.join(filters)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def cell(found: dict[str, float]) -> str:
-    """Return the success of an evaluation with its interval."""
-    episodes = int(found["episodes"])
-    share = wilson(round(found["success"] * episodes), episodes)
+def cell(files: list[Path]) -> str:
+    """Return the success of evaluations with its interval, over all of their episodes."""
+    if not files:
+        return "-"
+    found = [json.loads(one.read_text()) for one in files]
+    episodes = sum(int(one["episodes"]) for one in found)
+    share = wilson(round(sum(one["success"] * one["episodes"] for one in found)), episodes)
     return f"{100 * share.value:.1f} ({100 * share.low:.1f} - {100 * share.high:.1f})"
 
 

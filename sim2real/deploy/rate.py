@@ -40,7 +40,7 @@ class Timing:
         p99: 99th percentile.
         longest: Maximum.
         misses: Number of periods that ended after their deadline.
-        work_p50: Median of the computing time of a period, or None.
+        work_p50: Median of the computing time from a measurement to its command, or None.
         work_p99: 99th percentile of it, or None.
     """
 
@@ -76,7 +76,6 @@ class Rate:
         if math.isnan(self._last):
             self._last, self._deadline = now, now + self.dt
             return 0.0
-        self._work.append(now - self._last)
         self._misses += now > self._deadline
         while now < self._deadline:
             self._clock.sleep(self._deadline - now)
@@ -85,8 +84,8 @@ class Rate:
         return self._measure(now)
 
     def worked(self) -> None:
-        """Note the end of computing, with the command to be sent, if the robot times the period."""
-        if not (self.waits or math.isnan(self._last)):
+        """Note the end of computing, with the command to be sent."""
+        if not math.isnan(self._last):
             self._work.append(self._clock.monotonic() - self._last)
 
     def tick(self) -> float:
