@@ -62,7 +62,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     generator: Annotated[
         str | None,
         typer.Option(
-            help="Motion generator to the goal.  [default: linear]",
+            help="Motion generator to the goal.  [default: linear; with a scene whole_body]",
             autocompletion=options.names_of("motion_generators"),
         ),
     ] = None,
@@ -91,10 +91,10 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Run a policy on a robot, behind guards, and record the run as CSV.
 
     Settings: guards.KEY, time_scale, head_start, arm_settle_timeout, ik.KEY, generator.KEY,
-    task.KEY, backend.KEY; see docs/deploy.md.
+    task.KEY, backend.KEY, scene; see docs/deploy.md.
 
     Exit codes: 0 goal reached, 2 bad input, 3 stopped by a guard or an error, 4 --seconds exceeded,
-    128 + N signal N. In all cases the base is commanded to zero.
+    128 + N signal N. The base is always stopped.
 
     Example: kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9
     """
@@ -111,6 +111,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             toward = _goal_task(goal, rpy, quaternion, generator, config)
         elif goal or rpy or quaternion or generator or config.generator:
             raise KinfeasError("--task excludes --goal, --rpy, --quaternion and --generator")
+        elif config.scene is not None:
+            raise KinfeasError("scene: --task has its own")
         else:
             toward = options.read_task(task, config.task)
         setup = make_setup(
@@ -186,7 +188,8 @@ def _goal_task(
         raise KinfeasError("give --goal X Y Z, or --task NAME, with --set task.KEY for the latter")
     if rpy is not None and quaternion is not None:
         raise KinfeasError("--rpy and --quaternion exclude each other")
-    motion = MotionSpec(generator or "linear", config.generator)
+    usual = "linear" if config.scene is None else "whole_body"
+    motion = MotionSpec(generator or usual, config.generator)
     return make_goal_task(goal, quaternion or rpy, motion)
 
 
@@ -208,6 +211,8 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     from kinfeas.core.backend import RealTimeBackend, build_backend
     from kinfeas.kinematics.ik import IkSolver
     from kinfeas.policies.loading import load_policy
+    from kinfeas.scenes.scene import read_scene
+    from kinfeas.scenes.solids import furniture_solids
     from kinfeas.sim2real.deploy.preflight import warm_up
     from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
     from kinfeas.sim2real.deploy.runtime import Setup
@@ -215,6 +220,7 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
 
     policy, solver = load_policy(policy_name, robot), IkSolver(robot, config.ik)
     filters = build_filters(config.filters)
+    solids = furniture_solids(read_scene(config.scene)) if config.scene else None
     warm_up(solver, policy, task, dt, adapters, filters)
     backend = build_backend(backend_name, config.backend, robot=robot)
     if isinstance(backend, SupportsTaskScenes):
@@ -228,7 +234,7 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     return Setup(
         solver=solver, policy=policy, task=task, backend=backend, execution=config,
         filters=tuple(filters), guards=config.guards, adapters=adapters, dt=dt,
-        real_time=real_time, **limits,
+        real_time=real_time, solids=solids, **limits,
     )  # fmt: skip
 
 
@@ -242,6 +248,8 @@ def _drawn_scene(setup: "Setup") -> dict[str, Any]:
 
     task = setup.task
     drawn: dict[str, Any] = {}
+    if setup.solids is not None:
+        return {"solids": tuple(map(tuple, setup.solids.table.tolist()))}
     if not isinstance(setup.backend, SupportsSolids):  # a robot
         return drawn
     start = task.sample(setup.solver, np.random.default_rng((setup.seed, 0)))

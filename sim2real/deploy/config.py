@@ -91,6 +91,7 @@ class DeployConfig(ExecutionConfig):
         task: Parameters of the task.
         backend: Parameters of the backend.
         ik: Settings of the IK solver.
+        scene: Scene around the robot, by name or YAML file, whose furniture motions and IK avoid.
         filters: Command filters, in this order.
     """
 
@@ -99,6 +100,7 @@ class DeployConfig(ExecutionConfig):
     task: dict[str, object] = field(default_factory=dict)
     backend: dict[str, object] = field(default_factory=dict)
     ik: IkOptions = field(default_factory=IkOptions)
+    scene: str | None = None
     filters: tuple[PluginSpec, ...] = ()
 
 

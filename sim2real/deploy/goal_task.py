@@ -10,10 +10,12 @@ from kinfeas.config.quantities import REMOTEST
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, stacked
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import MotionSpec, Subgoal, Task, sample_start
 
 _UNIT = 1e-2  # deviation of a quaternion's norm from 1
@@ -83,14 +85,23 @@ def make_goal_task(
 
 
 def begin(
-    task: Task, solver: IkSolver, rng: np.random.Generator, measured: RobotState | None
+    task: Task,
+    solver: IkSolver,
+    rng: np.random.Generator,
+    measured: RobotState | None,
+    solids: Solids | None = None,
 ) -> Start:
-    """Return the start of a run, with leading axes of one, at the state of a real robot if any."""
+    """Return the start of a run, with leading axes of one, at the state of a real robot if any.
+
+    `solids` are known, one row; by default those of the task, on a real robot its furniture.
+    """
     start = sample_start(task, solver, rng)
     if measured is not None:
         base, joints = measured.base_pose[0], measured.joint_positions[0]
-        # The solids of the task, if any, are around the robot already.
-        start = replace(start, base_pose=base, joint_positions=joints, solids=None)
+        # Of what the task draws at random, nothing is around the robot.
+        known = isinstance(task, ChainTask) and start.solids is not None
+        around = task.furniture(start.target_poses) if known else None
+        start = replace(start, base_pose=base, joint_positions=joints, solids=around)
         if isinstance(task, GoalTask):
             start = task.aimed(solver, start)
-    return stacked([start])
+    return stacked([start if solids is None else replace(start, solids=solids)])

@@ -22,6 +22,7 @@ from kinfeas.core.backend import Backend, RealTimeBackend, SupportsScan
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, plugin_note
 from kinfeas.core.policy import CommandFilter, Policy
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.core.start import episode_rng
 from kinfeas.io.run_log import REACHED, TASK_DONE, Moment, Recorder
@@ -108,6 +109,7 @@ class Setup:
         adapters: Adapters around the backend, the first one innermost.
         seconds: Longest duration.
         seed: Seed of all random numbers.
+        solids: Solids around the robot, one row; None for those of the task.
         execution: Execution of EE motions, before adapters change it.
         filters: Command filters in order.
         guards: Limits; those of time do not apply to a world without a clock.
@@ -123,6 +125,7 @@ class Setup:
     adapters: tuple[PluginSpec, ...] = ()
     seconds: float = math.inf
     seed: int = 0
+    solids: Solids | None = None
     execution: ExecutionConfig = field(default_factory=ExecutionConfig)
     filters: tuple[CommandFilter, ...] = ()
     guards: Guards = field(default_factory=Guards)
@@ -209,7 +212,7 @@ class _Run:
     def start(self) -> None:
         """Start the loop, with a real robot where it is."""
         setup, rng = self.setup, episode_rng(self.setup.seed, 0)
-        start = begin(setup.task, setup.solver, rng, self.guarded.read())
+        start = begin(setup.task, setup.solver, rng, self.guarded.read(), setup.solids)
         if SCAN_TERMS & set(self.loop.observation_terms) and isinstance(self.guarded, SupportsScan):
             self.guarded.scan()  # waits for the first one
         stream = self.loop.target_stream is not None  # its targets are not known yet

@@ -19,6 +19,7 @@ from kinfeas.envs.world import evaluation_world
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
+from kinfeas.scenes.solids import furniture_solids
 from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.link import (
     BaseReading,
@@ -250,4 +251,8 @@ def spawn(
         backend.close()
         names = ", ".join(map(repr, touched))
         raise KinfeasError(f"scene {around.name}: the robot would touch {names}")
+    if around is not None:  # scans see it
+        furniture = furniture_solids(around)
+        backend.furniture = furniture.places
+        backend.place_solids(furniture, np.array([0]))
     return backend, state

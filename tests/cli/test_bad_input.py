@@ -80,6 +80,7 @@ INPUT = {
         ("", ""),
         ("--goal 1.5 0.3 0.8 --rate 5", "guards.max_age"),
         ("--task ggr --set generator.gain=1", ""),
+        ("--task ggr --set scene=room", "scene"),
     ],
     "deploy pretrained --robot hsr --no-real-time --backend analytic --goal 0.9 0.1 0.8": [
         ("--goal nan 0 0", "finite"),
@@ -93,6 +94,7 @@ INPUT = {
         ("--record run.txt", "run.txt"),
         ("--set guards.sped=1", "guards.sped"),
         ("--set head_start=1e300", "head_start"),
+        ("--set scene=rooom", "rooom"),
         ("--set task.orientation=so3", "--task"),
         (f"--backend {ENGINE} --set 'backend.physics={{gravity: -1}}'", "gravity"),
     ],

@@ -49,6 +49,11 @@ def test_task_with_physics_is_recorded_with_its_furniture(run, tmp_path, engine)
     assert set(record.about.objects) == set(load_task("pick_place").scene.moves)
 
 
+def test_a_scene_is_around_the_robot(run):
+    _, record = run(*BRIEF, "--set", "scene=room", code=4)
+    assert len(record.about.solids) > 10
+
+
 def test_every_run_has_a_record(kinfeas, tmp_path):
     done = kinfeas("deploy", *BRIEF, code=4)
     assert done.err.startswith("stopped: ")

@@ -7,6 +7,7 @@ from kinfeas.control.loop import Loop
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.reachability import reachable
@@ -104,12 +105,16 @@ def test_invalid_goals_are_errors(position, turn):
         make_goal_task(position, turn, MotionSpec())
 
 
-def test_a_real_robot_has_the_solids_of_the_task_around_it_already():
-    robot, task = load_robot("hsr"), load_task("ggr_obstacles", {})
+@pytest.mark.parametrize(("task", "known"), [("ggr_obstacles", 0), ("shelf", 15), ("door", 0)])
+def test_only_furniture_and_given_solids_are_known_around_a_real_robot(task, known):
+    robot, solver = load_robot("hsr"), IkSolver(load_robot("hsr"))
     real = RobotState(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
+    drawn = load_task(task, {}), solver, np.random.default_rng(0)
+    start = begin(*drawn, real)
+    assert (0 if start.solids is None else int(start.solids.filled.sum())) == known
+    box = Solids.from_table(np.array([[2.0, 0, 0, 0.2, 0.2, 0, 1, 0, 0, 0, 0]]))
     for measured in (None, real):
-        start = begin(task, IkSolver(robot), np.random.default_rng(0), measured)
-        assert (start.solids is None) == (measured is not None)
+        assert begin(*drawn, measured, box).solids.table.tolist() == box.table.tolist()
 
 
 @pytest.fixture

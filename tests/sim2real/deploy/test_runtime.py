@@ -15,10 +15,12 @@ from kinfeas.control.filters import build_filters
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.io.run_log import REACHED, About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import network as policy
 from kinfeas.policies import pretrained
+from kinfeas.policies.baselines.following import FollowBase
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy import runtime
 from kinfeas.sim2real.deploy.config import Guards
@@ -158,6 +160,19 @@ def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
     outcome, record = run(RealTimeRobot(time), slow, seconds=0.5)
     assert outcome.code is Code.TIME_OVER
     assert outcome.seconds == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_real_robot_drives_around_known_solids(run, time):
+    box = Solids.from_table(np.array([[1.2, 0.0, 0, 0.2, 0.2, 0, 1.2, 0, 0, 0, 0]]))
+    task = make_goal_task((2.5, 0.0, 0.8), None, MotionSpec("whole_body"))
+    robot, driver = (
+        RealTimeRobot(time, after=10**6),
+        FollowBase(PR2.robot.base, source="planned_base"),
+    )
+    outcome, record = run(robot, driver, task, seconds=100.0, solids=box)
+    assert outcome.code is Code.REACHED
+    away, _ = box.gaps(record.base_pose[np.newaxis, :, :3])
+    assert away.min() > 0.33  # half the width of the base
 
 
 def test_a_simulated_world_waits_for_the_clock_or_has_none(run, time):

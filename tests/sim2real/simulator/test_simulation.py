@@ -114,8 +114,9 @@ def test_runs_in_real_time(world, time):
     assert link.report_scan.call_count == pytest.approx(reported, abs=1)
 
 
-def test_solids_of_the_task_are_in_its_scan(time):
-    backend, state = spawn(load_robot("hsr"), load_task("ggr_obstacles", {}))
+@pytest.mark.parametrize("around", [{"task": load_task("ggr_obstacles", {})}, {"scene": "room"}])
+def test_solids_of_the_task_and_furniture_are_in_its_scan(time, around):
+    backend, state = spawn(load_robot("hsr"), **around)
     robot = SimulatedRobot(backend, state, SimulationConfig(), time.clock)
     assert np.any(robot.scan() < SCAN_RANGE)
     backend.close()
