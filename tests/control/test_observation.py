@@ -18,6 +18,7 @@ from kinfeas.control.observation import (
     scale,
     size,
     split_action,
+    surroundings,
 )
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
@@ -88,6 +89,8 @@ def test_scales_and_descriptions_have_the_size_of_observations(robot):
     assert [one.name for one in described] == list(OBSERVATION)
     assert sum(one.size for one in described) == size(robot)
     assert described[-1].entries == tuple(joint.name for joint in robot.arm)
+    n = size(robot)
+    assert surroundings(robot, (*OBSERVATION, "planned_base")) == [n, n + 1, n + 2]
     (action,) = describe_action(robot)
     assert action.scale == (robot.base.max_velocity,) * 2 + (robot.base.max_rotation,)
     with pytest.raises(KinfeasError, match=r"file: observation: unknown term 'lidar'"):

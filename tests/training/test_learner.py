@@ -179,15 +179,17 @@ def test_an_anchor_holds_the_actor(env):
 
 def test_an_anchor_holds_only_where_nothing_is_around(env):
     size = env.observation_space.shape[0]
-    empty, away = torch.zeros(2, size), []
-    empty[1, -1] = 1.0
-    for zero in ([], [size - 1]):
-        learner = filled(env, replace(SMALL, learning_rate=1e-2))
-        before = learner.actor(empty, deterministic=True).detach()
-        learner.anchor(100.0, zero)
+    network = network_of(make_learner(SMALL, env, 0), env)
+    network.weights[0][-1] = 0.0  # an input that the network ignores
+    seen, away = torch.zeros(2, size), []
+    seen[1, -1] = 1.0
+    for around in ([], [size - 2, size - 1]):
+        learner = filled(env, replace(SMALL, learning_rate=3e-3))
+        take_network(learner, network, 100.0, around)
+        before = learner.actor(seen, deterministic=True).detach()
         learner.replay_buffer.observations[::2, :, -1] = 0.0
-        learner.train(200, 16)
-        after = learner.actor(empty, deterministic=True).detach()
+        learner.train(400, 64)
+        after = learner.actor(seen, deterministic=True).detach()
         away.append((after - before).norm(dim=1).tolist())
     assert away[1][0] < 0.2 * away[1][1]
     assert away[0][1] < away[1][1]
