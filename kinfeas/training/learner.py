@@ -162,7 +162,7 @@ def take_network(
     """Copy a network into a fresh learner's actor, whose hidden layers are as wide.
 
     SAC's actions get the deviation `INITIAL_STD`. A positive `anchor` holds SAC near the network
-    where it does not ignore what there is: where inputs `surroundings` without weights are 0.
+    where all the inputs `surroundings` that the network ignores are 0.
     """
     with torch.no_grad():
         for layer, weight, bias in zip(
