@@ -98,9 +98,10 @@ def begin(
     start = sample_start(task, solver, rng)
     if measured is not None:
         base, joints = measured.base_pose[0], measured.joint_positions[0]
-        # Of what the task draws at random, nothing is around the robot.
-        known = isinstance(task, ChainTask) and start.solids is not None
-        around = task.furniture(start.target_poses) if known else None
+        around = None
+        if isinstance(task, ChainTask) and start.solids is not None:
+            # Of what the task draws at random, nothing is around the robot.
+            around = task.furniture(start.target_poses)
         start = replace(start, base_pose=base, joint_positions=joints, solids=around)
         if isinstance(task, GoalTask):
             start = task.aimed(solver, start)
