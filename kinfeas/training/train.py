@@ -123,8 +123,8 @@ class _Run:
         """Take the weights of the initial policy, if there is one."""
         if self.config.init is not None:
             network = initial_policy(self.config, self.env.scale)
-            seen = surroundings(self.env.robot, self.env.observation_terms)
-            take_network(self.learner, network, self.config.learner.anchor, seen)
+            around = surroundings(self.env.robot, self.env.observation_terms)
+            take_network(self.learner, network, self.config.learner.anchor, around)
 
     def load(self) -> None:
         """Load the last checkpoint, or begin if there is none."""

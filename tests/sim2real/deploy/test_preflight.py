@@ -107,9 +107,9 @@ def test_invalid_goals_are_errors(position, turn):
 
 @pytest.mark.parametrize(("task", "known"), [("ggr_obstacles", 0), ("shelf", 15), ("door", 0)])
 def test_only_furniture_and_given_solids_are_known_around_a_real_robot(task, known):
-    robot, solver = load_robot("hsr"), IkSolver(load_robot("hsr"))
+    robot = load_robot("hsr")
     real = RobotState(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
-    drawn = load_task(task, {}), solver, np.random.default_rng(0)
+    drawn = load_task(task, {}), IkSolver(robot), np.random.default_rng(0)
     start = begin(*drawn, real)
     assert (0 if start.solids is None else int(start.solids.filled.sum())) == known
     box = Solids.from_table(np.array([[2.0, 0, 0, 0.2, 0.2, 0, 1, 0, 0, 0, 0]]))

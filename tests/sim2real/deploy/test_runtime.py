@@ -165,11 +165,8 @@ def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
 def test_a_real_robot_drives_around_known_solids(run, time):
     box = Solids.from_table(np.array([[1.2, 0.0, 0, 0.2, 0.2, 0, 1.2, 0, 0, 0, 0]]))
     task = make_goal_task((2.5, 0.0, 0.8), None, MotionSpec("whole_body"))
-    robot, driver = (
-        RealTimeRobot(time, after=10**6),
-        FollowBase(PR2.robot.base, source="planned_base"),
-    )
-    outcome, record = run(robot, driver, task, seconds=100.0, solids=box)
+    driver = FollowBase(PR2.robot.base, source="planned_base")
+    outcome, record = run(RealTimeRobot(time), driver, task, seconds=100.0, solids=box)
     assert outcome.code is Code.REACHED
     away, _ = box.gaps(record.base_pose[np.newaxis, :, :3])
     assert away.min() > 0.33  # half the width of the base
