@@ -207,14 +207,13 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
 ) -> "Setup":
     """Return the parts of the run, after each has computed something."""
     from kinfeas.control.filters import build_filters
-    from kinfeas.control.filters.rollout import RolloutPlanner
     from kinfeas.core.backend import RealTimeBackend, build_backend
     from kinfeas.kinematics.ik import IkSolver
     from kinfeas.policies.loading import load_policy
     from kinfeas.scenes.scene import read_scene
     from kinfeas.scenes.solids import furniture_solids
+    from kinfeas.sim2real.deploy.planner_threads import in_threads
     from kinfeas.sim2real.deploy.preflight import warm_up
-    from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
     from kinfeas.sim2real.deploy.runtime import Setup
     from kinfeas.tasks.task import SupportsTaskScenes
 
@@ -225,12 +224,9 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     backend = build_backend(backend_name, config.backend, robot=robot)
     if isinstance(backend, SupportsTaskScenes):
         task = backend.stage(task)
-    # Without a clock, the planner runs in the loop, so that runs are repeatable.
+    # Without a clock, planners run in the loop, so that runs are repeatable.
     if real_time or isinstance(backend, RealTimeBackend):
-        filters = [
-            RolloutPlannerThread.of(one) if isinstance(one, RolloutPlanner) else one
-            for one in build_filters(config.filters)
-        ]
+        filters = in_threads(build_filters(config.filters))
     return Setup(
         solver=solver, policy=policy, task=task, backend=backend, execution=config,
         filters=tuple(filters), guards=config.guards, adapters=adapters, dt=dt,

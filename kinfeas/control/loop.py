@@ -319,6 +319,12 @@ class Loop:
         return command_size(self.robot.base)
 
     @property
+    def motion_seconds(self) -> Array:
+        """Motion time of the step, seconds, shape (n,)."""
+        seconds = self._next.seconds
+        return seconds if self.paused is None else np.where(self.paused, 0.0, seconds)
+
+    @property
     def desired(self) -> Array:
         """Desired world pose of the EE now, shape (n, 7)."""
         return self.sequence.desired

@@ -1,5 +1,6 @@
 """Motion sequences of n EEs: sub-goals one after the other, each row at its own."""
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
+from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.whole_body_motion import Motions, WholeBodyMotions
 from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
+from kinfeas.core.metrics import GOAL_RADIANS
 from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
@@ -29,15 +31,20 @@ class Plan:
         desired: Desired world poses of the EE after the step, shape (n, 7).
         preview: The same after `HORIZON` seconds at the step's twist, shape (n, 7).
         states: State of each generator after the step.
+        seconds: Motion time of the step, shape (n,).
     """
 
     desired: Array
     preview: Array
     states: list[State]
+    seconds: Array
 
 
 _STATES, _PATHS = "motion", "waypoints"
-_ROWS = "desired", "subgoal", "waiting", "seeds", "targets"
+_ROWS = "desired", "subgoal", "waiting", "seeds", "targets", "elapsed"
+
+_LONGEST = 300.0
+"""Seconds after which a motion counts as ended where it is looked at in advance."""
 
 
 class MotionSequence:
@@ -53,6 +60,7 @@ class MotionSequence:
         waiting: Control periods until it begins the next sub-goal, shape (n,): first those in which
             the motion settles, then those of its dwell. Below zero, periods until it
             begins the first one.
+        elapsed: Motion time since the motion of each row's sub-goal began, seconds, shape (n,).
         avoids_solids: Whether the generator of any sub-goal plans around solids.
         whole_body: Paths of base and arm that the motions follow among solids.
     """
@@ -88,6 +96,7 @@ class MotionSequence:
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
         self._targets: Array = np.empty((0, len(subgoals), 7))
+        self.elapsed: Array = np.empty(0)
         self._states: list[State] = []
         # Until something moves:
         self._goal: Array | None = None
@@ -110,7 +119,8 @@ class MotionSequence:
         """
         none = np.zeros(len(rngs), dtype=np.intp)
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        fresh = (ee_pose, none, none - self._head_starts(rngs), seeds, target_poses)
+        waiting = none - self._head_starts(rngs)
+        fresh = (ee_pose, none, waiting, seeds, target_poses, np.zeros(len(rngs)))
         if rows is None:
             self._put(fresh)
             self._states = [{} for _ in self.generators]
@@ -202,6 +212,25 @@ class MotionSequence:
             return poses
         return spatial.compose(poses, self._ee_in_tool[self.subgoal][:, np.newaxis])
 
+    def to_the_end(self, rows: Rows) -> list[Array]:
+        """Return the desired poses every `HORIZON` seconds until each row's sub-goal, (k, 7).
+
+        There is one array for each of the rows; nothing moves.
+        """
+        twin = copy.copy(self)  # arrays are replaced, never written into
+        twin.waiting = np.zeros_like(self.waiting)
+        steps = np.zeros(len(rows), dtype=np.intp)
+        poses, goal = [self.desired[rows]], self.goal[rows]
+        while not steps.all() and len(poses) * HORIZON < _LONGEST:
+            plan = twin.plan(HORIZON)
+            twin.desired, twin._states = plan.desired, plan.states
+            poses.append(plan.desired[rows])
+            metres, radians = spatial.distance(poses[-1], goal)
+            there = (metres <= GRASP_METRES) & (radians <= GOAL_RADIANS)
+            steps = np.where((steps == 0) & there, len(poses), steps)
+        steps[steps == 0] = len(poses)
+        return [np.stack([pose[i] for pose in poses[:k]]) for i, k in enumerate(steps.tolist())]
+
     def begin_again(self, rows: Rows) -> None:
         """Start the motions of `rows` at their desired poses, as after a wait."""
         if rows.size:
@@ -233,7 +262,7 @@ class MotionSequence:
             desired, preview = (
                 np.where(resting[:, np.newaxis], self.desired, pose) for pose in (desired, preview)
             )
-        return Plan(desired, preview, states)
+        return Plan(desired, preview, states, np.where(resting, 0.0, seconds))
 
     def next_desired(self, plan: Plan, paused: NDArray[np.bool_] | None = None) -> Array:
         """Return the desired poses after `plan`, but for the rows that are paused, shape (n, 7)."""
@@ -252,6 +281,8 @@ class MotionSequence:
                 for state, old in pairs
             ]
         self.desired = self.next_desired(plan, paused)
+        passed = plan.seconds if paused is None else np.where(paused, 0.0, plan.seconds)
+        self.elapsed = self.elapsed + passed
         self._states = states
         self._forget()
 
@@ -307,10 +338,11 @@ class MotionSequence:
                 self._states[int(number)][key] = values.copy()
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        return self.desired, self.subgoal, self.waiting, self._seeds, self._targets
+        own = self.desired, self.subgoal, self.waiting, self._seeds, self._targets
+        return *own, self.elapsed
 
     def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
-        self.desired, self.subgoal, self.waiting, self._seeds, self._targets = arrays
+        self.desired, self.subgoal, self.waiting, self._seeds, self._targets, self.elapsed = arrays
 
     def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
         """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
@@ -324,6 +356,7 @@ class MotionSequence:
         begins = np.zeros(len(self.subgoal), dtype=np.bool_)
         begins[rows] = True
         self.whole_body.drop(rows)
+        self.elapsed = with_rows(self.elapsed, rows, np.array(0.0))
         frame, targets = self._to_frame(self.desired), self._target
         for number, generator, group in self._groups(begins):
             subgoals = self.subgoal[group]

@@ -7,7 +7,6 @@ import numpy as np
 from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import load_section
 from kinfeas.control.filters import build_filters
-from kinfeas.control.filters.rollout import RolloutPlanner
 from kinfeas.control.loop import Loop
 from kinfeas.core import spatial
 from kinfeas.core.backend import build_backend
@@ -18,7 +17,7 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim2real.deploy.config import ServoConfig
-from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
+from kinfeas.sim2real.deploy.planner_threads import PlannerThread, in_threads
 from kinfeas.sim2real.servo.choice import DT, Choice
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.tasks.task import MotionSpec, build_subgoals
@@ -52,11 +51,8 @@ class Episode:
         spec = MotionSpec(choice.generator, limits if self.follows else {})
         self._task = ServoTask(self.controller, spec)
         self._solver, self._policy = IkSolver(robot, config.ik), load_policy(policy, robot)
-        filters = [
-            RolloutPlannerThread.of(one) if isinstance(one, RolloutPlanner) else one
-            for one in build_filters([PluginSpec(name) for name in choice.filters])
-        ]
-        self._threads = [one for one in filters if isinstance(one, RolloutPlannerThread)]
+        filters = in_threads(build_filters([PluginSpec(name) for name in choice.filters]))
+        self._threads = [one for one in filters if isinstance(one, PlannerThread)]
         self.backend = build_backend(choice.backend, config.backend, robot=robot, scene=scene)
         self.loop = Loop(
             self._solver, build_subgoals(self._task.subgoals), self.backend, DT, config,

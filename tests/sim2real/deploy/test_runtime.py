@@ -25,9 +25,9 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy import runtime
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
+from kinfeas.sim2real.deploy.planner_threads import RolloutPlannerThread
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.rate import Rate
-from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
 from kinfeas.sim2real.deploy.watchdog import StopCall
 from kinfeas.tasks.task import MotionSpec
@@ -253,7 +253,7 @@ def test_the_rollout_planner_ends_with_the_run(run, trained):
     planner = RolloutPlannerThread()
     run(AnalyticBackend(), trained, seconds=0.2, real_time=False, filters=(planner,))
     assert sys.getswitchinterval() == before
-    assert not any(thread.name.startswith("rollout_planner") for thread in threading.enumerate())
+    assert not any(thread.name.startswith("planner") for thread in threading.enumerate())
 
 
 @pytest.mark.parametrize("trouble", ["nan", "nothing", KeyError("boom")])

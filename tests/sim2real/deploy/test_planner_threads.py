@@ -1,14 +1,16 @@
 import sys
 import threading
+from contextlib import closing
 from copy import copy
 
 import numpy as np
 import pytest
 
+from kinfeas.control.filters.path_planner import PathPlanner
 from kinfeas.control.filters.rollout import RolloutPlanner
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
+from kinfeas.sim2real.deploy.planner_threads import in_threads
 from kinfeas.tasks.loading import load_task
 
 FAR = {"horizon": 10.0, "replan_interval": 0.5, "num_samples": 8}
@@ -53,14 +55,14 @@ def loop(policy):
 @pytest.fixture
 def planner(loop):
     """A planner of the loop, whose end is checked."""
-    before, made = sys.getswitchinterval(), RolloutPlannerThread.of(RolloutPlanner(**FAR))
+    before, made = sys.getswitchinterval(), in_threads([RolloutPlanner(**FAR)])[0]
     made.reset(loop, ROWS)
     yield made
     loop.policy.free.set()
     for _ in range(2):
         made.close()
     assert sys.getswitchinterval() == before
-    assert not any(thread.name.startswith("rollout_planner") for thread in threading.enumerate())
+    assert not any(thread.name.startswith("planner") for thread in threading.enumerate())
 
 
 def settle(planner):
@@ -120,3 +122,27 @@ def test_errors_of_the_thread_are_raised_in_the_loop(planner, loop, monkeypatch)
     settle(planner)
     with pytest.raises(RuntimeError, match="boom"):
         planner(BACKWARDS, loop.policy_input)
+
+
+def test_the_robot_rests_until_its_path_is_found(loop, monkeypatch):
+    free, search = threading.Event(), PathPlanner.search
+
+    def late(self, row, ee):
+        assert free.wait(60.0)
+        return search(self, row, ee)
+
+    monkeypatch.setattr(PathPlanner, "search", late)
+    (planner,) = in_threads([PathPlanner()])
+    with closing(planner):
+        planner.reset(loop, ROWS)
+        loop.filters = (planner,)
+        desired = loop.desired
+        for _ in range(3):
+            loop.step(BACKWARDS)
+        np.testing.assert_array_equal(loop.desired, desired)
+        assert not loop.previous_command.any()
+        free.set()
+        settle(planner)
+        loop.step(BACKWARDS)
+    assert loop.previous_command.any()
+    assert (loop.desired != desired).any()

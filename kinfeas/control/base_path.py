@@ -1,0 +1,273 @@
+"""Paths of base and arm along a given EE motion, by beam search."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.control.drive import action_toward, base_twist, command_size
+from kinfeas.control.observation import HORIZON
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, compose, distance, integrate, relative, twist_between, yaw
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolution, IkSolver
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.robots.robot import joint_displacement
+
+_ROUNDING = 1e-6
+
+_APART = (0.07, 0.07)
+"""Distance between the EE poses at which the search has a robot, metres and radians."""
+
+_BEAM, _TRIES, _MOST = 150, 1800, 200
+"""Robots that are kept at each pose, base commands that they try together, and those of one."""
+
+_NOISE = 0.5
+"""Largest share of the speed by which half of the commands differ from the EE's velocity."""
+
+_BACK, _SLOW = (0, 4, 16), 0.1
+"""Where no robot goes on, the EE is so much slower from so many poses back on, as a share; one
+number for each time."""
+
+_SPEED, _BASE_SHARE, _ARM_SHARE = (0.3, 0.5), 0.8, 0.7
+"""Largest speeds of the base, m/s and rad/s, and shares of the limits of base and arm. The rest is
+for the control of deviations."""
+
+_CELL, _TURN, _PARTS = 0.12, math.pi / 8.0, 4
+"""Robots in one cell of base position, heading and elbow count as the same: its size in metres and
+radians, and the number of parts of the elbow's range."""
+
+_CENTRED, _LIMIT, _EFFORT, _CHANGE, _MEMORY = 0.6, 5.0, 0.02, 0.02, 0.8
+"""Share of the joint ranges that costs nothing, costs of the rest, of the base's speed and of its
+change, and the share of the costs that counts at the next pose."""
+
+
+@dataclass(frozen=True)
+class BasePath:
+    """A path of base and arm along an EE motion.
+
+    Attributes:
+        ee: World poses of the EE every `HORIZON` seconds, shape (k, 7).
+        begin: Motion time of the first one, seconds.
+        seconds: Motion times for which the path has a robot, shape (m,).
+        robot: x, y and unwrapped yaw of the base, then arm joints, shape (m, 3 + j).
+        time_scale: Share of its speed at which the EE moves until each of these times, (m,).
+    """
+
+    ee: Array
+    begin: float
+    seconds: Array
+    robot: Array
+    time_scale: Array
+
+    def ee_at(self, seconds: float) -> Array:
+        """Return the EE pose nearest to a motion time, shape (7,)."""
+        place: Array = self.ee[min(round((seconds - self.begin) / HORIZON), len(self.ee) - 1)]
+        return place
+
+    def robot_at(self, seconds: float) -> Array:
+        """Return base and arm at a motion time, shape (3 + j,)."""
+        return np.array([np.interp(seconds, self.seconds, column) for column in self.robot.T])
+
+    def time_scale_at(self, seconds: float) -> float:
+        """Return the share of its speed at which the EE moves at a motion time."""
+        place = int(np.searchsorted(self.seconds, seconds + _ROUNDING))
+        return float(self.time_scale[min(place, len(self.time_scale) - 1)])
+
+
+@dataclass(frozen=True)
+class _Beam:
+    """Robots with their EE at one pose.
+
+    Attributes:
+        base: World poses of the base, shape (m, 7).
+        joints: Arm joints, shape (m, j).
+        command: Base commands that led here, shape (m, a).
+        cost: Cost of the way, shape (m,).
+        parent: Number of the robot of the beam before, shape (m,).
+    """
+
+    base: Array
+    joints: Array
+    command: Array
+    cost: Array
+    parent: NDArray[np.intp]
+
+    def of(self, rows: NDArray[np.intp]) -> "_Beam":
+        return _Beam(*(values[rows] for values in vars(self).values()))
+
+
+class BasePathPlanner:
+    """Finds paths of base and arm along EE motions, without joint jumps.
+
+    A beam search: at each EE pose, every robot of the beam tries random base commands, IK moves its
+    arm within the joint velocity limits, and the best robot of each cell goes on.
+    """
+
+    def __init__(self, solver: IkSolver) -> None:
+        """Search with the kinematics of a solver."""
+        self.robot = robot = solver.robot
+        self.solver = IkSolver(robot, replace(solver.options, restarts=0))
+        limits = [robot.base.max_velocity, robot.base.max_rotation]
+        shares = np.minimum(np.array(_SPEED) / limits, _BASE_SHARE)
+        self._fastest = np.repeat(shares, [command_size(robot.base) - 1, 1])
+        lower, upper = robot.finite_joint_limits
+        self._middle, self._half = (lower + upper) / 2.0, np.maximum((upper - lower) / 2.0, 1e-9)
+        self._bounded = np.isfinite(np.subtract(*robot.joint_limits))
+        self._elbow = max(len(robot.arm) - 4, 0)
+
+    def plan(
+        self,
+        base_pose: Array,
+        joints: Array,
+        ee: Array,
+        begin: float,
+        time_scale: float = 1.0,
+        solids: Solids | None = None,
+    ) -> BasePath | None:
+        """Return a path, or None if none is found.
+
+        Args:
+            base_pose: World pose of the base now, shape (7,).
+            joints: Arm joints now, shape (j,).
+            ee: World poses of the EE every `HORIZON` seconds from now on, shape (k, 7).
+            begin: Motion time now, seconds.
+            time_scale: Share of its speed at which the EE moves at most.
+            solids: In the world, one row.
+        """
+        rng, rest = np.random.default_rng(0), np.zeros((1, len(self._fastest)))
+        start = base_pose[np.newaxis], joints[np.newaxis], rest
+        beams = [_Beam(*start, np.zeros(1), np.zeros(1, dtype=np.intp))]
+        nodes, shares, retries = _nodes(ee), np.ones(len(ee)), list(_BACK)
+        while len(beams) < len(nodes):
+            k = len(beams)
+            seconds = np.diff(nodes[: k + 1]) * HORIZON / shares[nodes[:k]] / time_scale
+            then = None if solids is None else solids.at(seconds.sum(keepdims=True))
+            beam = self._moved(beams[-1], ee[nodes[k]], float(seconds[-1]), rng, then)
+            if len(beam.cost):
+                beams.append(beam)
+            elif retries:
+                first = max(k - 1 - retries.pop(0), 0)
+                slow = np.arange(nodes[first], nodes[k])
+                shares[slow] = _SLOW
+                nodes, beams = np.union1d(nodes, slow), beams[: first + 1]
+            else:
+                return None
+        way = _traced(beams)
+        turning = np.concatenate([[False, False, True], self.robot.continuous])
+        way[:, turning] = np.unwrap(way[:, turning], axis=0)
+        seconds = begin + HORIZON * nodes.astype(np.float64)
+        return BasePath(ee, begin, seconds, way, np.concatenate([[1.0], shares[nodes[:-1]]]))
+
+    def _moved(
+        self,
+        beam: _Beam,
+        target: Array,
+        seconds: float,
+        rng: np.random.Generator,
+        solids: Solids | None,
+    ) -> _Beam:
+        """Return the best robots with their EE at the next pose."""
+        command = self._commands(beam, target, seconds, rng)
+        parent = np.arange(len(beam.cost)).repeat(command.shape[1])
+        before, command = beam.of(parent), command.reshape(len(parent), -1)
+        base = self._driven(before, command, seconds)
+        arm = self._reached(before.joints, target, base, seconds, solids)
+        joints, rows = arm.joint_positions, np.flatnonzero(arm.feasible)
+        off = np.where(self._bounded, np.abs(joints - self._middle) / self._half, 0.0)
+        cost = _MEMORY * before.cost
+        cost += _LIMIT * np.square(np.maximum(off - _CENTRED, 0.0).max(axis=1))
+        cost += _EFFORT * np.square(command).sum(axis=1)
+        cost += _CHANGE * np.square(command - before.command).sum(axis=1)
+        best = self._best(_Beam(base, joints, command, cost, parent).of(rows), target)
+        return best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
+
+    def _driven(self, beam: _Beam, command: Array, seconds: float) -> Array:
+        """Return the bases after some time, shape (m, 7), along the chords of their arcs."""
+        twist = base_twist(self.robot.base, beam.base, command, seconds / 2.0)
+        return integrate(beam.base, twist, seconds)
+
+    def _reached(
+        self, joints: Array, target: Array, base: Array, seconds: float, solids: Solids | None
+    ) -> IkSolution:
+        """Return the arms, as far as they get in some time from joints (m, j), at a target."""
+        among = None
+        if solids is not None:
+            among = solids.of(np.zeros(len(base), dtype=np.intp))
+        arm = self.solver.solve(
+            relative(np.broadcast_to(target, base.shape), base),
+            joints,
+            _ARM_SHARE * seconds * self.robot.max_joint_velocity,
+            allow_reconfiguration=False,
+            solids=None if among is None else in_base(among, base),
+        )
+        if among is not None:
+            touches = collides(self.solver.collision, arm.joint_positions, base, among)
+            arm.feasible[touches[:, 0]] = False
+        return arm
+
+    def _passable(
+        self, beam: _Beam, best: _Beam, target: Array, seconds: float, solids: Solids | None
+    ) -> NDArray[np.bool_]:
+        """Return which of the best robots, (m,), also reach the pose halfway to the target."""
+        before = beam.of(best.parent)
+        way = joint_displacement(self.robot, before.joints, best.joints)
+        first = compose(beam.base[:1], forward(self.solver.chain, beam.joints[:1]))[0]
+        halfway = integrate(first, twist_between(first, target, 1.0), 0.5)
+        base = self._driven(before, best.command, seconds / 2.0)
+        passable = self._reached(before.joints + way / 2.0, halfway, base, seconds / 4.0, solids)
+        free = [
+            ~self_collides(self.solver.collision, before.joints + share * way)
+            for share in (0.25, 0.75)
+        ]
+        return passable.feasible & free[0] & free[1]
+
+    def _commands(
+        self, beam: _Beam, target: Array, seconds: float, rng: np.random.Generator
+    ) -> Array:
+        """Return the commands that each robot tries, shape (m, t, a).
+
+        The first is the last one, some are random, the others near the velocity of the EE.
+        """
+        tries = min(_TRIES // len(beam.cost), _MOST)
+        shape = len(beam.cost), tries, len(self._fastest)
+        command = rng.uniform(-self._fastest, self._fastest, shape)
+        command[:, 0] = beam.command
+        ee = compose(beam.base, forward(self.solver.chain, beam.joints))
+        velocity = (target - ee)[:, :2] / seconds
+        follow = action_toward(self.robot.base, beam.base, velocity, seconds)[:, np.newaxis]
+        near = tries // 2
+        noise = _NOISE * rng.random((len(beam.cost), tries - near, 1))
+        command[:, near:] = np.clip(follow + noise * command[:, near:], -1.0, 1.0)
+        return command
+
+    def _best(self, beam: _Beam, target: Array) -> _Beam:
+        """Return the best robots of different cells, at most `_BEAM`."""
+        beam = beam.of(np.argsort(beam.cost, kind="stable"))
+        away, elbow = beam.base[:, :2] - target[:2], beam.joints[:, self._elbow]
+        bent = (elbow - self._middle[self._elbow]) / self._half[self._elbow] * _PARTS / 2.0
+        cells = np.column_stack([away / _CELL, yaw(beam.base) / _TURN, bent])
+        first = np.unique(np.floor(cells).astype(np.int64), axis=0, return_index=True)[1]
+        return beam.of(np.sort(first)[:_BEAM])
+
+
+def _nodes(ee: Array) -> NDArray[np.intp]:
+    """Return the numbers of poses that are about `_APART`, the first and the last among them."""
+    metres, radians = distance(ee[:-1], ee[1:])
+    way = np.cumsum(np.maximum(metres / _APART[0], radians / _APART[1]))
+    even = np.linspace(0.0, way[-1], max(math.ceil(way[-1]), 1) + 1)[1:-1]
+    last = len(ee) - 1
+    return np.unique([0, *np.searchsorted(way, even) + 1, last])
+
+
+def _traced(beams: Sequence[_Beam]) -> Array:
+    """Return the way to the best robot of the last beam, shape (k, 3 + j)."""
+    row, robots = int(beams[-1].cost.argmin()), []
+    for beam in reversed(beams):
+        x, y = beam.base[row, :2]
+        robots.append([x, y, float(yaw(beam.base[row])), *beam.joints[row]])
+        row = int(beam.parent[row])
+    return np.array(robots[::-1])

@@ -1,0 +1,114 @@
+"""Planners in threads beside the control loop."""
+
+import sys
+from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from copy import deepcopy
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.control.base_path import BasePath
+from kinfeas.control.filters.path_planner import PathPlanner
+from kinfeas.control.filters.rollout import RolloutPlanner, State
+from kinfeas.core.motion import Rows
+from kinfeas.core.policy import CommandFilter, Policy, PolicyInput
+from kinfeas.core.spatial import Array
+
+_SWITCH_INTERVAL = 5e-4
+"""Seconds. Python's default, 5 ms, is a quarter of a control period."""
+
+
+class PlannerThread:
+    """A thread for one robot, which ends with `close`."""
+
+    _worker: ThreadPoolExecutor | None = None
+    _coming: Future[Any] | None = None
+    _interval = _SWITCH_INTERVAL
+
+    def open(self) -> ThreadPoolExecutor:
+        """Start the thread, or start it again."""
+        self.close()
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="planner")
+        self._interval = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+        return self._worker
+
+    def close(self) -> None:
+        """End the thread after the current plan; further calls do nothing."""
+        if self._worker is not None:
+            self._worker.shutdown()
+            self._worker = self._coming = None
+            sys.setswitchinterval(self._interval)
+
+
+class RolloutPlannerThread(PlannerThread, RolloutPlanner):
+    """Rollout planner for one robot in a thread.
+
+    An offset is applied from when it is found. If the next plan is due before that, the offset is
+    zero until there is a plan, since the last one is outdated.
+    """
+
+    def simulated_policy(self, policy: Policy) -> Policy:
+        """Return a copy, since policies need not be thread-safe."""
+        return deepcopy(policy)
+
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Start the thread; call `close` at the end."""
+        super().reset(loop, rows)
+        self.open()
+
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return the commands with the offsets; arguments as in `CommandFilter`."""
+        if self._coming is not None and self._coming.done():
+            self.offset, self._coming = self._coming.result(), None
+        return super().__call__(command, policy_input)
+
+    def replan(self, now: State, due: Rows) -> None:
+        """Start the search for a new offset."""
+        assert self._worker is not None
+        if self._coming is None:
+            self._coming = self._worker.submit(self.plan, now, due)
+        else:
+            self.offset = np.zeros_like(self.offset)
+
+
+class PathPlannerThread(PlannerThread, PathPlanner):
+    """Path planner for one robot in a thread; the robot rests until a path is found."""
+
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Start the thread; call `close` at the end."""
+        super().reset(loop, rows)
+        self.open()
+
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return the commands along the path; arguments as in `CommandFilter`."""
+        along = super().__call__(command, policy_input)
+        if self._coming is None:
+            return along
+        if self._coming.done():
+            self.put(0, self._coming.result())
+            self._coming = None
+            return super().__call__(command, policy_input)
+        self._loop.slow_down(np.zeros_like(self._loop.time_scale))
+        return np.zeros_like(command)
+
+    def search(self, row: int, ee: Array) -> BasePath | None:
+        """Start the search for a path."""
+        assert self._worker is not None
+        self._coming = self._worker.submit(super().search, row, ee)
+        return None
+
+
+def in_threads(filters: Iterable[CommandFilter]) -> list[CommandFilter]:
+    """Return filters with their planners in threads."""
+    return [_in_thread(one) for one in filters]
+
+
+def _in_thread(one: CommandFilter) -> CommandFilter:
+    if isinstance(one, RolloutPlanner):
+        settings = {each.name: getattr(one, each.name) for each in fields(one) if each.init}
+        return RolloutPlannerThread(**settings)
+    return PathPlannerThread() if isinstance(one, PathPlanner) else one
