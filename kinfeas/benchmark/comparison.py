@@ -53,6 +53,7 @@ def compare(
         )
 
     ceiling = reachability_of(chosen, done)
+    assert ceiling is not None  # no stream of targets
     baselines = {name: evaluated(name) for name in QUICK_BASELINES}
     return Comparison(chosen, run, evaluated(str(run)), baselines, ceiling)
 

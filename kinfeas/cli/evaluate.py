@@ -84,7 +84,6 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         reachability_of,
     )
     from kinfeas.evaluation.evaluate import evaluate as run
-    from kinfeas.tasks.task import StreamTask
 
     robot = robot or options.robot_of(policy)
     count = episodes or default_episodes(world)
@@ -98,10 +97,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     chosen, driver = prepare(
         policy, robot, task, world, episodes=count, seed=seed, overrides=settings
     )
-    ceiling = None
-    if not isinstance(chosen.task, StreamTask):  # whose targets are not known in advance
-        with progress("ceiling") as advance:
-            ceiling = reachability_of(chosen, advance)
+    with progress("ceiling") as advance:
+        ceiling = reachability_of(chosen, advance)
     cores = 1 if gui else processes
     with progress(f"{count} episodes", count) as advance:
         summary = run(chosen, driver, policy, ceiling, cores, advance)

@@ -12,7 +12,8 @@ from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 
-_UNIT = 1e-2  # deviation of a quaternion's norm from 1
+UNIT = 1e-2
+"""Largest deviation of the norm of a valid quaternion from 1."""
 
 
 class TargetStream(Protocol):
@@ -128,11 +129,14 @@ class TargetInbox:
         Of one pose, k = 1, the time is its sending.
         """
         m, k, _ = poses.shape
+        if not 1 <= k <= self._size:
+            self.reject(rows)
+            return
         numbers = np.concatenate([poses.reshape(m, -1), times], axis=1)
         valid = _numbers(numbers)
         usable = np.where(valid[:, np.newaxis, np.newaxis], poses, spatial.IDENTITY)
         length = np.linalg.norm(usable[:, :, 3:], axis=2)
-        valid &= (np.abs(length - 1.0) <= _UNIT).all(axis=1) & (k <= self._size)
+        valid &= (np.abs(length - 1.0) <= UNIT).all(axis=1)
         when = np.where(valid[:, np.newaxis], times, 0.0)
         valid &= (np.diff(when, axis=1) > 0.0).all(axis=1)
         usable = np.where(valid[:, np.newaxis, np.newaxis], usable, spatial.IDENTITY)

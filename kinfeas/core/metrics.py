@@ -69,7 +69,13 @@ def join(parts: Sequence[EpisodeRecords]) -> EpisodeRecords:
     joined: dict[str, Any] = {}
     for entry in fields(EpisodeRecords):
         values = [getattr(part, entry.name) for part in parts]
-        joined[entry.name] = None if values[0] is None else np.concatenate(values)
+        known = [one for one in values if one is not None]
+        if known and len(known) < len(parts):  # a part without solids has no collisions
+            values = [
+                np.zeros(len(part.reached), known[0].dtype) if one is None else one
+                for part, one in zip(parts, values, strict=True)
+            ]
+        joined[entry.name] = np.concatenate(values) if known else None
     return EpisodeRecords(**joined)
 
 

@@ -221,10 +221,10 @@ class World:
         if planned_way is not None:
             way = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
             reached = truncated
-        joints = self.loop.state.joint_positions
+        joints, command = self.loop.state.joint_positions, action[:, : loop.command_size]
         return Transition(
             observation=self.loop.observation,
-            reward=reward(self.config.reward, self.robot, step, action, joints),
+            reward=reward(self.config.reward, self.robot, step, command, joints),
             terminated=terminated,
             truncated=truncated,
             reached=reached,

@@ -16,7 +16,7 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
-from kinfeas.tasks.task import Task
+from kinfeas.tasks.task import StreamTask, Task
 
 
 class Summary(Metrics):
@@ -155,8 +155,12 @@ def run(
     return evaluate_episodes(build, policy, episodes, processes, on_done, watch)
 
 
-def reachability_of(config: EvalConfig, on_done: Callable[[float], None] | None = None) -> Share:
-    """Return the share of an evaluation's goals that some base pose reaches."""
+def reachability_of(
+    config: EvalConfig, on_done: Callable[[float], None] | None = None
+) -> Share | None:
+    """Return the share of an evaluation's goals that some base pose reaches; None for streams."""
+    if isinstance(config.task, StreamTask):
+        return None
     found = measure_reachability(
         config.robot, config.task, config.episodes, config.seed, config.world.ik, on_done
     )

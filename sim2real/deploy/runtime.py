@@ -16,7 +16,7 @@ import numpy as np
 from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import execution_of
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.control.loop import Loop, Step
+from kinfeas.control.loop import Loop
 from kinfeas.control.observation import SCAN_TERMS
 from kinfeas.core.backend import Backend, RealTimeBackend, SupportsScan
 from kinfeas.core.checks import check_array
@@ -30,9 +30,9 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin
 from kinfeas.sim2real.deploy.guards import Guarded
+from kinfeas.sim2real.deploy.planner_threads import PlannerThread
 from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.sim2real.deploy.rate import Clock, Rate, Timing
-from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.sim2real.deploy.watchdog import Watchdog, Watched
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals
 
@@ -152,7 +152,7 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
     run = _Run(setup, recorder)
     with ExitStack() as stack:
         for one in setup.filters:
-            if isinstance(one, RolloutPlannerThread):
+            if isinstance(one, PlannerThread):
                 stack.enter_context(closing(one))
         signals = stack.enter_context(Signals())
         stack.enter_context(closing(run.guarded))
@@ -276,8 +276,12 @@ class _Run:
             step = loop.step(action)
             feasible, subgoal = bool(step.feasible[0]), int(step.subgoal[0])
             self.steps, self.failures = self.steps + 1, self.failures + (not feasible)
+            before, self.time_scale = self.time_scale, float(step.time_scale[0])
+            self.scales += self.time_scale
             after = int(loop.sequence.subgoal[0])
-            event = f"sub-goal {after + 1} begins" if after > subgoal else self.slowed(step)
+            event = f"time scale {self.time_scale:g}" if self.time_scale != before else ""
+            if after > subgoal:
+                event = f"sub-goal {after + 1} begins"
             self.record(event, goal, subgoal, feasible=feasible)
             self.guarded.count(feasible=feasible)
             if step.finished[0]:
@@ -285,12 +289,6 @@ class _Run:
         if loop.target_stream is not None:
             return Code.REACHED, f"followed the targets for {setup.seconds:g} s"
         return Code.TIME_OVER, f"the goal was not reached within {setup.seconds:g} s"
-
-    def slowed(self, step: Step) -> str:
-        """Return the time scale of a step if it has changed, otherwise an empty string."""
-        before, self.time_scale = self.time_scale, float(step.time_scale[0])
-        self.scales += self.time_scale
-        return f"time scale {self.time_scale:g}" if self.time_scale != before else ""
 
     def seconds(self) -> float:
         """Return the seconds since the start: by the clock, if the world has one."""

@@ -68,6 +68,9 @@ def test_parts_join_to_the_whole(chosen, policy):
     parts = [run_episodes(world, policy, count, first=at) for at, count in ((0, 8), (8, 12))]
     for key, values in vars(whole).items():
         np.testing.assert_array_equal(getattr(join(parts), key), values, err_msg=key)
+    touched = [replace(part, base_collisions=np.ones(len(part.reached))) for part in parts]
+    mixed = join([parts[0], touched[1]]), join([touched[0], parts[1]])
+    assert [one.base_collisions.sum() for one in mixed] == [12, 8]
 
 
 @pytest.mark.slow

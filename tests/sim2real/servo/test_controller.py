@@ -128,6 +128,16 @@ def test_malformed_messages_from_many_threads_have_no_effect(solver):
     assert controller.counts["invalid"] == 2 * 6 * len(MALFORMED)
 
 
+def test_chunks_without_poses_or_with_too_many_and_long_quaternions_are_invalid(solver):
+    controller, clock, loop = begin(solver)
+    controller.set_chunk(np.zeros((0, 7)), [])
+    controller.set_chunk([loop.desired[0]] * 65, np.arange(65) / 65.0)
+    for frame in ("world", solver.robot.base.frame):
+        controller.set_target(5.0 * spatial.IDENTITY, frame=frame)
+    step(clock, loop)
+    assert controller.counts["invalid"] == 4
+
+
 def test_time_scaling_waits_at_the_end_of_the_reach(solver):
     """An arm that is led out of its reach, while the base may not move, stops without a failure."""
     controller, clock, loop = begin(solver)
