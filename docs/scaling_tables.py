@@ -1,4 +1,4 @@
-"""Measure the jobs of a benchmark and write the tables of docs/scaling.md.
+"""Measure the jobs of a benchmark and write the table of docs/scaling.md.
 
 It measures the kinds of jobs that docs/figures/scaling.json lacks; remove the file to measure all.
 
@@ -7,13 +7,12 @@ own. The difference is the cost of a step or an episode, the rest the cost of a 
 time, which other programs on the machine hardly change.
 """
 
-import heapq
 import json
 import re
 import resource
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -24,7 +23,6 @@ from typing import Any
 from kinfeas.benchmark.config import BenchmarkConfig, read_benchmark
 from kinfeas.benchmark.evaluations import Evaluation, compute, plan_evaluations
 from kinfeas.benchmark.markdown import table
-from kinfeas.benchmark.runs import Run, plan_runs
 from kinfeas.config.recipes import load_section
 from kinfeas.evaluation.paper import TITLES
 from kinfeas.jobs.training import finish
@@ -35,7 +33,6 @@ FIGURES, PAGE = DOCS / "figures" / "scaling.json", DOCS / "scaling.md"
 STUDY = "benchmark/study"
 TASK = "ggr"
 STEPS, EPISODES = (10_000, 40_000), (8, 40)
-CORES = (1, 4, 32, 256)
 SHOWN = ("training", "policy", "whole_body_qp")
 """Jobs of the table; the other baselines cost about as much as a policy."""
 
@@ -96,29 +93,6 @@ def kind_of(one: Evaluation) -> str:
     return ", ".join(part for part in (one.robot, policy, one.row) if part)
 
 
-def phases(benchmark: BenchmarkConfig, costs: Costs) -> list[list[float]]:
-    """Return the CPU seconds of the trainings of a benchmark, and those of its evaluations."""
-    plans = [job.description[0] for job in plan_runs(benchmark, Path("none"))]
-    runs = [Run(Path(f"{one.robot}-{one.learner.algorithm}-{one.seed}"), one.robot,
-                one.learner.algorithm, one.seed, TASK) for one in plans]  # fmt: skip
-    trainings = [seconds(costs[f"{one.robot}, training"], one.schedule.steps or 0) for one in plans]
-    evaluations = plan_evaluations(benchmark, runs)
-    return [trainings, [seconds(costs[kind_of(one)], one.episodes) for one in evaluations]]
-
-
-def seconds(cost: dict[str, Any], units: int) -> float:
-    """Return the CPU seconds of a job."""
-    return float(cost["start"] + units * cost["each"])
-
-
-def makespan(jobs: Iterable[float], cores: int) -> float:
-    """Return the seconds until the last of the jobs ends, the long ones first."""
-    free = [0.0] * cores
-    for job in sorted(jobs, reverse=True):
-        heapq.heapreplace(free, free[0] + job)
-    return max(free)
-
-
 def needs_table(costs: Costs, robots: Sequence[str]) -> list[str]:
     """Return the table of the needs of one job."""
     jobs: dict[str, dict[str, dict[str, Any]]] = {}
@@ -138,29 +112,12 @@ def needs_table(costs: Costs, robots: Sequence[str]) -> list[str]:
     return table(["job", *(TITLES[robot] for robot in robots), "memory, MB"], rows)
 
 
-def cluster_table(jobs: Sequence[Sequence[float]]) -> list[str]:
-    """Return the table of the time of the whole benchmark."""
-    heads = ["hours", *(f"{cores} core{'s' * (cores > 1)}" for cores in CORES)]
-    names = [f"{len(jobs[0])} trainings", f"{len(jobs[1])} evaluations"]
-    rows = [
-        [name, *(f"{makespan(one, cores) / 3600.0:.2f}" for cores in CORES)]
-        for name, one in zip(names, jobs, strict=True)
-    ]
-    return table(heads, rows)
-
-
 def fill(page: str, costs: Costs) -> str:
-    """Return the page with the tables of these costs."""
-    benchmark = read_benchmark(STUDY)
-    tables = {
-        "needs": needs_table(costs, benchmark.robots),
-        "cluster": cluster_table(phases(benchmark, costs)),
-    }
-    for name, lines in tables.items():
-        place = re.compile(rf"(?<=<!-- {name} -->\n).*?(?=<!-- end -->)", re.DOTALL)
-        assert place.search(page), name
-        page = place.sub("\n".join([*lines, ""]).replace("\\", r"\\"), page, count=1)
-    return page
+    """Return the page with the table of these costs."""
+    lines = needs_table(costs, read_benchmark(STUDY).robots)
+    place = re.compile(r"(?<=<!-- needs -->\n).*?(?=<!-- end -->)", re.DOTALL)
+    assert place.search(page)
+    return place.sub("\n".join([*lines, ""]).replace("\\", r"\\"), page, count=1)
 
 
 def main() -> None:

@@ -9,7 +9,15 @@ from annotated_types import Interval
 
 from kinfeas.config.quantities import Positive
 from kinfeas.core.motion import State
-from kinfeas.core.spatial import IDENTITY, Array, compose, integrate, relative, twist_between
+from kinfeas.core.spatial import (
+    IDENTITY,
+    Array,
+    compose,
+    continuous,
+    integrate,
+    relative,
+    twist_between,
+)
 from kinfeas.plugins.limits import slowed
 from kinfeas.plugins.replay import read_recording, resampled
 
@@ -150,7 +158,4 @@ def learn(time: Array, poses: Array, basis_functions: int) -> Array:
 
 def _for_library(poses: Array) -> Array:
     """Return poses with quaternions wxyz, each of the sign that is nearest to the one before."""
-    quaternion = np.roll(poses[:, 3:], 1, axis=1)
-    flips = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
-    signs = np.concatenate([[1.0], np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)])
-    return np.concatenate([poses[:, :3], quaternion * signs[:, np.newaxis]], axis=1)
+    return np.concatenate([poses[:, :3], np.roll(continuous(poses[:, 3:]), 1, axis=1)], axis=1)

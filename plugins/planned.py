@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Positive
 from kinfeas.core.motion import State, WholeBodyPath, merged, of_rows
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, distance, integrate, twist_between
+from kinfeas.core.spatial import Array, continuous, distance, integrate, twist_between
 from kinfeas.plugins.limits import norm, slowed
 from kinfeas.plugins.minimum_jerk import MinimumJerk
 from kinfeas.plugins.path_geometry import (
@@ -280,7 +280,7 @@ class WholeBody(Planned):
         seconds = np.maximum(self._seconds(path.ee[:-1], path.ee[1:]), path.seconds)
         time = np.concatenate([[0.0], np.cumsum(seconds + 1e-6)])
         at = np.linspace(0.0, time[-1], POINTS)
-        every = np.concatenate([path.ee[:, :3], _continuous(path.ee[:, 3:]), path.robot], axis=1)
+        every = np.concatenate([path.ee[:, :3], continuous(path.ee[:, 3:]), path.robot], axis=1)
         places = np.stack([np.interp(at, time, column) for column in every.T], axis=1)
         places[:, 3:7] /= np.linalg.norm(places[:, 3:7], axis=1, keepdims=True)
         return places[:, :7], places[:, 7:], time[-1]
@@ -340,17 +340,8 @@ def _slerped(begin: Array, end: Array) -> Array:
     share = np.linspace(0.0, 1.0, POINTS)[:, np.newaxis]
     way = twist_between(begin, end, 1.0)[:, np.newaxis]
     poses = integrate(begin[:, np.newaxis], way * share, 1.0)
-    poses[..., 3:] = _continuous(poses[..., 3:])
+    poses[..., 3:] = continuous(poses[..., 3:])
     return poses
-
-
-def _continuous(quaternions: Array) -> Array:
-    """Return the same rotations with signs as those of the ones before, shape (..., k, 4)."""
-    near = np.sum(quaternions[..., 1:, :] * quaternions[..., :-1, :], axis=-1)
-    signs = np.cumprod(np.where(near < 0.0, -1.0, 1.0), axis=-1)
-    continuous = quaternions.copy()
-    continuous[..., 1:, :] *= signs[..., np.newaxis]
-    return continuous
 
 
 def _chosen(rows: NDArray[np.bool_], new: State, old: State) -> State:

@@ -3,16 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Slerp
 
 from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, make_pose, rotation
+from kinfeas.core.spatial import Array, interpolated, make_pose, rotation
 from kinfeas.io.demonstrations import read_demonstration
-from kinfeas.io.run_log import read_record
+from kinfeas.io.run_log import is_record, read_record
 from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_moments, in_frame
-
-_RUN_LOG = b"# kinfeas record"  # first bytes of the CSV record of a run
 
 
 class Replay(PathMotion):
@@ -60,7 +57,7 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
     of a run, of which the desired EE poses are read. The pose of an unknown object is NaN, and an
     error if `frame` needs it.
     """
-    if _is_run_log(path):
+    if path.is_file() and is_record(path):
         record = read_record(path)
         # The last row of a run has its end, at the time of the row before.
         later = np.diff(record.time, prepend=-np.inf) > 0.0
@@ -79,15 +76,7 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
     return time, ee_pose, first
 
 
-def _is_run_log(path: Path) -> bool:
-    if path.suffix.lower() != ".csv" or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(_RUN_LOG)) == _RUN_LOG
-
-
 def resampled(time: Array, poses: Array, shares: Array) -> Array:
     """Return poses, (t, 7), interpolated at ascending `shares` of their time, 0-1, (m, 7)."""
     moments = np.minimum(time[0] + shares * (time[-1] - time[0]), time[-1])
-    position = np.stack([np.interp(moments, time, poses[:, i]) for i in range(3)], axis=-1)
-    return make_pose(position, Slerp(time, rotation(poses))(moments))
+    return interpolated(moments, time, poses)

@@ -19,7 +19,7 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 _THINNEST = 1e-4  # m, of a shrunk shape
 
 
-class Solids:
+class ShapeGroup:
     """A group of shapes for collision checks; not thread-safe.
 
     Args:
@@ -43,7 +43,7 @@ class Solids:
             solid.setTransform(self._fcl.Transform(turn, place))
         self._group.update()
 
-    def touches(self, other: "Solids") -> bool:
+    def touches(self, other: "ShapeGroup") -> bool:
         """Return whether any shape touches one of the `other` group."""
         found = self._fcl.CollisionData()
         self._group.collide(other._group, found, self._fcl.defaultCollisionCallback)
@@ -92,7 +92,7 @@ def check(
     """
     check_places(source, size, objects)
     shapes = [shape for one in objects.values() for _, shape in one.shapes()]
-    scene = Solids(shapes)
+    scene = ShapeGroup(shapes)
     for name, pose in handles.items():
         _check_handle(f"{source}: handle {name!r} cannot be reached", size, scene, pose)
 
@@ -119,7 +119,8 @@ def _check_floor(where: str, size: tuple[float, float], one: SceneObject) -> Non
 
 def _check_overlaps(source: str, objects: Mapping[str, SceneObject]) -> None:
     solids = {
-        name: Solids((shape for _, shape in one.shapes()), OVERLAP) for name, one in objects.items()
+        name: ShapeGroup((shape for _, shape in one.shapes()), OVERLAP)
+        for name, one in objects.items()
     }
     for a, b in combinations(objects, 2):
         if solids[a].touches(solids[b]):
@@ -128,14 +129,14 @@ def _check_overlaps(source: str, objects: Mapping[str, SceneObject]) -> None:
             )
 
 
-def _check_handle(where: str, size: tuple[float, float], scene: Solids, pose: Array) -> None:
+def _check_handle(where: str, size: tuple[float, float], scene: ShapeGroup, pose: Array) -> None:
     if not HEIGHTS[0] <= pose[2] <= HEIGHTS[1]:
         raise KinfeasError(
             f"{where}: its height must be in [{HEIGHTS[0]:g}, {HEIGHTS[1]:g}] m, not {pose[2]:.3g}"
         )
     middle = IDENTITY.copy()
     middle[0] = -_BEFORE - _GRIPPER[0] / 2.0
-    if scene.touches(Solids([Shape("box", _GRIPPER, compose(pose, middle))])):
+    if scene.touches(ShapeGroup([Shape("box", _GRIPPER, compose(pose, middle))])):
         raise KinfeasError(
             f"{where}: there is an object within {_BEFORE + _GRIPPER[0]:g} m in front of it"
         )
@@ -145,7 +146,7 @@ def _check_handle(where: str, size: tuple[float, float], scene: Solids, pose: Ar
         )
 
 
-def _room_for_a_base(size: tuple[float, float], scene: Solids, handle: Array) -> bool:
+def _room_for_a_base(size: tuple[float, float], scene: ShapeGroup, handle: Array) -> bool:
     back = -rotation(handle).as_matrix()[:2, 0]
     heading = np.arctan2(back[1], back[0])
     radius, height = _BASE
@@ -156,7 +157,7 @@ def _room_for_a_base(size: tuple[float, float], scene: Solids, handle: Array) ->
                 continue
             # 1 cm above the floor, so that flat objects do not count.
             stand = make_pose(np.array([*place, height / 2.0 + 0.01]), Rotation.identity())
-            if not scene.touches(Solids([Shape("cylinder", (radius, height), stand)])):
+            if not scene.touches(ShapeGroup([Shape("cylinder", (radius, height), stand)])):
                 return True
     return False
 

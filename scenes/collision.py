@@ -11,7 +11,7 @@ from kinfeas.kinematics.self_collision import (
     touches_itself,
 )
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.check import Solids
+from kinfeas.scenes.check import ShapeGroup
 from kinfeas.scenes.scene import Scene
 
 
@@ -19,7 +19,9 @@ class SceneCollision:
     """The collision shapes of a scene."""
 
     def __init__(self, scene: Scene) -> None:
-        self.solids = Solids(shape for one in scene.objects.values() for _, shape in one.shapes())
+        self.shapes = ShapeGroup(
+            shape for one in scene.objects.values() for _, shape in one.shapes()
+        )
 
 
 def robot_touches(
@@ -33,15 +35,15 @@ def robot_touches(
         base_pose: World pose of its base, shape (7,).
         joint_positions: Arm joints, shape (j,), radians or metres.
     """
-    model, scratch, solids = _parts(robot)
+    model, scratch, shapes = _parts(robot)
     touches_itself(model, joint_positions, scratch)  # writes the poses of the shapes
     turn = rotation(base_pose).as_matrix()
-    solids.place(turn @ scratch.rotation, scratch.position @ turn.T + base_pose[:3])
-    return solids.touches(collision.solids)
+    shapes.place(turn @ scratch.rotation, scratch.position @ turn.T + base_pose[:3])
+    return shapes.touches(collision.shapes)
 
 
 @lru_cache(maxsize=8)
-def _parts(robot: Robot) -> tuple[CollisionModel, CollisionScratch, Solids]:
+def _parts(robot: Robot) -> tuple[CollisionModel, CollisionScratch, ShapeGroup]:
     model = build_collision_model(robot)
     shapes = [shape for link in robot.urdf.links.values() for shape in link.shapes]
-    return model, make_collision_scratch(model), Solids(shapes)
+    return model, make_collision_scratch(model), ShapeGroup(shapes)

@@ -236,10 +236,9 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
 
 def _drawn_scene(setup: "Setup") -> dict[str, Any]:
     """Return scene, objects and solids of the record; the episode is drawn in advance."""
-    import numpy as np
-
     from kinfeas.backends.physics.backend import PhysicsBackend
     from kinfeas.core.backend import SupportsSolids
+    from kinfeas.core.start import episode_rng
     from kinfeas.sim2real.deploy.runtime import TaskWithObjects
 
     task = setup.task
@@ -248,7 +247,7 @@ def _drawn_scene(setup: "Setup") -> dict[str, Any]:
         return {"solids": tuple(map(tuple, setup.solids.table.tolist()))}
     if not isinstance(setup.backend, SupportsSolids):  # a robot
         return drawn
-    start = task.sample(setup.solver, np.random.default_rng((setup.seed, 0)))
+    start = task.sample(setup.solver, episode_rng(setup.seed, 0))
     if start.solids is not None:
         solids = start.solids
         if isinstance(setup.backend, PhysicsBackend):  # furniture is drawn as a scene

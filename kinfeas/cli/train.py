@@ -44,7 +44,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
         str | None, typer.Option(help="Policy to start from: a run folder, or pretrained.")
     ] = None,
     processes: Annotated[
-        int | None, typer.Option(help="Processes of the PyBullet world.  [default: 2]")
+        int | None, typer.Option(help="Processes of a physics world.  [default: 2]")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run.  [default: runs/ROBOT-TASK-SEED]")

@@ -20,8 +20,8 @@ class MotionGenerator(Protocol):
     Pure: the state is an argument and a return value, a dict of arrays with leading axis n, so that
     callers can restart single motions and preview steps. States may share arrays; callers write
     into copies. The target is an argument of every call, since it may move; values of the start
-    belong into the state. A generator is called once a step, is built from keyword parameters, and
-    does not depend on the robot or the frame that it moves.
+    belong into the state. A generator may be called several times a step, is built from keyword
+    parameters, and does not depend on the robot or the frame that it moves.
     """
 
     def start(

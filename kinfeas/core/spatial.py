@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from kinfeas.core import pose_kernels
 from kinfeas.core.errors import KinfeasError
@@ -111,3 +111,18 @@ def _call(
         raise KinfeasError(
             f"the leading axes of {shapes[0]} and {shapes[1]} do not broadcast"
         ) from error
+
+
+def interpolated(times: Array, known: Array, poses: Array) -> Array:
+    """Return poses (m, 7) at `times` between those (t, 7) at ascending `known` times."""
+    position = np.stack([np.interp(times, known, column) for column in poses[:, :3].T], axis=1)
+    return make_pose(position, Slerp(known, rotation(poses))(times))
+
+
+def continuous(quaternions: Array) -> Array:
+    """Return the same rotations with signs as those of the ones before, shape (..., k, 4)."""
+    near = np.sum(quaternions[..., 1:, :] * quaternions[..., :-1, :], axis=-1)
+    signs = np.cumprod(np.where(near < 0.0, -1.0, 1.0), axis=-1)
+    same = quaternions.copy()
+    same[..., 1:, :] *= signs[..., np.newaxis]
+    return same

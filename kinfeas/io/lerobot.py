@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Slerp
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, canonical, make_pose, rotation
+from kinfeas.core.spatial import Array, interpolated
 from kinfeas.io.demonstrations import Demonstration, columns
 from kinfeas.io.files import writing
 
@@ -126,11 +125,7 @@ def _frames(shown: Demonstration, state: list[str], fps: int) -> dict[str, Any]:
 
 def _at(times: Array, known: Array, poses: Array) -> Any:
     """Return poses (m, 7) at `times`, interpolated between those (t, 7) at known times."""
-    times = np.clip(times, known[0], known[-1])
-    position = np.stack([np.interp(times, known, one) for one in poses[:, :3].T], axis=1)
-    pose = make_pose(position, Slerp(known, rotation(poses))(times))
-    pose[:, 3:] = canonical(pose[:, 3:])
-    return pose.astype(np.float32)
+    return interpolated(np.clip(times, known[0], known[-1]), known, poses).astype(np.float32)
 
 
 def _column(values: Any) -> Any:

@@ -150,9 +150,10 @@ class Recorder:
 
 
 def is_record(path: Path) -> bool:
-    """Return whether a file begins as a run log does."""
+    """Return whether a file begins as a run log does, of any version."""
+    begin = f"# {_FORMAT.rsplit(maxsplit=1)[0]} ".encode()
     with path.open("rb") as file:
-        return file.read(len(_FORMAT) + 2) == f"# {_FORMAT}".encode()
+        return file.read(len(begin)) == begin
 
 
 def read_record(path: Path) -> Record:

@@ -74,8 +74,8 @@ class Perceptrons:
                     shift.copy_(one.bias.data)
                     one.weight.data, one.bias.data = rows, shift
 
-    def round(self) -> None:
-        """Note that the parameters have changed."""
+    def refresh(self) -> None:
+        """Take over the parameters, which have changed."""
         self._rounded.copy_(self.vector.data)
 
     def forward(self, inputs: torch.Tensor) -> list[torch.Tensor]:
@@ -165,7 +165,7 @@ class FastSAC(SAC):
         assert self.replay_buffer is not None
         with torch.no_grad():
             for networks in (self._actor, self._critic, self._target):
-                networks.round()
+                networks.refresh()
             for _ in range(gradient_steps):
                 data = self.replay_buffer.sample(batch_size)
                 learns = self._n_updates % self.policy_delay == 0
@@ -176,7 +176,7 @@ class FastSAC(SAC):
                     loss = self._update_actor(data.observations, drawn, ent_coef)
                     losses["actor_loss"].append(loss)
                 self._target.vector.lerp_(self._critic.vector, self.tau)
-                self._target.round()
+                self._target.refresh()
                 self._n_updates += 1
         self.logger.record("train/ent_coef", float(ent_coef))
         for name, values in losses.items():
@@ -185,7 +185,7 @@ class FastSAC(SAC):
 
     def draw(self, observations: torch.Tensor) -> torch.Tensor:
         """Return actions of the stochastic policy, shape (b, a)."""
-        self._actor.round()
+        self._actor.refresh()
         return self._draw(observations).action
 
     def finite(self) -> bool:
@@ -211,7 +211,7 @@ class FastSAC(SAC):
         error = layers[-1] - target
         self._critic.backward(layers, error / len(target))
         self.critic.optimizer.step()
-        self._critic.round()
+        self._critic.refresh()
         return 0.5 * error.square().mean(dim=1).sum()
 
     def _update_actor(
@@ -236,7 +236,7 @@ class FastSAC(SAC):
         by_log_std[(free < LOG_STD_MIN) | (free > LOG_STD_MAX)] = 0.0
         self._actor.backward(drawn.layers, torch.cat([by_mean, by_log_std], dim=1).unsqueeze(0))
         self.actor.optimizer.step()
-        self._actor.round()
+        self._actor.refresh()
         return loss
 
     def _entropy_coefficient(self, log_prob: torch.Tensor | None) -> torch.Tensor:

@@ -100,11 +100,7 @@ def explore(
 
 def learn(learner: Learner, config: LearnerConfig) -> None:
     """Take the gradient steps of one step of all environments."""
-    try:
-        learner.train(config.gradient_steps, config.batch_size)
-    except ValueError:  # no distribution without finite weights
-        if not _diverged(learner):
-            raise
+    learner.train(config.gradient_steps, config.batch_size)
     if _diverged(learner):
         raise _divergence(config)
 

@@ -9,7 +9,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.robots.urdf_file import parse_urdf
 from kinfeas.scenes import scene as scenes
-from kinfeas.scenes.check import Solids
+from kinfeas.scenes.check import ShapeGroup
 from kinfeas.scenes.collision import SceneCollision, robot_touches
 from kinfeas.scenes.objects import SceneObject, rest_positions
 from kinfeas.scenes.scene import read_scene
@@ -31,16 +31,16 @@ def floor(x, y, yaw=0.0):
 @pytest.mark.parametrize("kind", SIZES)
 @pytest.mark.parametrize("other", SIZES)
 def test_shapes_touch_where_their_surfaces_meet(kind, other):
-    assert Solids([at(kind, 0.199)]).touches(Solids([at(other, 0.0)]))
-    assert not Solids([at(kind, 0.201)]).touches(Solids([at(other, 0.0)]))
+    assert ShapeGroup([at(kind, 0.199)]).touches(ShapeGroup([at(other, 0.0)]))
+    assert not ShapeGroup([at(kind, 0.201)]).touches(ShapeGroup([at(other, 0.0)]))
 
 
 @pytest.mark.parametrize("kind", SIZES)
 def test_shrunk_groups_allow_an_overlap(kind):
-    assert not Solids([at(kind, 0.1992)], 1e-3).touches(Solids([at(kind, 0.0)], 1e-3))
-    assert Solids([at(kind, 0.1985)], 1e-3).touches(Solids([at(kind, 0.0)], 1e-3))
+    assert not ShapeGroup([at(kind, 0.1992)], 1e-3).touches(ShapeGroup([at(kind, 0.0)], 1e-3))
+    assert ShapeGroup([at(kind, 0.1985)], 1e-3).touches(ShapeGroup([at(kind, 0.0)], 1e-3))
     sheet = Shape("box", (1.0, 1.0, 5e-4), IDENTITY)
-    assert Solids([sheet], 1e-3).touches(Solids([at(kind, 0.0)], 1e-3))
+    assert ShapeGroup([sheet], 1e-3).touches(ShapeGroup([at(kind, 0.0)], 1e-3))
 
 
 @pytest.mark.parametrize(("old", "new", "where"), [
@@ -161,4 +161,4 @@ def test_doors_and_drawers_open_all_the_way_without_touching_their_body(name, jo
         shapes = list(SceneObject(path, urdf, IDENTITY, True, rest).shapes())
         body = [shape for link, shape in shapes if link == "body"]
         moved = [shape for link, shape in shapes if link != "body"]
-        assert not Solids(body, -PLAY).touches(Solids(moved)), position
+        assert not ShapeGroup(body, -PLAY).touches(ShapeGroup(moved)), position

@@ -22,11 +22,6 @@ from kinfeas.scenes.scene import Scene
 
 _Rows = NDArray[np.intp]
 
-_FIELDS = (
-    "time", "qpos", "qvel", "act", "qacc_warmstart", "ctrl", "eq_active", "mocap_pos", "mocap_quat",
-)  # fmt: skip
-_AWAY = [0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0]  # pose of empty places, quaternion w first
-
 
 class MuJoCoBackend(PhysicsBackend):
     """n robots, each in a room of its own; arguments as in `PhysicsBackend`."""

@@ -12,7 +12,7 @@ from kinfeas.core.errors import KinfeasError
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """Numbers of a physics world; those of the grasp are for PyBullet.
+    """Numbers of a physics world.
 
     Attributes:
         rate: Physics steps per second, rounded so that a control period has a whole number: 5 steps

@@ -1,4 +1,4 @@
-"""Command filters: feasibility, obstacle distance and rollouts; entry points `kinfeas.filters`.
+"""Command filters; entry points `kinfeas.filters`.
 
 A filter changes the base commands of a policy before they are sent. The loop applies a list of
 them in order.

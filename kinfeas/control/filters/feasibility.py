@@ -1,11 +1,12 @@
 """The feasibility filter: base commands that the arm can follow."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config.quantities import NotNegative
+from kinfeas.control.loop import Loop
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.solids import Solids
@@ -37,7 +38,7 @@ class FeasibilityFilter:
     def __init__(self, max_deviation: NotNegative = 0.02) -> None:
         self.max_deviation = max_deviation
 
-    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+    def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
         """Use the kinematics of a loop; arguments as in `CommandFilter`."""
         self._loop, self._robot = loop, loop.robot
         fast = 2.0 * spread(_CANDIDATES, loop.command_size) - 1.0

@@ -1,7 +1,7 @@
 """The obstacle filter: base commands that keep a distance from obstacles."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinfeas.control.adapters import chain
 from kinfeas.control.drive import carried_out, command_size
 from kinfeas.control.filters.half_spaces import project
+from kinfeas.control.loop import Loop
 from kinfeas.core.backend import ObstacleDistances, SupportsObstacleDistances
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.policy import PolicyInput
@@ -79,7 +80,7 @@ class ObstacleFilter:
     def __init__(self, min_distance: Annotated[float, Interval(ge=0.0, le=10.0)] = 0.03) -> None:
         self.min_distance = min_distance
 
-    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+    def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
         """Use the backend and the base of a loop; arguments as in `CommandFilter`."""
         self._loop, base = loop, loop.robot.base
         *_, self._innermost = chain(loop.backend)
@@ -88,6 +89,7 @@ class ObstacleFilter:
                 "the filter obstacle_distance needs a backend that measures distances to "
                 f"obstacles; {type(self._innermost).__name__} does not"
             )
+        self._measure = loop.backend.obstacle_distances
         self._full = _full_velocity(base)
         fastest = base.max_velocity + base.max_rotation * _RIM
         self._braking = min(base.max_acceleration, base.max_rotation_acceleration * _RIM)
@@ -109,7 +111,7 @@ class ObstacleFilter:
         """
         name = f"backend {type(self._innermost).__name__}"
         with plugin_note(name):
-            found: Any = self._loop.backend.obstacle_distances(self._range)
+            found = self._measure(self._range)
         if not isinstance(found, ObstacleDistances) or len(found.distance) != n:
             raise KinfeasError(f"{name} must return ObstacleDistances of {n} robots")
         way = np.maximum(found.distance - self.min_distance, 0.0)

@@ -1,11 +1,10 @@
 """The path planner: base and arm follow a path that is planned for the whole EE motion."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.base_path import BasePath, BasePathPlanner
+from kinfeas.control.loop import Loop
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import PolicyInput
@@ -31,16 +30,18 @@ class PathPlanner:
     again. The policy acts where no path is found, and after the end of a path.
     """
 
+    _planner: BasePathPlanner | None = None
+
     def __init__(self) -> None:
-        self._loop: Any = None
         self._paths: dict[int, BasePath] = {}
 
-    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+    def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
         """Plan for the motions of a loop; arguments as in `CommandFilter`."""
         if loop.target_stream is not None:
             raise KinfeasError("the filter path_planner needs motions that are known in advance")
-        if loop is not self._loop:
-            self._loop, self._planner = loop, BasePathPlanner(loop.solver)
+        self._loop = loop
+        if self._planner is None:
+            self._planner = BasePathPlanner(loop.solver)
         if len(rows) == len(loop.desired):
             self._subgoal, self._planned_at = np.zeros((2, len(rows)), dtype=np.intp)
             self._paths = {}
@@ -85,6 +86,7 @@ class PathPlanner:
     def search(self, row: int, ee: Array) -> BasePath | None:
         """Return a path of one row along an EE motion, shape (k, 7), if one is found."""
         loop = self._loop
+        assert self._planner is not None
         return self._planner.plan(
             loop.state.base_pose[row],
             loop.joint_command[row],

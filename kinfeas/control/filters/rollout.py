@@ -67,12 +67,12 @@ class RolloutPlanner:
     offset: Array = field(default_factory=lambda: np.zeros((0, 0)), init=False)
     _loop: Any = field(default=None, init=False, repr=False)
 
-    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+    def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
         """Plan for the motions of a loop; arguments as in `CommandFilter`."""
         if loop.policy is None or isinstance(loop.policy, RecurrentPolicy):
             raise KinfeasError("the filter rollout_planner needs a policy without a state")
         if loop is not self._loop:
-            self._connect(loop)
+            self._connect(loop, loop.policy)
         if len(loop.desired) != len(self.offset):
             self.offset = np.zeros((len(loop.desired), loop.command_size))
 
@@ -110,7 +110,7 @@ class RolloutPlanner:
         """Return the policy that is called in rollouts."""
         return policy
 
-    def _connect(self, loop: Any) -> None:
+    def _connect(self, loop: Loop, policy: Policy) -> None:
         """Build the simulated loop: without physics, filters and pauses."""
         self._loop = loop
         solver = IkSolver(loop.robot, replace(loop.solver.options, restarts=_RESTARTS))
@@ -118,7 +118,7 @@ class RolloutPlanner:
         analytic = registry.build("kinfeas.backends", "analytic", {})
         self._twin = Loop(solver, loop.sequence.subgoals, analytic, HORIZON, execution)
         self._twin.sequence.whole_body.planner = None  # plans take longer than rollouts
-        self._policy = self.simulated_policy(loop.policy)
+        self._policy = self.simulated_policy(policy)
         self._twin.set_policy(self._policy)
         self._every = max(1, round(self.replan_interval / loop.dt))
         # Normally distributed and evenly spread; the first is zero, the policy alone.
