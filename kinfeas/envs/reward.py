@@ -90,18 +90,6 @@ def reward(
     return earned
 
 
-def limit_distance(robot: Robot, joint_positions: Array) -> Array:
-    """Return the distance to the nearest joint limit as a share of half the range, shape (n,).
-
-    Continuous joints have no limit; without any other joint the distance is 1.
-    """
-    lower, upper = robot.joint_limits
-    distance = np.empty(len(joint_positions))
-    for i, row in enumerate(np.ascontiguousarray(joint_positions)):
-        distance[i] = _limit_distance(row, lower, upper)
-    return distance
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
 def _earn(
     weights, tolerance, feasible, metres, radians, deviation, jumps, action, joints, lower, upper,
@@ -135,6 +123,7 @@ def _earn(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _limit_distance(joints, lower, upper):
+    """Return the distance to the nearest limit as a share of half the range; 1 without limits."""
     distance = 1.0
     for j in range(len(joints)):
         if upper[j] < np.inf:

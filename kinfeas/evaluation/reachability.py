@@ -85,11 +85,6 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     return Reachability(all_reached, wilson(int(all_reached.sum()), episodes), tuple(convergence))
 
 
-def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
-    """Return the EE poses at the ends of all sub-goals, shape (episodes, sub-goals, 7)."""
-    return subgoal_ends(solver, *_starts(solver, task, episodes, seed))
-
-
 def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
     """Return desired EE poses along each sub-goal, shape (episodes, sub-goals * A_SUBGOAL, 7).
 

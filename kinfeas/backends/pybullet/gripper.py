@@ -43,14 +43,6 @@ class GripperDrive:
         )
         self.reset()
 
-    @property
-    def opening(self) -> float:
-        """Opening of the fingers, from 0 (closed) to 1."""
-        joints = [self._body.joints[name] for name in self._gripper.fingers]
-        states = self._body.physics.client.getJointStates(self._body.body, joints)
-        mean = sum(state[0] for state in states) / len(states)
-        return (mean - self._gripper.closed) / (self._gripper.open - self._gripper.closed)
-
     def reset(self) -> None:
         """Hold the fingers at the robot's `fixed_joints`."""
         fixed = self._body.robot.fixed_joints
