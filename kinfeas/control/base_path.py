@@ -19,6 +19,9 @@ from kinfeas.robots.robot import joint_displacement
 
 _ROUNDING = 1e-6
 
+_REACH = 2.0
+"""Distance from the EE within which the robot may touch a solid, metres."""
+
 _APART = (0.07, 0.07)
 """Distance between the EE poses at which the search has a robot, metres and radians."""
 
@@ -138,6 +141,7 @@ class BasePathPlanner:
             time_scale: Share of its speed at which the EE moves at most.
             solids: In the world, one row.
         """
+        solids = None if solids is None else _near(solids, ee)
         rng, rest = np.random.default_rng(0), np.zeros((1, len(self._fastest)))
         start = base_pose[np.newaxis], joints[np.newaxis], rest
         beams = [_Beam(*start, np.zeros(1), np.zeros(1, dtype=np.intp))]
@@ -252,6 +256,13 @@ class BasePathPlanner:
         cells = np.column_stack([away / _CELL, yaw(beam.base) / _TURN, bent])
         first = np.unique(np.floor(cells).astype(np.int64), axis=0, return_index=True)[1]
         return beam.of(np.sort(first)[:_BEAM])
+
+
+def _near(solids: Solids, ee: Array) -> Solids | None:
+    """Return the solids that a robot with its EE on the way may touch, if there are any."""
+    away = solids.gaps(ee[np.newaxis, ::10, :3])[0][0].min(axis=0)
+    near = solids.filled[0] & ((away < _REACH) | solids.velocity[0].any(axis=1))
+    return solids.only(np.flatnonzero(near)) if near.any() else None
 
 
 def _nodes(ee: Array) -> NDArray[np.intp]:

@@ -85,9 +85,11 @@ class Solids:
 
     def beyond(self, places: int) -> "Solids":
         """Return the solids without the first places of each row."""
-        if not places:
-            return self
-        return Solids(*(getattr(self, one.name)[:, places:] for one in fields(self)))
+        return self.only(slice(places, None)) if places else self
+
+    def only(self, places: slice | NDArray[np.intp]) -> "Solids":
+        """Return the solids of some places of each row."""
+        return Solids(*(getattr(self, one.name)[:, places] for one in fields(self)))
 
     def put(self, rows: NDArray[np.intp], other: "Solids") -> "Solids":
         """Return these solids with other ones in some rows."""
