@@ -263,7 +263,7 @@ class SupportsRendering(Protocol):
 
 @runtime_checkable
 class BatchLimited(Protocol):
-    """A backend whose robots cost memory: one process simulates at most `max_batch`."""
+    """A backend or filter whose robots cost memory or time: a process has at most `max_batch`."""
 
     max_batch: int
 

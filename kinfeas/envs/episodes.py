@@ -21,7 +21,7 @@ from kinfeas.envs.world import Transition, World
 from kinfeas.tasks.task import ReportsTaskSuccess
 
 BATCH = 256
-"""Episodes side by side in a process, unless the backend limits them; no result depends on it."""
+"""Episodes side by side in a process at most; no result depends on it."""
 
 COLLISION_GAP = 0.5
 """Seconds without contact after which the next contact with a body is another collision."""
@@ -157,7 +157,8 @@ def _run_part(
 
 
 def _batch(world: World) -> int:
-    return world.backend.max_batch if isinstance(world.backend, BatchLimited) else BATCH
+    parts = world.backend, *world.loop.filters
+    return min([BATCH, *(one.max_batch for one in parts if isinstance(one, BatchLimited))])
 
 
 class _Tally:

@@ -28,8 +28,12 @@ class PathPlanner:
 
     The EE slows down where the robot needs more time. A path that the robot has left is planned
     again. The policy acts where no path is found, and after the end of a path.
+
+    Attributes:
+        max_batch: Episodes side by side, whose plans take about as many seconds.
     """
 
+    max_batch = 32
     _planner: BasePathPlanner | None = None
 
     def __init__(self) -> None:
