@@ -98,7 +98,7 @@ class Adapter(BackendWrapper):
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
         self._subject, self._unchecked = f"adapter {type(self).__name__}", True
-        for ability in ("grip", "obstacle_distances", "scan"):
+        for ability in ("grip", "obstacle_distances", "scan", "read", "stop"):
             if hasattr(backend, ability):
                 setattr(self, ability, getattr(backend, ability))
         if isinstance(backend, Resumable):
