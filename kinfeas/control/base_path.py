@@ -18,6 +18,7 @@ from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.robots.robot import joint_displacement
 
 _ROUNDING = 1e-6
+"""Seconds by which a motion time may be below that of a node."""
 
 _REACH = 2.0
 """Distance from the EE within which the robot may touch a solid, metres."""
@@ -222,12 +223,11 @@ class BasePathPlanner:
         first = compose(beam.base[:1], forward(self.solver.chain, beam.joints[:1]))[0]
         halfway = integrate(first, twist_between(first, target, 1.0), 0.5)
         base = self._driven(before, best.command, seconds / 2.0)
-        passable = self._reached(before.joints + way / 2.0, halfway, base, seconds / 4.0, solids)
-        free = [
-            ~self_collides(self.solver.collision, before.joints + share * way)
-            for share in (0.25, 0.75)
-        ]
-        return passable.feasible & free[0] & free[1]
+        arm = self._reached(before.joints + way / 2.0, halfway, base, seconds / 4.0, solids)
+        passable = arm.feasible
+        for share in (0.25, 0.75):
+            passable &= ~self_collides(self.solver.collision, before.joints + share * way)
+        return passable
 
     def _commands(
         self, beam: _Beam, target: Array, seconds: float, rng: np.random.Generator

@@ -16,7 +16,7 @@ _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.1, 0.7
 metres."""
 
 _REPLAN_SECONDS = 2.0
-"""Least control time between two plans for one motion."""
+"""Control time until a motion may be planned anew; it doubles with each plan."""
 
 _GAIN, _STEER, _MOVING = 3.0, 3.0, 0.05
 """Feedback of the base's deviation, 1/s; angle by which a differential base steers towards its path
@@ -47,8 +47,8 @@ class PathPlanner:
         if self._planner is None:
             self._planner = BasePathPlanner(loop.solver)
         if len(rows) == len(loop.desired):
-            self._subgoal, self._planned_at = np.zeros((2, len(rows)), dtype=np.intp)
-            self._paths = {}
+            self._subgoal, self._again_at = np.zeros((2, len(rows)), dtype=np.intp)
+            self._wait, self._paths = np.zeros(len(rows)), {}
         self._subgoal[rows] = -1
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
@@ -74,10 +74,11 @@ class PathPlanner:
     def plan(self, rows: Rows) -> None:
         """Plan the motions of rows from now on."""
         loop = self._loop
-        self._subgoal[rows], self._planned_at[rows] = (
-            loop.sequence.subgoal[rows],
-            loop.periods[rows],
-        )
+        subgoal = loop.sequence.subgoal[rows]
+        wait = 2.0 * self._wait[rows]
+        self._wait[rows] = np.where(self._subgoal[rows] == subgoal, wait, _REPLAN_SECONDS)
+        self._subgoal[rows] = subgoal
+        self._again_at[rows] = loop.periods[rows] + np.ceil(self._wait[rows] / loop.dt)
         for row, ee in zip(rows.tolist(), loop.sequence.to_the_end(rows), strict=True):
             self.put(row, self.search(row, ee))
 
@@ -105,7 +106,7 @@ class PathPlanner:
         loop, sequence = self._loop, self._loop.sequence
         due: NDArray[np.bool_] = self._subgoal != sequence.subgoal
         rows = np.array([row for row in self._paths if not due[row]], dtype=np.intp)
-        rows = rows[loop.periods[rows] - self._planned_at[rows] >= _REPLAN_SECONDS / loop.dt]
+        rows = rows[loop.periods[rows] >= self._again_at[rows]]
         if rows.size:
             robots, elapsed = self._robots(rows, 0.0), sequence.elapsed
             ee = np.stack([self._paths[row].ee_at(elapsed[row]) for row in rows.tolist()])
