@@ -8,13 +8,25 @@ names, fields and defaults of ROS 2.
 
 import math
 import os
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from threading import Thread
 from types import new_class
 from typing import Any
 
-from cyclonedds.core import DDSException, Listener, Policy, Qos
+from cyclonedds.core import (
+    DDSException,
+    GuardCondition,
+    InstanceState,
+    Policy,
+    Qos,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint32
@@ -30,6 +42,7 @@ _DOMAINS = 232  # the last domain with free ports on Linux
 _BLOCKING_MS = 5  # time that a command may wait for its place in the sender's queue
 _DELIVERY_MS = 50  # time that closing waits for the delivery of messages
 _QUEUE = 100  # messages of topics where every one counts
+_UNREAD = ViewState.Any | InstanceState.Any | SampleState.NotRead
 _LATCHED = "/tf_static"  # the topic that late subscribers get, too
 _NANO = 1_000_000_000
 
@@ -56,7 +69,10 @@ class Ros2Bus:
         self.messages = ros2_message_classes()
         self._participant: Any = None
         self._publishers: list[_Ros2Publisher] = []
-        self._readers: list[Any] = []
+        self._readers: list[tuple[Any, Any, Callable[[Any], None]]] = []
+        self._waits: Any = None
+        self._end: Any = None
+        self._thread: Thread | None = None
 
     def open(self, name: str) -> None:
         """Join the domain; raise KinfeasError if there is none of this number."""
@@ -69,6 +85,11 @@ class Ros2Bus:
             uri = os.environ.get("CYCLONEDDS_URI")
             settings = f" with CYCLONEDDS_URI={uri}" if uri else ""
             raise KinfeasError(f"DDS cannot join domain {domain}{settings}: {error}") from error
+        self._waits, self._end = WaitSet(self._participant), GuardCondition(self._participant)
+        self._waits.attach(self._end)
+        # Not in listeners: an object that Python deletes in a thread of DDS crashes the process.
+        self._thread = Thread(target=self._receive, name=name, daemon=True)
+        self._thread.start()
 
     def publisher(self, topic: str, kind: Any) -> Publisher:
         """Return a sender of the newest message."""
@@ -90,15 +111,8 @@ class Ros2Bus:
             reliable = Policy.Reliability.Reliable(duration(milliseconds=_BLOCKING_MS))
             policies = [reliable, Policy.History.KeepLast(_QUEUE)]
         reader = DataReader(self._participant, self._topic(topic, kind), qos=_qos(topic, *policies))
-        self._readers.append(reader)
-
-        def pass_on(_: object) -> None:
-            for message in reader.take(_QUEUE):
-                if isinstance(message, kind):  # not the notice of a sender that has gone
-                    take(message)
-
-        reader.set_listener(Listener(on_data_available=pass_on))
-        pass_on(reader)  # messages before the listener
+        self._readers.append((reader, kind, take))
+        self._waits.attach(ReadCondition(reader, _UNREAD))
 
     def check(self) -> None:
         """Do nothing: DDS has no master, and silence shows as the age of measurements."""
@@ -110,9 +124,22 @@ class Ros2Bus:
         """Deliver what was sent and leave the domain; it may be called twice."""
         for publisher in self._publishers:
             publisher.flush()
-        for reader in self._readers:
-            reader.set_listener(None)
-        self._readers, self._publishers, self._participant = [], [], None
+        if self._thread is not None:
+            self._end.set(True)
+            self._thread.join()
+        self._readers, self._publishers = [], []
+        self._thread = self._waits = self._end = self._participant = None
+
+    def _receive(self) -> None:
+        while not self._end.read():
+            for reader, kind, take in tuple(self._readers):
+                try:
+                    for message in reader.take(_QUEUE):
+                        if isinstance(message, kind):  # not the notice of a sender that has gone
+                            take(message)
+                except Exception:  # noqa: BLE001 - the next message may be better
+                    traceback.print_exc()
+            self._waits.wait(duration(infinite=True))
 
     def _topic(self, name: str, kind: Any) -> Any:
         return Topic(self._participant, f"rt/{name.lstrip('/')}", kind)

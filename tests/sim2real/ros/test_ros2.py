@@ -1,4 +1,5 @@
 import os
+import threading
 import time
 from unittest.mock import Mock
 
@@ -146,6 +147,26 @@ def test_late_subscribers_get_static_transforms():
     np.testing.assert_array_equal(heard[0].transforms[0].transform.rotation.w, spatial.IDENTITY[6])
     sender.close()
     late.close()
+
+
+def test_messages_are_handled_in_a_thread_of_the_bus_that_outlives_errors(capsys):
+    """In a thread of DDS, an object that the garbage collector deletes crashes the process."""
+    sender, receiver, threads = Ros2Bus(), Ros2Bus(), []
+
+    def fail(message):
+        threads.append(threading.current_thread().name)
+        raise ValueError("boom")
+
+    for bus, name in ((sender, "sender"), (receiver, "receiver")):
+        bus.open(name)
+    publisher = sender.publisher("/a", sender.messages.Twist)
+    receiver.subscribe("/a", receiver.messages.Twist, fail)
+    wait(lambda: publisher.publish(sender.messages.Twist()) or len(threads) > 1)
+    for bus in (sender, receiver):
+        bus.close()
+    assert set(threads) == {"receiver"}
+    assert "boom" in capsys.readouterr().err
+    assert not {"sender", "receiver"} & {thread.name for thread in threading.enumerate()}
 
 
 def test_the_call_of_the_watchdog_stops_the_base(ends):
