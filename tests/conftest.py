@@ -82,17 +82,3 @@ def offer(tmp_path, monkeypatch):
     for fresh in set(sys.modules) - before:
         if fresh.startswith("kinfeas_"):
             del sys.modules[fresh]
-
-
-_ON_A_BUS = (
-    "sim2real/ros/test_ros2", "sim2real/test_ros", "sim2real/deploy/test_watchdog",
-    "cli/test_deploy",
-)  # fmt: skip
-
-
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
-def pytest_collection_modifyitems(items):
-    """Run tests on a DDS bus, and those of real clocks, on one worker."""
-    for item in items:
-        if any(part in item.nodeid for part in _ON_A_BUS):
-            item.add_marker(pytest.mark.xdist_group("bus"))
