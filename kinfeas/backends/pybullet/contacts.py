@@ -11,6 +11,7 @@ from kinfeas.core.backend import Contacts, ObstacleDistances
 from kinfeas.core.spatial import Array
 
 _OUTSIDE = 1e-3  # m before a corner where its ray starts, so that it does not hit the robot
+_HIGH = 1e3  # m above and below the base within which there may be obstacles
 _UNIT_BOX = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T
 
 
@@ -39,6 +40,7 @@ class Surroundings:
     def __init__(self, body: RobotBody) -> None:
         self._body = body
         self._shapes = _shapes(body)
+        self._radius = max(np.linalg.norm(one.corners, axis=1).max() for one in self._shapes)
 
     def obstacle_distances(
         self, bodies: Iterable[int], within: float, handled: Collection[tuple[int, int]] = ()
@@ -60,8 +62,18 @@ class Surroundings:
                 if is_beside(normal)
             ]
 
-        nearest = (self._closest(other, within, handled) for other in bodies)
+        near = self._near(within)
+        nearest = (self._closest(other, within, handled) for other in bodies if other in near)
         return obstacle_distances(self._body.planar(), nearest, self._shapes, cast)
+
+    def _near(self, within: float) -> frozenset[int]:
+        """Return the bodies whose bounding boxes are within a distance of the base."""
+        x, y, _ = self._body.planar()
+        reach = self._radius + within
+        corners = [x - reach, y - reach, -_HIGH], [x + reach, y + reach, _HIGH]
+        return frozenset(
+            body for body, _ in self._body.physics.client.getOverlappingObjects(*corners)
+        )
 
     def _closest(
         self, other: int, within: float, handled: Collection[tuple[int, int]]
