@@ -40,9 +40,9 @@ _SPEED, _BASE_SHARE, _ARM_SHARE = (0.3, 0.5), 0.8, 0.7
 """Largest speeds of the base, m/s and rad/s, and shares of the limits of base and arm. The rest is
 for the control of deviations."""
 
-_CELL, _TURN, _PARTS = 0.12, math.pi / 8.0, 4
+_CELL, _TURN, _PARTS, _SAME = 0.12, math.pi / 8.0, 4, 4
 """Robots in one cell of base position, heading and elbow count as the same: its size in metres and
-radians, and the number of parts of the elbow's range."""
+radians, the number of parts of the elbow's range, and how many IK tries for one base."""
 
 _CENTRED, _LIMIT, _EFFORT, _CHANGE, _MEMORY = 0.6, 5.0, 0.02, 0.02, 0.8
 """Share of the joint ranges that costs nothing, costs of the rest, of the base's speed and of its
@@ -179,15 +179,17 @@ class BasePathPlanner:
         command = self._commands(beam, target, seconds, rng)
         parent = np.arange(len(beam.cost)).repeat(command.shape[1])
         before, command = beam.of(parent), command.reshape(len(parent), -1)
-        base = self._driven(before, command, seconds)
-        arm = self._reached(before.joints, target, base, seconds, solids)
-        joints, rows = arm.joint_positions, np.flatnonzero(arm.feasible)
-        off = np.where(self._bounded, np.abs(joints - self._middle) / self._half, 0.0)
         cost = _MEMORY * before.cost
-        cost += _LIMIT * np.square(np.maximum(off - _CENTRED, 0.0).max(axis=1))
         cost += _EFFORT * np.square(command).sum(axis=1)
         cost += _CHANGE * np.square(command - before.command).sum(axis=1)
-        best = self._best(_Beam(base, joints, command, cost, parent).of(rows), target)
+        base = self._driven(before, command, seconds)
+        tried = _Beam(base, before.joints, command, cost, parent)
+        tried = tried.of(_cheapest(_cells(tried, target), cost, _SAME))
+        arm = self._reached(tried.joints, target, tried.base, seconds, solids)
+        joints, rows = arm.joint_positions, np.flatnonzero(arm.feasible)
+        off = np.where(self._bounded, np.abs(joints - self._middle) / self._half, 0.0)
+        cost = tried.cost + _LIMIT * np.square(np.maximum(off - _CENTRED, 0.0).max(axis=1))
+        best = self._best(replace(tried, joints=joints, cost=cost).of(rows), target)
         return best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
 
     def _driven(self, beam: _Beam, command: Array, seconds: float) -> Array:
@@ -250,12 +252,25 @@ class BasePathPlanner:
 
     def _best(self, beam: _Beam, target: Array) -> _Beam:
         """Return the best robots of different cells, at most `_BEAM`."""
-        beam = beam.of(np.argsort(beam.cost, kind="stable"))
-        away, elbow = beam.base[:, :2] - target[:2], beam.joints[:, self._elbow]
+        elbow = beam.joints[:, self._elbow]
         bent = (elbow - self._middle[self._elbow]) / self._half[self._elbow] * _PARTS / 2.0
-        cells = np.column_stack([away / _CELL, yaw(beam.base) / _TURN, bent])
-        first = np.unique(np.floor(cells).astype(np.int64), axis=0, return_index=True)[1]
-        return beam.of(np.sort(first)[:_BEAM])
+        cells = np.column_stack([_cells(beam, target), np.floor(bent)])
+        best = beam.of(_cheapest(cells, beam.cost, 1))
+        return best.of(np.argsort(best.cost, kind="stable")[:_BEAM])
+
+
+def _cells(beam: _Beam, target: Array) -> Array:
+    """Return the numbers of the cells of base position and heading, shape (m, 3)."""
+    away = beam.base[:, :2] - target[:2]
+    return np.floor(np.column_stack([away / _CELL, yaw(beam.base) / _TURN]))
+
+
+def _cheapest(cells: Array, cost: Array, most: int) -> NDArray[np.intp]:
+    """Return which of m robots, in cells (m, c), are the `most` cheapest of their cells."""
+    order = np.lexsort((cost, *cells.T))
+    begins = np.append(True, np.diff(cells[order], axis=0).any(axis=1))
+    place = np.arange(len(order))
+    return order[place - np.maximum.accumulate(np.where(begins, place, 0)) < most]
 
 
 def _near(solids: Solids, ee: Array) -> Solids | None:
