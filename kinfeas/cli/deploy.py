@@ -29,22 +29,9 @@ Four = tuple[float, float, float, float]
 
 
 def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
-    policy: Annotated[
-        str,
-        typer.Argument(
-            help="ONNX file, run folder, module:Class, or a name such as pretrained.",
-            autocompletion=options.complete_policy,
-        ),
-    ],
+    policy: options.PolicyArgument,
     robot: options.PolicyRobotName = None,
-    backend: Annotated[
-        str | None,
-        typer.Option(
-            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
-            "[default: pybullet or, without it, mujoco]",
-            autocompletion=options.names_of("backends"),
-        ),
-    ] = None,
+    backend: options.RobotBackend = None,
     goal: Annotated[
         Three | None,
         typer.Option(metavar="X Y Z", help="Goal of the EE in the world frame, metres."),
@@ -67,20 +54,12 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         ),
     ] = None,
     task: Annotated[str | None, options.task_option("In place of --goal. ")] = None,
-    rate: Annotated[float, typer.Option(min=1.0, max=1000.0, help="Control rate, Hz.")] = 50.0,
+    rate: options.Rate = 50.0,
     seconds: Annotated[float, typer.Option(min=0.0, help="Maximum duration.")] = 300.0,
     seed: options.Seed = 0,
-    record: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="New file.  [default: one below runs/deploy]",
-        ),
-    ] = None,
+    record: options.Record = None,
     adapters: options.AdapterList = None,
-    guards: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="Limits of the guards.")
-    ] = None,
+    guards: options.GuardsFile = None,
     no_real_time: Annotated[
         bool, typer.Option("--no-real-time", help="Simulate as fast as possible.")
     ] = False,

@@ -103,6 +103,13 @@ PolicyName = Annotated[
         autocompletion=complete_policy,
     ),
 ]
+PolicyArgument = Annotated[
+    str,
+    typer.Argument(
+        help="ONNX file, run folder, module:Class, or a name such as pretrained.",
+        autocompletion=complete_policy,
+    ),
+]
 World = Annotated[
     str,
     typer.Option(
@@ -127,6 +134,22 @@ EngineName = Annotated[
 ]
 EngineAddress = Annotated[
     str | None, typer.Option(help="Address of a running Ray cluster, such as auto.")
+]
+RobotBackend = Annotated[
+    str | None,
+    typer.Option(
+        help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
+        "[default: pybullet or, without it, mujoco]",
+        autocompletion=names_of("backends"),
+    ),
+]
+Rate = Annotated[float, typer.Option(min=1.0, max=1000.0, help="Control rate, Hz.")]
+Record = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.csv", help="New file.  [default: one below runs/deploy]"),
+]
+GuardsFile = Annotated[
+    Path | None, typer.Option("--guards", metavar="FILE.yaml", help="Limits of the guards.")
 ]
 AdapterList = Annotated[
     str | None,

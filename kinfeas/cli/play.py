@@ -10,13 +10,7 @@ from kinfeas.core.extras import require
 
 
 def play(  # noqa: PLR0913, PLR0917 - each option is an argument
-    policy: Annotated[
-        str,
-        typer.Argument(
-            help="ONNX file, run folder, module:Class, or a name such as pretrained.",
-            autocompletion=options.complete_policy,
-        ),
-    ] = "pretrained",
+    policy: options.PolicyArgument = "pretrained",
     robot: options.PolicyRobotName = None,
     second_policy: Annotated[
         str, typer.Option(help="Policy of a second robot with the same target.")
@@ -28,7 +22,9 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
             autocompletion=options.names_of("motion_generators"),
         ),
     ] = "servo",
-    filters: options.Filters = None,
+    filters: Annotated[
+        str, typer.Option(metavar="NAMES", help="Such as rollout_planner,feasibility, or none.")
+    ] = "time_scaling",
     backend: Annotated[
         str,
         typer.Option(
@@ -54,8 +50,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.echo(f"http://{host}:{server.get_port()}")  # browsers load while the rest is imported
         from kinfeas.viz.play import play as run
 
-        names = "time_scaling" if filters is None else filters
-        given = (name.strip() for name in names.split(","))
+        given = (name.strip() for name in filters.split(","))
         choice = Choice(
             robot or options.robot_of(policy), policy, second_policy, generator,
             tuple(name for name in given if name not in ("", "none")), backend, scene,

@@ -2,7 +2,7 @@
 
 import sys
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,22 +19,9 @@ GROUP = "kinfeas.target_sources"
 
 
 def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
-    policy: Annotated[
-        str,
-        typer.Argument(
-            help="ONNX file, run folder, module:Class, or a name.",
-            autocompletion=options.complete_policy,
-        ),
-    ] = "pretrained",
+    policy: options.PolicyArgument = "pretrained",
     robot: options.PolicyRobotName = None,
-    backend: Annotated[
-        str | None,
-        typer.Option(
-            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
-            "[default: pybullet or, without it, mujoco]",
-            autocompletion=options.names_of("backends"),
-        ),
-    ] = None,
+    backend: options.RobotBackend = None,
     source: Annotated[
         str,
         typer.Option(
@@ -42,19 +29,11 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
             autocompletion=options.names_of("target_sources"),
         ),
     ] = "keyboard",
-    rate: Annotated[float, typer.Option(min=1.0, max=1000.0, help="Control rate, Hz.")] = 50.0,
+    rate: options.Rate = 50.0,
     seconds: Annotated[float, typer.Option(min=0.0, help="Duration of the run.")] = 3600.0,
-    record: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="New file of the run.  [default: runs/deploy/DATE-ROBOT-servo.csv]",
-        ),
-    ] = None,
+    record: options.Record = None,
     adapters: options.AdapterList = None,
-    guards: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="Limits of the guards.")
-    ] = None,
+    guards: options.GuardsFile = None,
     filters: options.Filters = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
@@ -80,8 +59,9 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
         changes = options.with_filters(filters, overrides or [], "")
         config = read_settings(ServoConfig, "servo", known, guards, changes)
         controller = TargetController(known, config.rules)
-        limits = {key: one for key, one in asdict(config.rules).items() if "velocity" in key}
-        task = ServoTask(controller, MotionSpec("servo", {**limits, **config.generator}))
+        task = ServoTask(
+            controller, MotionSpec("servo", {**config.rules.generator_limits, **config.generator})
+        )
         targets = _build_source(source, config.source)
         setup = make_setup(
             policy, backend, known, task, config, adapters=options.read_adapters(adapters),

@@ -68,6 +68,14 @@ class TargetRules:
     max_angular_velocity: Positive = 0.5
     heights: tuple[float, float] | None = None
 
+    @property
+    def generator_limits(self) -> dict[str, float]:
+        """Velocity limits as parameters of a motion generator."""
+        return {
+            "max_velocity": self.max_velocity,
+            "max_angular_velocity": self.max_angular_velocity,
+        }
+
 
 RULES = ("accepted", "invalid", "late", "repeated", "jump")
 """What becomes of a message. Invalid ones have numbers that are not finite or far too large, no

@@ -1,6 +1,6 @@
 """A simulated robot that follows live targets step by step, for pages and programs."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class Episode:
         config = load_section(ServoConfig, "servo", robot.name)
         self.follows = choice.generator == "servo"
         rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
-        limits = {key: one for key, one in asdict(rules).items() if "velocity" in key}
+        limits = rules.generator_limits
         if not self.follows:
             rules = replace(rules, max_velocity=_UNLIMITED, max_angular_velocity=_UNLIMITED)
         self._steps = 0
