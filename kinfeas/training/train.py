@@ -122,7 +122,11 @@ class _Run:
     def begin(self) -> None:
         """Take the weights of the initial policy, if there is one."""
         if self.config.init is not None:
-            network = initial_policy(self.config, self.env.scale)
+            kept = find_folder(self.out / "checkpoints" / "initial")
+            if kept.is_dir():  # the other run may have changed, or be gone
+                network = read_network(kept, self.env.robot)
+            else:
+                network = initial_policy(self.config, self.env.scale)
             around = surroundings(self.env.robot, self.env.observation_terms)
             take_network(self.learner, network, self.config.learner.anchor, around)
 
@@ -159,10 +163,7 @@ class _Run:
 
     def _loop(self, logs: Logs, report: Report | None) -> None:
         if self.observation is None:
-            self.observation = self.env.reset()
-            self._compile()
-            # Before the first `best`, so that a run with a `best` can always be resumed.
-            self._save()
+            self._first()
         evaluator = periodic_evaluator(self.config)
         start = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
@@ -198,6 +199,15 @@ class _Run:
                     report(self.progress)
         if report is not None:
             report(self.progress)
+
+    def _first(self) -> None:
+        """Begin the first episodes, and write what a run needs to be resumed."""
+        self.observation = self.env.reset()
+        self._compile()
+        if self.config.init is not None:
+            self._write("initial", lambda folder: self._write_policy(folder, {"steps": 0}))
+        # Before the first `best`, so that a run with a `best` can always be resumed.
+        self._save()
 
     def _compile(self) -> None:
         """Compile the kernels of a step, which does not count as training time."""

@@ -319,3 +319,16 @@ def test_an_initial_policy_sets_the_layers_and_waits_for_the_critics(
     assert any(row["train/critic_loss"] for row in rows(out))
     # A policy that has not changed is evaluated once.
     assert [row[0] for row in evaluated(out)] == ["0"]
+
+
+def test_a_resumed_run_does_not_need_its_initial_policy(whole, tiny, tmp_path, monkeypatch):
+    first, through, out = (tmp_path / name for name in ("first", "through", "run"))
+    shutil.copytree(whole, first)
+    settings = tiny(f"init={first}", "learner.anchor=1.0")
+    train(settings, through)
+    with monkeypatch.context() as patch, pytest.raises(KilledError):
+        stop_at(patch, *STOPS[0])
+        train(settings, out)
+    shutil.rmtree(first)
+    resume(out)
+    assert_same(out, through)
