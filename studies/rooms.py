@@ -27,6 +27,7 @@ FILTERS = (
     ("obstacle_distance", "feasibility"),
     ("rollout_planner", "obstacle_distance"),
     ("rollout_planner", "obstacle_distance", "feasibility"),
+    ("obstacle_distance", "path_planner", "feasibility"),
 )
 CEILING = "upper bound"
 

@@ -4,7 +4,7 @@ Source of the format: `lerobot.datasets` of LeRobot 0.6, which this module does 
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,68 +45,33 @@ def write_lerobot_dataset(
     Raises:
         KinfeasError: If there are no demonstrations, or the folder exists or cannot be written.
     """
-    import pyarrow as pa
-    from pyarrow import parquet
+    from pyarrow import Table, parquet
 
     if not demonstrations:
         raise KinfeasError("there must be at least one demonstration to write")
     with_base = all(one.has_base for one in demonstrations)
     state = ["ee_pose", "base_pose"] if with_base else ["ee_pose"]
-    features = {
+    names = {
         "observation.state": [*EE, *BASE] if with_base else EE,
         "observation.environment_state": [f"{name}.pos" for name in columns("object_pose")],
         "action": EE,
     }
-    episodes = [_frames(one, state, fps) for one in demonstrations]
-    ends = np.cumsum([len(one["action"]) for one in episodes])
-    tables, rows = [], []
-    for number, (frames, end) in enumerate(zip(episodes, ends, strict=True)):
-        begin = end - len(frames["action"])
-        count = np.arange(end - begin)
-        frames |= {
-            "timestamp": (count / fps).astype(np.float32), "frame_index": count,
-            "episode_index": np.full_like(count, number), "index": begin + count,
-            "task_index": np.zeros_like(count),
-        }  # fmt: skip
-        tables.append(pa.table({name: _column(values) for name, values in frames.items()}))
-        statistics = {
-            f"stats/{name}/{key}": value
-            for name, values in frames.items()
-            for key, value in _statistics(values).items()
-        }
-        rows.append({
-            "episode_index": number, "tasks": [task], "length": end - begin,
-            "data/chunk_index": 0, "data/file_index": 0,
-            "dataset_from_index": begin, "dataset_to_index": end, **statistics,
-            "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
-        })  # fmt: skip
+    episodes = _numbered([_frames(one, state, fps) for one in demonstrations], fps)
     whole = {name: np.concatenate([one[name] for one in episodes]) for name in episodes[0]}
-    about = {
-        "codebase_version": "v3.0", "robot_type": robot, "fps": fps,
-        "total_episodes": len(episodes), "total_frames": int(ends[-1]), "total_tasks": 1,
-        "chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200,
-        "splits": {"train": f"0:{len(episodes)}"},
-        "data_path": f"data/{_FILE}", "video_path": None,
-        "features": {
-            name: {
-                "dtype": values.dtype.name,
-                "shape": [1] if values.ndim == 1 else [values.shape[1]],
-                "names": features.get(name),
-            }
-            for name, values in whole.items()
-        },
-    }  # fmt: skip
+    about = {"robot_type": robot, "fps": fps, **_description(whole, names, len(episodes))}
+    stats = {name: _statistics(values) for name, values in whole.items()}
     with writing(folder):
         meta, first = folder / "meta", _FILE.format(chunk_index=0, file_index=0)
         folder.mkdir(parents=True)
         for path in (folder / "data" / first, meta / "episodes" / first):
             path.parent.mkdir(parents=True)
+        tables = [_table(one) for one in episodes]
         with parquet.ParquetWriter(folder / "data" / first, tables[0].schema) as file:
             for table in tables:
                 file.write_table(table)
-        parquet.write_table(pa.Table.from_pylist(rows), meta / "episodes" / first)
+        rows = Table.from_pylist([_row(one, task) for one in episodes])
+        parquet.write_table(rows, meta / "episodes" / first)
         parquet.write_table(_tasks(task), meta / "tasks.parquet")
-        stats = {name: _statistics(values) for name, values in whole.items()}
         for name, content in (("info", about), ("stats", stats)):
             (meta / f"{name}.json").write_text(json.dumps(content, indent=4), encoding="utf-8")
 
@@ -128,12 +93,67 @@ def _at(times: Array, known: Array, poses: Array) -> Any:
     return interpolated(np.clip(times, known[0], known[-1]), known, poses).astype(np.float32)
 
 
-def _column(values: Any) -> Any:
+def _numbered(episodes: list[dict[str, Any]], fps: int) -> list[dict[str, Any]]:
+    """Return the episodes with the times and numbers of their frames."""
+    numbered, begin = [], 0
+    for number, frames in enumerate(episodes):
+        count = np.arange(len(frames["action"]))
+        numbered.append({
+            **frames,
+            "timestamp": (count / fps).astype(np.float32), "frame_index": count,
+            "episode_index": np.full_like(count, number), "index": begin + count,
+            "task_index": np.zeros_like(count),
+        })  # fmt: skip
+        begin += len(count)
+    return numbered
+
+
+def _description(
+    whole: Mapping[str, Any], names: Mapping[str, Sequence[str]], episodes: int
+) -> dict[str, Any]:
+    """Return the description of the frames of all episodes."""
+    return {
+        "codebase_version": "v3.0",
+        "total_episodes": episodes, "total_frames": len(whole["index"]), "total_tasks": 1,
+        "chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": f"data/{_FILE}", "video_path": None,
+        "features": {
+            name: {
+                "dtype": values.dtype.name,
+                "shape": [1] if values.ndim == 1 else [values.shape[1]],
+                "names": names.get(name),
+            }
+            for name, values in whole.items()
+        },
+    }  # fmt: skip
+
+
+def _row(frames: dict[str, Any], task: str) -> dict[str, Any]:
+    """Return the row of an episode in the table of the episodes."""
+    begin, length = int(frames["index"][0]), len(frames["index"])
+    statistics = {
+        f"stats/{name}/{key}": value
+        for name, values in frames.items()
+        for key, value in _statistics(values).items()
+    }
+    return {
+        "episode_index": int(frames["episode_index"][0]), "tasks": [task], "length": length,
+        "data/chunk_index": 0, "data/file_index": 0,
+        "dataset_from_index": begin, "dataset_to_index": begin + length, **statistics,
+        "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
+    }  # fmt: skip
+
+
+def _table(frames: dict[str, Any]) -> Any:
     import pyarrow as pa
 
-    if values.ndim == 1:
-        return pa.array(values)
-    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+    def column(values: Any) -> Any:
+        if values.ndim == 1:
+            return pa.array(values)
+        return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+    return pa.table({name: column(values) for name, values in frames.items()})
 
 
 def _statistics(values: Any) -> dict[str, Any]:
