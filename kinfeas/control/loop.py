@@ -263,6 +263,11 @@ class Loop:
         self._plan()
         return step
 
+    def measure(self, state: RobotState) -> None:
+        """Continue from a newer measurement of robots that have not moved."""
+        self._measure(state)
+        self._plan()
+
     def slow_down(self, time_scale: Array) -> None:
         """Let this step carry out shares, shape (n,), of its planned motion; for filters."""
         self.time_scale = time_scale

@@ -140,6 +140,12 @@ class SafetyFilter(_Wrapper):
         self.steps += 1
         return self._state
 
+    def refresh(self, state: RobotState | None) -> None:
+        """Take a measurement as the newest; without one that of a world that has not gone on."""
+        if state is not None:
+            self._state = state
+        self._measured = self._clock.monotonic()
+
     def _scan(self) -> Array:
         """Return the ranges that the backend measures; raise Fault if they are old or blind."""
         if self._measuring is None:
@@ -258,6 +264,18 @@ class Guarded(_Wrapper):
             state = self._robot_backend.read()
         self._monitor.begin(state)
         return state
+
+    def refresh(self) -> RobotState:
+        """Return a new measurement after a long start, without motion; the first period begins."""
+        state = self.read()
+        self.commands.refresh(state)
+        if state is None:
+            self._monitor.begin(self.state)
+        else:
+            self.state = state
+        if self._rate is not None and self._rate.waits:
+            self._rate.restart()
+        return self.state
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Execute a command; shapes as in `Backend`. Before any error the robot is stopped."""

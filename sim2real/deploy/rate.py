@@ -70,12 +70,17 @@ class Rate:
         self._work: list[float] = []
         self._misses = 0
 
+    def restart(self) -> None:
+        """Begin a period now, and forget the one before."""
+        self._last = self._clock.monotonic()
+        self._deadline = self._last + self.dt
+
     def wait(self) -> float:
         """Wait for the end of the control period; return its length in seconds, at first 0."""
-        now = self._clock.monotonic()
         if math.isnan(self._last):
-            self._last, self._deadline = now, now + self.dt
+            self.restart()
             return 0.0
+        now = self._clock.monotonic()
         self._misses += now > self._deadline
         while now < self._deadline:
             self._clock.sleep(self._deadline - now)

@@ -219,6 +219,7 @@ class _Run:
         if not stream and (warning := preflight(self.loop, start, rng, setup.guards)):
             sys.stderr.write(f"{warning}\n")
         self.loop.start(start, [rng])
+        self.loop.measure(self.guarded.refresh())  # planning a motion takes time
         self.began = self.clock.monotonic()
         self.record("start")
 

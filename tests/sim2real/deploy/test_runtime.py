@@ -13,6 +13,7 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.filters import build_filters
 from kinfeas.control.filters.feasibility import FeasibilityFilter
+from kinfeas.control.loop import Loop
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
@@ -160,6 +161,16 @@ def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
     outcome, record = run(RealTimeRobot(time), slow, seconds=0.5)
     assert outcome.code is Code.TIME_OVER
     assert outcome.seconds == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("real", [False, True])
+def test_a_long_start_does_not_age_the_first_command(run, time, monkeypatch, real):
+    start = Loop.start
+    monkeypatch.setattr(Loop, "start", lambda *given: (start(*given), time.passes(5.0)))
+    backend = RealTimeRobot(time) if real else AnalyticBackend()
+    outcome, record = run(backend, Drive(), seconds=0.4)
+    assert (outcome.code, outcome.timing.misses) == (Code.TIME_OVER, 0)
+    assert record.time[-1] == pytest.approx(0.4, abs=0.03)
 
 
 def test_a_real_robot_drives_around_known_solids(run, time):
