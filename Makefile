@@ -23,10 +23,10 @@ demo: $(STAMP)  ## Train a PR2 base policy for two minutes, evaluate it and writ
 	$(BIN)/kinfeas demo
 
 test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests
-	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+	$(BIN)/python -m pytest -n auto -m "not slow"
 
 test-slow: $(STAMP)  ## Run the tests that take longer
-	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
+	$(BIN)/python -m pytest -n auto -m slow
 
 # In a copy of the tree, so that the wheel has no file of an earlier build; the tests import the
 # wheel, not the copy's packages.
@@ -36,7 +36,7 @@ test-python:  ## Run the fast tests with the wheel in a fresh environment of PYT
 	$(FRESH)/venv/bin/pip wheel -q --no-deps -w $(FRESH) $(FRESH)/source
 	$(FRESH)/venv/bin/pip install -q "$$(echo $(FRESH)/*.whl)[test]"
 	cd $(FRESH)/source && rm -r $(PACKAGES) && \
-		../venv/bin/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow" --ignore tests/test_wheel.py
+		../venv/bin/python -m pytest -n $(WORKERS) -m "not slow" --ignore tests/test_wheel.py
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site
