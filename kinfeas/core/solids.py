@@ -91,6 +91,11 @@ class Solids:
         """Return the solids of some places of each row."""
         return Solids(*(getattr(self, one.name)[:, places] for one in fields(self)))
 
+    def wider(self, margin: float, above: float = 0.0) -> "Solids":
+        """Return the solids grown by a margin sideways and by another one above and below."""
+        by = np.where(self.filled[..., np.newaxis], [margin, margin, -above, above], 0.0)
+        return replace(self, size=self.size + by)
+
     def put(self, rows: NDArray[np.intp], other: "Solids") -> "Solids":
         """Return these solids with other ones in some rows."""
         places = max(self.places, other.places)

@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import Positive, Share
+from kinfeas.config.quantities import NotNegative, Positive, Share
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
@@ -40,6 +40,8 @@ class IkOptions:
         position_tolerance: Position error of an exact solution, metres.
         rotation_tolerance: Rotation error of an exact solution, radians.
         max_iterations: Largest number of steps of a descent.
+        solid_clearance: Distance that solutions keep from solids, metres. Where arms may be
+            reconfigured, those that are nearer count, too, if there are no others.
         centering: Pull of a redundant arm's joints towards the middles of their ranges, as a share
             of the largest joint step; 0 for none.
     """
@@ -52,6 +54,7 @@ class IkOptions:
     position_tolerance: Positive = 1e-4
     rotation_tolerance: Positive = 1e-3
     max_iterations: Annotated[int, Interval(ge=1, le=10_000)] = 40
+    solid_clearance: NotNegative = 0.0
     centering: Share = 1.0
 
     def thorough(self) -> "IkOptions":
@@ -145,6 +148,30 @@ class IkSolver:
         """
         if max_joint_step is None and not allow_reconfiguration:
             raise KinfeasError("without reconfiguration, max_joint_step must be given")
+        rules = max_joint_step, allow_reconfiguration, hold_torso
+        clearance = self.options.solid_clearance
+        if solids is None or not clearance:
+            return self._solve(ee_pose_in_base, seed, guide, solids, *rules)
+        wider, anywhere = solids.wider(clearance, clearance), max_joint_step is None
+        # No arm is reconfigured for the clearance.
+        strict = max_joint_step, anywhere, hold_torso
+        found = self._solve(ee_pose_in_base, seed, guide, wider, *strict)
+        late = np.flatnonzero(~found.feasible)
+        if allow_reconfiguration and late.size:
+            given = ee_pose_in_base[late], seed[late], None if guide is None else guide[late]
+            found.put(late, self._solve(*given, solids.of(late), *rules))
+        return found
+
+    def _solve(
+        self,
+        ee_pose_in_base: Array,
+        seed: Array,
+        guide: Array | None,
+        solids: Solids | None,
+        max_joint_step: Array | None,
+        allow_reconfiguration: bool,
+        hold_torso: bool,
+    ) -> IkSolution:
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
         within = np.empty(0)

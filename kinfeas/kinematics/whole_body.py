@@ -136,7 +136,7 @@ class WholeBodyPlanner:
             rest = self._small if one.small else near
             arm = self._rests[rest], one.reach
             cost = _JOINT_COST * reach[rest] + used
-            way, place = self._drive(start, places, cost, arm, _wider(solids, one.margin))
+            way, place = self._drive(start, places, cost, arm, solids.wider(one.margin))
             if place < 0:
                 continue
             base = _smooth(np.vstack([start, way, places[place]]), one.rounding)
@@ -160,7 +160,7 @@ class WholeBodyPlanner:
         """
         if np.isnan(robot).any():
             return False
-        then = _later(_wider(solids, _MARGIN), CHECKED_AHEAD)
+        then = _later(solids.wider(_MARGIN), CHECKED_AHEAD)
         base, arm = planar_pose(*robot[:, :3].T), np.ascontiguousarray(robot[:, 3:])
         return not collides(self.solver.collision, arm, base, then).any()
 
@@ -173,7 +173,7 @@ class WholeBodyPlanner:
         """Return base poses x, y, yaw, (p, 3), and arms, (p, j), that reach a goal."""
         places, arms = np.empty((0, 3)), np.empty((0, len(self.robot.arm)))
         for first, last, margin in zip(_PROPOSALS, _PROPOSALS[1:], _AT_GOAL, strict=False):
-            wide = _wider(solids, margin)
+            wide = solids.wider(margin)
             base, joints = self._postures.around(goal, first, last)
             among = _repeated(wide, len(base))
             rows = np.flatnonzero(~collides(self.solver.collision, joints, base, among)[:, 0])
@@ -220,7 +220,7 @@ class WholeBodyPlanner:
         s = np.concatenate([[0.0], np.cumsum(length)])
         begin, rest, end = arms
         model, pose = self.solver.collision, planar_pose(*base.T)
-        among = _later(_wider(solids, _MARGIN), self._times(base))
+        among = _later(solids.wider(_MARGIN), self._times(base))
 
         def touching(arm: Array, rows: NDArray[np.bool_]) -> int:
             touches = collides(model, arm, pose[rows], among.of(np.flatnonzero(rows))).any(axis=1)
@@ -315,11 +315,6 @@ def _eased(share: Array) -> Array:
     """Return the share after smooth acceleration and deceleration, 0 and 1 beyond [0, 1]."""
     u = np.clip(share, 0.0, 1.0)
     return np.asarray(u * u * (3.0 - 2.0 * u))
-
-
-def _wider(solids: Solids, margin: float) -> Solids:
-    grown = np.where(solids.filled[..., np.newaxis], [margin, margin, 0.0, 0.0], 0.0)
-    return replace(solids, size=solids.size + grown)
 
 
 def _later(solids: Solids, seconds: Array) -> Solids:

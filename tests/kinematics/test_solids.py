@@ -9,7 +9,7 @@ from kinfeas.core.spatial import compose, planar_pose, rotation, yaw
 from kinfeas.kinematics.base_obstacles import base_obstacles, base_prisms
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.free_space import connected
-from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import MARGIN, build_collision_model, self_collides
 from kinfeas.kinematics.solids import collides, distances, in_base, scan
 from kinfeas.robots.loading import load_robot
@@ -197,6 +197,25 @@ def test_ik_finds_solutions_beside_solids(robot):
         np.testing.assert_array_equal(nothing.joint_positions, blind.joint_positions)
     with pytest.raises(KinfeasError, match="solids"):
         solver.solve(targets, seeds, solids=solids.of(some))
+
+
+def test_arms_keep_the_clearance_unless_they_may_be_reconfigured(robot):
+    solver, clearance = IkSolver(robot, IkOptions(solid_clearance=0.03)), 0.03
+    joints = draw(robot, 300)
+    joints = joints[~self_collides(solver.collision, joints)]
+    solids, targets = draw_solids(len(joints), 6), forward(solver.chain, joints)
+    origin, step = planar_pose(*np.zeros((3, len(joints)))), 0.1 * robot.max_joint_velocity
+
+    def kept(**rules):
+        found = solver.solve(targets, joints, step, solids=solids, **rules)
+        gap = distances(solver.collision, found.joint_positions, origin, solids)[:, 1]
+        return gap[found.feasible]
+
+    strict, free = kept(allow_reconfiguration=False), kept()
+    assert strict.min() > clearance
+    assert free.min() > 0.0
+    assert free.min() < clearance < np.median(free)
+    assert len(strict) < len(free)
 
 
 def test_distances_are_those_of_fcl(robot, judge):
