@@ -20,8 +20,9 @@ from kinfeas.core.policy import Policy
 from kinfeas.envs.world import Transition, World
 from kinfeas.tasks.task import ReportsTaskSuccess
 
-BATCH = 256
-"""Episodes side by side in a process at most; no result depends on it."""
+BATCH, _BATCHES = 64, 4
+"""Episodes side by side in a process at most, and their multiple that a process gets at once. Rows
+of ended episodes cost time until the last one ends; no result depends on these numbers."""
 
 COLLISION_GAP = 0.5
 """Seconds without contact after which the next contact with a body is another collision."""
@@ -88,7 +89,7 @@ def evaluate_episodes(
     if processes == 1:
         return _run_part(build, policy, episodes, on_done, watch)
     world = build()
-    rounds = math.ceil(len(episodes) / (processes * _batch(world)))
+    rounds = math.ceil(len(episodes) / (processes * _BATCHES * _batch(world)))
     world.close()
     size = math.ceil(len(episodes) / (processes * rounds))
     shares = [episodes[at : at + size] for at in range(0, len(episodes), size)]

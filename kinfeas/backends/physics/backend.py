@@ -20,7 +20,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import StreamTask, Task
 
-_FLAT = 1e-6
+_FLAT, _MAX_BATCH = 1e-6, 8
 
 Motion = tuple[dict[str, float], dict[str, float]]
 """Positions and velocities by joint, rad or m, and per second."""
@@ -54,6 +54,11 @@ class PhysicsBackend(StageBackend):
         self._objects, self._gui = objects, gui
         self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
         self.solids, self.furniture = MovingSolids(), 0
+
+    @property
+    def max_batch(self) -> int:
+        """Episodes that one process should simulate side by side; one if there is a window."""
+        return 1 if self._gui else _MAX_BATCH
 
     def stage(self, task: Task) -> Stage:
         """Return a task whose episodes also place its objects; call it before any other method."""

@@ -18,9 +18,6 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.scenes.scene import Scene
 
-MAX_BATCH = 8
-"""Simulations in a process; no result depends on it."""
-
 
 class PyBulletBackend(PhysicsBackend):
     """n robots, each in a PyBullet world of its own; arguments as in `PhysicsBackend`."""
@@ -31,11 +28,6 @@ class PyBulletBackend(PhysicsBackend):
     @cached_property
     def _sims(self) -> list[Simulation]:
         return []
-
-    @property
-    def max_batch(self) -> int:
-        """Simulations that one process should hold; one if there is a window."""
-        return 1 if self._gui else MAX_BATCH
 
     @property
     def sims(self) -> list[Simulation]:
