@@ -172,6 +172,7 @@ class IkSolver:
         allow_reconfiguration: bool,
         hold_torso: bool,
     ) -> IkSolution:
+        """Return solutions without a clearance from solids; arguments as in `solve`."""
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
         within = np.empty(0)

@@ -20,7 +20,8 @@ from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import StreamTask, Task
 
-_FLAT, _MAX_BATCH = 1e-6, 8
+_FLAT = 1e-6
+_MAX_BATCH = 8  # simulations of ended episodes cost as much as others until the last one ends
 
 Motion = tuple[dict[str, float], dict[str, float]]
 """Positions and velocities by joint, rad or m, and per second."""
