@@ -27,6 +27,7 @@ def drawn(seed, count=4, size=3):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1.0, 1.0, (40, 3, size))
     normals = rng.normal(scale=0.2, size=(40, count, size))
+    normals[..., -1] *= rng.choice([1.0, 20.0], (40, 1))  # rotations: borders are nearly parallel
     return points, normals, np.maximum(rng.uniform(-0.1, 0.2, (40, count)), 0.0)
 
 
@@ -46,7 +47,7 @@ def test_all_are_within_and_those_that_were_stay_where_they_are(seed, count, siz
     np.testing.assert_array_equal(moved[~outside], points[~outside])
 
 
-@pytest.mark.parametrize(("count", "size"), [(1, 2), (2, 2), (2, 3), (4, 3), (8, 3)])
+@pytest.mark.parametrize(("count", "size"), [(1, 2), (2, 2), (2, 3), (4, 3), (24, 3)])
 def test_points_come_to_the_nearest_place(count, size):
     points, normals, offsets = drawn(0, count=count, size=size)
     moved, outside = put(points, normals, offsets)
@@ -55,9 +56,7 @@ def test_points_come_to_the_nearest_place(count, size):
         np.linalg.norm(moved[row, one] - nearest(points[row, one], normals[row], offsets[row]))
         for row, one in np.argwhere(outside)
     ]
-    # Nearly parallel borders may take more rounds than there are.
-    assert np.quantile(away, 0.95) < 1e-3
-    assert max(away) < 0.1
+    assert max(away) < 1e-5
 
 
 def test_points_are_pushed_out_of_the_origin_s_place():
