@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from kinfeas.control.execution import (
     ExecutionConfig,
     SubgoalMotion,
 )
-from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.motion_sequence import MotionSequence, Plan
 from kinfeas.control.observation import (
     ACTION,
     AHEAD,
@@ -84,6 +84,24 @@ class Step:
     base_error: Array | None = None
 
 
+class _Prepared(NamedTuple):
+    """Answers of the generators for the next period.
+
+    Attributes:
+        revision: That of the motions.
+        goal: World pose of the EE at the end of each row's sub-goal, shape (n, 7).
+        plan: Next step.
+        ahead: EE poses ahead, shape (n, d, 7), if the policy observes them.
+        planned_base: World pose of the base, shape (n, 7), if the policy observes it.
+    """
+
+    revision: int
+    goal: Array
+    plan: Plan
+    ahead: Array | None
+    planned_base: Array | None
+
+
 class Loop:
     """n robots, each following its own EE motion.
 
@@ -144,6 +162,7 @@ class Loop:
         self.observation_terms, self.action_terms = OBSERVATION, ACTION
         self.previous_command: Array = np.empty((0, self.command_size))
         self._motion_time = dt * execution.time_scale
+        self._prepared: _Prepared | None = None
         # Once, since protocols are checked by looking up each of their members.
         self._stochastic = backend if isinstance(backend, Stochastic) else None
         self._gripper = backend if isinstance(backend, SupportsGripper) else None
@@ -262,6 +281,14 @@ class Loop:
             self.sequence.begin_again(np.flatnonzero(self.time_scale == 0.0))
         self._plan()
         return step
+
+    def prepare(self) -> None:
+        """Plan the next period ahead of the measurement that ends this one, where nothing changes.
+
+        For backends, while a robot moves: the step after the measurement is shorter then.
+        """
+        if self.target_stream is None:
+            self._prepared = self._ask_generators()
 
     def measure(self, state: RobotState) -> None:
         """Continue from a newer measurement of robots that have not moved."""
@@ -438,8 +465,9 @@ class Loop:
 
     def _plan(self) -> None:
         """Ask the generators for the next period and build the observation."""
-        self.goal = self.sequence.goal
-        self._next = self.sequence.plan(self._motion_time)
+        if self._prepared is None or self._prepared.revision != self.sequence.revision:
+            self._prepared = self._ask_generators()
+        _, self.goal, self._next, ahead, planned_base = self._prepared
         self.planned, time_scale = self._next.preview, self.execution.time_scale
         base, joints = self.state.base_pose, self.state.joint_positions
         self.solids = self.obstacles.after(self.dt)
@@ -447,15 +475,22 @@ class Loop:
         seen.previous_command = self.previous_command
         if not SCAN_TERMS.isdisjoint(self.observation_terms):
             seen.ranges = self.obstacles.scan()
-        if "planned_ahead" in self.observation_terms:
-            ahead = spatial.relative(self.sequence.ahead(AHEAD), base[:, np.newaxis])
+        if ahead is not None:
+            ahead = spatial.relative(ahead, base[:, np.newaxis])
             seen.ahead = ahead[:, :, :3].reshape(len(base), -1)
-        if "planned_base" in self.observation_terms:
-            seen.planned_base = _in_base(self.sequence.planned_base, base)
+        if planned_base is not None:
+            seen.planned_base = _in_base(planned_base, base)
         self.observation = observe(seen, self.observation_terms)
         if time_scale != 1.0:
             twist = spatial.twist_between(self.desired, self.planned, HORIZON)
             self.planned = spatial.integrate(self.desired, twist, HORIZON * time_scale)
+
+    def _ask_generators(self) -> _Prepared:
+        sequence, terms = self.sequence, self.observation_terms
+        goal, plan = sequence.goal, sequence.plan(self._motion_time)
+        ahead = sequence.ahead(AHEAD) if "planned_ahead" in terms else None
+        planned_base = sequence.planned_base if "planned_base" in terms else None
+        return _Prepared(sequence.revision, goal, plan, ahead, planned_base)
 
     def _find_paused(self) -> NDArray[np.bool_]:
         """Return which rows pause in this period, shape (n,), since their arms reconfigure.

@@ -61,6 +61,7 @@ class MotionSequence:
             the motion settles, then those of its dwell. Below zero, periods until it
             begins the first one.
         elapsed: Motion time since the motion of each row's sub-goal began, seconds, shape (n,).
+        revision: Number of changes of the motions so far.
         avoids_solids: Whether the generator of any sub-goal plans around solids.
         whole_body: Paths of base and arm that the motions follow among solids.
     """
@@ -98,7 +99,8 @@ class MotionSequence:
         self._targets: Array = np.empty((0, len(subgoals), 7))
         self.elapsed: Array = np.empty(0)
         self._states: list[State] = []
-        # Until something moves:
+        self.revision = 0
+        # Until something changes:
         self._goal: Array | None = None
         self._robot_soon: tuple[Array, Array | None] | None = None
 
@@ -175,7 +177,7 @@ class MotionSequence:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
         self._targets = self._targets.copy()
         self._targets[np.arange(len(self.subgoal)), self.subgoal] = target_poses
-        self._goal = None
+        self._changed()
 
     def avoid(
         self,
@@ -284,7 +286,7 @@ class MotionSequence:
         passed = plan.seconds if paused is None else np.where(paused, 0.0, plan.seconds)
         self.elapsed = self.elapsed + passed
         self._states = states
-        self._forget()
+        self._changed()
 
     def advance(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
@@ -307,7 +309,9 @@ class MotionSequence:
         if settled is not None:
             left = np.where(settled, np.minimum(left, dwell), left)
         goes_on = ((self.waiting > 0) | ends) & (left == 0)
-        self.waiting = left
+        if not np.array_equal(left, self.waiting):
+            self.waiting = left
+            self._changed()
         if goes_on.any():
             self.subgoal = self.subgoal + goes_on
             self.begin_again(np.flatnonzero(goes_on))
@@ -328,7 +332,7 @@ class MotionSequence:
         """Continue from a state that `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
         self._states = [{} for _ in self.generators]
-        self._forget()
+        self._changed()
         self._solids = self.whole_body.robots = None
         self.whole_body.waypoints = snapshot[_PATHS].copy()
         for name, values in snapshot.items():
@@ -364,7 +368,7 @@ class MotionSequence:
             rngs = [np.random.default_rng(key) for key in keys]
             state = generator.start(frame[group], targets[group], rngs)
             self._states[number] = merged(self._states[number], group, state, len(frame))
-        self._forget()
+        self._changed()
 
     def _replan(self, rows: Rows) -> None:
         """Let the motions of `rows` avoid the solids, if there are any."""
@@ -383,7 +387,7 @@ class MotionSequence:
                     state = self.whole_body.follow(motions, poses, ends, solids)
                 state = generator.replan(state, *poses, solids)
                 self._states[number] = merged(self._states[number], group, state, len(frame))
-        self._forget()
+        self._changed()
 
     @property
     def _target(self) -> Array:
@@ -393,7 +397,8 @@ class MotionSequence:
         target: Array = self._targets[np.arange(len(self.subgoal)), self.subgoal]
         return target
 
-    def _forget(self) -> None:
+    def _changed(self) -> None:
+        self.revision += 1
         self._goal = self._robot_soon = None
 
     @property

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -53,11 +54,22 @@ class Timing:
     work_p99: float | None = None
 
 
+@runtime_checkable
+class Prepares(Protocol):
+    """What waits for the ends of control periods, and has work done shortly before them.
+
+    Attributes:
+        prepare: Does the work, which needs no measurement; None for none.
+    """
+
+    prepare: Callable[[], None] | None
+
+
 class Rate:
     """Measures control periods, and waits for their ends unless the robot times them.
 
     Deadlines are multiples of the period: a late period does not shift later ones, and deadlines
-    that have passed are skipped.
+    that have passed are skipped. `prepare` is as in `Prepares`.
     """
 
     def __init__(self, dt: float, clock: Clock | None = None, *, waits: bool = True) -> None:
@@ -65,6 +77,8 @@ class Rate:
         if not 0.0 < dt < math.inf:
             raise KinfeasError(f"the control period must be above 0 s and finite, not {dt}")
         self.dt, self._clock, self.waits = dt, clock or Clock(), waits
+        self.prepare: Callable[[], None] | None = None
+        self._preparing = dt / 4.0
         self._deadline = self._last = math.nan
         self._periods: list[float] = []
         self._work: list[float] = []
@@ -80,13 +94,28 @@ class Rate:
         if math.isnan(self._last):
             self.restart()
             return 0.0
-        now = self._clock.monotonic()
-        self._misses += now > self._deadline
-        while now < self._deadline:
-            self._clock.sleep(self._deadline - now)
-            now = self._clock.monotonic()
+        self._misses += self._clock.monotonic() > self._deadline
+        self._prepare()
+        now = self._sleep(self._deadline)
         self._deadline += self.dt * (1 + math.floor(max(0.0, now - self._deadline) / self.dt))
         return self._measure(now)
+
+    def _prepare(self) -> None:
+        """Do the work of `prepare` so that it ends before the deadline, but not long before it.
+
+        Caches are cold after a sleep; the work warms them for the step that follows.
+        """
+        begin = self._deadline - 2.0 * self._preparing
+        if self.prepare is not None and self._clock.monotonic() < begin:
+            began = self._sleep(begin)
+            self.prepare()
+            self._preparing = min(self._clock.monotonic() - began, self.dt / 4.0)
+
+    def _sleep(self, end: float) -> float:
+        """Wait for a time of the clock; return the time then."""
+        while (now := self._clock.monotonic()) < end:
+            self._clock.sleep(end - now)
+        return now
 
     def worked(self) -> None:
         """Note the end of computing, with the command to be sent."""

@@ -32,7 +32,7 @@ from kinfeas.sim2real.deploy.goal_task import begin
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.planner_threads import PlannerThread
 from kinfeas.sim2real.deploy.preflight import preflight
-from kinfeas.sim2real.deploy.rate import Clock, Rate, Timing
+from kinfeas.sim2real.deploy.rate import Clock, Prepares, Rate, Timing
 from kinfeas.sim2real.deploy.watchdog import Watchdog, Watched
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals
 
@@ -192,6 +192,9 @@ class _Run:
         self.loop.set_policy(setup.policy)
         if isinstance(setup.task, StreamTask):
             self.loop.target_stream = setup.task.target_stream(setup.solver)
+        for part in (self.rate, setup.backend):
+            if isinstance(part, Prepares):
+                part.prepare = self.loop.prepare
         self.steps = self.failures = 0
         self.time_scale, self.scales, self.began = 1.0, 0.0, 0.0
 

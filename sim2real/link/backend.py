@@ -1,5 +1,6 @@
 """A robot behind a link as a backend of the loop, the same for every transport."""
 
+from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
@@ -32,6 +33,7 @@ class LinkBackend:
         robot: Robot model.
         link: Transport.
         rate: Ends the control periods; None before the first step.
+        prepare: As in `Prepares`.
     """
 
     def __init__(  # noqa: PLR0913 - keyword parameters of a YAML file
@@ -58,6 +60,7 @@ class LinkBackend:
         """
         self.robot, self.link = robot, link
         self.rate: Rate | None = None
+        self.prepare: Callable[[], None] | None = None
         self._clock = clock or Clock()
         given = names or {}
         self._names = {joint.name: given.get(joint.name, joint.name) for joint in robot.arm}
@@ -95,6 +98,7 @@ class LinkBackend:
         """Send a command, wait for the end of the control period and `read` the newest state."""
         if self.rate is None or self.rate.dt != dt:
             self.rate = Rate(dt, self._clock)
+            self.rate.prepare = self.prepare
             self.rate.wait()
         pose = self.read().base_pose
         velocity = base_velocity(self.robot.base, pose, base_twist, dt)[0]

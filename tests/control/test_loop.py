@@ -197,6 +197,17 @@ def test_subgoals_end_within_25_mm_and_the_last_one_finishes(solver):
     assert max(step.goal_distance.max() for step in seen) <= 0.025
 
 
+def test_preparing_a_step_while_the_robot_moves_changes_nothing(solver):
+    seen = []
+    for prepares in (False, True):
+        recorder = Recorder(lambda: loop.prepare() if prepares else None)  # noqa: B023
+        loop = chained(solver, 2, ({}, {"dwell": 0.2}, {}), (-0.01, -0.02, -0.02), recorder)
+        seen.append([(loop.step(still(loop)).subgoal, loop.observation) for _ in range(5)])
+    for one, other in zip(*seen, strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
+
+
 @pytest.mark.parametrize(
     ("metres", "degrees", "finished"),
     [(0.024, 0.0, True), (0.026, 0.0, False), (0.0, 11.9, True), (0.0, 12.1, False)],

@@ -149,6 +149,21 @@ def test_a_late_period_is_counted_and_shifts_no_deadline(rate, time, late, perio
     assert rate.timing().misses == 1
 
 
+def test_work_is_prepared_shortly_before_the_end_of_a_period(rate, time):
+    begun = []
+
+    def prepare():
+        begun.append(time.monotonic - 1000.0)
+        time.passes(0.002)
+
+    rate.prepare = prepare
+    periods = [rate.wait() for _ in range(2)]
+    time.passes(0.019)
+    periods.append(rate.wait())  # too late to prepare anything
+    np.testing.assert_allclose(periods, 0.02)
+    np.testing.assert_allclose(begun, [0.01, 0.036])
+
+
 def test_measures_periods_that_a_robot_times(time):
     rate = Rate(0.02, time.clock, waits=False)
     assert rate.tick() == 0.0
