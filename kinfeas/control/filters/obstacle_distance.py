@@ -75,10 +75,18 @@ class ObstacleFilter:
 
     Args:
         min_distance: Distance that the base keeps from obstacles, metres.
+        limit_acceleration: Whether commands change as fast as the base accelerates at most. A turn
+            that is slower than the translation with it leads a base with inertia into an obstacle
+            beside which both together would pass.
     """
 
-    def __init__(self, min_distance: Annotated[float, Interval(ge=0.0, le=10.0)] = 0.03) -> None:
-        self.min_distance = min_distance
+    def __init__(
+        self,
+        min_distance: Annotated[float, Interval(ge=0.0, le=10.0)] = 0.03,
+        *,
+        limit_acceleration: bool = False,
+    ) -> None:
+        self.min_distance, self.limit_acceleration = min_distance, limit_acceleration
 
     def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
         """Use the backend and the base of a loop; arguments as in `CommandFilter`."""
@@ -121,22 +129,36 @@ class ObstacleFilter:
             near = np.minimum(found.distance - self.min_distance, 0.0) / (2.0 * self._loop.dt)
             # Receding obstacles may turn back.
             limit = limit + near - np.maximum(found.closing_speed, 0.0)
-        normal = _approach(found, len(self._full))
-        # The rotation limit is a constraint as well, so that a projection does not exceed it.
-        turns = np.zeros((n, 2, len(self._full)))
-        turns[:, :, -1] = [1.0, -1.0]
-        fastest = np.full((n, 2), self._full[-1])
+        normals, limits = [_approach(found, len(self._full))], [limit]
+        # The limit of each rotation is a constraint as well, so that no projection exceeds it.
+        axes = np.eye(len(self._full))
+        normals += [axes[-1:], -axes[-1:]]
+        limits += [self._full[-1:]] * 2
+        if self.limit_acceleration:
+            change = _full_acceleration(self._loop.robot.base) * self._loop.dt
+            now = carried_out(self._loop.previous_command) * self._full
+            normals += [axes, -axes]
+            limits += [change + now, change - now]
         return VelocityConstraints(
             self._full,
-            np.concatenate([normal, turns], axis=1),
-            np.concatenate([limit, fastest], axis=1),
+            np.concatenate([np.broadcast_to(one, (n, *one.shape[-2:])) for one in normals], axis=1),
+            np.concatenate([np.broadcast_to(one, (n, one.shape[-1])) for one in limits], axis=1),
         )
 
 
 def _full_velocity(base: Base) -> Array:
     """Return the velocities of a full command, shape (a,), m/s."""
-    translations = command_size(base) - 1
-    return np.array([*[base.max_velocity] * translations, base.max_rotation * _LEVER])
+    return np.array([*[base.max_velocity] * _translations(base), base.max_rotation * _LEVER])
+
+
+def _full_acceleration(base: Base) -> Array:
+    """Return the largest accelerations, shape (a,), m/s^2."""
+    rotation = base.max_rotation_acceleration * _LEVER
+    return np.array([*[base.max_acceleration] * _translations(base), rotation])
+
+
+def _translations(base: Base) -> int:
+    return command_size(base) - 1
 
 
 def _approach(found: ObstacleDistances, size: int) -> Array:

@@ -18,6 +18,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
 from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.adapters.limits import AccelerationLimit
 
 KEPT, DT, RADIUS = 0.05, 0.1, 0.3
 ROBOTS = pytest.mark.parametrize("robot", ["hsr", "tiago"], indirect=True)
@@ -68,10 +69,10 @@ def start_of(robot, n):
     return base, np.tile(robot.home["home"], (n, 1))
 
 
-def loop_among(robot, backend, n, filters=None):
+def loop_among(robot, backend, n, filters=None, dt=DT):
     base, joints = start_of(robot, n)
     filters = [ObstacleFilter(KEPT)] if filters is None else filters
-    loop = Loop(IkSolver(robot), [SubgoalMotion(Linear())], backend, DT, filters=filters)
+    loop = Loop(IkSolver(robot), [SubgoalMotion(Linear())], backend, dt, filters=filters)
     ee = spatial.compose(base, forward(loop.solver.chain, joints))
     goal = spatial.integrate(ee, np.tile([1.0, 0, 0, 0, 0, 0], (n, 1)), 1.0)
     rngs = [np.random.default_rng(i) for i in range(n)]
@@ -100,6 +101,24 @@ def test_no_base_comes_nearer_than_its_distance(robot):
     # A turn and a drive at once lead a little off the straight way.
     assert KEPT - 0.005 < nearest.min() < KEPT + 0.02
     assert np.linalg.norm(loop.state.base_pose[:, :2], axis=1).max() > 0.3
+
+
+def test_a_base_with_inertia_keeps_its_distance_if_its_commands_are_as_slow():
+    robot, beyond = load_robot("pr2"), []
+    rng, n = np.random.default_rng(1), 16
+    angle = np.linspace(0.0, 2.0 * np.pi, 9)
+    wishes = np.sign(rng.uniform(-1.0, 1.0, (20, n, 3)))
+    for limited in (False, True):
+        backend = Pillars(*(0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1)))
+        inert = AccelerationLimit(backend, robot)
+        loop = loop_among(robot, inert, n, [ObstacleFilter(KEPT, limit_acceleration=limited)], 0.02)
+        least = np.full(n, np.inf)
+        for wish in wishes.repeat(25, axis=0):
+            loop.step(wish)
+            least = np.minimum(least, backend.nearest)
+        beyond.append(KEPT - least.min())
+    assert beyond[0] > 1e-3
+    assert beyond[1] < 1e-6
 
 
 def test_a_base_may_leave_an_obstacle_that_it_touches(robot):
