@@ -119,7 +119,8 @@ def test_no_joint_is_sent_faster_than_its_limit(ends, share, used):
 
 def test_steps_keep_the_rate_and_return_the_newest_state(ends, time):
     backend, link = ends
-    start = time.monotonic
+    start, prepared = time.monotonic, []
+    backend.prepare = lambda: prepared.append(len(link.driven))
     for x in (3.0, 4.0):
         link.readings.base(BaseReading(x, 0.0, 0.0))
         state = backend.step(np.zeros((1, 6)), AT_HOME, DT)
@@ -127,6 +128,7 @@ def test_steps_keep_the_rate_and_return_the_newest_state(ends, time):
     assert time.monotonic - start == pytest.approx(2 * DT)
     assert state.age[0] == pytest.approx(2 * DT)  # of the joints
     assert backend.rate.timing().periods == 2
+    assert prepared == [1, 2]  # after each command
 
 
 def test_stop_commands_zero_and_holds_the_arm(ends):
