@@ -19,7 +19,8 @@ def project(points, normals, offsets, slack):
     """Move points (n, t, a) into the half-spaces of their row; return which were outside, (n, t).
 
     The half-spaces are `normals @ point <= offsets`, shapes (n, k, a) and (n, k); `slack` is
-    allowed, above 0. Where no point is in all of them, negative offsets are raised up to 0.
+    allowed, above 0. Where no point is in all of them, negative offsets are raised up to 0; a point
+    that still finds no place moves to the origin, which is in all half-spaces then.
     """
     n, t, _ = points.shape
     outside = np.zeros((n, t), dtype=np.bool_)
@@ -88,7 +89,7 @@ def _move(point, normals, offsets, slack):
 
 @kernel
 def _shares(normals, borders, normal):
-    """Return the combination of the normals of some borders that is nearest to a normal."""
+    """Return shares, (b,), of the normals of b borders whose sum is nearest to a normal, (a,)."""
     chosen = normals[borders]
     return np.linalg.solve(chosen @ chosen.T, chosen @ normal)
 

@@ -99,6 +99,7 @@ class ObstacleFilter:
             )
         self._measure = loop.backend.obstacle_distances
         self._full = _full_velocity(base)
+        self._change = _full_acceleration(base) * loop.dt
         fastest = base.max_velocity + base.max_rotation * _RIM
         self._braking = min(base.max_acceleration, base.max_rotation_acceleration * _RIM)
         # Obstacles further away do not limit the base.
@@ -135,10 +136,9 @@ class ObstacleFilter:
         normals += [axes[-1:], -axes[-1:]]
         limits += [self._full[-1:]] * 2
         if self.limit_acceleration:
-            change = _full_acceleration(self._loop.robot.base) * self._loop.dt
             now = carried_out(self._loop.previous_command) * self._full
             normals += [axes, -axes]
-            limits += [change + now, change - now]
+            limits += [self._change + now, self._change - now]
         return VelocityConstraints(
             self._full,
             np.concatenate([np.broadcast_to(one, (n, *one.shape[-2:])) for one in normals], axis=1),
