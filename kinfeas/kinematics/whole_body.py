@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +80,11 @@ _AHEAD, _ASIDE, _HEIGHT = (0.4, 0.75), 0.6, (0.5, 1.3)
 largest bearing, radians."""
 
 _RESTS, _TABLE = 512, 0.9
-"""Arm configurations at rest, and height above which few solids reach, metres."""
+"""Arm configurations at rest at most, and height above which few solids reach, metres."""
+
+_STRAY, _LESS = (0.08, 0.08, 0.15), 0.05
+"""How far a base may stray from its path, metres and radians, and by how much an arm at rest may
+reach its EE pose from fewer of such bases, as a share, than the best one."""
 
 _SPEED = 0.7
 """Share of the velocity limits of base and arm that a motion uses."""
@@ -264,7 +269,10 @@ class WholeBodyPlanner:
 
 
 def _rests(postures: Postures) -> Array:
-    """Return arm configurations with the EE ahead, those with centred joints first, (r, j)."""
+    """Return arm configurations with the EE ahead, those with centred joints first, (r, j).
+
+    From them, an arm also reaches its EE pose where its base strays.
+    """
     robot, joints, ee = postures.solver.robot, postures.joints, postures.ee_pose
     reach, bearing = np.hypot(ee[:, 0], ee[:, 1]), np.arctan2(ee[:, 1], ee[:, 0])
     fits = (reach > _AHEAD[0]) & (reach < _AHEAD[1]) & (np.abs(bearing) < _ASIDE)
@@ -273,8 +281,19 @@ def _rests(postures: Postures) -> Array:
     off = np.abs(joints - (lower + upper) / 2.0) / np.maximum((upper - lower) / 2.0, 1e-9)
     off[:, ~np.isfinite(np.subtract(*robot.joint_limits))] = 0.0
     # A robot whose EE never comes there drives with the most centred arm.
-    order = np.lexsort((off.max(axis=1), ~fits))
-    return joints[order[: min(_RESTS, max(int(fits.sum()), 1))]]
+    order = np.lexsort((off.max(axis=1), ~fits))[: min(_RESTS, max(int(fits.sum()), 1))]
+    reached = _reached(postures.solver, joints[order], ee[order])
+    return joints[order[reached >= reached.max() - _LESS]]
+
+
+def _reached(solver: IkSolver, joints: Array, ee: Array) -> Array:
+    """Return from which share of strayed bases arms (r, j) reach their EE, (r, 7) -> (r,)."""
+    strayed = np.array(list(product((-1.0, 0.0, 1.0), repeat=3))) * _STRAY
+    targets = relative(ee[:, np.newaxis], planar_pose(*strayed.T)).reshape(-1, 7)
+    near = IkSolver(solver.robot, replace(solver.options, restarts=0))
+    found = near.solve(targets, joints.repeat(len(strayed), axis=0))
+    share: Array = found.feasible.reshape(len(ee), -1).mean(axis=1)
+    return share
 
 
 @kernel

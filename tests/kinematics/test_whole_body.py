@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import compose, distance, planar_pose
+from kinfeas.core.spatial import compose, distance, planar_pose, relative
 from kinfeas.core.start import episode_rng
 from kinfeas.kinematics import whole_body
 from kinfeas.kinematics.base_search import CELL, FORESIGHT, HEADINGS, lattice_moves
@@ -130,3 +130,17 @@ def test_a_robot_whose_ee_never_is_ahead_plans_too(monkeypatch):
     planner = WholeBodyPlanner(solver)
     starts = [sample_start(task, solver, episode_rng(1, k)) for k in range(3)]
     assert any(plan(planner, start) is not None for start in starts)
+
+
+def test_arms_at_rest_reach_the_ee_where_the_base_strays(planned):
+    planner, _, paths = planned
+    if planner.robot.base.drive == "omnidirectional" and len(planner.robot.arm) < 7:
+        pytest.skip("this arm needs its base to reach")
+    strayed = planar_pose(*np.array([[0.06, 0.06, 0.1], [-0.06, 0.06, -0.1], [0.06, -0.06, 0.1]]).T)
+    long = [path for path in paths if path is not None and len(path.robot) > 80]
+    assert len(long) > 3
+    for path in long:
+        middle = len(path.robot) // 2
+        base, arm = planar_pose(*path.robot[middle, :3]), path.robot[middle, 3:]
+        target = relative(path.ee[middle], compose(base, strayed))
+        assert planner.solver.solve(target, np.tile(arm, (3, 1))).feasible.all()

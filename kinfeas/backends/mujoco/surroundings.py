@@ -7,7 +7,13 @@ import mujoco
 import numpy as np
 
 from kinfeas.backends.mujoco.model import ROBOT, Model
-from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacle_distances
+from kinfeas.backends.physics.obstacles import (
+    AS_NEAR,
+    Obstacle,
+    Shape,
+    is_beside,
+    obstacle_distances,
+)
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.spatial import Array
 
@@ -61,14 +67,16 @@ class Surroundings:
                         place, toward, float((reach + _OUTSIDE) * ahead @ toward), height
                     )
 
+        # Rigidly connected parts are one body in MuJoCo: of each part, a point is needed.
         nearest: dict[int, dict[tuple[int, int], Obstacle]] = {}
         for own, other, least in self._near(data, within):
-            bodies = int(engine.geom_bodyid[own]), int(engine.geom_bodyid[other])
-            found = nearest.setdefault(int(owner[bodies[1]]), {})
-            best = found[bodies].distance if bodies in found else within
-            one = _closest(engine, data, own, other, best) if least < best else None
+            body = int(engine.geom_bodyid[other])
+            found = nearest.setdefault(int(owner[body]), {})
+            farthest = min((one.distance for one in found.values()), default=within) + AS_NEAR
+            farthest = min(farthest, found[own, body].distance if (own, body) in found else within)
+            one = _closest(engine, data, own, other, farthest) if least < farthest else None
             if one is not None:
-                found[bodies] = one
+                found[own, body] = one
         x, y, heading = data.qpos[self._model.at[0, :3]].tolist()
         closest = ([*nearest[number].values()] for number in sorted(nearest))
         return obstacle_distances((x, y, heading), closest, self._shapes, cast)

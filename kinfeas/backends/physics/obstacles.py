@@ -10,7 +10,7 @@ from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.spatial import Array
 
 _STEEP = 0.5  # horizontal part of a unit normal below which an obstacle is above or beneath
-_AS_NEAR = 0.1  # m beyond the nearest point within which corners of the base are used, too
+AS_NEAR = 0.1  # m beyond the nearest point within which parts and corners are used, too
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def obstacle_distances(
         if corners:
             places = np.concatenate(corners) @ to_base.T + [x, y]
             ahead = one.normal / np.linalg.norm(one.normal)
-            near = (one.closest_point - places) @ ahead <= _AS_NEAR
+            near = (one.closest_point - places) @ ahead <= AS_NEAR
             found += cast(places[near], ahead, one.height)
     points = np.array([one.closest_point for one in found]).reshape(1, -1, 2)
     normals = np.array([one.normal for one in found]).reshape(1, -1, 2)

@@ -24,6 +24,9 @@ _LEVER = 0.05
 """Radius in metres by which rotations are compared with translations. It is small, so that a base
 turns aside before it leaves the path of its arm."""
 
+_RESTORE = 0.5
+"""Seconds in which a base restores most of a distance that is too small."""
+
 _SLACK = 1e-6
 """Velocity in m/s by which rounding may exceed a constraint."""
 
@@ -66,8 +69,8 @@ class VelocityConstraints:
 class ObstacleFilter:
     """Limits the velocity towards near obstacles, so that the base can brake in time.
 
-    Where the backend measures closing speeds, the base gives way to obstacles that move towards it,
-    and restores a distance that is too small.
+    The base restores a distance that is too small and, where the backend measures closing speeds,
+    gives way to obstacles that move towards it.
 
     A velocity damper (Faverjon and Tournassoud, "A local based approach for path planning of
     manipulators with a high number of degrees of freedom", 1987). The backend must measure
@@ -75,18 +78,10 @@ class ObstacleFilter:
 
     Args:
         min_distance: Distance that the base keeps from obstacles, metres.
-        limit_acceleration: Whether commands change as fast as the base accelerates at most. A turn
-            that is slower than the translation with it leads a base with inertia into an obstacle
-            beside which both together would pass.
     """
 
-    def __init__(
-        self,
-        min_distance: Annotated[float, Interval(ge=0.0, le=10.0)] = 0.03,
-        *,
-        limit_acceleration: bool = False,
-    ) -> None:
-        self.min_distance, self.limit_acceleration = min_distance, limit_acceleration
+    def __init__(self, min_distance: Annotated[float, Interval(ge=0.0, le=10.0)] = 0.03) -> None:
+        self.min_distance = min_distance
 
     def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
         """Use the backend and the base of a loop; arguments as in `CommandFilter`."""
@@ -99,7 +94,6 @@ class ObstacleFilter:
             )
         self._measure = loop.backend.obstacle_distances
         self._full = _full_velocity(base)
-        self._change = _full_acceleration(base) * loop.dt
         fastest = base.max_velocity + base.max_rotation * _RIM
         self._braking = min(base.max_acceleration, base.max_rotation_acceleration * _RIM)
         # Obstacles further away do not limit the base.
@@ -123,42 +117,30 @@ class ObstacleFilter:
             found = self._measure(self._range)
         if not isinstance(found, ObstacleDistances) or len(found.distance) != n:
             raise KinfeasError(f"{name} must return ObstacleDistances of {n} robots")
-        way = np.maximum(found.distance - self.min_distance, 0.0)
-        limit = np.minimum(np.sqrt(self._braking * way), way / (2.0 * self._loop.dt))
+        way = found.distance - self.min_distance
+        ahead = np.maximum(way, 0.0)
+        limit = np.minimum(np.sqrt(self._braking * ahead), ahead / (2.0 * self._loop.dt))
+        # A turn leads a little off the straight way, so the base restores the distance.
+        limit += np.minimum(way, 0.0) / _RESTORE
         if found.closing_speed is not None:
-            # A turn leads a little off the straight way, so the base restores the distance.
-            near = np.minimum(found.distance - self.min_distance, 0.0) / (2.0 * self._loop.dt)
             # Receding obstacles may turn back.
-            limit = limit + near - np.maximum(found.closing_speed, 0.0)
-        normals, limits = [_approach(found, len(self._full))], [limit]
-        # The limit of each rotation is a constraint as well, so that no projection exceeds it.
-        axes = np.eye(len(self._full))
-        normals += [axes[-1:], -axes[-1:]]
-        limits += [self._full[-1:]] * 2
-        if self.limit_acceleration:
-            now = carried_out(self._loop.previous_command) * self._full
-            normals += [axes, -axes]
-            limits += [self._change + now, self._change - now]
+            limit -= np.maximum(found.closing_speed, 0.0)
+        normal = _approach(found, len(self._full))
+        # The rotation limit is a constraint as well, so that a projection does not exceed it.
+        turns = np.zeros((n, 2, len(self._full)))
+        turns[:, :, -1] = [1.0, -1.0]
+        fastest = np.full((n, 2), self._full[-1])
         return VelocityConstraints(
             self._full,
-            np.concatenate([np.broadcast_to(one, (n, *one.shape[-2:])) for one in normals], axis=1),
-            np.concatenate([np.broadcast_to(one, (n, one.shape[-1])) for one in limits], axis=1),
+            np.concatenate([normal, turns], axis=1),
+            np.concatenate([limit, fastest], axis=1),
         )
 
 
 def _full_velocity(base: Base) -> Array:
     """Return the velocities of a full command, shape (a,), m/s."""
-    return np.array([*[base.max_velocity] * _translations(base), base.max_rotation * _LEVER])
-
-
-def _full_acceleration(base: Base) -> Array:
-    """Return the largest accelerations, shape (a,), m/s^2."""
-    rotation = base.max_rotation_acceleration * _LEVER
-    return np.array([*[base.max_acceleration] * _translations(base), rotation])
-
-
-def _translations(base: Base) -> int:
-    return command_size(base) - 1
+    translations = command_size(base) - 1
+    return np.array([*[base.max_velocity] * translations, base.max_rotation * _LEVER])
 
 
 def _approach(found: ObstacleDistances, size: int) -> Array:

@@ -9,6 +9,7 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
+from kinfeas.robots.loading import load_robot
 from tests.backends.conftest import place, stay
 from tests.builders import twist
 
@@ -51,6 +52,15 @@ def test_distance_and_normal_of_a_wall(world, begin, yaw):
     normals, points = near.normal[0] @ to_world, near.closest_point[0] @ to_world + [-2.3, 0.0]
     np.testing.assert_allclose(normals, np.tile([-1.0, 0.0], (len(normals), 1)), atol=1e-6)
     np.testing.assert_allclose(points[:, 0] - near.distance[0], WALL, atol=2e-3)
+
+
+def test_all_parts_that_are_near_a_wall_are_measured(scene, opened):
+    # In this pose, the rear of PR2's base and the shoulder of its other arm are as near.
+    world = opened(load_robot("pr2"), scene)
+    place(world, x=-2.3, yaw=1.42)
+    near = world.obstacle_distances(1.0)
+    ends = near.closest_point[near.distance < near.distance.min() + 0.02, 0]
+    assert ends.max() - ends.min() > 0.5
 
 
 def test_contacts_begin_where_the_distance_ends(world, begin):
