@@ -82,9 +82,12 @@ largest bearing, radians."""
 _RESTS, _TABLE = 512, 0.9
 """Arm configurations at rest at most, and height above which few solids reach, metres."""
 
-_STRAY, _LESS = (0.08, 0.08, 0.15), 0.05
-"""How far a base may stray from its path, metres and radians, and by how much an arm at rest may
-reach its EE pose from fewer of such bases, as a share, than the best one."""
+_STRAY = (0.08, 0.08, 0.15)
+"""How far a base may stray from its path, metres and radians."""
+
+_WORSE = 0.05
+"""By how much the share of strayed bases from which an arm at rest reaches its EE pose may be below
+that of the best arm."""
 
 _SPEED = 0.7
 """Share of the velocity limits of base and arm that a motion uses."""
@@ -283,7 +286,7 @@ def _rests(postures: Postures) -> Array:
     # A robot whose EE never comes there drives with the most centred arm.
     order = np.lexsort((off.max(axis=1), ~fits))[: min(_RESTS, max(int(fits.sum()), 1))]
     reached = _reached(postures.solver, joints[order], ee[order])
-    return joints[order[reached >= reached.max() - _LESS]]
+    return joints[order[reached >= reached.max() - _WORSE]]
 
 
 def _reached(solver: IkSolver, joints: Array, ee: Array) -> Array:
