@@ -156,8 +156,11 @@ class MuJoCoBackend(PhysicsBackend):
         names = [*self.model.objects, *solids, "the floor"]
         return sorted({names[other] for _, other, _ in found.base | found.arm})
 
-    def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return the obstacles nearer than `within` metres to the bases, except grasped links."""
+    @cached_property
+    def _surroundings(self) -> Surroundings:
+        return Surroundings(self.model)
+
+    def _obstacle_distances(self, within: float) -> ObstacleDistances:
         sims, measured = self.sims, self._surroundings
         return stack(
             [
@@ -165,10 +168,6 @@ class MuJoCoBackend(PhysicsBackend):
                 for row in range(len(self._positions))
             ]
         )
-
-    @cached_property
-    def _surroundings(self) -> Surroundings:
-        return Surroundings(self.model)
 
     def _contacts(self, row: int) -> Contacts:
         owner, on_arm = self.model.owner, self.model.on_arm

@@ -2,12 +2,14 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.obstacles import closing_speeds
 from kinfeas.backends.physics.robot import robot_state
 from kinfeas.backends.physics.stage import Stage, StageBackend, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
@@ -106,6 +108,17 @@ class PhysicsBackend(StageBackend):
         """Return the ranges to solids around the true bases, as in `SupportsScan`."""
         return scan_now(self.solids, planar_pose(*self._positions[:, :3].T))
 
+    def obstacle_distances(self, within: float) -> ObstacleDistances:
+        """Return the obstacles nearer than `within` metres to the bases, except grasped links.
+
+        Closing speeds are known where solids move.
+        """
+        found, present = self._obstacle_distances(within), self.solids.after()
+        if present is None or not self.solids.moving.any():
+            return found
+        speed = closing_speeds(found, self._positions[:, :3], present)
+        return replace(found, closing_speed=speed)
+
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
 
@@ -162,10 +175,6 @@ class PhysicsBackend(StageBackend):
         """Return the current contacts of a robot, except with the grasped link and the floor."""
 
     @abstractmethod
-    def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return the obstacles nearer than `within` metres to the bases, except grasped links."""
-
-    @abstractmethod
     def close(self) -> None:
         """End the simulations; a second call does nothing."""
 
@@ -180,6 +189,10 @@ class PhysicsBackend(StageBackend):
     @abstractmethod
     def touched(self, row: int = 0) -> list[str]:
         """Return the names of the objects that the robot touches; the floor is `the floor`."""
+
+    @abstractmethod
+    def _obstacle_distances(self, within: float) -> ObstacleDistances:
+        """Return what `obstacle_distances` returns, without closing speeds."""
 
     @abstractmethod
     def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None:

@@ -7,8 +7,10 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from kinfeas.core.backend import ObstacleDistances
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 
+_AT_SIDE = 0.02  # m beyond which a point is of no solid
 _STEEP = 0.5  # horizontal part of a unit normal below which an obstacle is above or beneath
 AS_NEAR = 0.1  # m beyond the nearest point within which parts and corners are used, too
 
@@ -89,6 +91,28 @@ def stack(found: Sequence[ObstacleDistances]) -> ObstacleDistances:
         place[row, :count], toward[row, :count] = one.closest_point[0], one.normal[0]
         distance[row, :count] = one.distance[0]
     return ObstacleDistances(place, toward, distance)
+
+
+def closing_speeds(found: ObstacleDistances, planar: Array, solids: Solids) -> Array:
+    """Return the speeds at which solids move towards the bases' points, shape (n, k), m/s.
+
+    Args:
+        found: Obstacles of n robots.
+        planar: x, y and yaw of the bases, shape (n, 3).
+        solids: n rows; from above, an obstacle is the solid whose side is nearest to its point.
+    """
+    near = np.isfinite(found.distance)
+    way = np.where(near, found.distance, 0.0)[..., np.newaxis] * found.normal
+    x, y, heading = planar.T
+    to_world = np.moveaxis(turn(heading), -1, 0)
+    points = (found.closest_point + way) @ to_world.swapaxes(1, 2)
+    points += np.stack([x, y], axis=1)[:, np.newaxis]
+    gap = solids.gaps(np.concatenate([points, np.zeros_like(points[..., :1])], axis=2))[0]
+    owner = gap.argmin(axis=2)
+    toward = found.normal @ to_world.swapaxes(1, 2)
+    velocity = np.take_along_axis(solids.velocity, owner[..., np.newaxis], axis=1)
+    known = near & (gap.min(axis=2) < _AT_SIDE)
+    return np.where(known, -(velocity * toward).sum(axis=2), 0.0)
 
 
 def is_beside(normal: Sequence[float] | Array) -> bool:

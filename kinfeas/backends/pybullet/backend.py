@@ -72,10 +72,6 @@ class PyBulletBackend(PhysicsBackend):
         for row, *factors in zip(env_ids.tolist(), mass, friction, motor_gain, strict=True):
             self._sims[row].scale_dynamics(*factors)
 
-    def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return the obstacles nearer than `within` metres to the bases, except grasped links."""
-        return stack([one.obstacle_distances(within) for one in self._sims[: len(self._positions)]])
-
     def close(self) -> None:
         """End the simulations; a second call does nothing."""
         for one in self._sims:
@@ -149,6 +145,9 @@ class PyBulletBackend(PhysicsBackend):
     def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None:
         for row, pose, joints in zip(rows.tolist(), base_pose, joint_positions, strict=True):
             self.simulation(row).reset(pose, joints)
+
+    def _obstacle_distances(self, within: float) -> ObstacleDistances:
+        return stack([one.obstacle_distances(within) for one in self._sims[: len(self._positions)]])
 
     def _place_solids(self, rows: NDArray[np.intp], solids: Solids) -> None:
         for row in rows.tolist():

@@ -67,6 +67,17 @@ def test_solids_move_and_are_scanned_as_in_the_analytic_world(rooms, hsr):
     assert world.scan().min() < 1.0
 
 
+def test_closing_speeds_are_those_of_the_analytic_world(rooms, hsr):
+    world, analytic, speeds = rooms(), AnalyticBackend(hsr), []
+    (*_, state) = run(world, 20, 0.0, 0.3)
+    analytic.reset(state.base_pose, state.joint_positions)
+    analytic.place_solids(world.solids.after(), ROWS)
+    for found in (world.obstacle_distances(1.0), analytic.obstacle_distances(1.0)):
+        speeds.append(found.closing_speed[ROWS, found.distance.argmin(axis=1)])
+    assert np.all(np.abs(speeds[0]) > 0.01)
+    np.testing.assert_allclose(*speeds, atol=5e-3)
+
+
 def test_a_reset_takes_solids_away_and_leaves_no_trace(rooms, hsr):
     world, fresh = rooms(), rooms()
     joints = [state.joint_velocities for state in run(world, 40, 0.0, 0.1)]
