@@ -134,7 +134,7 @@ def test_barriers_keep_the_base_of_the_qp_off_obstacles(robot):
     given = moving(robot, 0.15 * np.array([np.cos(0.7), np.sin(0.7)]))
     free = qp.whole_body_qp(robot).act(given)
     assert free[0, 0] * robot.base.max_velocity > 0.05
-    for distance, limit in ((0.031, 0.005), (0.02, -0.05)):
+    for distance, limit in ((0.031, 0.005), (0.02, -0.02)):
 
         class Beside(AnalyticBackend):
             def obstacle_distances(self, within, distance=distance):
