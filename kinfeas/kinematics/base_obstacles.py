@@ -12,7 +12,7 @@ from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
 from kinfeas.kinematics.solids import in_base, is_empty, rows_of, squared_radius
 
-_AS_NEAR = 0.1
+AS_NEAR = 0.1
 """Distance beyond that of the nearest point of a solid within which others are reported, metres."""
 
 _PLACES = 48
@@ -102,7 +102,7 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
                     continue
                 gap, _, _ = outward(one[2], one[3], solid)
                 radius = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6] + solid[6]
-                if gap - radius > nearest + _AS_NEAR:
+                if gap - radius > nearest + AS_NEAR:
                     continue
                 first = count
                 count = _pair_corners(one, solid, 1.0, pairs, count)
@@ -110,7 +110,7 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
                 for p in range(first, count):
                     nearest = min(nearest, pairs[p, 4])
             for p in range(count):
-                if pairs[p, 4] < within and pairs[p, 4] <= nearest + _AS_NEAR:
+                if pairs[p, 4] < within and pairs[p, 4] <= nearest + AS_NEAR:
                     if used < out.shape[1]:
                         copy_row(pairs[p], out[i, used])
                         away = velocity[i, k, 0] * pairs[p, 2] + velocity[i, k, 1] * pairs[p, 3]

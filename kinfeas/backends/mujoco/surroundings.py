@@ -7,15 +7,10 @@ import mujoco
 import numpy as np
 
 from kinfeas.backends.mujoco.model import ROBOT, Model
-from kinfeas.backends.physics.obstacles import (
-    AS_NEAR,
-    Obstacle,
-    Shape,
-    is_beside,
-    obstacle_distances,
-)
+from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacle_distances
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.base_obstacles import AS_NEAR
 
 _OUTSIDE = 1e-3  # m before a corner where its ray starts
 _SIDES = 16  # of a cylinder

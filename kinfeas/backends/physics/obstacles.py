@@ -9,10 +9,10 @@ from scipy.spatial import ConvexHull
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.base_obstacles import AS_NEAR
 
 _AT_SIDE = 0.02  # m beyond which a point is of no solid
 _STEEP = 0.5  # horizontal part of a unit normal below which an obstacle is above or beneath
-AS_NEAR = 0.1  # m beyond the nearest point within which parts and corners are used, too
 
 
 @dataclass(frozen=True)
