@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,9 @@ from kinfeas.control.execution import (
     ExecutionConfig,
     SubgoalMotion,
 )
-from kinfeas.control.motion_sequence import MotionSequence, Plan
-from kinfeas.control.observation import (
-    ACTION,
-    AHEAD,
-    HORIZON,
-    OBSERVATION,
-    SCAN_TERMS,
-    Seen,
-    action_size,
-    observe,
-    split_action,
-)
+from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.observation import ACTION, HORIZON, OBSERVATION, action_size, split_action
+from kinfeas.control.observer import Observer
 from kinfeas.control.obstacles import Obstacles
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
@@ -84,29 +75,12 @@ class Step:
     base_error: Array | None = None
 
 
-class _Prepared(NamedTuple):
-    """Answers of the generators for the next period.
-
-    Attributes:
-        revision: That of the motions.
-        goal: World pose of the EE at the end of each row's sub-goal, shape (n, 7).
-        plan: Next step.
-        ahead: EE poses ahead, shape (n, d, 7), if the policy observes them.
-        planned_base: World pose of the base, shape (n, 7), if the policy observes it.
-    """
-
-    revision: int
-    goal: Array
-    plan: Plan
-    ahead: Array | None
-    planned_base: Array | None
-
-
 class Loop:
     """n robots, each following its own EE motion.
 
     Attributes:
         obstacles: Solids and scans, where the backend has them.
+        observer: Observes the robots, with the terms of the policy.
         policy: Policy that commands the bases, or None while it learns. Set it by `set_policy`.
         target_stream: Targets that move; then no sub-goal ends. None for those of the start.
         joint_command: Last commanded arm joints, shape (n, j).
@@ -159,14 +133,14 @@ class Loop:
         self.solids: Solids | None = None
         self.velocity_constraints: Any = None
         self.solved: tuple[Array, Array, IkSolution] | None = None
-        self.observation_terms, self.action_terms = OBSERVATION, ACTION
+        self.action_terms = ACTION
         self.previous_command: Array = np.empty((0, self.command_size))
         self._motion_time = dt * execution.time_scale
-        self._prepared: _Prepared | None = None
         # Once, since protocols are checked by looking up each of their members.
         self._stochastic = backend if isinstance(backend, Stochastic) else None
         self._gripper = backend if isinstance(backend, SupportsGripper) else None
         self.obstacles = Obstacles(backend, solver.collision)
+        self.observer = Observer(self.sequence, self.obstacles, dt, execution.time_scale)
         self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
         self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
@@ -177,7 +151,7 @@ class Loop:
         """Use a policy: its terms, and its `reset` at each start if it has one."""
         self.policy = policy
         self._recurrent = policy if isinstance(policy, RecurrentPolicy) else None
-        self.observation_terms = tuple(getattr(policy, "observation_terms", OBSERVATION))
+        self.observer.terms = tuple(getattr(policy, "observation_terms", OBSERVATION))
         self.action_terms = tuple(getattr(policy, "action_terms", ACTION))
 
     def start(
@@ -218,7 +192,7 @@ class Loop:
         if self.target_stream is not None:
             self.target_stream.start(self, rngs, fresh)
             self.sequence.aim(self.target_stream.targets(self))
-        self._plan()
+        self._observe()
         if self._recurrent is not None:
             self._recurrent.reset(self, fresh)
         for one in self.filters:
@@ -270,7 +244,7 @@ class Loop:
             joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
             time_scale=self.time_scale,
             collision=collision,
-            base_error=self._base_error(),
+            base_error=self.observer.base_error(state.base_pose),
         )
         self._replan()
         stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))
@@ -279,7 +253,7 @@ class Loop:
         if self.target_stream is not None:
             self.sequence.aim(self.target_stream.targets(self))
             self.sequence.begin_again(np.flatnonzero(self.time_scale == 0.0))
-        self._plan()
+        self._observe()
         return step
 
     def prepare(self) -> None:
@@ -288,12 +262,12 @@ class Loop:
         For backends, while a robot moves: the step after the measurement is shorter then.
         """
         if self.target_stream is None:
-            self._prepared = self._ask_generators()
+            self.observer.prepare()
 
     def measure(self, state: RobotState) -> None:
         """Continue from a newer measurement of robots that have not moved."""
         self._measure(state)
-        self._plan()
+        self._observe()
 
     def slow_down(self, time_scale: Array) -> None:
         """Let this step carry out shares, shape (n,), of its planned motion; for filters."""
@@ -338,7 +312,7 @@ class Loop:
             self.time_scale = snapshot["time_scale"].copy()
             given = {k: v for k, v in snapshot.items() if k.startswith(_TARGETS)}
             self.target_stream.restore({k.removeprefix(_TARGETS): v for k, v in given.items()})
-        self._plan()
+        self._observe()
 
     @property
     def action_size(self) -> int:
@@ -378,7 +352,7 @@ class Loop:
             ee_pose=self.ee_pose,
             joint_positions=self.state.joint_positions,
             desired=self.desired,
-            planned=self.planned,
+            planned=self.observer.planned,
             demonstrated_base=self.sequence.demonstrated_base,
             planned_base=self.sequence.planned_base,
         )
@@ -447,13 +421,6 @@ class Loop:
         inputs = self.state.base_pose, self.desired, self.seed, self.solids, self.guide
         return self.kinematic_step(command, *inputs)
 
-    def _base_error(self) -> Array | None:
-        if "planned_base" not in self.observation_terms:
-            return None
-        away = np.abs(_in_base(self.sequence.planned_base, self.state.base_pose))
-        error: Array = np.hypot(away[:, 0], away[:, 1]) + 0.5 * away[:, 2]
-        return error
-
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
         """Command the grippers of rows whose sub-goals have just ended."""
         if self._gripper is None or not stops.any():
@@ -463,34 +430,14 @@ class Loop:
             if one.grip is not None and rows.size:
                 self._gripper.grip(one.grip, rows)
 
-    def _plan(self) -> None:
-        """Ask the generators for the next period and build the observation."""
-        if self._prepared is None or self._prepared.revision != self.sequence.revision:
-            self._prepared = self._ask_generators()
-        _, self.goal, self._next, ahead, planned_base = self._prepared
-        self.planned, time_scale = self._next.preview, self.execution.time_scale
-        base, joints = self.state.base_pose, self.state.joint_positions
+    def _observe(self) -> None:
+        """Observe the robots and what comes next."""
+        state = self.state
         self.solids = self.obstacles.after(self.dt)
-        seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints)
-        seen.previous_command = self.previous_command
-        if not SCAN_TERMS.isdisjoint(self.observation_terms):
-            seen.ranges = self.obstacles.scan()
-        if ahead is not None:
-            ahead = spatial.relative(ahead, base[:, np.newaxis])
-            seen.ahead = ahead[:, :, :3].reshape(len(base), -1)
-        if planned_base is not None:
-            seen.planned_base = _in_base(planned_base, base)
-        self.observation = observe(seen, self.observation_terms)
-        if time_scale != 1.0:
-            twist = spatial.twist_between(self.desired, self.planned, HORIZON)
-            self.planned = spatial.integrate(self.desired, twist, HORIZON * time_scale)
-
-    def _ask_generators(self) -> _Prepared:
-        sequence, terms = self.sequence, self.observation_terms
-        goal, plan = sequence.goal, sequence.plan(self._motion_time)
-        ahead = sequence.ahead(AHEAD) if "planned_ahead" in terms else None
-        planned_base = sequence.planned_base if "planned_base" in terms else None
-        return _Prepared(sequence.revision, goal, plan, ahead, planned_base)
+        self.observation = self.observer.observe(
+            state.base_pose, self._ee_in_base, state.joint_positions, self.previous_command
+        )
+        self._next = self.observer.plan
 
     def _find_paused(self) -> NDArray[np.bool_]:
         """Return which rows pause in this period, shape (n,), since their arms reconfigure.
@@ -504,10 +451,3 @@ class Loop:
         self._waited = np.where(reconfigures, self._waited + 1, 0)
         paused: NDArray[np.bool_] = reconfigures & (self._waited <= self._arm_settle_timeout)
         return paused
-
-
-def _in_base(wanted: Array, base_pose: Array) -> Array:
-    """Return x, y and yaw of wanted base poses, (n, 7), as seen from the bases; 0 for NaN."""
-    known = ~np.isnan(wanted).any(axis=1, keepdims=True)
-    seen = spatial.relative(np.where(known, wanted, base_pose), base_pose)
-    return np.where(known, np.column_stack([seen[:, :2], spatial.yaw(seen)]), 0.0)

@@ -128,7 +128,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         backend = self.world.backend
         if not isinstance(backend, SupportsRendering):
             raise KinfeasError(f"backend {self.world.config.backend!r} has no camera")
-        return backend.render(0, self.world.loop.goal[0, :3])
+        return backend.render(0, self.world.loop.sequence.goal[0, :3])
 
     def close(self) -> None:
         """Close the backend."""

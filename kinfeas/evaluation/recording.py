@@ -95,7 +95,7 @@ class _Kept:
         poses = (base[row], joints[row], loop.desired[row], ee[row])
         feasible = bool(transition.step.feasible[row])
         self.moments.append((*(pose.copy() for pose in poses), feasible))
-        self.goals[int(loop.sequence.subgoal[row])] = loop.goal[row].copy()
+        self.goals[int(loop.sequence.subgoal[row])] = loop.sequence.goal[row].copy()
         self.reached = bool(transition.reached[row])
 
     def recording(self, task_done: bool | None) -> Recording:

@@ -37,7 +37,7 @@ class Batch:
 
     def __post_init__(self) -> None:
         """Set the scale of the observations."""
-        terms = self.world.loop.observation_terms
+        terms = self.world.loop.observer.terms
         self.scale = observation.scale(self.world.robot, terms).astype(np.float32)
         self._saves_world = isinstance(self.world.backend, Resumable)
 

@@ -141,7 +141,7 @@ class WorldVecEnv(EpisodesVecEnv):
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         self.world, self.batch = world, Batch(world, num_envs, action_repeat)
-        terms = world.loop.observation_terms, world.loop.action_terms
+        terms = world.loop.observer.terms, world.loop.action_terms
         super().__init__(world.robot, terms, [num_envs], [ThreadPoolExecutor(1)], self._call_batch)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:

@@ -47,7 +47,7 @@ class RenderedMotionEnv(BaseMotionEnv):
         around = present.of(np.array([0])) if present else None
         now = Recording(
             0, state.base_pose[:1], state.joint_positions[:1], loop.desired[:1], loop.ee_pose[:1],
-            np.array([True]), loop.goal[:1], reached=False, dt=loop.dt, solids=around,
+            np.array([True]), loop.sequence.goal[:1], reached=False, dt=loop.dt, solids=around,
         )  # fmt: skip
         if self._camera is None:  # it stays when the base moves
             self._camera = watch(now)

@@ -216,7 +216,7 @@ class _Run:
         """Start the loop, with a real robot where it is."""
         setup, rng = self.setup, episode_rng(self.setup.seed, 0)
         start = begin(setup.task, setup.solver, rng, self.guarded.read(), setup.solids)
-        if SCAN_TERMS & set(self.loop.observation_terms) and isinstance(self.guarded, SupportsScan):
+        if SCAN_TERMS & set(self.loop.observer.terms) and isinstance(self.guarded, SupportsScan):
             self.guarded.scan()  # waits for the first one
         stream = self.loop.target_stream is not None  # its targets are not known yet
         if not stream and (warning := preflight(self.loop, start, rng, setup.guards)):
@@ -272,7 +272,7 @@ class _Run:
                 return Code(128 + caught), by
             if watchdog is not None and not watchdog.beat():
                 raise Fault("the watchdog has stopped the base, or has died or stalled")
-            goal, action = loop.goal[0], setup.policy.act(loop.policy_input)
+            goal, action = loop.sequence.goal[0], setup.policy.act(loop.policy_input)
             # Before a filter can replace it.
             check_array(action, shape, "the policy's action", error=Fault)
             if loop.target_stream is not None:
@@ -317,7 +317,7 @@ class _Run:
                 base_pose=state.base_pose[0],
                 joint_positions=state.joint_positions[0],
                 desired=loop.desired[0],
-                goal=loop.goal[0] if goal is None else goal,
+                goal=loop.sequence.goal[0] if goal is None else goal,
                 base_twist=commands.base_twist[0],
                 joint_targets=commands.joint_targets[0],
                 feasible=feasible,

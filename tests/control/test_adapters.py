@@ -43,7 +43,7 @@ def test_observations_are_measured_and_the_deviation_is_true(pr2):
     for _ in range(5):
         step = world.step(np.zeros((20, 3))).step
     assert step.goal_distance == pytest.approx(
-        np.linalg.norm((world.loop.ee_pose - world.loop.goal)[:, :3], axis=1)
+        np.linalg.norm((world.loop.ee_pose - world.loop.sequence.goal)[:, :3], axis=1)
     )
     seen_off = np.linalg.norm((world.loop.ee_pose - world.loop.desired)[:, :3], axis=1)
     # The arm makes up for a base that it believes elsewhere: it seems right and is wrong.

@@ -119,7 +119,9 @@ def test_observations_are_of_the_measured_state(solver):
         step.deviation, np.linalg.norm(ee[:, :3] - loop.desired[:, :3], axis=1), atol=1e-12
     )
     in_base = forward(solver.chain, recorder.joints)
-    expected = observe(Seen(recorder.base, in_base, loop.planned, loop.goal, recorder.joints))
+    expected = observe(
+        Seen(recorder.base, in_base, loop.observer.planned, loop.sequence.goal, recorder.joints)
+    )
     np.testing.assert_array_equal(loop.observation, expected)
 
 
@@ -129,7 +131,7 @@ def test_an_infeasible_step_keeps_the_arm_still(solver):
     loop.step(still(loop))
     recorder.base[1, :2] += 6.0  # far beyond reach of its desired pose
     loop.start(starts(solver.robot, 1), rngs(1), np.array([0]))  # measures all rows
-    joints, planned = recorder.joints.copy(), loop.planned.copy()
+    joints, planned = recorder.joints.copy(), loop.observer.planned.copy()
     step = loop.step(still(loop))
     np.testing.assert_array_equal(recorder.joints[1], joints[1])
     np.testing.assert_array_equal(loop.desired, planned)
@@ -150,8 +152,8 @@ def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
     coarse.step(still(coarse))
     # The motion is a dynamic system of its own time: close, whatever the rate.
     np.testing.assert_allclose(fine.desired, coarse.desired, atol=1e-3)
-    metres = np.linalg.norm(fine.planned[:, :3] - fine.desired[:, :3], axis=1)
-    coarse_metres = np.linalg.norm(coarse.planned[:, :3] - coarse.desired[:, :3], axis=1)
+    metres = np.linalg.norm(fine.observer.planned[:, :3] - fine.desired[:, :3], axis=1)
+    coarse_metres = np.linalg.norm(coarse.observer.planned[:, :3] - coarse.desired[:, :3], axis=1)
     np.testing.assert_allclose(metres, coarse_metres, rtol=0.02)
 
 
@@ -271,9 +273,9 @@ def test_time_scale_changes_the_motion_but_not_the_observation(solver):
         make_loop(solver, 3, execution=ExecutionConfig(time_scale=scale)) for scale in (1.0, 0.5)
     ]
     np.testing.assert_array_equal(slow.observation, plain.observation)
-    # What drives without having learned is told the motion as it will be.
-    metres, radians = spatial.distance(slow.desired, slow.planned)
-    full_metres, full_radians = spatial.distance(plain.desired, plain.planned)
+    # Policies that do not learn read the motion as it will be.
+    metres, radians = spatial.distance(slow.desired, slow.observer.planned)
+    full_metres, full_radians = spatial.distance(plain.desired, plain.observer.planned)
     np.testing.assert_allclose(2.0 * metres, full_metres)
     np.testing.assert_allclose(2.0 * radians, full_radians)
     start = plain.desired

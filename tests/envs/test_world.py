@@ -278,7 +278,7 @@ def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):
 
 def test_scans_see_the_solids_in_front(hsr):
     world = make(hsr, Walled(), WorldConfig())
-    world.loop.observation_terms = ("scan_low", "scan_high")
+    world.loop.observer.terms = ("scan_low", "scan_high")
     seen = world.start(range(3))
     low, high = seen[:, :SCAN_BEAMS], seen[:, SCAN_BEAMS:]
     np.testing.assert_allclose(low[:, SCAN_BEAMS // 2], 1.0 - 0.9 / SCAN_RANGE, atol=1e-9)
@@ -290,7 +290,7 @@ def test_a_world_with_solids_resumes_to_the_bit(hsr):
     terms = ("ee_position", "scan_low", "previous_command")
     worlds = [make(hsr, Walled(), WorldConfig()) for _ in range(2)]
     for world in worlds:
-        world.loop.observation_terms = terms
+        world.loop.observer.terms = terms
     rng = np.random.default_rng(0)
     worlds[0].start(range(3))
     for _ in range(5):
@@ -306,13 +306,13 @@ def test_a_world_with_solids_resumes_to_the_bit(hsr):
 
 def moving_solids(hsr):
     world = World(hsr, load_task("ggr_dynamic"), WorldConfig(), 0)
-    world.loop.observation_terms = ("ee_position", "planned_base")
+    world.loop.observer.terms = ("ee_position", "planned_base")
     return world
 
 
 def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
     world = World(hsr, load_task("ggr_obstacles"), evaluation_world(), 1)
-    world.loop.observation_terms = ("planned_base",)
+    world.loop.observer.terms = ("planned_base",)
     seen = world.start(range(8))
     base = world.loop.policy_input.planned_base
     expected = relative(base, world.loop.state.base_pose)
@@ -325,7 +325,7 @@ def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
         off.append(step.base_error)
     assert np.median(off) < 0.25
     still = World(hsr, load_task("ggr"), WorldConfig(), 1)
-    still.loop.observation_terms = ("planned_base",)
+    still.loop.observer.terms = ("planned_base",)
     assert not still.start(range(2)).any()
     assert not still.step(np.ones((2, 3))).step.base_error.any()
 

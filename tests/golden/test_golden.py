@@ -32,12 +32,10 @@ def cases():
 def test_a_figure_is_what_it_was(name):
     stored, writer = read(name)
     found = FIGURES[name]()
-    assert {key: (values.dtype, values.shape) for key, values in found.items()} == {
-        key: (values.dtype, values.shape) for key, values in stored.items()
-    }
+    assert found.keys() == stored.keys()
     if writer == machine():
         for key, values in stored.items():
-            np.testing.assert_array_equal(found[key], values, err_msg=f"{name}: {key}")
+            np.testing.assert_array_equal(found[key], values, err_msg=f"{name}: {key}", strict=True)
     else:
         ELSEWHERE[kind(name)](found, stored)
 
