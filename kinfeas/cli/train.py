@@ -148,7 +148,7 @@ def read_settings(  # noqa: PLR0913 - options of the command
         raise KinfeasError(f"--world {world}: the recipe is for the world {settings.world.backend}")
     # Before there is a folder, since it raises the errors of unknown names.
     known_task = options.read_task(settings.task, settings.task_parameters)
-    World(options.read_robot(settings.robot), known_task, settings.world, settings.seed)
+    World(options.read_robot(settings.robot), known_task, settings.world, settings.seed).close()
     return with_initial_policy(
         replace(settings, robot=from_anywhere(settings.robot), task=from_anywhere(settings.task))
     )

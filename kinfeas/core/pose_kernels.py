@@ -109,7 +109,8 @@ def distance(a, b, metres, radians):
 
 
 @inlined
-def _wrapped(angle):
+def wrapped(angle):
+    """Return the angle in (-pi, pi]."""
     turn = 2.0 * math.pi
     # Twice, because a tiny negative number modulo a turn rounds up to a whole turn.
     return math.pi - (math.pi - angle) % turn % turn
@@ -118,7 +119,7 @@ def _wrapped(angle):
 @compiled(["void(f8, f8[:])"], "()->()")
 def wrap(angle, out):
     """Angle in (-pi, pi]."""
-    out[0] = _wrapped(angle)
+    out[0] = wrapped(angle)
 
 
 @compiled(["void(f8[:], f8[:], b1[:], f8[:], b1[:])"], "(j),(j),(j),(j)->()")
@@ -127,7 +128,7 @@ def moves_farther(before, after, continuous, longest, out):
     out[0] = False
     for j in range(len(before)):
         way = after[j] - before[j]
-        if abs(_wrapped(way) if continuous[j] else way) > longest[j]:
+        if abs(wrapped(way) if continuous[j] else way) > longest[j]:
             out[0] = True
 
 

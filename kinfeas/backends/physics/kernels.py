@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from kinfeas.core.pose_kernels import inlined
+from kinfeas.core.pose_kernels import inlined, wrapped
 
 # Explicit options, because those of the first caller would decide the last bits.
 kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
@@ -33,13 +33,6 @@ def arm_paths(at, velocity, targets, continuous, fastest, horizon, time):
                     at[i, k], velocity[i, k], change[k], horizon, time[n]
                 )
     return path, speed
-
-
-@inlined
-def wrapped(angle):
-    """Return an angle in radians, wrapped to (-pi, pi], as `spatial.wrap` does."""
-    turn = 2.0 * math.pi
-    return math.pi - np.mod(np.mod(math.pi - angle, turn), turn)
 
 
 @inlined
