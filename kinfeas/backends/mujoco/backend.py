@@ -11,10 +11,10 @@ from kinfeas.backends.mujoco.model import ROBOT, Model
 from kinfeas.backends.mujoco.simulations import Simulations
 from kinfeas.backends.mujoco.surroundings import Surroundings
 from kinfeas.backends.physics.backend import Motion, PhysicsBackend
-from kinfeas.backends.physics.obstacles import stack
+from kinfeas.backends.physics.obstacles import Obstacle
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
 from kinfeas.backends.physics.visuals import LinkName
-from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
+from kinfeas.core.backend import Contacts, Grip, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
@@ -160,14 +160,8 @@ class MuJoCoBackend(PhysicsBackend):
     def _surroundings(self) -> Surroundings:
         return Surroundings(self.model)
 
-    def _obstacle_distances(self, within: float) -> ObstacleDistances:
-        sims, measured = self.sims, self._surroundings
-        return stack(
-            [
-                measured.around(sims.batch, row, sims.data(row), within)
-                for row in range(len(self._positions))
-            ]
-        )
+    def _obstacles(self, row: int, within: float) -> list[Obstacle]:
+        return self._surroundings.around(self.sims.batch, row, self.sims.data(row), within)
 
     def _contacts(self, row: int) -> Contacts:
         owner, on_arm = self.model.owner, self.model.on_arm

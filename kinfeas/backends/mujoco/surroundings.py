@@ -1,5 +1,6 @@
 """Distances from the base of a simulated robot to obstacles."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -7,10 +8,11 @@ import mujoco
 import numpy as np
 
 from kinfeas.backends.mujoco.model import ROBOT, Model
-from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacle_distances
-from kinfeas.core.backend import ObstacleDistances
+from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacles_around
+from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.base_obstacles import AS_NEAR
+from kinfeas.kinematics.kernels import kernel
 
 _OUTSIDE = 1e-3  # m before a corner where its ray starts
 _SIDES = 16  # of a cylinder
@@ -39,8 +41,8 @@ class Surroundings:
             if (corners := _corners(engine, geom)) is not None
         ]
 
-    def around(self, batch: Any, row: int, data: Any, within: float) -> ObstacleDistances:
-        """Return the obstacles within a distance (m) of one robot as a batch of 1.
+    def around(self, batch: Any, row: int, data: Any, within: float) -> list[Obstacle]:
+        """Return the obstacles within a distance of one robot.
 
         Args:
             batch: MuJoCo's batch.
@@ -74,24 +76,48 @@ class Surroundings:
                 found[own, body] = one
         x, y, heading = data.qpos[self._model.at[0, :3]].tolist()
         closest = ([*nearest[number].values()] for number in sorted(nearest))
-        return obstacle_distances((x, y, heading), closest, self._shapes, cast)
+        return obstacles_around((x, y, heading), closest, self._shapes, cast)
 
     def _near(self, data: Any, within: float) -> Iterator[tuple[int, int, float]]:
         """Yield pairs of geoms of base and objects, and the least distance that they can have.
 
         Pairs beyond `within` metres are left out; the nearest ones come first.
         """
-        engine, objects = self._model.engine, self._objects
-        turn = data.geom_xmat[objects].reshape(-1, 3, 3)
-        away = data.geom_xpos[self._base][:, np.newaxis] - data.geom_xpos[objects]
-        box = engine.geom_aabb[objects]
-        beyond = np.abs((away[..., np.newaxis, :] @ turn)[..., 0, :] - box[:, :3]) - box[:, 3:]
-        least = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
-        least -= engine.geom_rbound[self._base][:, np.newaxis]
+        engine, base, objects = self._model.engine, self._base, self._objects
+        least = np.empty((len(base), len(objects)))
+        boxes = data.geom_xpos, data.geom_xmat, engine.geom_aabb
+        _distances_to_boxes(*boxes, base, objects, least)
+        least -= engine.geom_rbound[base][:, np.newaxis]
         own, other = np.nonzero(least < within)
-        bounds = least[own, other]
-        for pair in np.argsort(bounds, kind="stable").tolist():
-            yield int(self._base[own[pair]]), int(objects[other[pair]]), float(bounds[pair])
+        near = least[own, other]
+        for pair in near.argsort(kind="stable").tolist():
+            yield int(base[own[pair]]), int(objects[other[pair]]), float(near[pair])
+
+
+@kernel
+def _distances_to_boxes(
+    places: Array, turns: Array, boxes: Array, base: Rows, objects: Rows, out: Array
+) -> None:
+    """Write the distances from the places of geoms to the bounding boxes of others, metres.
+
+    Args:
+        places: Positions of all geoms, shape (g, 3).
+        turns: Their orientations, shape (g, 9).
+        boxes: Centres and half sizes of their bounding boxes, shape (g, 6).
+        base: Numbers of geoms, shape (b,).
+        objects: Numbers of those with the boxes, shape (k,).
+        out: Shape (b, k).
+    """
+    for i, own in enumerate(base):
+        for k, other in enumerate(objects):
+            squared = 0.0
+            for axis in range(3):
+                along = -boxes[other, axis]
+                for j in range(3):
+                    along += turns[other, 3 * j + axis] * (places[own, j] - places[other, j])
+                beyond = max(abs(along) - boxes[other, 3 + axis], 0.0)
+                squared += beyond * beyond
+            out[i, k] = math.sqrt(squared)
 
 
 def _closest(engine: Any, data: Any, own: int, other: int, within: float) -> Obstacle | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.backends.physics.config import PhysicsConfig
-from kinfeas.backends.physics.obstacles import closing_speeds
+from kinfeas.backends.physics.obstacles import Obstacle, closing_speeds, in_base
 from kinfeas.backends.physics.robot import robot_state
 from kinfeas.backends.physics.stage import Stage, StageBackend, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
@@ -113,11 +113,11 @@ class PhysicsBackend(StageBackend):
 
         Closing speeds are known where solids move.
         """
-        found, present = self._obstacle_distances(within), self.solids.after()
+        planar, present = self._positions[:, :3], self.solids.after()
+        found = in_base(planar, [self._obstacles(row, within) for row in range(len(planar))])
         if present is None or not self.solids.moving.any():
             return found
-        speed = closing_speeds(found, self._positions[:, :3], present)
-        return replace(found, closing_speed=speed)
+        return replace(found, closing_speed=closing_speeds(found, planar, present))
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
@@ -191,8 +191,8 @@ class PhysicsBackend(StageBackend):
         """Return the names of the objects that the robot touches; the floor is `the floor`."""
 
     @abstractmethod
-    def _obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return what `obstacle_distances` returns, without closing speeds."""
+    def _obstacles(self, row: int, within: float) -> Sequence[Obstacle]:
+        """Return the obstacles within a distance (m) of a base, except the grasped link."""
 
     @abstractmethod
     def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None:

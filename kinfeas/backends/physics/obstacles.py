@@ -44,13 +44,13 @@ Cast = Callable[[Array, Array, float], Iterable[Obstacle]]
 """Returns what rays hit from places (c, 2) in a direction (2,) at a height, metres."""
 
 
-def obstacle_distances(
+def obstacles_around(
     planar: tuple[float, float, float],
     nearest: Iterable[Sequence[Obstacle]],
     shapes: Iterable[Shape],
     cast: Cast,
-) -> ObstacleDistances:
-    """Return the obstacles around one base as a batch of 1.
+) -> list[Obstacle]:
+    """Return the obstacles around one base.
 
     A side parallel to a wall has one nearest point, anywhere on it. If the base kept a distance of
     this point only, it could rotate about it into the wall.
@@ -62,7 +62,6 @@ def obstacle_distances(
         cast: Engine's rays.
     """
     x, y, heading = planar
-    to_base = turn(heading)
     found: list[Obstacle] = []
     for closest in nearest:
         if not closest:
@@ -71,26 +70,24 @@ def obstacle_distances(
         one = min(closest, key=lambda one: one.distance)
         corners = [shape.corners for shape in shapes if shape.low <= one.height <= shape.high]
         if corners:
-            places = np.concatenate(corners) @ to_base.T + [x, y]
+            places = np.concatenate(corners) @ turn(heading).T + [x, y]
             ahead = one.normal / np.linalg.norm(one.normal)
             near = (one.closest_point - places) @ ahead <= AS_NEAR
             found += cast(places[near], ahead, one.height)
-    points = np.array([one.closest_point for one in found]).reshape(1, -1, 2)
-    normals = np.array([one.normal for one in found]).reshape(1, -1, 2)
-    distance = np.array([[one.distance for one in found]])
-    return ObstacleDistances((points - [x, y]) @ to_base, normals @ to_base, distance)
+    return found
 
 
-def stack(found: Sequence[ObstacleDistances]) -> ObstacleDistances:
-    """Return the obstacles of n robots, each given as a batch of 1, as one batch."""
-    width = max(one.distance.shape[1] for one in found)
+def in_base(planar: Array, found: Sequence[Sequence[Obstacle]]) -> ObstacleDistances:
+    """Return the obstacles around n bases at x, y and yaw, shape (n, 3), in their frames."""
+    width = max(map(len, found))
     place, toward = np.zeros((2, len(found), width, 2))
     distance = np.full((len(found), width), np.inf)
-    for row, one in enumerate(found):
-        count = one.distance.shape[1]
-        place[row, :count], toward[row, :count] = one.closest_point[0], one.normal[0]
-        distance[row, :count] = one.distance[0]
-    return ObstacleDistances(place, toward, distance)
+    for row, obstacles in enumerate(found):
+        for k, one in enumerate(obstacles):
+            place[row, k] = one.closest_point - planar[row, :2]
+            toward[row, k], distance[row, k] = one.normal, one.distance
+    to_base = turn(planar[:, 2])
+    return ObstacleDistances(place @ to_base, toward @ to_base, distance)
 
 
 def closing_speeds(found: ObstacleDistances, planar: Array, solids: Solids) -> Array:
@@ -103,13 +100,11 @@ def closing_speeds(found: ObstacleDistances, planar: Array, solids: Solids) -> A
     """
     near = np.isfinite(found.distance)
     way = np.where(near, found.distance, 0.0)[..., np.newaxis] * found.normal
-    x, y, heading = planar.T
-    to_world = np.moveaxis(turn(heading), -1, 0)
-    points = (found.closest_point + way) @ to_world.swapaxes(1, 2)
-    points += np.stack([x, y], axis=1)[:, np.newaxis]
+    to_world = turn(planar[:, 2]).swapaxes(1, 2)
+    points = (found.closest_point + way) @ to_world + planar[:, np.newaxis, :2]
     gap = solids.gaps(np.concatenate([points, np.zeros_like(points[..., :1])], axis=2))[0]
     owner = gap.argmin(axis=2)
-    toward = found.normal @ to_world.swapaxes(1, 2)
+    toward = found.normal @ to_world
     velocity = np.take_along_axis(solids.velocity, owner[..., np.newaxis], axis=1)
     known = near & (gap.min(axis=2) < _AT_SIDE)
     return np.where(known, -(velocity * toward).sum(axis=2), 0.0)
@@ -120,7 +115,7 @@ def is_beside(normal: Sequence[float] | Array) -> bool:
     return bool(np.hypot(normal[0], normal[1]) >= _STEEP)
 
 
-def turn(heading: float) -> Array:
-    """Return the matrix (2, 2) of a rotation, radians."""
+def turn(heading: float | Array) -> Array:
+    """Return the matrix of a rotation in radians, shape () or (n,), shape (..., 2, 2)."""
     cosine, sine = np.cos(heading), np.sin(heading)
-    return np.array([[cosine, -sine], [sine, cosine]])
+    return np.stack([cosine, -sine, sine, cosine], axis=-1).reshape(*np.shape(heading), 2, 2)

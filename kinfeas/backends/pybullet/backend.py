@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.backends.physics.backend import Motion, PhysicsBackend
-from kinfeas.backends.physics.obstacles import stack
+from kinfeas.backends.physics.obstacles import Obstacle
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
 from kinfeas.backends.physics.visuals import ROBOT, LinkName
 from kinfeas.backends.pybullet.furniture import Furniture
 from kinfeas.backends.pybullet.simulation import Simulation
-from kinfeas.core.backend import Contacts, Grip, ObstacleDistances
+from kinfeas.core.backend import Contacts, Grip
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
@@ -146,8 +146,8 @@ class PyBulletBackend(PhysicsBackend):
         for row, pose, joints in zip(rows.tolist(), base_pose, joint_positions, strict=True):
             self.simulation(row).reset(pose, joints)
 
-    def _obstacle_distances(self, within: float) -> ObstacleDistances:
-        return stack([one.obstacle_distances(within) for one in self._sims[: len(self._positions)]])
+    def _obstacles(self, row: int, within: float) -> list[Obstacle]:
+        return self._sims[row].obstacles(within)
 
     def _place_solids(self, rows: NDArray[np.intp], solids: Solids) -> None:
         for row in rows.tolist():

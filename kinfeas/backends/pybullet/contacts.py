@@ -4,10 +4,10 @@ from collections.abc import Collection, Iterable
 
 import numpy as np
 
-from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacle_distances
+from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacles_around
 from kinfeas.backends.pybullet.robot_body import RobotBody
 from kinfeas.core import spatial
-from kinfeas.core.backend import Contacts, ObstacleDistances
+from kinfeas.core.backend import Contacts
 from kinfeas.core.spatial import Array
 
 _OUTSIDE = 1e-3  # m before a corner where its ray starts, so that it does not hit the robot
@@ -42,10 +42,10 @@ class Surroundings:
         self._shapes = _shapes(body)
         self._radius = max(np.linalg.norm(one.corners, axis=1).max() for one in self._shapes)
 
-    def obstacle_distances(
+    def around(
         self, bodies: Iterable[int], within: float, handled: Collection[tuple[int, int]] = ()
-    ) -> ObstacleDistances:
-        """Return the obstacles within a distance (m) as a batch of 1, except `handled` links."""
+    ) -> list[Obstacle]:
+        """Return the obstacles within a distance (m), except `handled` links."""
 
         def cast(places: Array, ahead: Array, height: float) -> list[Obstacle]:
             heights = np.full((len(places), 1), height)
@@ -64,7 +64,7 @@ class Surroundings:
 
         near = self._near(within)
         nearest = (self._closest(other, within, handled) for other in bodies if other in near)
-        return obstacle_distances(self._body.planar(), nearest, self._shapes, cast)
+        return obstacles_around(self._body.planar(), nearest, self._shapes, cast)
 
     def _near(self, within: float) -> frozenset[int]:
         """Return the bodies whose bounding boxes are within a distance of the base."""

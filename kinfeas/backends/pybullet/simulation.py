@@ -1,13 +1,14 @@
 """One robot in a PyBullet world: motors, gripper, furniture and contacts."""
 
 from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.obstacles import Obstacle
 from kinfeas.backends.pybullet.contacts import Surroundings, contacts
 from kinfeas.backends.pybullet.drives import ArmDrive, BaseDrive
 from kinfeas.backends.pybullet.furniture import Furniture, SolidBodies
 from kinfeas.backends.pybullet.gripper import Grasp, GripperDrive
 from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.backends.pybullet.robot_body import RobotBody
-from kinfeas.core.backend import Contacts, Grip, ObstacleDistances
+from kinfeas.core.backend import Contacts, Grip
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -125,12 +126,12 @@ class Simulation:
         with self.physics.connected():
             return self.body.measure()
 
-    def obstacle_distances(self, within: float) -> ObstacleDistances:
+    def obstacles(self, within: float) -> list[Obstacle]:
         """Return the obstacles nearer than `within` metres, except the grasped link."""
         furniture = self.furniture.bodies.values() if self.furniture else ()
         bodies = [*furniture, *self.solids.bodies.values()]
         with self.physics.connected():
-            return self._surroundings.obstacle_distances(bodies, within, self._spared())
+            return self._surroundings.around(bodies, within, self._spared())
 
     def contacts(self) -> Contacts:
         """Return the current contacts, except with the grasped link."""
