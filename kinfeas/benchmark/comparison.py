@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinfeas.core.metrics import Share
+from kinfeas.core.metrics import Proportion
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import EvalConfig, Summary, evaluate, reachability_of
 from kinfeas.evaluation.recording import record_episodes
@@ -27,7 +27,7 @@ class Comparison:
     run: Path
     policy: Summary
     baselines: dict[str, Summary]
-    ceiling: Share
+    ceiling: Proportion
 
 
 def compare(
@@ -68,7 +68,7 @@ def make_report(comparison: Comparison, commands: Sequence[str]) -> Report:
     known = paper_success(robot, task)
     for key, name in (("policy", "paper: learned policy"), ("follow_ee", "paper: follow_ee")):
         if key in known:
-            rows.append(Row(name, Share(known[key], known[key], known[key]), {}))
+            rows.append(Row(name, Proportion(known[key], known[key], known[key]), {}))
     best = max(success_of(one).value for one in comparison.baselines.values())
     return Report(
         title=f"A base policy for {robot} on {task}",
@@ -88,9 +88,9 @@ def make_report(comparison: Comparison, commands: Sequence[str]) -> Report:
     )
 
 
-def success_of(metrics: Summary) -> Share:
+def success_of(metrics: Summary) -> Proportion:
     """Return the share of episodes without a failure with its interval."""
-    return Share(metrics["success"], metrics["success_low"], metrics["success_high"])
+    return Proportion(metrics["success"], metrics["success_low"], metrics["success_high"])
 
 
 def _pictures(comparison: Comparison) -> list[Picture]:

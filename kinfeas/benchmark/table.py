@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from kinfeas.benchmark.evaluations import CEILING, Evaluation
-from kinfeas.core.metrics import Share, wilson
+from kinfeas.core.metrics import Proportion, wilson
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.jobs.job import Result
 from kinfeas.policies import pretrained
@@ -114,7 +114,7 @@ def tabulate(found: Sequence[tuple[Evaluation, Result]], *backends: str) -> list
     return sorted(cells, key=order)
 
 
-def interval(shares: Sequence[float], episodes: int) -> Share:
+def interval(shares: Sequence[float], episodes: int) -> Proportion:
     """Return the mean of the shares of several training seeds with a 95 % interval.
 
     On each side the wider one of two: Student's t over the seeds, and Wilson's for `episodes`,
@@ -127,10 +127,10 @@ def interval(shares: Sequence[float], episodes: int) -> Share:
         error = float(np.std(shares, ddof=1)) / np.sqrt(len(shares))
         half = float(stats.t.ppf(0.975, len(shares) - 1)) * error
         low, high = min(low, max(0.0, mean - half)), max(high, min(1.0, mean + half))
-    return Share(mean, low, high)
+    return Proportion(mean, low, high)
 
 
-def merged(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def pooled(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the means over the episodes of all parts; None where not measured."""
     episodes = sum(part["episodes"] for part in parts)
     means: dict[str, Any] = {"episodes": episodes}
@@ -149,7 +149,7 @@ def _cell(
     by_source: dict[str, list[Result]] = {}
     for one, result in group:
         by_source.setdefault(one.source, []).append(result)
-    seeds = [merged(results) for results in by_source.values()]
+    seeds = [pooled(results) for results in by_source.values()]
     episodes = seeds[0]["episodes"]
     means: dict[str, Any] = {key: _mean(seeds, key) for key in _MEANS}
     for key in ("success", "task_success"):

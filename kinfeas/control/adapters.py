@@ -33,7 +33,7 @@ def read_sim2real(name: str) -> Sim2Real:
     return config.load(Sim2Real, find_recipe(name, FOLDER))
 
 
-def wrap(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Backend:
+def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Backend:
     """Return a backend within adapters, the first one innermost."""
     for adapter in adapters:
         given = {**adapter.parameters, "backend": backend, "robot": robot}

@@ -80,7 +80,7 @@ def join(parts: Sequence[EpisodeRecords]) -> EpisodeRecords:
 
 
 @dataclass(frozen=True)
-class Share:
+class Proportion:
     """A share of episodes with its 95 % Wilson interval, all in 0-1."""
 
     value: float
@@ -88,7 +88,7 @@ class Share:
     high: float
 
 
-def wilson(hits: int, trials: int) -> Share:
+def wilson(hits: int, trials: int) -> Proportion:
     """Return the share `hits / trials` with its 95 % score interval; at least one trial.
 
     Source: Wilson, J. Am. Stat. Assoc. 22 (1927).
@@ -99,7 +99,7 @@ def wilson(hits: int, trials: int) -> Share:
     half = z * np.sqrt(share * (1.0 - share) / trials + weight / (4.0 * trials)) / (1.0 + weight)
     # Rounding must not put a share of 0 or 1 outside its interval.
     low, high = min(share, max(0.0, centre - half)), max(share, min(1.0, centre + half))
-    return Share(share, float(low), float(high))
+    return Proportion(share, float(low), float(high))
 
 
 class Metrics(TypedDict):

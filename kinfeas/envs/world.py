@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import section
-from kinfeas.control.adapters import chain, execution_of, wrap
+from kinfeas.control.adapters import chain, execution_of, with_adapters
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Step
@@ -140,7 +140,7 @@ class World:
         if isinstance(self.backend, SupportsTaskScenes):
             self.task = self.backend.stage(task)
         self._staged = isinstance(self.task, StagedTask)
-        wrapped = wrap(self.backend, config.adapters, robot)
+        wrapped = with_adapters(self.backend, config.adapters, robot)
         for link in chain(wrapped):
             if isinstance(link, NeedsAbility):
                 link.check_backend()

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from kinfeas.config import PluginSpec, from_mapping
-from kinfeas.control.adapters import execution_of, wrap
+from kinfeas.control.adapters import execution_of, with_adapters
 from kinfeas.core.backend import build_backend
-from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, summarize
+from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
 from kinfeas.core.policy import Policy
 from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes
 from kinfeas.envs.world import World, WorldConfig, evaluation_section, evaluation_world
@@ -85,7 +85,8 @@ def prepare(  # noqa: PLR0913 - the options of the command
     """
     model = load_robot(robot)
     settings = read_settings(model.name, backend, overrides)
-    wrap(build_backend("analytic", {}), settings.world.adapters, model)  # raises its errors early
+    # Raises its errors early.
+    with_adapters(build_backend("analytic", {}), settings.world.adapters, model)
     count = default_episodes(backend) if episodes is None else episodes
     config = EvalConfig(model, load_task(task, settings.task), count, seed, settings.world)
     return config, load_policy(policy, model)
@@ -110,7 +111,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     config: EvalConfig,
     policy: Policy,
     name: str = "",
-    ceiling: Share | None = None,
+    ceiling: Proportion | None = None,
     processes: int = 1,
     on_done: OnDone | None = None,
     watch: Watch | None = None,
@@ -122,7 +123,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     records = run(config, policy, processes, on_done, watch)
     world = config.world
     execution = execution_of(
-        wrap(build_backend("analytic", {}), world.adapters, config.robot), world
+        with_adapters(build_backend("analytic", {}), world.adapters, config.robot), world
     )
     return {
         "robot": config.robot.name,
@@ -157,7 +158,7 @@ def run(
 
 def reachability_of(
     config: EvalConfig, on_done: Callable[[float], None] | None = None
-) -> Share | None:
+) -> Proportion | None:
     """Return the share of an evaluation's goals that some base pose reaches; None for streams."""
     if isinstance(config.task, StreamTask):
         return None

@@ -10,7 +10,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import CYLINDER, SPHERE
 from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
-from kinfeas.kinematics.solids import in_base, is_empty, rows_of, squared_radius
+from kinfeas.kinematics.solids import in_base, is_empty, solid_arrays, squared_radius
 
 AS_NEAR = 0.1
 """Distance beyond that of the nearest point of a solid within which others are reported, metres."""
@@ -36,7 +36,7 @@ def base_obstacles(
     """
     n, used = len(base_pose), _PLACES
     local = in_base(solids, base_pose)
-    rows, velocity = rows_of(local, n), np.ascontiguousarray(local.velocity)
+    rows, velocity = solid_arrays(local, n), np.ascontiguousarray(local.velocity)
     while True:
         found = np.zeros((n, used, 6))
         found[:, :, 4] = np.inf

@@ -16,7 +16,7 @@ from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import Chain, build_chain, forward
 from kinfeas.kinematics.search import AIM, Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
-from kinfeas.kinematics.solids import rows_of
+from kinfeas.kinematics.solids import solid_arrays
 from kinfeas.robots.robot import Robot
 
 ROTATION_WEIGHT = 0.4
@@ -24,7 +24,7 @@ ROTATION_WEIGHT = 0.4
 
 POSE_DIMENSIONS = 6
 
-_NO_SOLIDS = rows_of(Solids.empty(1), 1)
+_NO_SOLIDS = solid_arrays(Solids.empty(1), 1)
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class IkSolver:
             within,
             allow_reconfiguration,
             guides,
-            _NO_SOLIDS if solids is None else rows_of(solids, len(targets)),
+            _NO_SOLIDS if solids is None else solid_arrays(solids, len(targets)),
             solution,
             feasible,
             errors,

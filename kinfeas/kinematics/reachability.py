@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, Share, wilson
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, Proportion, wilson
 from kinfeas.core.spatial import Array, planar_pose, relative, rotation
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
@@ -33,7 +33,7 @@ class Reachability:
     """
 
     reached: NDArray[np.bool_]
-    share: Share
+    share: Proportion
     convergence: tuple[float, ...]
 
 

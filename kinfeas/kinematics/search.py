@@ -102,7 +102,7 @@ def solve_batch(
 ):
     """Solve row by row; arguments as in `IkSolver.solve`, `max_joint_step` (0,) for none.
 
-    `solids` are `Rows`; those without places may have fewer rows, as `guide` without any.
+    `solids` are `SolidArrays`; those without places may have fewer rows, as `guide` without any.
 
     `solution`, shape (n, v), has the seeds and receives the solutions, `feasible` whether there is
     one, `errors`, shape (n, 2), its errors or those of the closest attempt, metres and radians.

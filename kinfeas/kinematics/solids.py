@@ -23,7 +23,7 @@ from kinfeas.kinematics.self_collision import (
     place_shapes,
 )
 
-Rows = tuple[Array, Array, NDArray[np.bool_]]
+SolidArrays = tuple[Array, Array, NDArray[np.bool_]]
 """Pose, size and cylinder of `Solids`, for kernels."""
 
 
@@ -49,7 +49,7 @@ def _turned(pose, velocity, base, heading, cosine, sine, pose_out, velocity_out)
         velocity_out[k, 0], velocity_out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
 
 
-def rows_of(solids: Solids, n: int) -> Rows:
+def solid_arrays(solids: Solids, n: int) -> SolidArrays:
     """Return the n rows of solids for kernels.
 
     Raises:
@@ -79,7 +79,7 @@ def collides(
     """
     flat, _ = flattened(model.variables, joint_positions)
     touching = np.empty((len(flat), 2), dtype=np.bool_)
-    _collides_batch(model, flat, *rows_of(in_base(solids, base_pose), len(flat)), touching)
+    _collides_batch(model, flat, *solid_arrays(in_base(solids, base_pose), len(flat)), touching)
     return touching
 
 
@@ -92,7 +92,7 @@ def distances(
     """
     flat, _ = flattened(model.variables, joint_positions)
     found = np.empty((len(flat), 2))
-    _distances_batch(model, flat, *rows_of(in_base(solids, base_pose), len(flat)), found)
+    _distances_batch(model, flat, *solid_arrays(in_base(solids, base_pose), len(flat)), found)
     return found
 
 
@@ -118,7 +118,7 @@ def scan(
     """
     angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
     ranges = np.full((len(base_pose), len(bands), beams), float(max_range))
-    rows = rows_of(in_base(solids, base_pose), len(base_pose))
+    rows = solid_arrays(in_base(solids, base_pose), len(base_pose))
     around = np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles)
     _scan_batch(*rows, *around, float(max_range), ranges)
     return ranges

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from kinfeas.core.metrics import Share
+from kinfeas.core.metrics import Proportion
 from kinfeas.evaluation.paper import paper_figures
 from kinfeas.io.files import write_file
 
@@ -38,7 +38,7 @@ class Row:
     """A policy in the table: success, other metrics by JSON name, and whether to highlight it."""
 
     name: str
-    success: Share
+    success: Proportion
     metrics: Mapping[str, Any]
     ours: bool = False
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.adapters import wrap
+from kinfeas.control.adapters import with_adapters
 from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core import spatial
 from kinfeas.core.backend import (
@@ -236,7 +236,7 @@ class Guarded(_Wrapper):
         """
         self.guards, clock = guards or Guards(), clock or Clock()
         self.commands = SafetyFilter(backend, robot, self.guards, clock, rate)
-        super().__init__(wrap(self.commands, adapters, robot))
+        super().__init__(with_adapters(self.commands, adapters, robot))
         self._robot_backend, self._rate = backend, rate
         self._name = f"backend {type(backend).__name__}"
         self._monitor = StateMonitor(backend, robot, self.guards, clock)

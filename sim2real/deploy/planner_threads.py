@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinfeas.control.base_path import BasePath
 from kinfeas.control.filters.path_planner import PathPlanner
-from kinfeas.control.filters.rollout import RolloutPlanner, State
+from kinfeas.control.filters.rollout import RolloutPlanner, Snapshot
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput
 from kinfeas.core.spatial import Array
@@ -66,7 +66,7 @@ class RolloutPlannerThread(PlannerThread, RolloutPlanner):
             self.offset, self._coming = self._coming.result(), None
         return super().__call__(command, policy_input)
 
-    def replan(self, now: State, due: Rows) -> None:
+    def replan(self, now: Snapshot, due: Rows) -> None:
         """Start the search for a new offset."""
         assert self._worker is not None
         if self._coming is None:

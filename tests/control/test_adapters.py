@@ -6,7 +6,7 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import recipes
-from kinfeas.control.adapters import chain, execution_of, read_sim2real, wrap
+from kinfeas.control.adapters import chain, execution_of, read_sim2real, with_adapters
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
@@ -19,7 +19,7 @@ def test_shipped_lists_suit_any_robot():
     assert recipes("sim2real") == sorted(f"sim2real/{name}" for name in LADDER)
     for name, robot in product(LADDER, ("pr2", "tiago", "hsr")):
         adapters = read_sim2real(name).adapters
-        links = list(chain(wrap(AnalyticBackend(), adapters, load_robot(robot))))
+        links = list(chain(with_adapters(AnalyticBackend(), adapters, load_robot(robot))))
         assert len(links) == 1 + len(adapters)
         assert isinstance(links[-1], AnalyticBackend)
 
@@ -27,7 +27,7 @@ def test_shipped_lists_suit_any_robot():
 def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2):
     names, innermost = ("time_scale", "time_scale", "base_noise", "head_start"), AnalyticBackend()
     jittered = PluginSpec("head_start", {"seconds": [0.5, 1.5]})
-    backend = wrap(innermost, [*(PluginSpec(name) for name in names), jittered], pr2)
+    backend = with_adapters(innermost, [*(PluginSpec(name) for name in names), jittered], pr2)
     kinds = [type(link).__name__ for link in chain(backend)]
     scales = ["TimeScale", "TimeScale", "AnalyticBackend"]
     assert kinds == ["HeadStart", "HeadStart", "BaseNoise", *scales]

@@ -9,7 +9,7 @@ import pytest
 
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.metrics import Share, join
+from kinfeas.core.metrics import Proportion, join
 from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
@@ -43,7 +43,7 @@ def test_the_default_world_is_exact_and_ends_no_episode_early():
 
 def test_summary(chosen, policy):
     ended = []
-    summary = evaluate(chosen, policy, "follow_ee", Share(0.9, 0.8, 0.95), 1, ended.append)
+    summary = evaluate(chosen, policy, "follow_ee", Proportion(0.9, 0.8, 0.95), 1, ended.append)
     assert json.loads(json.dumps(summary)) == summary
     assert (summary["robot"], summary["task"], summary["policy"]) == ("hsr", "ggr", "follow_ee")
     assert (summary["episodes"], summary["seed"], summary["ceiling"]) == (20, 3, 0.9)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.backends.physics.config import PhysicsConfig
-from kinfeas.backends.physics.obstacles import Obstacle, closing_speeds, in_base
+from kinfeas.backends.physics.obstacles import Obstacle, closing_speeds, obstacle_distances
 from kinfeas.backends.physics.robot import robot_state
 from kinfeas.backends.physics.stage import Stage, StageBackend, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
@@ -114,7 +114,8 @@ class PhysicsBackend(StageBackend):
         Closing speeds are known where solids move.
         """
         planar, present = self._positions[:, :3], self.solids.after()
-        found = in_base(planar, [self._obstacles(row, within) for row in range(len(planar))])
+        around = [self._obstacles(row, within) for row in range(len(planar))]
+        found = obstacle_distances(planar, around)
         if present is None or not self.solids.moving.any():
             return found
         return replace(found, closing_speed=closing_speeds(found, planar, present))

@@ -77,7 +77,7 @@ def obstacles_around(
     return found
 
 
-def in_base(planar: Array, found: Sequence[Sequence[Obstacle]]) -> ObstacleDistances:
+def obstacle_distances(planar: Array, found: Sequence[Sequence[Obstacle]]) -> ObstacleDistances:
     """Return the obstacles around n bases at x, y and yaw, shape (n, 3), in their frames."""
     width = max(map(len, found))
     place, toward = np.zeros((2, len(found), width, 2))

@@ -34,7 +34,7 @@ _FINISHED = 0.1
 _DISCOUNT = 0.99
 """Discount of the cost for each period of `HORIZON`."""
 
-State = dict[str, NDArray[np.generic]]
+Snapshot = dict[str, NDArray[np.generic]]
 """Result of `Loop.kinematic_state` for n rows."""
 
 
@@ -83,11 +83,11 @@ class RolloutPlanner:
             self.replan(self._now(), due)
         return np.clip(command + self.offset, -1.0, 1.0)
 
-    def replan(self, now: State, due: Rows) -> None:
+    def replan(self, now: Snapshot, due: Rows) -> None:
         """Find new offsets for the rows that are due."""
         self.offset[due] = self.plan(now, due)
 
-    def plan(self, now: State, due: Rows) -> Array:
+    def plan(self, now: Snapshot, due: Rows) -> Array:
         """Return the offsets of least cost for m rows, shape (m, a); the loop is not touched."""
         best = np.zeros((len(due), self._loop.command_size))
         costs, fails = self._rollout(now, due, best[:, np.newaxis], np.full(len(due), np.inf))
@@ -125,7 +125,7 @@ class RolloutPlanner:
         self._samples = ndtri(spread(self.num_samples, loop.command_size)) * self.noise_std
         self.offset = np.zeros((0, loop.command_size))
 
-    def _now(self) -> State:
+    def _now(self) -> Snapshot:
         """Return a copy of the state in control periods of `HORIZON`."""
         loop, state = self._loop, self._loop.kinematic_state()
         away = state["waiting"] * loop.dt / HORIZON
@@ -133,7 +133,7 @@ class RolloutPlanner:
         return {key: values.copy() for key, values in state.items()}
 
     def _rollout(
-        self, now: State, rows: Rows, offsets: Array, limit: Array
+        self, now: Snapshot, rows: Rows, offsets: Array, limit: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Return the cost of rollouts, and which fail in the first period, shapes (m, k).
 

@@ -7,7 +7,7 @@ from scipy.stats import kstest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
-from kinfeas.control.adapters import read_sim2real, wrap
+from kinfeas.control.adapters import read_sim2real, with_adapters
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import planar_pose
@@ -93,7 +93,7 @@ def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
 
 @pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 def test_new_episodes_leave_the_others_alone(adapters, pr2):
-    backend, alone = (wrap(AnalyticBackend(), adapters, pr2) for _ in "ab")
+    backend, alone = (with_adapters(AnalyticBackend(), adapters, pr2) for _ in "ab")
     on_reset(backend, pr2, [0, 1, 2])
     before = go(backend, pr2, [0, 1, 2], 9)
     state = flat(on_reset(backend, pr2, [8], env_ids=[1]))
@@ -110,7 +110,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
         )[:3]
         after.append(flat(backend.step(twist, targets, 0.05)))
     np.testing.assert_array_equal(np.stack(after)[:, 1], go(alone, pr2, [8], 9)[:, 0])
-    whole = wrap(AnalyticBackend(), adapters, pr2)
+    whole = with_adapters(AnalyticBackend(), adapters, pr2)
     on_reset(whole, pr2, [0])
     np.testing.assert_array_equal(np.stack(after)[:, 0], go(whole, pr2, [0], 18)[9:, 0])
 
@@ -118,7 +118,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
 @pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 def test_continues_from_a_snapshot_to_the_bit(adapters, pr2):
     twice = [*adapters, *adapters]
-    backend, other = (wrap(AnalyticBackend(), twice, pr2) for _ in "ab")
+    backend, other = (with_adapters(AnalyticBackend(), twice, pr2) for _ in "ab")
     on_reset(backend, pr2, [5, 6])
     last = go(backend, pr2, [5, 6], 7)[-1]
     saved = backend.snapshot()
@@ -155,7 +155,7 @@ def test_ranges_are_drawn_for_each_episode(rig):
 ])  # fmt: skip
 def test_invalid_parameters(pr2, name, key, value):
     with pytest.raises(KinfeasError, match=f"{name}.*{key}"):
-        wrap(AnalyticBackend(), [PluginSpec(name, {key: value})], pr2)
+        with_adapters(AnalyticBackend(), [PluginSpec(name, {key: value})], pr2)
 
 
 def test_an_additional_adapter_does_not_change_the_random_numbers_of_others(rig, drive):
