@@ -33,7 +33,7 @@ RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 FILTERS = {
     "pr2": ("pretrained", "feasibility filter"),
-    "tiago": ("pretrained", "rollout planner and feasibility filter"),
+    "tiago": ("pretrained", "path planner"),
     "hsr": ("sac", "rollout planner"),
 }
 """Policy and row of the best filters of each robot."""
@@ -50,7 +50,7 @@ LEARNED = {
     ("td3", ""): "TD3, 3 seeds",
     ("pretrained", ""): "pretrained",
     ("pretrained", "feasibility filter"): "pretrained, feasibility filter",
-    ("pretrained", "rollout planner and feasibility filter"): "pretrained, both filters",
+    ("pretrained", "path planner"): "pretrained, path planner",
 }
 """Rows of learned policies in docs/results.md."""
 PHYSICS = {
