@@ -27,6 +27,7 @@ class Observer:
 
     plan: Plan
     planned: Array
+    _goal: Array
 
     def __init__(
         self, sequence: MotionSequence, obstacles: Obstacles, dt: float, time_scale: float
@@ -40,11 +41,11 @@ class Observer:
         self._planned_base: Array | None = None
 
     def prepare(self) -> None:
-        """Ask the motions for their next step, once after each change."""
+        """Ask the motions for their next step and goals, once after each change."""
         sequence = self._sequence
         if self._revision == sequence.revision:
             return
-        self.plan = sequence.plan(self._motion_time)
+        self._goal, self.plan = sequence.goal, sequence.plan(self._motion_time)
         self._ahead = sequence.ahead(AHEAD) if "planned_ahead" in self.terms else None
         self._planned_base = sequence.planned_base if "planned_base" in self.terms else None
         self._revision = sequence.revision
@@ -58,7 +59,7 @@ class Observer:
         """
         self.prepare()
         sequence, preview = self._sequence, self.plan.preview
-        seen = Seen(base_pose, ee_in_base, preview, sequence.goal, joints)
+        seen = Seen(base_pose, ee_in_base, preview, self._goal, joints)
         seen.previous_command = previous_command
         if not SCAN_TERMS.isdisjoint(self.terms):
             seen.ranges = self._obstacles.scan()

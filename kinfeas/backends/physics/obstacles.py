@@ -50,7 +50,7 @@ def obstacles_around(
     shapes: Iterable[Shape],
     cast: Cast,
 ) -> list[Obstacle]:
-    """Return the obstacles around one base.
+    """Return the obstacles around one base, in the world frame.
 
     A side parallel to a wall has one nearest point, anywhere on it. If the base kept a distance of
     this point only, it could rotate about it into the wall.
@@ -78,7 +78,10 @@ def obstacles_around(
 
 
 def obstacle_distances(planar: Array, found: Sequence[Sequence[Obstacle]]) -> ObstacleDistances:
-    """Return the obstacles around n bases at x, y and yaw, shape (n, 3), in their frames."""
+    """Return the obstacles around n bases in their frames.
+
+    `planar` are x, y and yaw of the bases, shape (n, 3); the obstacles are in the world frame.
+    """
     width = max(map(len, found))
     place, toward = np.zeros((2, len(found), width, 2))
     distance = np.full((len(found), width), np.inf)
@@ -116,6 +119,6 @@ def is_beside(normal: Sequence[float] | Array) -> bool:
 
 
 def turn(heading: float | Array) -> Array:
-    """Return the matrix of a rotation in radians, shape () or (n,), shape (..., 2, 2)."""
+    """Return rotation matrices of angles in radians, shape (...) -> (..., 2, 2)."""
     cosine, sine = np.cos(heading), np.sin(heading)
     return np.stack([cosine, -sine, sine, cosine], axis=-1).reshape(*np.shape(heading), 2, 2)
