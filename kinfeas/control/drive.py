@@ -1,12 +1,9 @@
-"""Base drives: commands into base motion, and the arm that follows it by IK."""
+"""Base drives: commands into base motion."""
 
 import numpy as np
 
 from kinfeas.core.pose_kernels import TWIST, planar_twist
-from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, integrate, relative, yaw
-from kinfeas.kinematics.ik import IkSolution, IkSolver
-from kinfeas.kinematics.solids import in_base
+from kinfeas.core.spatial import Array, yaw
 from kinfeas.robots.robot import Base
 
 
@@ -93,57 +90,6 @@ def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> A
     along = forward * np.cos(turn * dt) + left * np.sin(turn * dt)
     action = np.stack([along / base.max_velocity, turn / base.max_rotation], axis=1)
     return np.clip(action, -1.0, 1.0)
-
-
-class KinematicStep:
-    """Effect of base commands in one control period: base twists, and arms by IK.
-
-    Attributes:
-        solver: IK of the robot.
-        dt: Control period in seconds.
-        max_joint_step: Longest way of each arm joint in a period, shape (j,), radians or metres.
-        hold_torso: Whether the torso stays where the joints have it.
-    """
-
-    hold_torso: bool = False
-
-    def __init__(self, solver: IkSolver, dt: float) -> None:
-        self.solver, self.dt = solver, dt
-        self.max_joint_step: Array = solver.robot.max_joint_velocity * dt
-
-    def __call__(  # noqa: PLR0913 - what IK needs
-        self,
-        action: Array,
-        base_pose: Array,
-        desired: Array,
-        joints: Array,
-        solids: Solids | None = None,
-        guide: Array | None = None,
-        *,
-        allow_reconfiguration: bool = True,
-    ) -> tuple[Array, IkSolution]:
-        """Return world twists of the bases, shape (n, 6), and IK solutions of the arms.
-
-        Args:
-            action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
-            base_pose: World pose of the base, shape (n, 7).
-            desired: World pose of the EE at the end of the period, shape (n, 7).
-            joints: Arm joints at which IK begins, shape (n, j), radians or metres.
-            solids: World solids at the end of the period, n rows, which the arms avoid.
-            guide: Arm joints that IK prefers, shape (n, j); NaN for none.
-            allow_reconfiguration: Whether IK also tries solutions out of reach in this period.
-        """
-        twist = base_twist(self.solver.robot.base, base_pose, action, self.dt)
-        reached = integrate(base_pose, twist, self.dt)
-        return twist, self.solver.solve(
-            relative(desired, reached),
-            joints,
-            self.max_joint_step,
-            allow_reconfiguration=allow_reconfiguration,
-            solids=None if solids is None else in_base(solids, reached),
-            hold_torso=self.hold_torso,
-            guide=guide,
-        )
 
 
 def _clip_speed(forward: Array, left: Array, base: Base) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import KinematicStep, command_size
+from kinfeas.control.drive import command_size
 from kinfeas.control.execution import (
     GRASP_METRES,
     RECONFIGURATION_SECONDS,
@@ -18,6 +18,7 @@ from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import ACTION, HORIZON, OBSERVATION, action_size, split_action
 from kinfeas.control.observer import Observer
 from kinfeas.control.obstacles import Obstacles
+from kinfeas.control.period import KinematicStep, Period
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
@@ -26,7 +27,6 @@ from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput, RecurrentPolicy
-from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
@@ -85,18 +85,11 @@ class Loop:
         target_stream: Targets that move; then no sub-goal ends. None for those of the start.
         joint_command: Last commanded arm joints, shape (n, j).
         periods: Control periods since the start of each row, shape (n,).
-        time_scale: Share of the planned motion that the last step carries out, shape (n,).
-        seed: During a step: arm joints at which IK begins, shape (n, j): the last command, with the
-            torso where the action moves it.
-        guide: During a step: arm joints that IK prefers, shape (n, j), where the motion knows them.
-        next_desired: During a step: desired world pose of the EE at its end, shape (n, 7).
-        paused: During a step: whether base and motion pause while the arm reconfigures, shape (n,);
-            None if they never do.
-        solids: Solids as they will stand at the end of the period, or None without any.
-        velocity_constraints: During a step: constraints that an obstacle filter has set, or None.
-        solved: During a step: a command with its base twist and IK solution that a filter has
-            computed, or None.
+        time_scale: Share of the planned motion that the last step carried out, shape (n,).
+        period: What a step is about to carry out, for the filters.
     """
+
+    period: Period
 
     def __init__(
         self,
@@ -127,12 +120,6 @@ class Loop:
         self._recurrent: RecurrentPolicy | None = None
         self.target_stream: TargetStream | None = None
         self.time_scale: Array = np.empty(0)
-        self._full_scale: Array = np.empty(0)
-        self.paused: NDArray[np.bool_] | None = None
-        self.next_desired: Array = np.empty((0, 7))
-        self.solids: Solids | None = None
-        self.velocity_constraints: Any = None
-        self.solved: tuple[Array, Array, IkSolution] | None = None
         self.action_terms = ACTION
         self.previous_command: Array = np.empty((0, self.command_size))
         self._motion_time = dt * execution.time_scale
@@ -144,8 +131,7 @@ class Loop:
         self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
         self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
-        self.joint_command = self.seed = np.empty((0, len(self.robot.arm)))
-        self.guide: Array | None = None
+        self.joint_command: Array = np.empty((0, len(self.robot.arm)))
 
     def set_policy(self, policy: Policy) -> None:
         """Use a policy: its terms, and its `reset` at each start if it has one."""
@@ -188,7 +174,7 @@ class Loop:
             self.periods[rows] = self._waited[rows] = 0
             self.previous_command = with_rows(self.previous_command, rows, np.array(0.0))
         self.joint_command = joints
-        self.time_scale = self._full_scale = np.ones(len(joints))
+        self.time_scale = np.ones(len(joints))
         if self.target_stream is not None:
             self.target_stream.start(self, rngs, fresh)
             self.sequence.aim(self.target_stream.targets(self))
@@ -208,18 +194,14 @@ class Loop:
             action: Action terms in [-1, 1], shape (n, a).
         """
         sequence, before = self.sequence, self.joint_command
-        self.paused = self._find_paused() if self._arm_settle_timeout else None
-        self.time_scale = self._full_scale
         command, time_scale, torso = split_action(action, self.action_terms)
-        if time_scale is None:
-            self.next_desired = sequence.next_desired(self._next, self.paused)
-        else:
+        self.period = period = self._begin_period(torso)
+        if time_scale is not None:
             self.slow_down(time_scale)
-        self.seed = self._with_torso(torso)
-        self.guide = sequence.planned_joints
         self.previous_command = command = self._filtered(command)
-        sequence.move(self._next, self.paused)
+        sequence.move(period.plan, period.paused)
         twist, arm = self._solve(command)
+        self.time_scale = period.time_scale
         self.joint_command = arm.joint_positions
         with plugin_note(self._backend_name):
             state = self.backend.step(twist, self.joint_command, self.dt)
@@ -242,7 +224,7 @@ class Loop:
             goal_angle=goal_angle,
             finished=arrived & sequence.last,
             joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
-            time_scale=self.time_scale,
+            time_scale=period.time_scale,
             collision=collision,
             base_error=self.observer.base_error(state.base_pose),
         )
@@ -271,9 +253,10 @@ class Loop:
 
     def slow_down(self, time_scale: Array) -> None:
         """Let this step carry out shares, shape (n,), of its planned motion; for filters."""
-        self.time_scale = time_scale
-        self._next = self.sequence.plan(self._motion_time * time_scale)
-        self.next_desired = self.sequence.next_desired(self._next, self.paused)
+        period, sequence = self.period, self.sequence
+        period.time_scale = time_scale
+        period.plan = sequence.plan(self._motion_time * time_scale)
+        period.desired = sequence.next_desired(period.plan, period.paused)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as arrays by name."""
@@ -307,7 +290,7 @@ class Loop:
         self.joint_command = snapshot["joint_command"].copy()
         self.previous_command = snapshot["previous_command"].copy()
         self.periods, self._waited = snapshot["periods"].copy(), snapshot["waited"].copy()
-        self.time_scale = self._full_scale = np.ones(len(self.joint_command))
+        self.time_scale = np.ones(len(self.joint_command))
         if self.target_stream is not None:
             self.time_scale = snapshot["time_scale"].copy()
             given = {k: v for k, v in snapshot.items() if k.startswith(_TARGETS)}
@@ -323,12 +306,6 @@ class Loop:
     def command_size(self) -> int:
         """Count of numbers that command the base."""
         return command_size(self.robot.base)
-
-    @property
-    def motion_seconds(self) -> Array:
-        """Motion time of the step, seconds, shape (n,)."""
-        seconds = self._next.seconds
-        return seconds if self.paused is None else np.where(self.paused, 0.0, seconds)
 
     @property
     def desired(self) -> Array:
@@ -387,39 +364,48 @@ class Loop:
             return state.ee_in_base
         return forward(self.solver.chain, state.joint_positions)
 
+    def _begin_period(self, torso: Array | None) -> Period:
+        """Return the next period before any filter; torso velocities are shares, (n,)."""
+        plan = self.observer.plan
+        paused = self._find_paused() if self._arm_settle_timeout else None
+        return Period(
+            base_pose=self.state.base_pose,
+            joints=self._with_torso(torso, paused),
+            desired=self.sequence.next_desired(plan, paused),
+            solids=self.obstacles.after(self.dt),
+            guide=self.sequence.planned_joints,
+            plan=plan,
+            time_scale=np.ones(len(self.joint_command)),
+            paused=paused,
+        )
+
     def _filtered(self, command: Array) -> Array:
         """Return the commands after all filters, shape (n, a); those of paused rows are zero."""
-        self.velocity_constraints = self.solved = None
-        command = self._unless_paused(command)
+        command = self.period.unless_paused(command)
         if self.filters:
             policy_input = self.policy_input
             for one in self.filters:
-                command = self._unless_paused(one(command, policy_input))
+                command = self.period.unless_paused(one(command, policy_input))
         return command
 
-    def _unless_paused(self, command: Array) -> Array:
-        if self.paused is None:
-            return command
-        return np.where(self.paused[:, np.newaxis], 0.0, command)
-
-    def _with_torso(self, velocity: Array | None) -> Array:
+    def _with_torso(self, velocity: Array | None, paused: NDArray[np.bool_] | None) -> Array:
         """Return the joints at which IK begins, (n, j); torso velocities are shares, (n,)."""
         step, joints = self.kinematic_step, self.joint_command
         torso, step.hold_torso = self.robot.torso, velocity is not None
         if velocity is not None and torso is not None:
             lower, upper = self.robot.joint_limits
             joints, way = joints.copy(), velocity * step.max_joint_step[torso]
-            if self.paused is not None:
-                way = np.where(self.paused, 0.0, way)
+            if paused is not None:
+                way = np.where(paused, 0.0, way)
             joints[:, torso] = np.clip(joints[:, torso] + way, lower[torso], upper[torso])
         return joints
 
     def _solve(self, command: Array) -> tuple[Array, IkSolution]:
         """Return base twists, shape (n, 6), and arm joints that reach the desired poses."""
-        if self.solved is not None and np.array_equal(self.solved[0], command):
-            return self.solved[1:]
-        inputs = self.state.base_pose, self.desired, self.seed, self.solids, self.guide
-        return self.kinematic_step(command, *inputs)
+        solved = self.period.solved
+        if solved is not None and np.array_equal(solved[0], command):
+            return solved[1:]
+        return self.kinematic_step(command, self.period)
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
         """Command the grippers of rows whose sub-goals have just ended."""
@@ -433,11 +419,9 @@ class Loop:
     def _observe(self) -> None:
         """Observe the robots and what comes next."""
         state = self.state
-        self.solids = self.obstacles.after(self.dt)
         self.observation = self.observer.observe(
             state.base_pose, self._ee_in_base, state.joint_positions, self.previous_command
         )
-        self._next = self.observer.plan
 
     def _find_paused(self) -> NDArray[np.bool_]:
         """Return which rows pause in this period, shape (n,), since their arms reconfigure.

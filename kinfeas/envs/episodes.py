@@ -216,7 +216,7 @@ class _Tally:
 
     def records(self) -> EpisodeRecords:
         loop, backend = self.world.loop, self.world.backend
-        contacts = isinstance(backend, SupportsContacts) or loop.solids is not None
+        contacts = isinstance(backend, SupportsContacts) or loop.obstacles.after(0.0) is not None
         stream = loop.target_stream is not None
         steps = np.maximum(self.steps, 1)
         return EpisodeRecords(

@@ -92,7 +92,7 @@ class PathPlannerThread(PlannerThread, PathPlanner):
             self.put(0, self._coming.result())
             self._coming = None
             return super().__call__(command, policy_input)
-        self._loop.slow_down(np.zeros_like(self._loop.time_scale))
+        self._loop.slow_down(np.zeros(1))
         return np.zeros_like(command)
 
     def search(self, row: int, ee: Array) -> BasePath | None:

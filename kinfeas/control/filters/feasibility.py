@@ -9,7 +9,6 @@ from kinfeas.config.quantities import NotNegative
 from kinfeas.control.loop import Loop
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
-from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.ik import IkSolution, spread
 from kinfeas.kinematics.solids import collides
@@ -46,15 +45,15 @@ class FeasibilityFilter:
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands where there are any; arguments as in `CommandFilter`."""
-        loop = self._loop
+        period = self._loop.period
         twist, arm, good = self._follow(command, np.arange(len(command)))
         late = np.flatnonzero(~good)
         if late.size:
             command = command.copy()
-            self._replace(command, late if loop.paused is None else late[~loop.paused[late]])
-            twist[late], found = loop.kinematic_step(command[late], *self._inputs(late))
+            self._replace(command, late if period.paused is None else late[~period.paused[late]])
+            twist[late], found = self._loop.kinematic_step(command[late], period.of(late))
             arm.put(late, found)
-        loop.solved = command, twist, arm
+        period.solved = command, twist, arm
         return command
 
     def _replace(self, command: Array, rows: Rows) -> Rows:
@@ -62,7 +61,7 @@ class FeasibilityFilter:
 
         Rows without a feasible candidate are returned.
         """
-        constraints = self._loop.velocity_constraints
+        constraints = self._loop.period.velocity_constraints
         away = np.linalg.norm(self.candidates - command[rows, np.newaxis], axis=2)
         order = away.argsort(axis=1, kind="stable")
         for first, last in _ROUNDS:
@@ -82,22 +81,15 @@ class FeasibilityFilter:
         m, k, size = tries.shape
         return self._follow(tries.reshape(m * k, size), rows.repeat(k))[2].reshape(m, k)
 
-    def _inputs(self, rows: Rows) -> tuple[Array, Array, Array, Solids | None, Array | None]:
-        """Return the arguments of `KinematicStep` after the command."""
-        loop = self._loop
-        solids = None if loop.solids is None else loop.solids.of(rows)
-        guide = None if loop.guide is None else loop.guide[rows]
-        return loop.state.base_pose[rows], loop.next_desired[rows], loop.seed[rows], solids, guide
-
     def _follow(self, command: Array, rows: Rows) -> tuple[Array, IkSolution, NDArray[np.bool_]]:
         """Return twists, arms and feasibility, shape (m,), of one command for each of m rows."""
-        step, dt = self._loop.kinematic_step, self._loop.dt
-        base_pose, _, joints, solids, _ = inputs = self._inputs(rows)
-        twist, arm = step(command, *inputs, allow_reconfiguration=False)
-        good = self._in_time(joints, arm)
-        if solids is not None:
-            reached = integrate(base_pose, twist, dt)
-            good &= ~collides(step.solver.collision, joints, reached, solids)[:, 0]
+        step, inputs = self._loop.kinematic_step, self._loop.period.of(rows)
+        twist, arm = step(command, inputs, allow_reconfiguration=False)
+        good = self._in_time(inputs.joints, arm)
+        if inputs.solids is not None:
+            reached = integrate(inputs.base_pose, twist, step.dt)
+            touches = collides(step.solver.collision, inputs.joints, reached, inputs.solids)
+            good &= ~touches[:, 0]
         return twist, arm, good
 
     def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:

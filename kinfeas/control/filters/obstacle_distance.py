@@ -103,7 +103,7 @@ class ObstacleFilter:
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return commands that keep the distance; arguments as in `CommandFilter`."""
         constraints = self.constraints(len(command))
-        self._loop.velocity_constraints = constraints
+        self._loop.period.velocity_constraints = constraints
         return constraints.hold(command[:, np.newaxis])[:, 0]
 
     def constraints(self, n: int) -> VelocityConstraints:

@@ -60,14 +60,15 @@ class PathPlanner:
         rows = np.array(list(self._paths), dtype=np.intp)
         if not rows.size:
             return command
-        scale = loop.time_scale.copy()
+        period = loop.period
+        scale = period.time_scale.copy()
         scale[rows] *= [one.time_scale_at(elapsed[i]) for i, one in self._paths.items()]
-        if (scale != loop.time_scale).any():
+        if (scale != period.time_scale).any():
             loop.slow_down(scale)
-        now, then = self._robots(rows, 0.0), self._robots(rows, loop.motion_seconds[rows])
-        guide = np.full_like(loop.seed, np.nan) if loop.guide is None else loop.guide
-        loop.guide = with_rows(guide, rows, then[:, 3:])
-        base_pose = loop.state.base_pose[rows]
+        now, then = self._robots(rows, 0.0), self._robots(rows, period.motion_seconds[rows])
+        guide = np.full_like(period.joints, np.nan) if period.guide is None else period.guide
+        period.guide = with_rows(guide, rows, then[:, 3:])
+        base_pose = period.base_pose[rows]
         along = follow(loop.robot.base, base_pose, now[:, :3], then[:, :3], loop.dt)
         return with_rows(command, rows, along)
 
@@ -90,7 +91,7 @@ class PathPlanner:
 
     def search(self, row: int, ee: Array) -> BasePath | None:
         """Return a path of one row along an EE motion, shape (k, 7), if one is found."""
-        loop = self._loop
+        loop, solids = self._loop, self._loop.period.solids
         assert self._planner is not None
         return self._planner.plan(
             loop.state.base_pose[row],
@@ -98,7 +99,7 @@ class PathPlanner:
             ee,
             begin=loop.sequence.elapsed[row],
             time_scale=loop.execution.time_scale,
-            solids=None if loop.solids is None else loop.solids.of(np.array([row])),
+            solids=None if solids is None else solids.of(np.array([row])),
         )
 
     def _due(self) -> Rows:

@@ -30,13 +30,13 @@ class TimeScalingFilter(FeasibilityFilter):
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands; arguments as in `CommandFilter`."""
-        loop, command = self._loop, command.copy()
+        loop, period, command = self._loop, self._loop.period, command.copy()
         twist, arm, good = self._follow(command, np.arange(len(command)))
         late = np.flatnonzero(~good)
-        if loop.paused is not None:
-            late = late[~loop.paused[late]]
+        if period.paused is not None:
+            late = late[~period.paused[late]]
         if late.size:
-            planned = loop.time_scale
+            planned = period.time_scale
             scale, left = planned.copy(), self._replace(command, late)
             for share in _SHARES:
                 if not left.size:
@@ -46,10 +46,9 @@ class TimeScalingFilter(FeasibilityFilter):
                 slow = left[~self._feasible(command[left, np.newaxis], left)[:, 0]]
                 left = self._replace(command, slow)
             command[left] = 0.0
-            inputs = self._inputs(late)
             twist[late], found = loop.kinematic_step(
-                command[late], *inputs, allow_reconfiguration=False
+                command[late], period.of(late), allow_reconfiguration=False
             )
             arm.put(late, found)
-        loop.solved = command, twist, arm
+        period.solved = command, twist, arm
         return command

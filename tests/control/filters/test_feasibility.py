@@ -4,10 +4,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kinfeas.control.drive import KinematicStep, base_twist, command_size
+from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
+from kinfeas.control.motion_sequence import Plan
+from kinfeas.control.period import KinematicStep, Period
 from kinfeas.core import spatial
-from kinfeas.core.backend import RobotState
 from kinfeas.core.solids import Solids
 from kinfeas.evaluation.evaluate import evaluate, prepare
 from kinfeas.kinematics.forward import forward
@@ -33,19 +34,20 @@ def loop(solver, request):
     lower, upper = robot.finite_joint_limits
     joints = rng.uniform(lower, upper, (ROWS, len(robot.arm)))
     base_pose = spatial.planar_pose(*rng.uniform(-3.0, 3.0, (3, ROWS)))
+    desired = spatial.compose(base_pose, forward(solver.chain, joints))
     return SimpleNamespace(
         robot=robot,
         dt=DT,
         command_size=command_size(robot.base),
         kinematic_step=KinematicStep(solver, DT),
-        state=RobotState(base_pose, joints),
-        seed=joints,
-        guide=None,
-        solids=draw_solids(ROWS, request.param, reach=4.0) if request.param else None,
-        next_desired=spatial.compose(base_pose, forward(solver.chain, joints)),
-        paused=None,
-        velocity_constraints=None,
-        solved=None,
+        period=Period(
+            base_pose=base_pose,
+            joints=joints,
+            desired=desired,
+            solids=draw_solids(ROWS, request.param, reach=4.0) if request.param else None,
+            plan=Plan(desired, desired, [], np.full(ROWS, DT)),
+            time_scale=np.ones(ROWS),
+        ),
     )
 
 
@@ -64,11 +66,12 @@ def feasible(loop, command, rows):
     """Return whether IK without restarts finds an arm in time, and the base is free, shape (m,)."""
     solver = loop.kinematic_step.solver
     local = IkSolver(solver.robot, replace(solver.options, restarts=0))
-    base, joints = loop.state.base_pose[rows], loop.seed[rows]
+    given = loop.period.of(rows)
+    base, joints = given.base_pose, given.joints
     twist = base_twist(solver.robot.base, base, command, DT)
     reached = spatial.integrate(base, twist, DT)
-    target = spatial.relative(loop.next_desired[rows], reached)
-    solids = (loop.solids or Solids.empty(ROWS)).of(rows)
+    target = spatial.relative(given.desired, reached)
+    solids = given.solids or Solids.empty(len(rows))
     limit = solver.robot.max_joint_velocity * DT
     arm = local.solve(target, joints, limit, solids=in_base(solids, reached))
     jumps = exceeds_joint_velocity(solver.robot, joints, arm.joint_positions, DT)
@@ -94,10 +97,10 @@ def test_feasible_commands_stay_and_others_become_the_nearest_candidate(loop, co
 
 def test_paused_rows_stay_and_change_no_other(loop, command):
     together, _ = filtered(loop, command)
-    loop.paused = np.arange(ROWS) % 2 == 0
+    loop.period.paused = np.arange(ROWS) % 2 == 0
     found, _ = filtered(loop, command)
-    np.testing.assert_array_equal(found[loop.paused], command[loop.paused])
-    np.testing.assert_array_equal(found[~loop.paused], together[~loop.paused])
+    np.testing.assert_array_equal(found[loop.period.paused], command[loop.period.paused])
+    np.testing.assert_array_equal(found[~loop.period.paused], together[~loop.period.paused])
 
 
 def mean_deviation_of_hsr(most):
