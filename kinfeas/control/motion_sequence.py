@@ -2,20 +2,21 @@
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.control.ee_motions import EeMotions, Motions
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.whole_body_motion import Motions, WholeBodyMotions
+from kinfeas.control.whole_body_motion import WholeBodyMotions
 from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.metrics import GOAL_RADIANS
-from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
+from kinfeas.core.motion import Rows, State, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
@@ -40,7 +41,7 @@ class Plan:
     seconds: Array
 
 
-_STATES, _PATHS = "motion", "waypoints"
+_PATHS = "waypoints"
 _ROWS = "desired", "subgoal", "waiting", "seeds", "targets", "elapsed"
 
 _LONGEST = 300.0
@@ -77,7 +78,7 @@ class MotionSequence:
         execution = execution or ExecutionConfig()
         distinct = {id(one.generator): CheckedMotion(one.generator, one.name) for one in subgoals}
         order = list(distinct)
-        self.subgoals, self.generators = tuple(subgoals), list(distinct.values())
+        self.subgoals, self._motions = tuple(subgoals), EeMotions(list(distinct.values()))
         self._which = np.array([order.index(id(one.generator)) for one in subgoals])
         self._dt, self._head_start = dt, execution.head_start
         self._head_start_jitter = execution.head_start_jitter
@@ -89,16 +90,15 @@ class MotionSequence:
         tips = np.array([one.frame == "tip" for one in subgoals])
         self._tips, self._tool = bool(tips.any()), np.where(tips[:, np.newaxis], tool, nothing)
         self._ee_in_tool = spatial.relative(nothing, self._tool)
-        self._demonstrated = any(one.demonstrated for one in self.generators)
-        self.avoids_solids = any(one.avoids_solids for one in self.generators)
+        self._demonstrated = any(one.demonstrated for one in distinct.values())
+        self.avoids_solids = any(one.avoids_solids for one in distinct.values())
         self._solids: Solids | None = None
-        self.whole_body = WholeBodyMotions(solver, dt, execution.time_scale, self.generators)
+        self.whole_body = WholeBodyMotions(solver, dt, execution.time_scale, distinct.values())
         self.desired: Array = np.empty((0, 7))
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
         self._targets: Array = np.empty((0, len(subgoals), 7))
         self.elapsed: Array = np.empty(0)
-        self._states: list[State] = []
         self.revision = 0
         # Until something changes:
         self._goal: Array | None = None
@@ -125,7 +125,7 @@ class MotionSequence:
         fresh = (ee_pose, none, waiting, seeds, target_poses, np.zeros(len(rngs)))
         if rows is None:
             self._put(fresh)
-            self._states = [{} for _ in self.generators]
+            self._motions.clear(self._which[none])
             self.whole_body.start(len(rngs))
             self._solids, rows = None, np.arange(len(rngs))
         else:
@@ -137,8 +137,10 @@ class MotionSequence:
     def goal(self) -> Array:
         """World pose of the EE at the end of each row's sub-goal, shape (n, 7)."""
         if self._goal is None:
-            asked = self._ask(CheckedMotion.goal_pose)
-            self._goal = self._to_ee(asked)
+            targets = self._target
+            self._goal = self._to_ee(
+                self._motions.ask(lambda one: one.generator.goal_pose(one.state, targets[one.rows]))
+            )
         return self._goal
 
     @property
@@ -158,7 +160,8 @@ class MotionSequence:
         """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
         if not self._demonstrated:
             return np.full((len(self.subgoal), 7), np.nan)
-        return self._ask(CheckedMotion.base_pose)
+        targets = self._target
+        return self._motions.ask(lambda one: one.generator.base_pose(one.state, targets[one.rows]))
 
     @property
     def planned_base(self) -> Array:
@@ -206,10 +209,12 @@ class MotionSequence:
         move straight.
         """
         frame, targets = self._to_frame(self.desired), self._target
-        poses = np.empty((len(frame), len(distances), 7))
-        for number, generator, rows in self._groups(np.ones(len(frame), dtype=np.bool_)):
-            state = of_rows(self._states[number], rows)
-            poses[rows] = generator.ahead(state, frame[rows], targets[rows], distances)
+
+        def answer(one: Motions) -> Array:
+            rows = one.rows
+            return one.generator.ahead(one.state, frame[rows], targets[rows], distances)
+
+        poses = self._motions.ask(answer)
         if not self._tips:
             return poses
         return spatial.compose(poses, self._ee_in_tool[self.subgoal][:, np.newaxis])
@@ -220,12 +225,13 @@ class MotionSequence:
         There is one array for each of the rows; nothing moves.
         """
         twin = copy.copy(self)  # arrays are replaced, never written into
+        twin._motions = copy.copy(self._motions)
         twin.waiting = np.zeros_like(self.waiting)
         steps = np.zeros(len(rows), dtype=np.intp)
         poses, goal = [self.desired[rows]], self.goal[rows]
         while not steps.all() and len(poses) * HORIZON < _LONGEST:
             plan = twin.plan(HORIZON)
-            twin.desired, twin._states = plan.desired, plan.states
+            twin.desired, twin._motions.states = plan.desired, plan.states
             poses.append(plan.desired[rows])
             metres, radians = spatial.distance(poses[-1], goal)
             there = (metres <= GRASP_METRES) & (radians <= GOAL_RADIANS)
@@ -247,16 +253,8 @@ class MotionSequence:
         frame, targets = self._to_frame(self.desired), self._target
         seconds = np.full(len(frame), dt)
         resting = self.resting | (seconds == 0.0)
-        if len(self.generators) == 1 and not resting.any():
-            twist, state = self.generators[0].twist(self._states[0], frame, targets, seconds)
-            states = [state]
-        else:
-            twist, states = np.zeros((len(frame), 6)), list(self._states)
-            for number, generator, rows in self._groups(~resting):
-                state = of_rows(states[number], rows)
-                given = state, frame[rows], targets[rows], seconds[rows]
-                twist[rows], after = generator.twist(*given)
-                states[number] = merged(states[number], rows, after, len(frame))
+        seconds[resting] = 0.0
+        twist, states = self._motions.twist(frame, targets, seconds)
         desired = preview = self._to_ee(spatial.integrate(frame, twist, dt))
         if isinstance(dt, np.ndarray) or dt != HORIZON:
             preview = self._to_ee(spatial.integrate(frame, twist, HORIZON))
@@ -264,7 +262,7 @@ class MotionSequence:
             desired, preview = (
                 np.where(resting[:, np.newaxis], self.desired, pose) for pose in (desired, preview)
             )
-        return Plan(desired, preview, states, np.where(resting, 0.0, seconds))
+        return Plan(desired, preview, states, seconds)
 
     def next_desired(self, plan: Plan, paused: NDArray[np.bool_] | None = None) -> Array:
         """Return the desired poses after `plan`, but for the rows that are paused, shape (n, 7)."""
@@ -274,18 +272,10 @@ class MotionSequence:
 
     def move(self, plan: Plan, paused: NDArray[np.bool_] | None = None) -> None:
         """Carry out a plan, but for the rows that are `paused`, shape (n,)."""
-        states = plan.states
-        if paused is not None and paused.any():
-            rows = np.flatnonzero(paused)
-            pairs = zip(states, self._states, strict=True)
-            states = [
-                {key: with_rows(new, rows, old[key][rows]) for key, new in state.items()}
-                for state, old in pairs
-            ]
+        self._motions.move(plan.states, paused)
         self.desired = self.next_desired(plan, paused)
         passed = plan.seconds if paused is None else np.where(paused, 0.0, plan.seconds)
         self.elapsed = self.elapsed + passed
-        self._states = states
         self._changed()
 
     def advance(
@@ -320,26 +310,16 @@ class MotionSequence:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as arrays by name."""
-        states = {
-            f"{_STATES}.{number}.{key}": values
-            for number, state in enumerate(self._states)
-            for key, values in state.items()
-        }
-        paths = {_PATHS: self.whole_body.waypoints}
-        return dict(zip(_ROWS, self._arrays(), strict=True)) | paths | states
+        own = dict(zip(_ROWS, self._arrays(), strict=True))
+        return own | {_PATHS: self.whole_body.waypoints} | self._motions.snapshot()
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
-        self._states = [{} for _ in self.generators]
+        self._motions.restore(snapshot, self._which[self.subgoal])
         self._changed()
         self._solids = self.whole_body.robots = None
         self.whole_body.waypoints = snapshot[_PATHS].copy()
-        for name, values in snapshot.items():
-            kind, _, rest = name.partition(".")
-            if kind == _STATES:
-                number, _, key = rest.partition(".")
-                self._states[int(number)][key] = values.copy()
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
         own = self.desired, self.subgoal, self.waiting, self._seeds, self._targets
@@ -357,36 +337,29 @@ class MotionSequence:
 
     def _begin(self, rows: Rows) -> None:
         """Start the motion of the sub-goal that each of `rows` is at, from its desired pose."""
-        begins = np.zeros(len(self.subgoal), dtype=np.bool_)
-        begins[rows] = True
         self.whole_body.drop(rows)
         self.elapsed = with_rows(self.elapsed, rows, np.array(0.0))
-        frame, targets = self._to_frame(self.desired), self._target
-        for number, generator, group in self._groups(begins):
-            subgoals = self.subgoal[group]
-            keys = zip(self._seeds[group].tolist(), subgoals.tolist(), strict=True)
+        motions, frame, targets = self._motions, self._to_frame(self.desired), self._target
+        motions.which = self._which[self.subgoal]
+        for one in motions.of(rows):
+            keys = zip(self._seeds[one.rows].tolist(), self.subgoal[one.rows].tolist(), strict=True)
             rngs = [np.random.default_rng(key) for key in keys]
-            state = generator.start(frame[group], targets[group], rngs)
-            self._states[number] = merged(self._states[number], group, state, len(frame))
+            motions.put(one, one.generator.start(frame[one.rows], targets[one.rows], rngs))
         self._changed()
 
     def _replan(self, rows: Rows) -> None:
         """Let the motions of `rows` avoid the solids, if there are any."""
         if self._solids is None or not self.avoids_solids or not rows.size:
             return
-        chosen = np.zeros(len(self.subgoal), dtype=np.bool_)
-        chosen[rows] = True
         frame, targets = self._to_frame(self.desired), self._target
-        for number, generator, group in self._groups(chosen):
-            if generator.avoids_solids:
-                state = of_rows(self._states[number], group)
-                poses, solids = (frame[group], targets[group]), self._solids.of(group)
-                if generator.follows_whole_body:
-                    motions = Motions(generator, group, state)
-                    ends = self.goal[group], self._tool[self.subgoal[group]]
-                    state = self.whole_body.follow(motions, poses, ends, solids)
-                state = generator.replan(state, *poses, solids)
-                self._states[number] = merged(self._states[number], group, state, len(frame))
+        for one in self._motions.of(rows):
+            if one.generator.avoids_solids:
+                state, poses = one.state, (frame[one.rows], targets[one.rows])
+                solids = self._solids.of(one.rows)
+                if one.generator.follows_whole_body:
+                    ends = self.goal[one.rows], self._tool[self.subgoal[one.rows]]
+                    state = self.whole_body.follow(one, poses, ends, solids)
+                self._motions.put(one, one.generator.replan(state, *poses, solids))
         self._changed()
 
     @property
@@ -404,30 +377,9 @@ class MotionSequence:
     @property
     def _planned(self) -> tuple[Array, Array | None]:
         if self._robot_soon is None:
-            groups = self._groups(np.ones(len(self.subgoal), dtype=np.bool_))
-            motions = [
-                Motions(generator, rows, of_rows(self._states[number], rows))
-                for number, generator, rows in groups
-                if generator.follows_whole_body
-            ]
+            motions = [one for one in self._motions.of() if one.generator.follows_whole_body]
             self._robot_soon = self.whole_body.soon(motions)
         return self._robot_soon
-
-    def _ask(self, question: Callable[[CheckedMotion, State, Array], Array]) -> Array:
-        """Return the answer of each row's generator, shape (n, 7)."""
-        targets = self._target
-        if len(self.generators) == 1:
-            return question(self.generators[0], self._states[0], targets)
-        answers = np.empty((len(self.subgoal), 7))
-        for number, generator, rows in self._groups(np.ones(len(self.subgoal), dtype=np.bool_)):
-            answers[rows] = question(generator, of_rows(self._states[number], rows), targets[rows])
-        return answers
-
-    def _groups(self, chosen: NDArray[np.bool_]) -> list[tuple[int, CheckedMotion, Rows]]:
-        """Return each generator with its number and those of the `chosen` rows it moves now."""
-        which = np.where(chosen, self._which[self.subgoal], -1)
-        groups = [(i, one, np.flatnonzero(which == i)) for i, one in enumerate(self.generators)]
-        return [group for group in groups if group[2].size]
 
     def _to_frame(self, ee_pose: Array) -> Array:
         """Return the pose of the frame that each row's sub-goal moves, shape (n, 7)."""

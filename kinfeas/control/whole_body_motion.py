@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
+from kinfeas.control.ee_motions import Motions
 from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.motion import WAYPOINTS, Rows, State, WholeBodyPath, merged, of_rows, with_rows
@@ -16,20 +16,6 @@ from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
 
 LEAD = 1.0
 """Seconds by which the planned base that policies see is ahead of the EE."""
-
-
-class Motions(NamedTuple):
-    """The motions of r rows, which one generator moves along whole-body paths.
-
-    Attributes:
-        generator: Of these motions.
-        rows: Which of the n motions they are, shape (r,).
-        state: State of the generator for them.
-    """
-
-    generator: CheckedMotion
-    rows: Rows
-    state: State
 
 
 class WholeBodyMotions:
@@ -93,7 +79,7 @@ class WholeBodyMotions:
                 shapes (r, 7).
             solids: Solids around each of the r rows.
         """
-        generator, rows, state = motions
+        _, generator, rows, state = motions
         paths = self._paths(motions, ends, solids)
         if not paths:
             return state

@@ -1,0 +1,117 @@
+"""Motions of n EEs, each made by the generator of its sub-goal."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.checks import CheckedMotion
+from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
+from kinfeas.core.spatial import Array
+
+_STATES = "motion."
+
+
+class Motions(NamedTuple):
+    """The motions of r rows, which one generator makes.
+
+    Attributes:
+        number: Of the generator.
+        generator: Of these motions.
+        rows: Which of the n motions they are, shape (r,).
+        state: State of the generator for them.
+    """
+
+    number: int
+    generator: CheckedMotion
+    rows: Rows
+    state: State
+
+
+class EeMotions:
+    """n motions, each made by one of several generators.
+
+    No motion depends on the others. Arrays are replaced, never written into, since others may hold
+    them.
+
+    Attributes:
+        generators: All of them.
+        states: State of each generator, with n rows.
+        which: Number of the generator of each motion, shape (n,).
+    """
+
+    def __init__(self, generators: Sequence[CheckedMotion]) -> None:
+        self.generators = tuple(generators)
+        self.states: list[State] = [{} for _ in generators]
+        self.which: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+
+    def clear(self, which: NDArray[np.intp]) -> None:
+        """Forget the states; let the generators of these numbers, shape (n,), make the motions."""
+        self.states, self.which = [{} for _ in self.generators], which
+
+    def of(self, rows: Rows | None = None) -> list[Motions]:
+        """Return the motions in some rows, all by default, by their generators."""
+        n = len(self.which)
+        which = np.full(n, -1)
+        which[rows] = self.which[rows]
+        each = [(i, np.flatnonzero(which == i)) for i in range(len(self.generators))]
+        return [
+            Motions(i, self.generators[i], some, state if len(some) == n else of_rows(state, some))
+            for (i, some), state in zip(each, self.states, strict=True)
+            if some.size
+        ]
+
+    def put(self, motions: Motions, state: State) -> None:
+        """Replace the state of motions that `of` returned."""
+        number, _, rows, _ = motions
+        self.states[number] = merged(self.states[number], rows, state, len(self.which))
+
+    def ask(self, question: Callable[[Motions], Array]) -> Array:
+        """Return what the generators answer about all motions, with the leading shape (n,)."""
+        answers = [(one.rows, question(one)) for one in self.of()]
+        order = np.concatenate([rows for rows, _ in answers]).argsort()
+        return np.concatenate([answer for _, answer in answers])[order]
+
+    def twist(self, poses: Array, targets: Array, seconds: Array) -> tuple[Array, list[State]]:
+        """Return the world twists of the next step, shape (n, 6), and the states after it.
+
+        Motions of 0 seconds rest. Nothing changes.
+
+        Args:
+            poses: World poses of the frames that move, shape (n, 7).
+            targets: World poses of their targets, shape (n, 7).
+            seconds: Duration of each step, shape (n,).
+        """
+        twist, states = np.zeros((len(poses), 6)), list(self.states)
+        for number, generator, rows, state in self.of(np.flatnonzero(seconds)):
+            given = state, poses[rows], targets[rows], seconds[rows]
+            twist[rows], after = generator.twist(*given)
+            states[number] = merged(states[number], rows, after, len(poses))
+        return twist, states
+
+    def move(self, states: Sequence[State], paused: NDArray[np.bool_] | None = None) -> None:
+        """Go on to `states`, but for the motions that are `paused`, shape (n,)."""
+        if paused is not None and paused.any():
+            rows, pairs = np.flatnonzero(paused), zip(states, self.states, strict=True)
+            states = [
+                {key: with_rows(new, rows, old[key][rows]) for key, new in state.items()}
+                for state, old in pairs
+            ]
+        self.states = list(states)
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the states as arrays by name."""
+        return {
+            f"{_STATES}{number}.{key}": values
+            for number, state in enumerate(self.states)
+            for key, values in state.items()
+        }
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]], which: NDArray[np.intp]) -> None:
+        """Continue from states that `snapshot` returned."""
+        self.clear(which)
+        for name, values in snapshot.items():
+            if name.startswith(_STATES):
+                number, _, key = name.removeprefix(_STATES).partition(".")
+                self.states[int(number)][key] = values.copy()
