@@ -1,0 +1,196 @@
+"""A robot in a room as a MuJoCo specification: bodies, motors, and what collides with what."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import mujoco
+
+from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.drives import ArmSetpoints
+from kinfeas.backends.physics.robot import (
+    PLANAR_JOINTS,
+    arm_followers,
+    finger_followers,
+    physics_urdf,
+)
+from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.objects import SceneObject
+
+OWN = "/robot:"
+"""Prefix of the robot's names; no object has a slash in its name."""
+
+SOLID = "/solid"
+"""Prefix of the bodies of solids, before their number."""
+
+# Bits of contype and conaffinity: fixed things do not collide with each other, the base not with
+# the floor, and the robot not with itself.
+_GROUND, _FIXED, _LOOSE = 1, 2, 4
+_FRICTION = (0.5, 0.005, 0.0001)  # sliding (-), torsional and rolling (m)
+_PAD_DIMENSIONS = 4  # of the fingers' contacts: they resist twisting, too
+_IMPRATIO = 10.0  # impedance of friction relative to normal forces: objects creep less in the hand
+_COUPLING = (0.01, 1.0)  # time constant (s) and damping ratio of mimicking joints
+# Time constant (s), damping ratio and impedance of a grasp: some thousand N/m, as fingers have.
+_GRASP = (0.02, 1.0, 0.9, 0.9, 0.001, 0.5, 2.0)
+_COMPILER = (
+    '<mujoco><compiler strippath="false" fusestatic="false" balanceinertia="true" '
+    'boundmass="1e-4" boundinertia="1e-8"/></mujoco></robot>'
+)
+
+
+class Servo(NamedTuple):
+    """A position motor of a joint: limits of its effort (N m or N) and velocity (per second)."""
+
+    joint: str
+    effort: float
+    velocity: float
+
+
+class RobotParts(NamedTuple):
+    """The robot's bodies in physics: its URDF, those that the arm carries, and each finger's."""
+
+    urdf: str
+    carried: set[str]
+    fingers: list[set[str]]
+
+
+def servos_of(robot: Robot, arm: ArmSetpoints) -> list[Servo]:
+    """Return the motors of the arm, and of the fingers; mimicking joints have none."""
+    limits = zip(arm.names, arm.effort, arm.velocity, strict=True)
+    servos = [Servo(*one) for one, _ in zip(limits, robot.arm, strict=False)]
+    if robot.gripper is not None:
+        for name in robot.gripper.fingers:
+            servos.append(Servo(name, robot.gripper.effort, robot.urdf.joints[name].velocity))
+    return servos
+
+
+def parts_of(robot: Robot) -> RobotParts:
+    """Return the bodies of a robot; links that do not move against each other are one body."""
+    urdf, part_of = physics_urdf(robot)
+    grips = robot.gripper.fingers if robot.gripper else ()
+    carried = {part_of[one] for joint in robot.arm for one in robot.urdf.below(joint.name)}
+    return RobotParts(urdf, carried, [{part_of[i] for i in robot.urdf.below(g)} for g in grips])
+
+
+def room_spec(
+    robot: Robot,
+    parts: RobotParts,
+    servos: Iterable[Servo],
+    objects: Mapping[str, SceneObject],
+    places: int,
+    config: PhysicsConfig,
+) -> Any:
+    """Return a robot in a room with objects, and places for solids."""
+    spec = mujoco.MjSpec()
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio, spec.option.iterations = _IMPRATIO, config.iterations
+    spec.option.gravity = [0.0, 0.0, -config.gravity]
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    _collide([spec.worldbody.add_geom(type=plane, size=[0.0, 0.0, 1.0])], _GROUND)
+    own = _robot_spec(robot, parts.urdf, servos)
+    for body in own.bodies[1:]:
+        ground = _GROUND if body.name in parts.carried else 0
+        _collide(body.geoms, 0, _FIXED | _LOOSE | ground)
+        pad = any(body.name in links for links in parts.fingers)
+        for geom in body.geoms:
+            geom.group = 1
+            if pad:
+                geom.condim = _PAD_DIMENSIONS
+                geom.friction = [config.finger_friction, *_FRICTION[1:]]
+    spec.attach(own, prefix=OWN, frame=spec.worldbody.add_frame())
+    for name, one in objects.items():
+        spec.attach(_object_spec(one), prefix=f"{name}:", frame=spec.worldbody.add_frame())
+    for place in range(places):
+        _add_solid(spec, place)
+    return spec
+
+
+def add_grasp(spec: Any, robot: Robot, name: str, link: str, *, rigid: bool) -> None:
+    """Add a soft constraint between hand and an object's link, which a grasp activates."""
+    kind = mujoco.mjtEq.mjEQ_WELD if rigid else mujoco.mjtEq.mjEQ_CONNECT
+    spec.add_equality(
+        name="grasp", type=kind, objtype=mujoco.mjtObj.mjOBJ_BODY, active=False,
+        name1=OWN + robot.ee_frame, name2=f"{name}:{link}", solref=_GRASP[:2],
+        solimp=_GRASP[2:],
+    )  # fmt: skip
+
+
+def _robot_spec(robot: Robot, urdf: str, servos: Iterable[Servo]) -> Any:
+    """Return the robot with actuators, couplings of mimicking joints, and a sensor of contacts."""
+    spec = _read(urdf, str(robot.urdf_path))
+    for body in spec.bodies:
+        body.gravcomp = 1.0
+    for joint in spec.joints:
+        joint.frictionloss = 0.0  # of the gears, which the motors overcome
+        if joint.name in PLANAR_JOINTS:
+            joint.limited = joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        # Motors carry the weight with their effort, springs carry it beside them.
+        joint.actgravcomp = joint.name not in robot.counterbalanced
+    for one in (*arm_followers(robot), *finger_followers(robot)):
+        coupling = spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT, name1=one.name, name2=one.leader, solref=_COUPLING
+        )
+        coupling.data[:2] = one.offset, one.multiplier
+    for name in (*PLANAR_JOINTS, *(one.joint for one in servos)):
+        spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        )  # fmt: skip
+    if robot.gripper is not None:
+        # Both fingers open equally far, up to a force: they also close round an object off centre.
+        tendon = spec.add_tendon(name="fingers")
+        for finger, share in zip(robot.gripper.fingers, (1.0, -1.0), strict=True):
+            tendon.wrap_joint(finger, share)
+        spec.add_actuator(
+            name="fingers", target="fingers", trntype=mujoco.mjtTrn.mjTRN_TENDON,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        )  # fmt: skip
+    touch = spec.add_sensor(
+        name="touch", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY,
+        objname=robot.urdf.root,
+    )  # fmt: skip
+    touch.intprm[:3] = [1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1]
+    return spec
+
+
+def _object_spec(one: SceneObject) -> Any:
+    """Return an object; the pose of a fixed one is part of the state of a simulation."""
+    spec = _read(one.urdf_path.read_text(), str(one.urdf_path))
+    for body in spec.bodies:
+        for geom in body.geoms:
+            geom.friction = _FRICTION
+        _collide(body.geoms, *((_FIXED,) if one.fixed else (_LOOSE, _GROUND | _FIXED | _LOOSE)))
+    root = spec.bodies[1]
+    if one.fixed:
+        root.mocap = True
+    else:
+        root.add_freejoint(name="free")
+    return spec
+
+
+def _add_solid(spec: Any, place: int) -> None:
+    """Add a body for a solid; its shape and its pose are those of a simulation."""
+    body = spec.worldbody.add_body(name=f"{SOLID}{place}", mocap=True)
+    geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, friction=_FRICTION)
+    _collide([geom], _FIXED)
+
+
+def _read(urdf: str, path: str) -> Any:
+    try:
+        return mujoco.MjSpec.from_string(urdf.replace("</robot>", _COMPILER))
+    except ValueError as error:
+        raise KinfeasError(f"{path}: MuJoCo cannot load it: {error}") from error
+
+
+def compiled(spec: Any, robot: Robot) -> Any:
+    """Return MuJoCo's model of a specification."""
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise KinfeasError(f"{robot.urdf_path}: MuJoCo cannot load it: {error}") from error
+
+
+def _collide(geoms: Iterable[Any], kind: int, others: int = 0) -> None:
+    for geom in geoms:
+        geom.contype, geom.conaffinity = kind, others
