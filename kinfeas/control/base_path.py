@@ -212,7 +212,9 @@ class BasePathPlanner:
             solids=None if among is None else in_base(among, base),
         )
         if among is not None:
-            touches = collides(self.solver.collision, arm.joint_positions, base, among)
+            clearance = self.solver.options.solid_clearance  # of the base, too
+            around = among.wider(clearance, clearance)
+            touches = collides(self.solver.collision, arm.joint_positions, base, around)
             arm.feasible[touches[:, 0]] = False
         return arm
 

@@ -1,4 +1,4 @@
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +8,9 @@ from kinfeas.control.observation import HORIZON
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, distance, integrate, planar_pose
 from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.kinematics.solids import collides
+from kinfeas.kinematics.solids import distances
 from kinfeas.robots.robot import joint_displacement
 
 AT_ORIGIN = planar_pose(*np.zeros((3, 1)))[0]
@@ -22,10 +23,11 @@ def planned(solver):
     joints = robot.home["home"]
     ee = forward(solver.chain, joints[np.newaxis])[0]
 
-    def plan(twist, seconds=20.0, solids=None, **given):
+    def plan(twist, seconds=20.0, solids=None, clearance=0.0, **given):
         time = np.arange(0.0, seconds + 1e-6, HORIZON)[:, np.newaxis]
         way = integrate(ee, np.array(twist) * time, 1.0)
-        planner = BasePathPlanner(solver)
+        options = replace(solver.options, solid_clearance=clearance)
+        planner = BasePathPlanner(IkSolver(robot, options))
         return planner.plan(AT_ORIGIN, joints, way, 5.0, solids=solids, **given), joints
 
     return plan
@@ -75,18 +77,18 @@ def test_a_slow_motion_gives_the_base_more_time(planned):
     assert quick is None or quick.time_scale.min() < slow.time_scale.min() == 1.0
 
 
-def test_paths_keep_off_solids(planned, solver):
-    free, _ = planned([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-    solids = Solids.empty(1, 1)
+@pytest.mark.parametrize("clearance", [0.0, 0.03])
+def test_paths_keep_a_clearance_from_solids(planned, solver, clearance):
+    twist, solids = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], Solids.empty(1, 1)
+    free, _ = planned(twist)
     x, y = free.robot[len(free.robot) // 2, :2]
     solids.pose[0, 0], solids.size[0, 0] = (x, y - 0.3, 0.0), (0.1, 0.1, 0.0, 0.4)
-    touches = partial(collides, solver.collision)
 
-    def touched(path):
-        base, arm = planar_pose(*path.robot[:, :3].T), np.ascontiguousarray(path.robot[:, 3:])
-        return touches(arm, base, solids.of(np.zeros(len(arm), dtype=np.intp))).any()
+    def nearest(path):
+        base, arm = planar_pose(*path.robot[1:, :3].T), np.ascontiguousarray(path.robot[1:, 3:])
+        around = solids.of(np.zeros(len(arm), dtype=np.intp))
+        return distances(solver.collision, arm, base, around).min()
 
-    assert touched(free)
-    around, _ = planned([0.1, 0.0, 0.0, 0.0, 0.0, 0.0], solids=solids)
-    assert around is not None
-    assert not touched(around)
+    assert nearest(free) == 0.0
+    around, _ = planned(twist, solids=solids, clearance=clearance)
+    assert nearest(around) > clearance
