@@ -219,13 +219,18 @@ class MotionSequence:
             return poses
         return spatial.compose(poses, self._ee_in_tool[self.subgoal][:, np.newaxis])
 
+    def copied(self) -> "MotionSequence":
+        """Return a copy that moves on its own; they share arrays, which are never written into."""
+        twin = copy.copy(self)
+        twin._motions = copy.copy(self._motions)
+        return twin
+
     def to_the_end(self, rows: Rows) -> list[Array]:
         """Return the desired poses every `HORIZON` seconds until each row's sub-goal, (k, 7).
 
         There is one array for each of the rows; nothing moves.
         """
-        twin = copy.copy(self)  # arrays are replaced, never written into
-        twin._motions = copy.copy(self._motions)
+        twin = self.copied()
         twin.waiting = np.zeros_like(self.waiting)
         steps = np.zeros(len(rows), dtype=np.intp)
         poses, goal = [self.desired[rows]], self.goal[rows]

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from kinfeas.control.base_path import BasePath
 from kinfeas.control.filters.path_planner import PathPlanner
 from kinfeas.control.filters.rollout import RolloutPlanner, Snapshot
+from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.period import Period
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput
 from kinfeas.core.spatial import Array
@@ -89,17 +91,17 @@ class PathPlannerThread(PlannerThread, PathPlanner):
         if self._coming is None:
             return along
         if self._coming.done():
-            self.put(0, self._coming.result())
+            self.put(self._coming.result())
             self._coming = None
             return super().__call__(command, policy_input)
         self._loop.slow_down(np.zeros(1))
         return np.zeros_like(command)
 
-    def search(self, row: int, ee: Array) -> BasePath | None:
+    def search(self, rows: Rows, period: Period, sequence: MotionSequence) -> dict[int, BasePath]:
         """Start the search for a path."""
         assert self._worker is not None
-        self._coming = self._worker.submit(super().search, row, ee)
-        return None
+        self._coming = self._worker.submit(super().search, rows, period, sequence)
+        return {}
 
 
 def in_threads(filters: Iterable[CommandFilter]) -> list[CommandFilter]:

@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 
 from kinfeas.control.base_path import BasePath, BasePathPlanner
 from kinfeas.control.loop import Loop
+from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.period import Period
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import PolicyInput
@@ -80,27 +82,29 @@ class PathPlanner:
         self._wait[rows] = np.where(self._subgoal[rows] == subgoal, wait, _REPLAN_SECONDS)
         self._subgoal[rows] = subgoal
         self._again_at[rows] = loop.periods[rows] + np.ceil(self._wait[rows] / loop.dt)
-        for row, ee in zip(rows.tolist(), loop.sequence.to_the_end(rows), strict=True):
-            self.put(row, self.search(row, ee))
+        self._paths = {row: one for row, one in self._paths.items() if row not in rows}
+        self.put(self.search(rows, loop.period, loop.sequence.copied()))
 
-    def put(self, row: int, path: BasePath | None) -> None:
-        """Follow a path in one row, or none."""
-        self._paths.pop(row, None)
-        if path is not None:
-            self._paths[row] = path
+    def put(self, paths: dict[int, BasePath]) -> None:
+        """Follow paths in some rows."""
+        self._paths |= paths
 
-    def search(self, row: int, ee: Array) -> BasePath | None:
-        """Return a path of one row along an EE motion, shape (k, 7), if one is found."""
-        loop, solids = self._loop, self._loop.period.solids
+    def search(self, rows: Rows, period: Period, sequence: MotionSequence) -> dict[int, BasePath]:
+        """Return the paths that are found for rows, from the start of a period of their motions."""
         assert self._planner is not None
-        return self._planner.plan(
-            loop.state.base_pose[row],
-            loop.joint_command[row],
-            ee,
-            begin=loop.sequence.elapsed[row],
-            time_scale=loop.execution.time_scale,
-            solids=None if solids is None else solids.of(np.array([row])),
-        )
+        found, solids = {}, period.solids
+        for row, ee in zip(rows.tolist(), sequence.to_the_end(rows), strict=True):
+            path = self._planner.plan(
+                period.base_pose[row],
+                self._loop.joint_command[row],
+                ee,
+                begin=sequence.elapsed[row],
+                time_scale=self._loop.execution.time_scale,
+                solids=None if solids is None else solids.of(np.array([row])),
+            )
+            if path is not None:
+                found[row] = path
+        return found
 
     def _due(self) -> Rows:
         """Return the rows that need a path now."""

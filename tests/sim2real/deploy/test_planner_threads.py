@@ -8,6 +8,7 @@ import pytest
 
 from kinfeas.control.filters.path_planner import PathPlanner
 from kinfeas.control.filters.rollout import RolloutPlanner
+from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.planner_threads import in_threads
@@ -125,13 +126,13 @@ def test_errors_of_the_thread_are_raised_in_the_loop(planner, loop, monkeypatch)
 
 
 def test_the_robot_rests_until_its_path_is_found(loop, monkeypatch):
-    free, search = threading.Event(), PathPlanner.search
+    free, to_the_end = threading.Event(), MotionSequence.to_the_end
 
-    def late(self, row, ee):
+    def late(self, rows):
         assert free.wait(60.0)
-        return search(self, row, ee)
+        return to_the_end(self, rows)
 
-    monkeypatch.setattr(PathPlanner, "search", late)
+    monkeypatch.setattr(MotionSequence, "to_the_end", late)
     (planner,) = in_threads([PathPlanner()])
     with closing(planner):
         planner.reset(loop, ROWS)
