@@ -51,16 +51,13 @@ class EeMotions:
         self.states, self.which = [{} for _ in self.generators], which
 
     def of(self, rows: Rows | None = None) -> list[Motions]:
-        """Return the motions in some rows, all by default, by their generators."""
-        n = len(self.which)
-        which = np.full(n, -1)
-        which[rows] = self.which[rows]
-        each = [(i, np.flatnonzero(which == i)) for i in range(len(self.generators))]
-        return [
-            Motions(i, self.generators[i], some, state if len(some) == n else of_rows(state, some))
-            for (i, some), state in zip(each, self.states, strict=True)
-            if some.size
-        ]
+        """Return the motions in some ascending rows, all by default, by their generators."""
+        rows = np.arange(len(self.which)) if rows is None else rows
+        each = [rows]
+        if len(self.generators) > 1:
+            which = self.which[rows]
+            each = [rows[which == number] for number in range(len(self.generators))]
+        return [self._made_by(number, some) for number, some in enumerate(each) if some.size]
 
     def put(self, motions: Motions, state: State) -> None:
         """Replace the state of motions that `of` returned."""
@@ -69,9 +66,12 @@ class EeMotions:
 
     def ask(self, question: Callable[[Motions], Array]) -> Array:
         """Return what the generators answer about all motions, with the leading shape (n,)."""
-        answers = [(one.rows, question(one)) for one in self.of()]
-        order = np.concatenate([rows for rows, _ in answers]).argsort()
-        return np.concatenate([answer for _, answer in answers])[order]
+        asked = self.of()
+        answers = [question(one) for one in asked]
+        if len(answers) == 1:
+            return answers[0]
+        order = np.concatenate([one.rows for one in asked]).argsort()
+        return np.concatenate(answers)[order]
 
     def twist(self, poses: Array, targets: Array, seconds: Array) -> tuple[Array, list[State]]:
         """Return the world twists of the next step, shape (n, 6), and the states after it.
@@ -83,6 +83,9 @@ class EeMotions:
             targets: World poses of their targets, shape (n, 7).
             seconds: Duration of each step, shape (n,).
         """
+        if len(self.generators) == 1 and seconds.all():
+            twist, after = self.generators[0].twist(self.states[0], poses, targets, seconds)
+            return twist, [after]
         twist, states = np.zeros((len(poses), 6)), list(self.states)
         for number, generator, rows, state in self.of(np.flatnonzero(seconds)):
             given = state, poses[rows], targets[rows], seconds[rows]
@@ -99,6 +102,12 @@ class EeMotions:
                 for state, old in pairs
             ]
         self.states = list(states)
+
+    def _made_by(self, number: int, rows: Rows) -> Motions:
+        state = self.states[number]
+        if len(rows) < len(self.which):
+            state = of_rows(state, rows)
+        return Motions(number, self.generators[number], rows, state)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the states as arrays by name."""
