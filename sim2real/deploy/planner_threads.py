@@ -19,8 +19,8 @@ from kinfeas.core.motion import Rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput
 from kinfeas.core.spatial import Array
 
-_SWITCH_INTERVAL = 5e-4
-"""Seconds. Python's default, 5 ms, is a quarter of a control period."""
+_SWITCH_INTERVAL = 1e-5
+"""Seconds for which the loop may wait for Python's lock each time that a kernel has released it."""
 
 
 class PlannerThread:
