@@ -76,7 +76,10 @@ class RecurrentPolicy(Policy, Protocol):
 
 
 class CommandFilter(Protocol):
-    """Changes base commands before they are sent."""
+    """Changes base commands before they are sent.
+
+    The attribute `period` of its loop is what the step is about to carry out.
+    """
 
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
         """Begin new episodes, as a `RecurrentPolicy`; raise KinfeasError for an unfit loop."""
