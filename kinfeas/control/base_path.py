@@ -213,7 +213,7 @@ class BasePathPlanner:
         )
         if among is not None:
             clearance = self.solver.options.solid_clearance  # of the base, too
-            around = among.wider(clearance, clearance)
+            around = among.wider(clearance, clearance) if clearance else among
             touches = collides(self.solver.collision, arm.joint_positions, base, around)
             arm.feasible[touches[:, 0]] = False
         return arm

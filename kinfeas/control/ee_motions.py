@@ -83,7 +83,7 @@ class EeMotions:
             targets: World poses of their targets, shape (n, 7).
             seconds: Duration of each step, shape (n,).
         """
-        if len(self.generators) == 1 and seconds.all():
+        if len(self.generators) == 1 and seconds.all():  # nothing to copy
             twist, after = self.generators[0].twist(self.states[0], poses, targets, seconds)
             return twist, [after]
         twist, states = np.zeros((len(poses), 6)), list(self.states)
@@ -103,12 +103,6 @@ class EeMotions:
             ]
         self.states = list(states)
 
-    def _made_by(self, number: int, rows: Rows) -> Motions:
-        state = self.states[number]
-        if len(rows) < len(self.which):
-            state = of_rows(state, rows)
-        return Motions(number, self.generators[number], rows, state)
-
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the states as arrays by name."""
         return {
@@ -124,3 +118,9 @@ class EeMotions:
             if name.startswith(_STATES):
                 number, _, key = name.removeprefix(_STATES).partition(".")
                 self.states[int(number)][key] = values.copy()
+
+    def _made_by(self, number: int, rows: Rows) -> Motions:
+        state = self.states[number]
+        if len(rows) < len(self.which):
+            state = of_rows(state, rows)
+        return Motions(number, self.generators[number], rows, state)

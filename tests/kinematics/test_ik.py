@@ -70,7 +70,7 @@ def reported(solution):
 
 
 def test_round_trip(exact_solver, judge):
-    check_round_trip(exact_solver, judge, 2000, 0.995)
+    check_round_trip(exact_solver, judge, 5000, 0.995)
 
 
 def test_round_trip_with_mimic_joints(odd_robot, odd_judge):

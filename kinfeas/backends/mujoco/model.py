@@ -1,4 +1,4 @@
-"""A robot in a room as one MuJoCo model, and the addresses of its parts."""
+"""A robot in a room as one MuJoCo model, and the addresses of its joints and bodies."""
 
 import mujoco
 import numpy as np
@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from kinfeas.backends.mujoco.spec import (
     OWN,
     SOLID,
-    RobotParts,
+    RobotBodies,
     add_grasp,
+    bodies_of,
     compiled,
-    parts_of,
     room_spec,
     servos_of,
 )
@@ -78,14 +78,14 @@ class Model:
         self.robot, self.scene, self.objects = robot, scene, dict(scene.objects) if scene else {}
         self.servos = servos_of(robot, arm)
         self.velocity = np.array([one.velocity for one in self.servos])
-        parts = parts_of(robot)
-        spec = room_spec(robot, parts, self.servos, self.objects, places, config)
+        bodies = bodies_of(robot)
+        spec = room_spec(robot, bodies, self.servos, self.objects, places, config)
         if grasped is not None:
             add_grasp(spec, robot, *grasped[:2], rigid=grasped[2])
         self.engine = engine = compiled(spec, robot)
 
         self._find_joints(arm)
-        self._find_bodies(parts, places)
+        self._find_bodies(bodies, places)
         self.grasp = None
         if grasped is not None:
             self.grasp = int(engine.equality("grasp").id)
@@ -157,16 +157,16 @@ class Model:
         for name in moving_joints(robot) & robot.fixed_joints.keys():
             self.rest[self.joints[name][0]] = robot.fixed_joints[name]
 
-    def _find_bodies(self, parts: RobotParts, places: int) -> None:
+    def _find_bodies(self, bodies: RobotBodies, places: int) -> None:
         """Find what each body belongs to."""
         engine, solids = self.engine, [f"{SOLID}{place}" for place in range(places)]
         names = [engine.body(number).name for number in range(engine.nbody)]
         owners = {name: number for number, name in enumerate((*self.objects, *solids))}
         owners |= {"world": FLOOR, OWN[:-1]: ROBOT}
         self.owner = np.array([owners[name.partition(":")[0]] for name in names])
-        self.on_arm = np.array([name.removeprefix(OWN) in parts.carried for name in names])
+        self.on_arm = np.array([name.removeprefix(OWN) in bodies.carried for name in names])
         self.solid_bodies = np.array([engine.body(name).id for name in solids], dtype=np.intp)
-        self.fingers = [[engine.body(OWN + link).id for link in links] for links in parts.fingers]
+        self.fingers = [[engine.body(OWN + link).id for link in links] for links in bodies.fingers]
 
     def _tune(self, config: PhysicsConfig, arm: ArmSetpoints) -> None:
         """Set the motors' inertias, gains and limits.

@@ -46,7 +46,7 @@ class Servo(NamedTuple):
     velocity: float
 
 
-class RobotParts(NamedTuple):
+class RobotBodies(NamedTuple):
     """The robot's bodies in physics: its URDF, those that the arm carries, and each finger's."""
 
     urdf: str
@@ -64,17 +64,22 @@ def servos_of(robot: Robot, arm: ArmSetpoints) -> list[Servo]:
     return servos
 
 
-def parts_of(robot: Robot) -> RobotParts:
+def bodies_of(robot: Robot) -> RobotBodies:
     """Return the bodies of a robot; links that do not move against each other are one body."""
-    urdf, part_of = physics_urdf(robot)
-    grips = robot.gripper.fingers if robot.gripper else ()
-    carried = {part_of[one] for joint in robot.arm for one in robot.urdf.below(joint.name)}
-    return RobotParts(urdf, carried, [{part_of[i] for i in robot.urdf.below(g)} for g in grips])
+    urdf, body_of = physics_urdf(robot)
+
+    def below(joints: Iterable[str]) -> set[str]:
+        return {body_of[link] for joint in joints for link in robot.urdf.below(joint)}
+
+    fingers = robot.gripper.fingers if robot.gripper else ()
+    return RobotBodies(
+        urdf, below(joint.name for joint in robot.arm), [below([f]) for f in fingers]
+    )
 
 
 def room_spec(
     robot: Robot,
-    parts: RobotParts,
+    bodies: RobotBodies,
     servos: Iterable[Servo],
     objects: Mapping[str, SceneObject],
     places: int,
@@ -88,11 +93,11 @@ def room_spec(
     spec.option.gravity = [0.0, 0.0, -config.gravity]
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     _collide([spec.worldbody.add_geom(type=plane, size=[0.0, 0.0, 1.0])], _GROUND)
-    own = _robot_spec(robot, parts.urdf, servos)
+    own = _robot_spec(robot, bodies.urdf, servos)
     for body in own.bodies[1:]:
-        ground = _GROUND if body.name in parts.carried else 0
+        ground = _GROUND if body.name in bodies.carried else 0
         _collide(body.geoms, 0, _FIXED | _LOOSE | ground)
-        pad = any(body.name in links for links in parts.fingers)
+        pad = any(body.name in links for links in bodies.fingers)
         for geom in body.geoms:
             geom.group = 1
             if pad:

@@ -90,13 +90,16 @@ class PathPlanner:
         self._paths |= paths
 
     def search(self, rows: Rows, period: Period, sequence: MotionSequence) -> dict[int, BasePath]:
-        """Return the paths that are found for rows, from the start of a period of their motions."""
+        """Return the paths that are found for rows, shape (m,), from a period of a sequence on.
+
+        Neither changes meanwhile.
+        """
         assert self._planner is not None
         found, solids = {}, period.solids
         for row, ee in zip(rows.tolist(), sequence.to_the_end(rows), strict=True):
             path = self._planner.plan(
                 period.base_pose[row],
-                self._loop.joint_command[row],
+                period.joints[row],
                 ee,
                 begin=sequence.elapsed[row],
                 time_scale=self._loop.execution.time_scale,
