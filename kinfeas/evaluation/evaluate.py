@@ -6,6 +6,7 @@ from functools import partial
 
 from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.control.adapters import execution_of, with_adapters
+from kinfeas.control.filters import build_filters
 from kinfeas.core.backend import build_backend
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
 from kinfeas.core.policy import Policy
@@ -85,8 +86,9 @@ def prepare(  # noqa: PLR0913 - the options of the command
     """
     model = load_robot(robot)
     settings = read_settings(model.name, backend, overrides)
-    # Raises its errors early.
+    # They raise their errors early.
     with_adapters(build_backend("analytic", {}), settings.world.adapters, model)
+    build_filters(settings.world.filters)
     count = default_episodes(backend) if episodes is None else episodes
     config = EvalConfig(model, load_task(task, settings.task), count, seed, settings.world)
     return config, load_policy(policy, model)

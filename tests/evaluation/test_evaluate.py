@@ -13,7 +13,7 @@ from kinfeas.core.metrics import Proportion, join
 from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
-from kinfeas.evaluation.evaluate import EvalConfig, evaluate, reachability_of, run
+from kinfeas.evaluation.evaluate import EvalConfig, evaluate, prepare, reachability_of, run
 from kinfeas.evaluation.reachability import A_SUBGOAL, draw_waypoints
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward
@@ -52,6 +52,12 @@ def test_summary(chosen, policy):
     assert summary["success_low"] <= summary["success"] <= summary["success_high"]
     assert summary["success"] <= reachability_of(chosen).value
     assert sum(ended) == 20
+
+
+@pytest.mark.parametrize("kind", ["adapters", "filters"])
+def test_wrong_names_are_found_before_anything_is_computed(kind):
+    with pytest.raises(KinfeasError, match="'none_such'"):
+        prepare("follow_ee", "hsr", "ggr", overrides=[f"world.{kind}=[none_such]"])
 
 
 def test_the_same_seed_gives_the_same_figures(chosen, policy):
