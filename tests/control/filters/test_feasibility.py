@@ -105,7 +105,7 @@ def test_paused_rows_stay_and_change_no_other(loop, command):
 
 def mean_deviation_of_hsr(most):
     chosen = f"world.filters=[{{name: feasibility, max_deviation: {most}}}]"
-    config, policy = prepare("pretrained", "hsr", "ggr", episodes=8, overrides=[chosen])
+    config, policy = prepare("pretrained", "hsr", "ggr", episodes=16, overrides=[chosen])
     return evaluate(config, policy, "pretrained")["mean_deviation_m"]
 
 
