@@ -10,11 +10,12 @@ import numpy as np
 from numba import njit
 
 from kinfeas.core import kernel_cache
-from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.kernel_cache import UNCOUNTED, compiled
 from kinfeas.core.motion import WAYPOINTS
 
 kernel_cache.settle()  # before the first kernel
 kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
+inner = njit(cache=True, error_model="numpy", fastmath=False, nogil=True, **UNCOUNTED)
 
 POINTS = WAYPOINTS
 """Control points of a path."""
@@ -48,7 +49,7 @@ def table_of(pose, size, cylinder, way):
     return table[:count]
 
 
-@kernel
+@inner
 def horizontal_gap(row, x, y):
     """Return the horizontal distance from a point to a solid, negative inside."""
     dx, dy = x - row[0], y - row[1]
@@ -61,7 +62,7 @@ def horizontal_gap(row, x, y):
     return max(along, across)
 
 
-@kernel
+@inner
 def distances(table, x, y, z, limit):
     """Return the distance to the nearest solid and the horizontal one, both at most `limit`."""
     nearest, beside = limit, limit
@@ -78,14 +79,14 @@ def distances(table, x, y, z, limit):
     return nearest, beside
 
 
-@kernel
+@inner
 def cost_of_metre(beside, clearance):
     """Return the cost of a metre at a horizontal distance: 1 from the preferred clearance on."""
     depth = min(max((clearance - beside) / clearance, 0.0), _DEEPEST)
     return 1.0 + _PENALTY * depth * depth
 
 
-@kernel
+@inner
 def squared_way(a, b):
     """Return the squared distance of two points, shape (3,) each, m^2."""
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
@@ -139,7 +140,7 @@ def place_at(points, share, out):
     out[:] = on_curve(points, share * (POINTS - 1))
 
 
-@kernel
+@inner
 def phases(first, rate, ramp):
     """Return the seconds in which the rate of a motion changes, is constant, and falls to rest."""
     rate = max(rate, 1e-9)
@@ -155,7 +156,7 @@ def duration(first, rate, ramp, out):
     out[0] = rise + cruise + fall
 
 
-@kernel
+@inner
 def _ramped(u):
     """Return the integral of the quintic step `10 u^3 - 15 u^4 + 6 u^5` from 0 to u in [0, 1]."""
     return u * u * u * u * (2.5 + u * (u - 3.0))

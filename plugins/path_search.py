@@ -13,6 +13,7 @@ from kinfeas.plugins.path_geometry import (
     cost_of_metre,
     distances,
     horizontal_gap,
+    inner,
     kernel,
     on_curve,
     smooth,
@@ -182,7 +183,7 @@ def _fields(table, origin, cell, level, shape, limits):
     return free, beside
 
 
-@kernel
+@inner
 def _segment(a, b, table, origin, cell, multiple, limits, bound):
     """Return the cost of a straight piece; infinite if it is not free or more than `bound`.
 
@@ -286,7 +287,7 @@ def _search(first, last, free, multiple, cell, level):
     return parent
 
 
-@kernel
+@inner
 def _push(keys, nodes, count, key, node):
     """Add an entry to a binary heap; return its size."""
     i = count
@@ -297,7 +298,7 @@ def _push(keys, nodes, count, key, node):
     return count + 1
 
 
-@kernel
+@inner
 def _pop(keys, nodes, count):
     """Remove the smallest entry of a binary heap; return its size."""
     count -= 1

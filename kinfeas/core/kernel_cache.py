@@ -1,4 +1,4 @@
-"""Folder and lock of numba's cache of compiled kernels."""
+"""Compilation of kernels: their option, and folder and lock of numba's cache."""
 
 import os
 import stat
@@ -13,6 +13,13 @@ import numba
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import try_lock
+
+UNCOUNTED: dict[str, Any] = {"_nrt": False}
+"""Option of kernels that other kernels call: they count no references to arrays.
+
+The counts take half of the time where many rows of arrays are passed on. A kernel with this option
+allocates nothing, which numba checks, and returns no array.
+"""
 
 _POLL, _DEADLINE = 0.02, time.monotonic() + 10.0
 """Seconds between attempts to lock, and the time after which an import does not wait."""

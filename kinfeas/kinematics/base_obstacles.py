@@ -8,7 +8,7 @@ from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import CYLINDER, SPHERE
-from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
+from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel, square
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
 from kinfeas.kinematics.solids import in_base, is_empty, solid_arrays, squared_radius
 
@@ -88,36 +88,48 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
     pairs = np.empty((8 * len(prisms), 6))
     solid = np.zeros(9)
     for i in range(len(pose)):
-        used = 0
-        for k in range(pose.shape[1]):
-            farthest = reach + within + math.sqrt(squared_radius(size[i, k], cylinder[i, k]))
-            squared = square(pose[i, k, 0]) + square(pose[i, k, 1])
-            if is_empty(size[i, k]) or squared > square(farthest):
-                continue
-            write_prism(pose[i, k], size[i, k], cylinder[i, k], solid)
-            count, nearest = 0, within
-            for s in range(len(prisms)):
-                one = prisms[s]
-                if one[7] >= solid[8] or solid[7] >= one[8]:
-                    continue
-                gap, _, _ = outward(one[2], one[3], solid)
-                radius = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6] + solid[6]
-                if gap - radius > nearest + AS_NEAR:
-                    continue
-                first = count
-                count = _pair_corners(one, solid, 1.0, pairs, count)
-                count = _pair_corners(solid, one, -1.0, pairs, count)
-                for p in range(first, count):
-                    nearest = min(nearest, pairs[p, 4])
-            for p in range(count):
-                if pairs[p, 4] < within and pairs[p, 4] <= nearest + AS_NEAR:
-                    if used < out.shape[1]:
-                        copy_row(pairs[p], out[i, used])
-                        away = velocity[i, k, 0] * pairs[p, 2] + velocity[i, k, 1] * pairs[p, 3]
-                        out[i, used, 5] = -away
-                    used += 1
-        most = max(most, used)
+        solids = pose[i], size[i], cylinder[i], velocity[i]
+        most = max(most, _obstacles(prisms, reach, solids, within, pairs, solid, out[i]))
     return most
+
+
+@inner
+def _obstacles(prisms, reach, solids, within, pairs, solid, out):
+    """Write those of one row, shape (p, 6); return their number.
+
+    `reach` is the radius of the circle around the robot's shapes; `pairs` and `solid` are scratch
+    memory.
+    """
+    pose, size, cylinder, velocity = solids
+    used = 0
+    for k in range(len(pose)):
+        farthest = reach + within + math.sqrt(squared_radius(size[k], cylinder[k]))
+        squared = square(pose[k, 0]) + square(pose[k, 1])
+        if is_empty(size[k]) or squared > square(farthest):
+            continue
+        write_prism(pose[k], size[k], cylinder[k], solid)
+        count, nearest = 0, within
+        for s in range(len(prisms)):
+            one = prisms[s]
+            if one[7] >= solid[8] or solid[7] >= one[8]:
+                continue
+            gap, _, _ = outward(one[2], one[3], solid)
+            radius = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6] + solid[6]
+            if gap - radius > nearest + AS_NEAR:
+                continue
+            first = count
+            count = _pair_corners(one, solid, 1.0, pairs, count)
+            count = _pair_corners(solid, one, -1.0, pairs, count)
+            for p in range(first, count):
+                nearest = min(nearest, pairs[p, 4])
+        for p in range(count):
+            if pairs[p, 4] < within and pairs[p, 4] <= nearest + AS_NEAR:
+                if used < out.shape[0]:
+                    copy_row(pairs[p], out[used])
+                    away = velocity[k, 0] * pairs[p, 2] + velocity[k, 1] * pairs[p, 3]
+                    out[used, 5] = -away
+                used += 1
+    return used
 
 
 @inlined
@@ -130,7 +142,7 @@ def write_prism(pose, size, cylinder, out):
     out[7], out[8] = size[2], size[3]
 
 
-@kernel
+@inner
 def _pair_corners(one, other, sign, pairs, count):
     """Add the corners of one prism with their nearest points of another; return the new count.
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.kinematics.base_obstacles import outward, write_prism
-from kinfeas.kinematics.kernels import kernel, square
+from kinfeas.kinematics.kernels import inner, kernel, square
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
 from kinfeas.kinematics.solids import is_empty, squared_radius, touches_solids
 
@@ -143,19 +143,19 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
             heapq.heappush(queue, (best[node] + place_cost[arrival[node]], total + node))
         heading, x, y = node % HEADINGS, node // HEADINGS // ny, node // HEADINGS % ny
         for m in range(moves.shape[1]):
-            move = moves[heading, m]
-            i, j = x + move[0], y + move[1]
+            step_x, step_y = moves[heading, m, 0], moves[heading, m, 1]
+            i, j = x + step_x, y + step_y
             if i < 0 or j < 0 or i >= nx or j >= ny or ahead[i, j] == np.inf:
                 continue
-            turned = (heading + move[2]) % HEADINGS
+            turned = (heading + moves[heading, m, 2]) % HEADINGS
             other = (i * ny + j) * HEADINGS + turned
             if state[other] >= 2:
                 continue
             metre = min(cost[x, y], 1.0 + _CROWDED) + min(cost[i, j], 1.0 + _CROWDED)
-            new = best[node] + 0.0005 * move[3] * metre
+            new = best[node] + 0.0005 * moves[heading, m, 3] * metre
             if new >= best[other]:
                 continue
-            way, turn = CELL * math.hypot(move[0], move[1]), _TURN * abs(move[2])
+            way, turn = CELL * math.hypot(step_x, step_y), _TURN * abs(moves[heading, m, 2])
             time = seconds[node] + max(way / speed[0], turn / speed[1])
             if state[other] == 0 or moving:
                 at = origin[0] + CELL * i, origin[1] + CELL * j
@@ -206,7 +206,7 @@ def _costs_ahead(places, place_cost, origin, cost):
     return ahead
 
 
-@kernel
+@inner
 def _node(place, origin, ny):
     """Return the number of the node nearest to a place."""
     x = int((place[0] - origin[0]) / CELL + 0.5)
@@ -215,7 +215,7 @@ def _node(place, origin, ny):
     return (x * ny + y) * HEADINGS + heading
 
 
-@kernel
+@inner
 def _write_local(solids, seconds, at, yaw, out):
     """Write the poses of solids after some seconds, shape (k, 3), as seen from a base.
 

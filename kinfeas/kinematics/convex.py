@@ -4,22 +4,26 @@ import math
 
 import numpy as np
 
-from kinfeas.kinematics.kernels import copy_row, kernel, square
+from kinfeas.kinematics.kernels import copy_row, inner, square
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 MAX_ITERATIONS = 30
+
+SCRATCH_ROWS = 13
+"""Rows of scratch memory: four points of a simplex, the point nearest to the origin, and their
+copies while a tetrahedron is reduced."""
 
 PRECISION, MAX_DISTANCE_ITERATIONS = 1e-7, 100
 """Precision of `distance`, metres, and the iterations after which it ends in any case."""
 
 
-@kernel
+@inner
 def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex):
     """Return whether two shapes are closer than `margin` metres; True without convergence.
 
     Kinds are BOX, CYLINDER or SPHERE; sizes are half extents along the shape's axes, shape (3,): a
     cylinder is radius, radius, half length, a sphere its radius three times. Orientations have
-    shape (3, 3), centres (3,), metres. `simplex` is scratch memory, shape (6, 3).
+    shape (3, 3), centres (3,), metres. `simplex` is scratch memory, shape (`SCRATCH_ROWS`, 3).
     """
     v = simplex[4]
     for i in range(3):
@@ -41,7 +45,7 @@ def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos
     return True
 
 
-@kernel
+@inner
 def distance(kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex):
     """Return the distance of two shapes, metres; 0 if they touch. Arguments as in `closer_than`."""
     v = simplex[4]
@@ -66,7 +70,7 @@ def distance(kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex
     return length
 
 
-@kernel
+@inner
 def _add_support(w, toward, sign, v, kind, size, rot, pos):
     """Add sign times the support point of the shape in the direction toward * v."""
     x = toward * (rot[0, 0] * v[0] + rot[1, 0] * v[1] + rot[2, 0] * v[2])
@@ -85,7 +89,7 @@ def _add_support(w, toward, sign, v, kind, size, rot, pos):
         w[i] += sign * (pos[i] + rot[i, 0] * x + rot[i, 1] * y + rot[i, 2] * z)
 
 
-@kernel
+@inner
 def _nearest(simplex, count, v):
     """Write the point of the simplex nearest to the origin; reduce it to the face of that point.
 
@@ -102,7 +106,7 @@ def _nearest(simplex, count, v):
     return _nearest_in_tetrahedron(simplex, v)
 
 
-@kernel
+@inner
 def _nearest_on_segment(simplex, v):
     a, b = simplex[0], simplex[1]
     along, squared = 0.0, 0.0
@@ -122,7 +126,7 @@ def _nearest_on_segment(simplex, v):
     return 2
 
 
-@kernel
+@inner
 def _nearest_on_triangle(simplex, v):
     """Ericson, Real-Time Collision Detection (2005), section 5.1.5, with the origin as point."""
     a, b, c = simplex[0], simplex[1], simplex[2]
@@ -164,13 +168,14 @@ def _nearest_on_triangle(simplex, v):
     return 3
 
 
-@kernel
+@inner
 def _nearest_in_tetrahedron(simplex, v):
     """Try all four faces; the one without the newest point matters only for rounding errors."""
-    a, b, c, d = simplex[0].copy(), simplex[1].copy(), simplex[2].copy(), simplex[3].copy()
+    for i in range(4):
+        copy_row(simplex[i], simplex[5 + i])
+    a, b, c, d = simplex[5], simplex[6], simplex[7], simplex[8]
+    kept, trial = simplex[9:12], simplex[12]
     inside, best, best_count = True, np.inf, 4
-    kept = np.empty((3, 3))
-    trial = np.empty(3)
     for face in range(4):
         p = a if face != 3 else d
         q = b if face != 2 else d
@@ -196,7 +201,7 @@ def _nearest_in_tetrahedron(simplex, v):
     return best_count
 
 
-@kernel
+@inner
 def _beyond(p, q, r, opposite):
     """Return whether the plane p q r separates the origin from `opposite`."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]

@@ -17,36 +17,19 @@ DAMPING_FLOOR, DAMPING_GAIN = 1e-6, 0.02
 
 
 class Descent(NamedTuple):
-    """Limits and tolerances of a descent.
+    """Tolerances of a descent.
 
     Attributes:
-        lower: Joint limits, shape (v,); -inf for continuous joints.
-        upper: Same, +inf for continuous joints.
         position_tolerance: Position error at which it ends, metres.
         rotation_tolerance: Rotation error at which it ends, radians.
         rotation_weight: Metres equivalent to one radian of error.
         max_iterations: Largest number of steps.
     """
 
-    lower: Array
-    upper: Array
     position_tolerance: float
     rotation_tolerance: float
     rotation_weight: float
     max_iterations: int
-
-
-@inlined
-def within(options, lower, upper):
-    """Return the same descent with other joint limits, shape (v,) each."""
-    return Descent(
-        lower,
-        upper,
-        options.position_tolerance,
-        options.rotation_tolerance,
-        options.rotation_weight,
-        options.max_iterations,
-    )
 
 
 class Scratch(NamedTuple):
@@ -63,6 +46,7 @@ class Scratch(NamedTuple):
     side: Array
     released: Array
     trial: Array
+    seed: Array
 
 
 @kernel
@@ -80,11 +64,12 @@ def make_scratch(joints, variables):
         np.empty(variables, dtype=np.intp),
         np.empty(variables, dtype=np.bool_),
         np.empty(variables),
+        np.empty(variables),
     )
 
 
 @inlined
-def descend(chain: Chain, options: Descent, target_rotation, target_position, q, scratch):
+def descend(chain: Chain, options: Descent, limits, target, q, scratch):
     """Move `q` towards the target; return the remaining position and rotation error, m and rad.
 
     Each step is damped by the squared error (Sugihara, IEEE T-RO 2011) and solves the damped
@@ -93,16 +78,16 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
 
     Args:
         chain: From base to EE, driven by v variables.
-        options: Limits and tolerances.
-        target_rotation: EE orientation in the base frame, shape (3, 3).
-        target_position: EE position in the base frame, shape (3,), metres.
+        options: Tolerances.
+        limits: Lower and upper joint limits, shape (v,) each; infinite for continuous joints.
+        target: EE orientation in the base frame, shape (3, 3), and position, (3,), metres.
         q: First joint positions, within the limits; receives the last ones, shape (v,).
         scratch: Memory of `make_scratch`; its frames are those of `q`, before and after.
     """
     stalled, best = 0, np.inf
     metres, radians = np.inf, np.inf
     for iteration in range(options.max_iterations + 1):
-        metres, radians = measure(target_rotation, target_position, scratch)
+        metres, radians = measure(target, scratch)
         if metres <= options.position_tolerance and radians <= options.rotation_tolerance:
             break
         cost = square(metres) + square(options.rotation_weight * radians)
@@ -113,7 +98,7 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
             break
         fill_columns(chain.tree, scratch.frames, scratch.columns)
         _weigh(options.rotation_weight, scratch)
-        _step_within_limits(options, q, DAMPING_FLOOR + DAMPING_GAIN * cost, scratch)
+        _step_within_limits(limits, q, DAMPING_FLOOR + DAMPING_GAIN * cost, scratch)
         for j in range(len(q)):
             q[j] += scratch.step[j]
         place_chain(chain, q, scratch.frames)
@@ -131,13 +116,13 @@ def _weigh(weight, scratch):
 
 
 @inlined
-def measure(target_rotation, target_position, scratch):
+def measure(target, scratch):
     """Write the error of the EE in `scratch.frames`; return its norms, metres and radians."""
     squared = 0.0
     for i in range(3):
-        scratch.error[i] = target_position[i] - scratch.frames.position[i]
+        scratch.error[i] = target[1][i] - scratch.frames.position[i]
         squared += square(scratch.error[i])
-    angle = rotation_error(target_rotation, scratch.frames.rotation, scratch.error)
+    angle = rotation_error(target[0], scratch.frames.rotation, scratch.error)
     return math.sqrt(squared), angle
 
 
@@ -189,7 +174,7 @@ def _half_turn(target, current, error):
 
 
 @inlined
-def _step_within_limits(options, q, damping, scratch):
+def _step_within_limits(limits, q, damping, scratch):
     """Write the damped least-squares step that keeps `q` within its limits.
 
     Of min |J s - e|^2 + damping |s - p|^2 within bounds, with the pull p, the free joints' part is
@@ -208,10 +193,10 @@ def _step_within_limits(options, q, damping, scratch):
                 wanted[j] += scratch.columns[j, i] * scratch.solved[i]
             if side[j] == 0:
                 step[j] = wanted[j]
-                if q[j] + wanted[j] > options.upper[j]:
-                    step[j], side[j], blocked = options.upper[j] - q[j], 1, True
-                elif q[j] + wanted[j] < options.lower[j]:
-                    step[j], side[j], blocked = options.lower[j] - q[j], -1, True
+                if q[j] + wanted[j] > limits[1][j]:
+                    step[j], side[j], blocked = limits[1][j] - q[j], 1, True
+                elif q[j] + wanted[j] < limits[0][j]:
+                    step[j], side[j], blocked = limits[0][j] - q[j], -1, True
         if not blocked and not _release(scratch):
             return
 

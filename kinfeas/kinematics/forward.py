@@ -201,7 +201,7 @@ class Frames(NamedTuple):
     position: Array
 
 
-@inlined
+@kernel
 def make_frames(joints):
     """Return empty frames for a chain of `joints` joints."""
     return Frames(

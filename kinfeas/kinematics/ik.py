@@ -227,9 +227,11 @@ def _make_problem(
     ee_pose = forward(chain, library)
     return Problem(
         chain=chain,
-        descent=Descent(lower, upper, *aim, weight, options.max_iterations),
+        descent=Descent(*aim, weight, options.max_iterations),
         collision=collision,
         check_collision=options.self_collision and len(collision.pairs) > 0,
+        lower=lower,
+        upper=upper,
         velocity=velocity,
         continuous=continuous,
         middle=middle,

@@ -3,6 +3,7 @@
 from numba import njit
 
 from kinfeas.core import kernel_cache
+from kinfeas.core.kernel_cache import UNCOUNTED
 from kinfeas.core.pose_kernels import product
 
 kernel_cache.settle()  # before the first kernel
@@ -15,7 +16,10 @@ kernel_cache.settle()  # before the first kernel
 # the flags of the first kernel.
 _FAST = {"contract", "reassoc", "nsz"}
 kernel = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True, forceinline=False)
-inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)
+inner = njit(
+    cache=True, error_model="numpy", fastmath=_FAST, nogil=True, forceinline=False, **UNCOUNTED
+)
+inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True, **UNCOUNTED)
 
 
 @inlined

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure, within
+from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
 from kinfeas.kinematics.forward import Chain, place_chain
-from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square, write_matrix
+from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel, square, write_matrix
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
     make_collision_scratch,
@@ -37,9 +37,11 @@ class Problem(NamedTuple):
 
     Attributes:
         chain: From base to EE, driven by v variables.
-        descent: Limits and tolerances of a descent.
+        descent: Tolerances of a descent.
         collision: Self-collision model.
         check_collision: Whether self-collision is checked.
+        lower: Joint limits, shape (v,); -inf for continuous joints.
+        upper: Same, +inf for continuous joints.
         velocity: Joint velocity limits, shape (v,).
         continuous: Whether joints are continuous, shape (v,).
         middle: Middles of the joint ranges, shape (v,).
@@ -61,6 +63,8 @@ class Problem(NamedTuple):
     descent: Descent
     collision: CollisionModel
     check_collision: bool
+    lower: Array
+    upper: Array
     velocity: Array
     continuous: NDArray[np.bool_]
     middle: Array
@@ -113,8 +117,8 @@ def solve_batch(
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
     turn, position = np.empty((3, 3)), np.empty(3)
-    held, lower, upper = problem.held, problem.descent.lower.copy(), problem.descent.upper.copy()
-    limits = within(problem.descent, lower, upper)
+    held, lower, upper = problem.held, problem.lower.copy(), problem.upper.copy()
+    limits = lower, upper
     for i in range(len(solution)):
         if held >= 0:
             lower[held] = upper[held] = solution[i, held]
@@ -171,8 +175,8 @@ def _solve_from_seed(
         cost += square(target[1][i] - scratch.frames.position[i])
         for k in range(3):
             trace += target[0][i, k] * scratch.frames.rotation[i, k]
-    cost += square(limits.rotation_weight) * (3.0 - trace)
-    error[0], error[1] = measure(target[0], target[1], scratch)
+    cost += square(problem.descent.rotation_weight) * (3.0 - trace)
+    error[0], error[1] = measure(target, scratch)
     if cost > WARM_COST:
         return False
     metres_here, radians_here = error[0], error[1]
@@ -181,19 +185,19 @@ def _solve_from_seed(
         first = GUIDED
     if first != WIDE:
         for j in range(len(q)):
-            near[0, j] = max(limits.lower[j], q[j] - max_joint_step[j])
-            near[1, j] = min(limits.upper[j], q[j] + max_joint_step[j])
+            near[0, j] = max(limits[0][j], q[j] - max_joint_step[j])
+            near[1, j] = min(limits[1][j], q[j] + max_joint_step[j])
     for attempt in range(first, WIDE + 1 if allow_reconfiguration else WIDE):
         if attempt == DRAWN and len(problem.centering) == 0:
             continue
-        bounds = limits if attempt == WIDE else within(limits, near[0], near[1])
+        bounds = limits if attempt == WIDE else (near[0], near[1])
         if attempt == GUIDED:
             _go_to_guide(problem, max_joint_step, guide[0], near, q)
-            bounds = within(limits, near[2], near[3])
+            bounds = near[2], near[3]
             place_chain(problem.chain, q, scratch.frames)
         elif attempt == DRAWN:
             _draw(problem, max_joint_step, q, scratch.pull)
-        metres, radians = descend(problem.chain, bounds, target[0], target[1], q, scratch)
+        metres, radians = descend(problem.chain, problem.descent, bounds, target, q, scratch)
         # A guide must not cost accuracy.
         share = AIM if attempt == GUIDED else 1.0
         if _close_enough(problem, metres / share, radians / share):
@@ -221,7 +225,7 @@ def _solve_from_seed(
 def _start(limits, seed, q):
     """Write the seed, within the joint limits."""
     for j in range(len(q)):
-        q[j] = min(max(seed[j], limits.lower[j]), limits.upper[j])
+        q[j] = min(max(seed[j], limits[0][j]), limits[1][j])
 
 
 @inlined
@@ -247,7 +251,8 @@ def _draw(problem, max_joint_step, q, pull):
 @inlined
 def _solve_from_library(problem, limits, target, solution, error, order, scratch, touching, around):
     """Descend from library entries; keep the solution nearest to the seed."""
-    q, seed = scratch.trial, solution.copy()
+    q, seed = scratch.trial, scratch.seed
+    copy_row(solution, seed)
     closest = _cost(problem, error[0], error[1])
     nearest, found = np.inf, 0
     for attempt in range(len(order)):
@@ -257,7 +262,7 @@ def _solve_from_library(problem, limits, target, solution, error, order, scratch
         if problem.held >= 0:
             q[problem.held] = seed[problem.held]
         place_chain(problem.chain, q, scratch.frames)
-        metres, radians = descend(problem.chain, limits, target[0], target[1], q, scratch)
+        metres, radians = descend(problem.chain, problem.descent, limits, target, q, scratch)
         closest = min(closest, _cost(problem, metres, radians))
         if _close_enough(problem, metres, radians):
             if not _free(problem, q, touching, around):
@@ -295,7 +300,7 @@ def _free(problem, q, touching, around):
     return not _collides(problem.collision, problem.check_collision, q, touching, *around)
 
 
-@kernel
+@inner
 def _collides(collision, with_itself, q, touching, solids, row):
     if with_itself and touches_itself(collision, q, touching):
         return True

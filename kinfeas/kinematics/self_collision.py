@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.spatial import Array, rotation
-from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE, closer_than
+from kinfeas.kinematics.convex import BOX, CYLINDER, SCRATCH_ROWS, SPHERE, closer_than
 from kinfeas.kinematics.forward import Mount, Tree, build_tree, flattened, place_joints, turn_row
-from kinfeas.kinematics.kernels import copy_row, inlined, kernel
+from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 
@@ -122,7 +122,7 @@ def make_collision_scratch(model):
         np.empty((joints, 3)),
         np.empty((shapes, 3, 3)),
         np.empty((shapes, 3)),
-        np.empty((6, 3)),
+        np.empty((SCRATCH_ROWS, 3)),
         np.empty((5, 3)),
     )
     for s in range(shapes):
@@ -133,7 +133,7 @@ def make_collision_scratch(model):
     return scratch
 
 
-@kernel
+@inner
 def touches_itself(model: CollisionModel, q, scratch: CollisionScratch):
     """Return whether the robot is in self-collision at the arm joints `q`, shape (v,)."""
     place_shapes(model, q, scratch)

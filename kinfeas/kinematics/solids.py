@@ -14,7 +14,7 @@ from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, yaw
 from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than, distance
 from kinfeas.kinematics.forward import flattened
-from kinfeas.kinematics.kernels import inlined, kernel, square
+from kinfeas.kinematics.kernels import inlined, inner, kernel, square
 from kinfeas.kinematics.self_collision import (
     MARGIN,
     CollisionModel,
@@ -141,7 +141,7 @@ def _collides_batch(model, joint_positions, pose, size, cylinder, touching):
             )
 
 
-@kernel
+@inner
 def touches_solids(model: CollisionModel, moved, pose, size, cylinder, scratch: CollisionScratch):
     """Return whether a shape touches one of k solids in the base frame.
 
@@ -273,12 +273,14 @@ def _gap(s, kind, scratch):
 @kernel
 def _scan_batch(pose, size, cylinder, bands, cosine, sine, max_range, ranges):
     for i in range(len(pose)):
-        for k in range(pose.shape[1]):
-            if not is_empty(size[i, k]):
-                _scan(
-                    pose[i, k], size[i, k], cylinder[i, k],
-                    bands, cosine, sine, max_range, ranges[i],
-                )  # fmt: skip
+        _scan_row(pose[i], size[i], cylinder[i], bands, cosine, sine, max_range, ranges[i])
+
+
+@inner
+def _scan_row(pose, size, cylinder, bands, cosine, sine, max_range, ranges):
+    for k in range(len(pose)):
+        if not is_empty(size[k]):
+            _scan(pose[k], size[k], cylinder[k], bands, cosine, sine, max_range, ranges)
 
 
 @inlined

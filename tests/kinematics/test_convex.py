@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE, closer_than
+from kinfeas.kinematics.convex import BOX, CYLINDER, SCRATCH_ROWS, SPHERE, closer_than
 
 MARGIN = 1e-3
 SETTLED = 1e-5  # m beyond the margin, where the answer must be exact
@@ -45,7 +45,7 @@ def random_solid(rng, kind, largest=0.5):
 
 
 def near(a, b):
-    return closer_than(MARGIN, *a.kernel, *b.kernel, np.empty((6, 3)))
+    return closer_than(MARGIN, *a.kernel, *b.kernel, np.empty((SCRATCH_ROWS, 3)))
 
 
 def collide(a, b):
