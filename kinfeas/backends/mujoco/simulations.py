@@ -69,6 +69,8 @@ class Simulations:
         self._warning, self._active = self.batch.warning, self.batch.eq_active
         shapes = model.shapes(Solids.empty(1)) if model.solid_bodies.size else ()
         self._shapes = {name: self.batch.expand(name) for name in shapes}
+        # A period of a deployed robot cannot wait until the kernel is compiled.
+        self._base_path(np.arange(0), np.zeros((0, 6)), np.zeros(1))
 
     def state(self) -> dict[str, Any]:
         """Return the whole state by name, as arrays of n rows that can be changed."""
@@ -152,11 +154,7 @@ class Simulations:
         self._time_step[rows] = dt / steps
         time = dt / steps * np.arange(1.0, steps + 1.0)
         control = np.zeros((len(rows), steps, model.engine.nu))
-        base = model.robot.base
-        control[..., :3] = base_path(
-            self._base, rows, base_twist, self.qpos[:, model.at[0, 2]], time,
-            base.drive == "differential", base.max_acceleration, base.max_rotation_acceleration,
-        )  # fmt: skip
+        control[..., :3] = self._base_path(rows, base_twist, time)
         path, speed = self._arm.plan(joint_targets, time, rows)
         arm, servos = joint_targets.shape[1], control[..., 3 : model.at.shape[1]]
         servos[..., :arm] = (path + LAG * speed)[..., :arm]
@@ -175,6 +173,14 @@ class Simulations:
             # An object that has slipped out is not grasped again.
             for row in rows[self._closing[rows]].tolist():
                 self._closing[row] = not self._hold(row)
+
+    def _base_path(self, rows: _Rows, twist: Array, time: Array) -> Array:
+        """Return the setpoints of bases at world twists (m, 6), shape (m, t, 3)."""
+        base, yaws = self.model.robot.base, self.qpos[:, self.model.at[0, 2]]
+        differential = base.drive == "differential"
+        limits = base.max_acceleration, base.max_rotation_acceleration
+        setpoints: Array = base_path(self._base, rows, twist, yaws, time, differential, *limits)
+        return setpoints
 
     @property
     def held(self) -> NDArray[np.bool_]:

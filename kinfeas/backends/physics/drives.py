@@ -57,6 +57,8 @@ class ArmSetpoints:
         self.effort = [joint.effort for joint in moved]
         self.velocity = [*self._fastest.tolist(), *(one.velocity for one in moved[len(arm) :])]
         self.at, self.speed = np.zeros((2, n, len(arm)))
+        # A period of a deployed robot cannot wait until the kernel is compiled.
+        self.plan(self.at, np.array([horizon]))
 
     def follow(self, joint_positions: Array) -> Array:
         """Return positions of all `names` for those of the arm, (..., j) to (..., j + f)."""
