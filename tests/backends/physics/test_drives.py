@@ -1,10 +1,13 @@
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kinfeas.backends.mujoco import simulations
+from kinfeas.backends.physics import drives
 from kinfeas.backends.physics.kernels import cubic
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
@@ -59,6 +62,25 @@ def test_a_continuous_joint_takes_the_shorter_way(opened):
     assert np.abs(seen).max() <= np.pi
     assert seen[-1] == pytest.approx(-3.0, abs=1e-4)
     assert np.abs(seen).min() > 2.9
+
+
+def test_kernels_are_compiled_before_the_first_step(opened, monkeypatch):
+    types = []
+
+    def recorded(kernel):
+        def run(*arguments):
+            types.append((kernel, tuple(map(numba.typeof, arguments))))
+            return kernel(*arguments)
+
+        return run
+
+    monkeypatch.setattr(drives, "arm_paths", recorded(drives.arm_paths))
+    monkeypatch.setattr(simulations, "base_path", recorded(simulations.base_path))
+    world = opened(load_robot("hsr"))
+    place(world)
+    compiled = set(types)
+    world.step(twist(0.1), world.robot.home["home"][np.newaxis], 0.02)
+    assert set(types) == compiled != set()
 
 
 def test_a_joint_without_effort_is_an_error(engine):
