@@ -1,4 +1,4 @@
-"""Compilation of kernels: their option, and folder and lock of numba's cache."""
+"""Option of kernels, and folder and lock of numba's cache of them."""
 
 import os
 import stat

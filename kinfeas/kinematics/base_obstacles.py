@@ -95,10 +95,10 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
 
 @inner
 def _obstacles(prisms, reach, solids, within, pairs, solid, out):
-    """Write those of one row, shape (p, 6); return their number.
+    """Write points, normals, distances and closing speeds of a row, shape (p, 6).
 
-    `reach` is the radius of the circle around the robot's shapes; `pairs` and `solid` are scratch
-    memory.
+    `reach` is the radius of the circle around the robot's shapes, metres; `pairs`, shape (8 s, 6),
+    and `solid`, (9,), are scratch memory. Returns the number of points.
     """
     pose, size, cylinder, velocity = solids
     used = 0

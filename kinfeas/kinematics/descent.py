@@ -17,7 +17,7 @@ DAMPING_FLOOR, DAMPING_GAIN = 1e-6, 0.02
 
 
 class Descent(NamedTuple):
-    """Tolerances of a descent.
+    """Options of a descent.
 
     Attributes:
         position_tolerance: Position error at which it ends, metres.
@@ -78,7 +78,7 @@ def descend(chain: Chain, options: Descent, limits, target, q, scratch):
 
     Args:
         chain: From base to EE, driven by v variables.
-        options: Tolerances.
+        options: Tolerances, weight and largest number of steps.
         limits: Lower and upper joint limits, shape (v,) each; infinite for continuous joints.
         target: EE orientation in the base frame, shape (3, 3), and position, (3,), metres.
         q: First joint positions, within the limits; receives the last ones, shape (v,).

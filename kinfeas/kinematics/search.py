@@ -37,7 +37,7 @@ class Problem(NamedTuple):
 
     Attributes:
         chain: From base to EE, driven by v variables.
-        descent: Tolerances of a descent.
+        descent: Options of a descent.
         collision: Self-collision model.
         check_collision: Whether self-collision is checked.
         lower: Joint limits, shape (v,); -inf for continuous joints.

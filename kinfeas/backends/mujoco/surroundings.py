@@ -9,10 +9,10 @@ import numpy as np
 
 from kinfeas.backends.mujoco.model import ROBOT, Model
 from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacles_around
+from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.base_obstacles import AS_NEAR
-from kinfeas.kinematics.kernels import kernel
 
 _OUTSIDE = 1e-3  # m before a corner where its ray starts
 _SIDES = 16  # of a cylinder
@@ -94,7 +94,10 @@ class Surroundings:
             yield int(base[own[pair]]), int(objects[other[pair]]), float(near[pair])
 
 
-@kernel
+# Compiled on import: a period of a deployed robot cannot wait for it.
+@compiled(
+    ["void(f8[:,:], f8[:,:], f8[:,:], i8[:], i8[:], f8[:,:])"], "(g,p),(g,t),(g,s),(b),(k)->(b,k)"
+)
 def _distances_to_boxes(
     places: Array, turns: Array, boxes: Array, base: Rows, objects: Rows, out: Array
 ) -> None:
