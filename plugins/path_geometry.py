@@ -12,6 +12,7 @@ from numba import njit
 from kinfeas.core import kernel_cache
 from kinfeas.core.kernel_cache import UNCOUNTED, compiled
 from kinfeas.core.motion import WAYPOINTS
+from kinfeas.core.pose_kernels import write_reached, write_twist
 
 kernel_cache.settle()  # before the first kernel
 kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
@@ -138,6 +139,23 @@ def on_curve(points, t):
 def place_at(points, share, out):
     """Place of a path, a uniform cubic B-spline, at a share in [0, 1] of its way."""
     out[:] = on_curve(points, share * (POINTS - 1))
+
+
+@compiled(["void(f8[:, :], f8, f8, f8[:], f8[:], f8[:])"], "(k,p),(),(),(p),(p)->(p)")
+def pose_at(points, share, rate, origin, target, out):
+    """Pose at a share of a path that ends at `origin`, which is bent so that it ends at `target`.
+
+    Without a rate the motion is straight from `origin` to `target`.
+    """
+    way = np.empty(6)
+    write_twist(origin, target, 1.0, way)
+    if rate == 0.0:
+        write_reached(origin, way, share, out)
+        return
+    pose = on_curve(points, share * (POINTS - 1))
+    x, y, z, w = pose[3], pose[4], pose[5], pose[6]
+    pose[3:] /= math.sqrt(x * x + y * y + z * z + w * w)
+    write_reached(pose, way, share, out)
 
 
 @inner

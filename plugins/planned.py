@@ -16,6 +16,7 @@ from kinfeas.plugins.path_geometry import (
     POINTS,
     duration,
     place_at,
+    pose_at,
     share_after,
     shares_ahead,
 )
@@ -152,14 +153,10 @@ class SmoothPath:
 
         Shape (..., n) -> (..., n, 7).
         """
-        pose = place_at(state["points"], share)
-        pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
-        begin, moved = pose, twist_between(state["planned_target"], target_pose, 1.0)
-        if (straight := state["rate"] == 0.0).any():
-            rows, start = straight[:, np.newaxis], state["start_pose"]
-            moved = np.where(rows, twist_between(start, target_pose, 1.0), moved)
-            begin = np.where(rows, start, pose)
-        return integrate(begin, moved * share[..., np.newaxis], 1.0)
+        straight = state["rate"][:, np.newaxis] == 0.0
+        origin = np.where(straight, state["start_pose"], state["planned_target"])
+        pose: Array = pose_at(state["points"], share, state["rate"], origin, target_pose)
+        return pose
 
     def _velocity(self, state: State, target_pose: Array) -> Array:
         """Return the present twists, shape (n, 6)."""

@@ -57,8 +57,6 @@ class Step:
         joint_jump: Whether an arm joint was commanded to move faster than its limit.
         time_scale: Share of the planned motion that was carried out.
         collision: Whether the base, then the arm, touches a solid, shape (n, 2); None without any.
-        base_error: Distance of the base from the planned base, metres, half a metre for each
-            radian; 0 without a planned base, None unless the policy observes it.
     """
 
     feasible: NDArray[np.bool_]
@@ -72,7 +70,6 @@ class Step:
     joint_jump: NDArray[np.bool_]
     time_scale: Array
     collision: NDArray[np.bool_] | None = None
-    base_error: Array | None = None
 
 
 class Loop:
@@ -226,7 +223,6 @@ class Loop:
             joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
             time_scale=period.time_scale,
             collision=collision,
-            base_error=self.observer.base_error(state.base_pose),
         )
         self._replan()
         stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))

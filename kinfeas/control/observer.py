@@ -39,6 +39,7 @@ class Observer:
         self._revision = -1
         self._ahead: Array | None = None
         self._planned_base: Array | None = None
+        self._base_seen: Array | None = None
 
     def prepare(self) -> None:
         """Ask the motions for their next step and goals, once after each change."""
@@ -67,23 +68,23 @@ class Observer:
             ahead = spatial.relative(self._ahead, base_pose[:, np.newaxis])
             seen.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)
         if self._planned_base is not None:
-            seen.planned_base = _in_base(self._planned_base, base_pose)
+            self._base_seen = seen.planned_base = _in_base(self._planned_base, base_pose)
         self.planned = preview
         if self._time_scale != 1.0:
             twist = spatial.twist_between(sequence.desired, preview, HORIZON)
             self.planned = spatial.integrate(sequence.desired, twist, HORIZON * self._time_scale)
         return observe(seen, self.terms)
 
-    def base_error(self, base_pose: Array) -> Array | None:
-        """Return distances of the bases from the planned ones, metres, shape (n,).
+    @property
+    def base_error(self) -> Array | None:
+        """Distances of the bases from the planned ones, metres, shape (n,).
 
         Half a metre for each radian; 0 without a planned base. None unless a term observes it.
         """
-        if "planned_base" not in self.terms:
+        if self._base_seen is None:
             return None
-        away = np.abs(_in_base(self._sequence.planned_base, base_pose))
-        error: Array = np.hypot(away[:, 0], away[:, 1]) + 0.5 * away[:, 2]
-        return error
+        x, y, angle = self._base_seen.T
+        return np.hypot(x, y) + 0.5 * np.abs(angle)
 
 
 def _in_base(wanted: Array, base_pose: Array) -> Array:

@@ -85,7 +85,7 @@ class ConformanceError(KinfeasError):
 class CheckedMotion:
     """A motion generator that checks another one's return values.
 
-    Shapes, types and finiteness are checked when motions start and at the first step after, or at
+    Shapes, types and finiteness are checked at the first call of each method after a start, or at
     `every_step`. States keep the layout of the first one, so that rows can be exchanged. Exceptions
     of the generator get a note with its `name`, by default its class.
 
@@ -102,12 +102,15 @@ class CheckedMotion:
         self, generator: MotionGenerator, name: str = "", *, every_step: bool = False
     ) -> None:
         self.generator = generator
-        self.demonstrated = isinstance(generator, Demonstrated)
-        self.avoids_solids = isinstance(generator, AvoidsSolids)
-        self.follows_whole_body = isinstance(generator, FollowsWholeBodyPath)
+        # Once, since protocols are checked by looking up each of their members.
         self._ahead = generator.ahead if isinstance(generator, LooksAhead) else None
+        self._base_pose = generator.base_pose if isinstance(generator, Demonstrated) else None
+        self._follower = generator if isinstance(generator, FollowsWholeBodyPath) else None
+        self.demonstrated = self._base_pose is not None
+        self.avoids_solids = isinstance(generator, AvoidsSolids)
+        self.follows_whole_body = self._follower is not None
         self.subject = f"motion generator {name or type(generator).__name__}"
-        self._every_step, self._unchecked = every_step, True
+        self._every_step, self._checked = every_step, set[str]()
         self._layout: Layout | None = None
 
     def start(
@@ -117,7 +120,7 @@ class CheckedMotion:
         with plugin_note(self.subject):
             state = self.generator.start(ee_pose, target_pose, rngs)
         self._check_state("start", state, len(ee_pose))
-        self._unchecked = True
+        self._checked.clear()
         if not are_unit(self.goal_pose(state, target_pose)):
             raise self.error("returns a goal_pose without unit quaternion", "quaternions")
         return state
@@ -126,7 +129,7 @@ class CheckedMotion:
         """Return the world poses at which the motions end, shape (n, 7)."""
         with plugin_note(self.subject):
             goal = self.generator.goal_pose(state, target_pose)
-        if self._unchecked or self._every_step:
+        if self._due("goal_pose"):
             self._check_array("goal_pose", goal, (len(target_pose), 7))
         return goal
 
@@ -136,24 +139,24 @@ class CheckedMotion:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         with plugin_note(self.subject):
             answer = self.generator.twist(state, ee_pose, target_pose, dt)
-        if self._unchecked or self._every_step:
+        if self._due("twist"):
             if self._layout is None and len(ee_pose):  # resumed without a start
                 self._layout = _layout(state)
             if not isinstance(answer, tuple) or len(answer) != 2:
                 raise self.error("must return a pair from twist: the twist and the next state")
             self._check_array("twist", answer[0], (len(ee_pose), 6))
             self._check_state("twist", answer[1], len(ee_pose))
-            self._unchecked = False
         return answer
 
     def base_pose(self, state: State, target_pose: Array) -> Array:
         """Return the demonstrated base poses, shape (n, 7); NaN if there are none."""
         n = len(target_pose)
-        if not isinstance(self.generator, Demonstrated):
+        if self._base_pose is None:
             return np.full((n, 7), np.nan)
         with plugin_note(self.subject):
-            pose = self.generator.base_pose(state, target_pose)
-        self._check_array("base_pose", pose, (n, 7), finite=False)
+            pose = self._base_pose(state, target_pose)
+        if self._due("base_pose"):
+            self._check_array("base_pose", pose, (n, 7), finite=False)
         return pose
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
@@ -173,9 +176,9 @@ class CheckedMotion:
         paths: Sequence[WholeBodyPath],
     ) -> tuple[State, Array]:
         """Return the state of motions along paths, and their waypoints, (n, 64, 3 + j)."""
-        assert isinstance(self.generator, FollowsWholeBodyPath)
+        assert self._follower is not None
         with plugin_note(self.subject):
-            state, waypoints = self.generator.follow(state, ee_pose, target_pose, paths)
+            state, waypoints = self._follower.follow(state, ee_pose, target_pose, paths)
         self._check_state("follow", state, len(ee_pose))
         shape = len(ee_pose), WAYPOINTS, paths[0].robot.shape[1]
         self._check_array("follow", waypoints, shape)
@@ -183,11 +186,12 @@ class CheckedMotion:
 
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead, shape (n, s, 3 + j), or NaN."""
-        assert isinstance(self.generator, FollowsWholeBodyPath)
+        assert self._follower is not None
         with plugin_note(self.subject):
-            robot = self.generator.robot_ahead(state, waypoints, seconds)
-        shape = len(waypoints), len(seconds), waypoints.shape[2]
-        self._check_array("robot_ahead", robot, shape, finite=False)
+            robot = self._follower.robot_ahead(state, waypoints, seconds)
+        if self._due("robot_ahead"):
+            shape = len(waypoints), len(seconds), waypoints.shape[2]
+            self._check_array("robot_ahead", robot, shape, finite=False)
         return robot
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
@@ -202,13 +206,19 @@ class CheckedMotion:
             return integrate(ee_pose[:, np.newaxis], way, np.minimum(distances / metres, 1.0))
         with plugin_note(self.subject):
             poses = self._ahead(state, ee_pose, target_pose, distances)
-        if self._unchecked or self._every_step:
+        if self._due("ahead"):
             self._check_array("ahead", poses, (len(ee_pose), len(distances), 7))
         return poses
 
     def error(self, broken: str, rule: str = "form") -> ConformanceError:
         """Return an error whose subject is the generator."""
         return ConformanceError(f"{self.subject} {broken}", rule)
+
+    def _due(self, method: str) -> bool:
+        """Return whether a method's return value is to be checked now."""
+        due = self._every_step or method not in self._checked
+        self._checked.add(method)
+        return due
 
     def _check_array(
         self, method: str, value: object, shape: tuple[int, ...], *, finite: bool = True

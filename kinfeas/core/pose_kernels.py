@@ -62,9 +62,9 @@ def relative(pose, frame, out):
     out[3], out[4], out[5], out[6] = quaternion
 
 
-@compiled(["void(f8[:], f8[:], f8, f8[:])"], "(p),(t),()->(p)")
-def integrate(pose, twist, dt, out):
-    """Pose after `dt` seconds of constant world `twist`."""
+@inlined
+def write_reached(pose, twist, dt, out):
+    """Write the pose after `dt` seconds of constant world `twist`."""
     x, y, z = twist[3] * dt, twist[4] * dt, twist[5] * dt
     angle = math.sqrt(x * x + y * y + z * z)
     # sin(angle / 2) / angle, by its series where the quotient would lose digits
@@ -77,9 +77,15 @@ def integrate(pose, twist, dt, out):
     out[3], out[4], out[5], out[6] = quaternion
 
 
-@compiled(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(p),(),(t)->(t)")
-def twist_between(start, end, dt, like, out):
-    """World twist that leads from `start` to `end` in `dt` seconds; `like` has its size."""
+@compiled(["void(f8[:], f8[:], f8, f8[:])"], "(p),(t),()->(p)")
+def integrate(pose, twist, dt, out):
+    """Pose after `dt` seconds of constant world `twist`."""
+    write_reached(pose, twist, dt, out)
+
+
+@inlined
+def write_twist(start, end, dt, out):
+    """Write the world twist that leads from `start` to `end` in `dt` seconds."""
     x, y, z, w = product(end[3], end[4], end[5], end[6], -start[3], -start[4], -start[5], start[6])
     sine = math.sqrt(x * x + y * y + z * z)
     # angle / sin(angle / 2), by its series where the quotient would lose digits
@@ -89,12 +95,27 @@ def twist_between(start, end, dt, like, out):
     out[3], out[4], out[5] = x * scale / dt, y * scale / dt, z * scale / dt
 
 
+@compiled(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(p),(),(t)->(t)")
+def twist_between(start, end, dt, like, out):
+    """World twist that leads from `start` to `end` in `dt` seconds; `like` has its size."""
+    write_twist(start, end, dt, out)
+
+
 @compiled(["void(f8[:], f8, f8, f8[:], f8[:])"], "(v),(),(),(t)->(t)")
 def planar_twist(velocity, cosine, sine, like, out):
     """World twist of a velocity forward, left and about z along a heading; `like` as above."""
     out[0] = cosine * velocity[0] - sine * velocity[1]
     out[1] = sine * velocity[0] + cosine * velocity[1]
     out[2], out[3], out[4], out[5] = 0.0, 0.0, 0.0, velocity[2]
+
+
+@compiled(["void(f8, f8, f8, f8[:], f8[:])"], "(),(),(),(p)->(p)")
+def planar_pose(x, y, angle, like, out):
+    """Pose on the floor at a heading; `like` as above."""
+    sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
+    sign = math.copysign(1.0, cosine)  # no comparison, which would warn of NaN
+    out[0], out[1], out[2], out[3], out[4] = x, y, 0.0, 0.0, 0.0
+    out[5], out[6] = sign * sine, sign * cosine
 
 
 @compiled(["void(f8[:], f8[:], f8[:], f8[:])"], "(p),(p)->(),()")
@@ -120,6 +141,18 @@ def wrapped(angle):
 def wrap(angle, out):
     """Angle in (-pi, pi]."""
     out[0] = wrapped(angle)
+
+
+@inlined
+def heading(pose):
+    """Return the heading of a pose on the floor, radians in (-pi, pi]."""
+    return wrapped(2.0 * math.atan2(pose[5], pose[6]))
+
+
+@compiled(["void(f8[:], f8[:])"], "(p)->()")
+def yaw(pose, out):
+    """Heading of a pose on the floor, radians in (-pi, pi]."""
+    out[0] = heading(pose)
 
 
 @compiled(["void(f8[:], f8[:], b1[:], f8[:], b1[:])"], "(j),(j),(j),(j)->()")

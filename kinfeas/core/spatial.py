@@ -79,16 +79,16 @@ def distance(a: Array, b: Array) -> tuple[Array, Array]:
 
 def planar_pose(x: Array, y: Array, yaw: Array) -> Array:
     """Return poses on the floor: `x`, `y` in metres, `yaw` in radians, shape (...) -> (..., 7)."""
-    pose = np.zeros((*np.shape(yaw), 7))
-    pose[..., 0], pose[..., 1] = x, y
-    pose[..., 5], pose[..., 6] = np.sin(yaw / 2.0), np.cos(yaw / 2.0)
-    pose[..., 3:] = canonical(pose[..., 3:])
+    pose: Array = pose_kernels.planar_pose(x, y, yaw, IDENTITY)
     return pose
 
 
 def yaw(pose: Array) -> Array:
     """Return the heading of planar poses, shape (..., 7) -> (...), radians in (-pi, pi]."""
-    return wrap(2.0 * np.arctan2(pose[..., 5], pose[..., 6]))
+    if pose.shape[-1:] != _POSE:
+        raise KinfeasError(f"the shape must be that of poses (..., 7), not {pose.shape}")
+    angle: Array = pose_kernels.yaw(pose)
+    return angle
 
 
 def wrap(angle: Array) -> Array:

@@ -55,7 +55,12 @@ class RewardConfig:
 
 
 def reward(
-    config: RewardConfig, robot: Robot, step: Step, action: Array, joint_positions: Array
+    config: RewardConfig,
+    robot: Robot,
+    step: Step,
+    action: Array,
+    joint_positions: Array,
+    base_error: Array | None = None,
 ) -> Array:
     """Return the reward of a step, shape (n,).
 
@@ -65,6 +70,7 @@ def reward(
         step: Result of the loop's step.
         action: Base commands in [-1, 1], shape (n, a).
         joint_positions: Arm joints after the step, shape (n, j).
+        base_error: From `Observer.base_error`.
     """
     lower, upper = robot.joint_limits
     tolerance = robot.pose_tolerance
@@ -81,8 +87,8 @@ def reward(
     )  # fmt: skip
     if step.collision is not None:
         earned -= config.collision_penalty * (step.collision @ np.array([1.0, 0.1]))
-    if config.base_penalty and step.base_error is not None:
-        earned -= config.base_penalty * np.minimum(step.base_error / _BASE_METRES, 1.0) ** 2
+    if config.base_penalty and base_error is not None:
+        earned -= config.base_penalty * np.minimum(base_error / _BASE_METRES, 1.0) ** 2
     if config.failure == "squared":
         earned *= step.time_scale
     if config.slow_penalty > 0.0:

@@ -221,10 +221,11 @@ class World:
         if planned_way is not None:
             way = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
             reached = truncated
-        joints, command = self.loop.state.joint_positions, action[:, : loop.command_size]
+        joints, command = loop.state.joint_positions, action[:, : loop.command_size]
+        base_error = loop.observer.base_error
         return Transition(
             observation=self.loop.observation,
-            reward=reward(self.config.reward, self.robot, step, command, joints),
+            reward=reward(self.config.reward, self.robot, step, command, joints, base_error),
             terminated=terminated,
             truncated=truncated,
             reached=reached,

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +9,9 @@ from numpy.typing import NDArray
 from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.pose_kernels import heading
 from kinfeas.core.solids import MovingSolids, Solids
-from kinfeas.core.spatial import Array, yaw
+from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than, distance
 from kinfeas.kinematics.forward import flattened
 from kinfeas.kinematics.kernels import inlined, inner, kernel, square
@@ -29,22 +29,19 @@ SolidArrays = tuple[Array, Array, NDArray[np.bool_]]
 
 def in_base(solids: Solids, base_pose: Array) -> Solids:
     """Return the solids as seen from bases on the floor, world poses of shape (n, 7)."""
-    heading = yaw(base_pose)
-    turn = heading, np.cos(heading), np.sin(heading)
-    pose, velocity = _turned(solids.pose, solids.velocity, base_pose, *turn)
-    return replace(solids, pose=pose, velocity=velocity)
+    pose, velocity = _turned(solids.pose, solids.velocity, base_pose)
+    return Solids(pose, solids.size, solids.cylinder, velocity, solids.span)
 
 
-@compiled(
-    ["void(f8[:,:], f8[:,:], f8[:], f8, f8, f8, f8[:,:], f8[:,:])"],
-    "(k,p),(k,v),(b),(),(),()->(k,p),(k,v)",
-)
-def _turned(pose, velocity, base, heading, cosine, sine, pose_out, velocity_out):
+@compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:,:], f8[:,:])"], "(k,p),(k,v),(b)->(k,p),(k,v)")
+def _turned(pose, velocity, base, pose_out, velocity_out):
     """Poses and velocities of k solids in the frame of a base."""
+    yaw = heading(base)
+    cosine, sine = math.cos(yaw), math.sin(yaw)
     for k in range(len(pose)):
         x, y = pose[k, 0] - base[0], pose[k, 1] - base[1]
         pose_out[k, 0], pose_out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
-        pose_out[k, 2] = pose[k, 2] - heading
+        pose_out[k, 2] = pose[k, 2] - yaw
         x, y = velocity[k, 0], velocity[k, 1]
         velocity_out[k, 0], velocity_out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
 

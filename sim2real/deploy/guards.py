@@ -6,6 +6,7 @@ the robot if either raises. The adapters of a rehearsal lie between the filter a
     loop -> Guarded (StateMonitor) -> adapters -> SafetyFilter -> backend of the robot
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -128,7 +129,8 @@ class SafetyFilter(_Wrapper):
         check_array(twist, (1, 6), "the base command", error=Fault)
         check_array(targets, arm, "the arm command", error=Fault)
         self._check_age()
-        if np.hypot(*velocity[:2]) > _CREEP and self._blind[beam(np.arctan2(*velocity[1::-1]))]:
+        forward, left, _ = velocity.tolist()
+        if math.hypot(forward, left) > _CREEP and self._blind[beam(np.arctan2(left, forward))]:
             raise Fault("the scan is blind in the direction of the base command")
         self._velocity, self._dt = velocity, dt
         self.base_twist, self.joint_targets = twist, targets
@@ -346,6 +348,7 @@ def limited_velocity(
 
 
 def _shortened(velocity: Array, linear: float, angular: float) -> Array:
-    length = float(np.hypot(*velocity[:2]))
+    x, y, rotation = velocity.tolist()
+    length = math.hypot(x, y)
     scale = linear / length if length > linear else 1.0
-    return np.array([*(velocity[:2] * scale), np.clip(velocity[2], -angular, angular)])
+    return np.array([scale * x, scale * y, min(max(rotation, -angular), angular)])

@@ -194,7 +194,8 @@ class _Run:
             self.loop.target_stream = setup.task.target_stream(setup.solver)
         for part in (self.rate, setup.backend):
             if isinstance(part, Prepares):
-                part.prepare = self.loop.prepare
+                part.prepare = self.prepare
+        self._unwritten: Moment | None = None
         self.steps = self.failures = 0
         self.time_scale, self.scales, self.began = 1.0, 0.0, 0.0
 
@@ -249,6 +250,7 @@ class _Run:
             with suppress(KinfeasError):
                 end = reason if raised is None else f"{type(raised).__name__}: {raised}"
                 self.record(end + TASK_DONE[done])
+                self.write()
         return Outcome(
             code,
             " ".join(reason.split()),
@@ -300,6 +302,17 @@ class _Run:
             return self.clock.monotonic() - self.began
         return self.steps * self.setup.dt
 
+    def prepare(self) -> None:
+        """Do what needs no new measurement, while the robot moves."""
+        self.write()
+        self.loop.prepare()
+
+    def write(self) -> None:
+        """Write the last line of the record."""
+        moment, self._unwritten = self._unwritten, None
+        if moment is not None:
+            self.recorder.write(moment)
+
     def record(
         self,
         event: str,
@@ -308,22 +321,24 @@ class _Run:
         *,
         feasible: bool = True,
     ) -> None:
-        """Record state and command, with goal and sub-goal of the step that has ended."""
+        """Record state and command, with goal and sub-goal of the step that has ended.
+
+        The line is written while the robot moves on, since a disk may be slow.
+        """
+        self.write()
         loop, commands, state = self.loop, self.guarded.commands, self.guarded.state
-        self.recorder.write(
-            Moment(
-                time=self.seconds(),
-                age=math.nan if state.age is None else float(state.age[0]),
-                base_pose=state.base_pose[0],
-                joint_positions=state.joint_positions[0],
-                desired=loop.desired[0],
-                goal=loop.sequence.goal[0] if goal is None else goal,
-                base_twist=commands.base_twist[0],
-                joint_targets=commands.joint_targets[0],
-                feasible=feasible,
-                subgoal=int(loop.sequence.subgoal[0]) if subgoal is None else subgoal,
-                event=event,
-            )
+        self._unwritten = Moment(
+            time=self.seconds(),
+            age=math.nan if state.age is None else float(state.age[0]),
+            base_pose=state.base_pose[0].copy(),  # backends may write into theirs
+            joint_positions=state.joint_positions[0].copy(),
+            desired=loop.desired[0],
+            goal=loop.sequence.goal[0] if goal is None else goal,
+            base_twist=commands.base_twist[0],
+            joint_targets=commands.joint_targets[0],
+            feasible=feasible,
+            subgoal=int(loop.sequence.subgoal[0]) if subgoal is None else subgoal,
+            event=event,
         )
 
 

@@ -1,5 +1,7 @@
 """Checks of a robot's measurements."""
 
+import math
+
 import numpy as np
 
 from kinfeas.core import spatial
@@ -58,13 +60,14 @@ class StateMonitor:
 
     def _check_pose(self, pose: Array, elapsed: float) -> None:
         guards, base = self._guards, self._robot.base
-        if abs(float(np.linalg.norm(pose[3:])) - 1.0) > _UNIT:
+        x, y, _, *quaternion = pose.tolist()
+        if abs(math.hypot(*quaternion) - 1.0) > _UNIT:
             raise Fault("the orientation of the measured base_pose is not a unit quaternion")
-        tilt = 2.0 * float(np.hypot(pose[3], pose[4]))
+        tilt = 2.0 * math.hypot(*quaternion[:2])
         check_limit("the base leans by {} rad", tilt, guards.max_tilt)
         if self._start is None:
             return
-        away = float(np.hypot(*(pose - self._start)[:2]))
+        away = math.dist((x, y), self._start[:2].tolist())
         check_limit("the base is {} m from its start", away, guards.max_distance)
         metres, radians = map(float, spatial.distance(self._last, pose))
         jump = "the measured base pose jumped by {} "

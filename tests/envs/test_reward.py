@@ -121,5 +121,5 @@ def test_the_distance_from_the_planned_base_costs(exact_robot):
     seen = step(np.ones(3, dtype=bool))
     given = np.zeros((3, 2)), middle(exact_robot, 3)
     np.testing.assert_array_equal(reward(weights, exact_robot, seen, *given), 0.0)
-    seen = replace(seen, base_error=np.array([0.0, 0.25, 3.0]))
-    np.testing.assert_allclose(reward(weights, exact_robot, seen, *given), [0.0, -0.05, -0.2])
+    earned = reward(weights, exact_robot, seen, *given, base_error=np.array([0.0, 0.25, 3.0]))
+    np.testing.assert_allclose(earned, [0.0, -0.05, -0.2])

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import NotNegative
 from kinfeas.control.loop import Loop
+from kinfeas.control.period import KinematicInputs
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, integrate
@@ -46,7 +47,7 @@ class FeasibilityFilter:
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands where there are any; arguments as in `CommandFilter`."""
         period = self._loop.period
-        twist, arm, good = self._follow(command, np.arange(len(command)))
+        twist, arm, good = self._follow(command, period)
         late = np.flatnonzero(~good)
         if late.size:
             command = command.copy()
@@ -79,11 +80,14 @@ class FeasibilityFilter:
     def _feasible(self, tries: Array, rows: Rows) -> NDArray[np.bool_]:
         """Return whether commands of m rows, shape (m, k, a), are feasible, shape (m, k)."""
         m, k, size = tries.shape
-        return self._follow(tries.reshape(m * k, size), rows.repeat(k))[2].reshape(m, k)
+        inputs = self._loop.period.of(rows.repeat(k))
+        return self._follow(tries.reshape(m * k, size), inputs)[2].reshape(m, k)
 
-    def _follow(self, command: Array, rows: Rows) -> tuple[Array, IkSolution, NDArray[np.bool_]]:
+    def _follow(
+        self, command: Array, inputs: KinematicInputs
+    ) -> tuple[Array, IkSolution, NDArray[np.bool_]]:
         """Return twists, arms and feasibility, shape (m,), of one command for each of m rows."""
-        step, inputs = self._loop.kinematic_step, self._loop.period.of(rows)
+        step = self._loop.kinematic_step
         twist, arm = step(command, inputs, allow_reconfiguration=False)
         good = self._in_time(inputs.joints, arm)
         if inputs.solids is not None:

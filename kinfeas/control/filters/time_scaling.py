@@ -31,7 +31,7 @@ class TimeScalingFilter(FeasibilityFilter):
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands; arguments as in `CommandFilter`."""
         loop, period, command = self._loop, self._loop.period, command.copy()
-        twist, arm, good = self._follow(command, np.arange(len(command)))
+        twist, arm, good = self._follow(command, period)
         late = np.flatnonzero(~good)
         if period.paused is not None:
             late = late[~period.paused[late]]
