@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinfeas.config.recipes import load_section
 from kinfeas.control.drive import action_toward, command_size
@@ -100,24 +99,24 @@ class FollowBase:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         base, pose = self.base, policy_input.base_pose
         wanted: Array = getattr(policy_input, self.source)
-        known: NDArray[np.bool_] = ~np.isnan(wanted).any(axis=1)
+        known = ~np.isnan(wanted).any(axis=1, keepdims=True)
         # Any finite numbers take the place of missing ones; their result is not used.
-        wanted = np.where(known[:, None], wanted, pose)
+        wanted = np.where(known, wanted, pose)
         heading, now = yaw(wanted), yaw(pose)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1) * self.forward_shift
         way, turn = wanted[:, :2] + ahead - pose[:, :2], wrap(heading - now)
         motion = policy_input.planned[:, :3] - policy_input.desired[:, :3]
         step, distance = np.maximum(_length(motion), _MIN_SPEED * HORIZON), _length(way)
         share = step / np.maximum(np.maximum(distance, _LEVER * np.abs(turn)), step)
-        velocity = np.where(known[:, None], way * share[:, None], motion[:, :2]) / HORIZON
+        velocity = np.where(known, way * share[:, None], motion[:, :2]) / HORIZON
         rotation = turn * share / HORIZON / base.max_rotation
         action = action_toward(base, pose, velocity, HORIZON)
         if base.drive == "omnidirectional":
-            action[:, -1] = np.where(known, rotation, 0.0)
+            action[:, -1:] = np.where(known, rotation[:, None], 0.0)
         else:
             forward = np.cos(now) * velocity[:, 0] + np.sin(now) * velocity[:, 1]
             turning = np.stack([forward / base.max_velocity, rotation], axis=1)
-            action = np.where((known & (distance <= _THERE))[:, None], turning, action)
+            action = np.where(known & (distance <= _THERE)[:, None], turning, action)
         return np.clip(action, -1.0, 1.0)
 
 
