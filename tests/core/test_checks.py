@@ -54,10 +54,12 @@ ZERO, STATE = np.zeros((3, 6)), {"goal": POSES.copy(), "x": np.zeros(3)}
 
 
 class Answers:
-    def __init__(self, start=STATE, goal=POSES, twist=(ZERO, STATE), base=None):
+    def __init__(self, start=STATE, goal=POSES, twist=(ZERO, STATE), base=None, ahead=None):
         self.answers = {"start": start, "goal": goal, "twist": twist}
         if base is not None:
             self.base_pose = lambda state, target_pose: base
+        if ahead is not None:
+            self.ahead = lambda state, ee_pose, target_pose, distances: ahead
 
     def answer(self, name):
         return self.answers[name]
@@ -80,7 +82,8 @@ def ask(generator):
     motion = CheckedMotion(generator, "mine")
     state = start(motion)
     motion.base_pose(state, POSES)
-    return motion.twist(state, POSES, POSES, DT)
+    motion.twist(state, POSES, POSES, DT)
+    motion.ahead(state, POSES, POSES, np.ones(2))
 
 
 BAD = {
@@ -94,6 +97,7 @@ BAD = {
     "nan": ({"twist": (ZERO * np.nan, STATE)}, "twist"),
     "no next state": ({"twist": (ZERO, None)}, "twist"),
     "a short base": ({"base": POSES[:2]}, "base_pose"),
+    "one pose ahead": ({"ahead": POSES}, "ahead"),
 }
 
 

@@ -123,6 +123,8 @@ def test_wrap_at_the_seam(turns, toward):
 @pytest.mark.parametrize("function", [compose, relative, distance, lambda *p: twist_between(*p, 1)])
 def test_other_shapes_raise_errors(function, shape):
     wrong, pose = np.ones(shape), np.broadcast_to(IDENTITY, (*shape[:-1], 7))
+    with pytest.raises(KinfeasError, match="poses"):
+        yaw(wrong)
     for arguments in ((wrong, pose), (pose, wrong), (wrong, wrong)):
         with pytest.raises(KinfeasError, match="poses"):
             function(*arguments)
