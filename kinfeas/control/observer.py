@@ -67,8 +67,9 @@ class Observer:
         if self._ahead is not None:
             ahead = spatial.relative(self._ahead, base_pose[:, np.newaxis])
             seen.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)
-        if self._planned_base is not None:
-            self._base_seen = seen.planned_base = _in_base(self._planned_base, base_pose)
+        planned = self._planned_base
+        self._base_seen = None if planned is None else _in_base(planned, base_pose)
+        seen.planned_base = self._base_seen
         self.planned = preview
         if self._time_scale != 1.0:
             twist = spatial.twist_between(sequence.desired, preview, HORIZON)

@@ -215,7 +215,7 @@ class CheckedMotion:
         return ConformanceError(f"{self.subject} {broken}", rule)
 
     def _due(self, method: str) -> bool:
-        """Return whether a method's return value is to be checked now."""
+        """Return whether a method's return value is to be checked now; then it is not due again."""
         due = self._every_step or method not in self._checked
         self._checked.add(method)
         return due

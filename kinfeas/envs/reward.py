@@ -70,7 +70,7 @@ def reward(
         step: Result of the loop's step.
         action: Base commands in [-1, 1], shape (n, a).
         joint_positions: Arm joints after the step, shape (n, j).
-        base_error: From `Observer.base_error`.
+        base_error: Distance from the planned base, metres, shape (n,); as `Observer.base_error`.
     """
     lower, upper = robot.joint_limits
     tolerance = robot.pose_tolerance

@@ -351,4 +351,5 @@ def _shortened(velocity: Array, linear: float, angular: float) -> Array:
     x, y, rotation = velocity.tolist()
     length = math.hypot(x, y)
     scale = linear / length if length > linear else 1.0
+    # A NaN stays one, in this order of the arguments.
     return np.array([scale * x, scale * y, min(max(rotation, -angular), angular)])

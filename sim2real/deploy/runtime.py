@@ -8,8 +8,7 @@ from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
-from types import FrameType
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -33,6 +32,7 @@ from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.planner_threads import PlannerThread
 from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.sim2real.deploy.rate import Clock, Prepares, Rate, Timing
+from kinfeas.sim2real.deploy.signals import Signals
 from kinfeas.sim2real.deploy.watchdog import Watchdog, Watched
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals
 
@@ -227,7 +227,7 @@ class _Run:
         self.began = self.clock.monotonic()
         self.record("start")
 
-    def drive(self, watchdog: Watchdog | None, signals: "Signals") -> Outcome:
+    def drive(self, watchdog: Watchdog | None, signals: Signals) -> Outcome:
         """Run until something ends it, then command the base to zero."""
         reason, done = "stopped by an error", None
         try:
@@ -262,7 +262,7 @@ class _Run:
             task_done=done,
         )
 
-    def run(self, watchdog: Watchdog | None, signals: "Signals") -> tuple[Code, str]:
+    def run(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
         """Step until the end; return its code and reason."""
         setup, loop = self.setup, self.loop
         shape = (1, loop.action_size)
@@ -340,34 +340,3 @@ class _Run:
             subgoal=int(loop.sequence.subgoal[0]) if subgoal is None else subgoal,
             event=event,
         )
-
-
-class Signals:
-    """A context that notes SIGINT, SIGQUIT, SIGTERM and SIGHUP for a loop, in the main thread.
-
-    SIGHUP is left alone if it is ignored, as by nohup. A second signal raises KeyboardInterrupt.
-
-    Attributes:
-        caught: First signal, or None.
-    """
-
-    def __init__(self) -> None:
-        self.caught: signal.Signals | None = None
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> "Signals":
-        noted = [signal.SIGINT, signal.SIGQUIT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            noted.append(signal.SIGHUP)
-        self._before = {one: signal.signal(one, self._note) for one in noted}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for one, handler in self._before.items():
-            signal.signal(one, handler)
-
-    def _note(self, number: int, _: FrameType | None) -> None:
-        if self.caught is None:
-            self.caught = signal.Signals(number)
-        elif number != signal.SIGHUP:  # which a terminal and its shell both send
-            raise KeyboardInterrupt

@@ -329,6 +329,9 @@ def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
     assert not still.start(range(2)).any()
     still.step(np.ones((2, 3)))
     assert not still.loop.observer.base_error.any()
+    still.loop.observer.terms = ("ee_position",)
+    still.step(np.ones((2, 3)))
+    assert still.loop.observer.base_error is None
 
 
 def test_redundant_arms_follow_their_whole_body_plan():

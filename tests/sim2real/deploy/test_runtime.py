@@ -29,7 +29,8 @@ from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.planner_threads import RolloutPlannerThread
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.rate import Rate
-from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
+from kinfeas.sim2real.deploy.runtime import Code, Setup, deploy
+from kinfeas.sim2real.deploy.signals import Signals
 from kinfeas.sim2real.deploy.watchdog import StopCall
 from kinfeas.tasks.task import MotionSpec
 
@@ -144,6 +145,26 @@ def test_reaches_the_goal_and_reports_task_success(run, trained, done, end):
     assert record.base_twist.any()
     assert record.time[-1] == pytest.approx(outcome.seconds)
     np.testing.assert_allclose(record.goal[:, :3], np.tile(target.goal, (len(record.goal), 1)))
+
+
+class InPlace(AnalyticBackend):
+    """A backend that writes all its states into the same arrays."""
+
+    def reset(self, *arguments):
+        self.own = super().reset(*arguments)
+        return self.own
+
+    def step(self, *arguments):
+        new, self.state = super().step(*arguments), self.own
+        self.own.base_pose[:], self.own.joint_positions[:] = new.base_pose, new.joint_positions
+        return self.own
+
+
+def test_lines_that_are_written_later_are_of_their_time(run):
+    records = [run(backend(), Drive())[1] for backend in (AnalyticBackend, InPlace)]
+    assert np.ptp(records[0].base_pose[:, 0]) > 0.1
+    for name in ("time", "base_pose", "joint_positions"):
+        np.testing.assert_array_equal(*(getattr(record, name) for record in records))
 
 
 def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
