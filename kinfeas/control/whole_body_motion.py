@@ -109,5 +109,6 @@ class WholeBodyMotions:
 
     def _ahead(self, motions: Motions, seconds: Array) -> Array:
         """Return base and arm of motions some seconds ahead, (s,) -> (r, s, 3 + j), or NaN."""
-        waypoints = self.waypoints[motions.rows]
+        every = len(motions.rows) == len(self.waypoints)  # then there is nothing to copy
+        waypoints = self.waypoints if every else self.waypoints[motions.rows]
         return motions.generator.robot_ahead(motions.state, waypoints, seconds)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.pose_kernels import are_finite
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array
 
@@ -145,18 +146,19 @@ class ObstacleDistances:
 
     def __post_init__(self) -> None:
         """Check the values of outside backends."""
-        shape = (*self.distance.shape, 2)
-        speed = self.closing_speed
-        if speed is not None and not (speed.shape == shape[:2] and np.isfinite(speed).all()):
-            raise ValueError("closing_speed must be finite and have the shape of distance")
-        if len(shape) != 3 or self.closest_point.shape != shape or self.normal.shape != shape:
+        shape, speed = self.distance.shape, self.closing_speed
+        if len(shape) != 2 or {self.closest_point.shape, self.normal.shape} != {(*shape, 2)}:
             raise ValueError(
                 "closest_point, normal and distance need the shapes (n, k, 2), (n, k, 2) and (n, k)"
             )
-        if not (np.isfinite(self.closest_point).all() and np.isfinite(self.normal).all()):
-            raise ValueError("closest_point and normal must be finite")
-        if not (self.distance > -np.inf).all():
-            raise ValueError("distance must be a number, or inf without an obstacle")
+        if speed is not None and speed.shape != shape:
+            raise ValueError("closing_speed must have the shape of distance")
+        closing = np.zeros(shape[1]) if speed is None else speed
+        if not are_finite(self.closest_point, self.normal, self.distance, closing).all():
+            raise ValueError(
+                "closest_point, normal and closing_speed must be finite, and distance must be a "
+                "number, or inf without an obstacle"
+            )
 
 
 @runtime_checkable

@@ -101,14 +101,6 @@ def twist_between(start, end, dt, like, out):
     write_twist(start, end, dt, out)
 
 
-@compiled(["void(f8[:], f8, f8, f8[:], f8[:])"], "(v),(),(),(t)->(t)")
-def planar_twist(velocity, cosine, sine, like, out):
-    """World twist of a velocity forward, left and about z along a heading; `like` as above."""
-    out[0] = cosine * velocity[0] - sine * velocity[1]
-    out[1] = sine * velocity[0] + cosine * velocity[1]
-    out[2], out[3], out[4], out[5] = 0.0, 0.0, 0.0, velocity[2]
-
-
 @compiled(["void(f8, f8, f8, f8[:], f8[:])"], "(),(),(),(p)->(p)")
 def planar_pose(x, y, angle, like, out):
     """Pose on the floor at a heading; `like` as above."""
@@ -127,6 +119,12 @@ def distance(a, b, metres, radians):
         squared += (a[i] - b[i]) * (a[i] - b[i])
     metres[0] = math.sqrt(squared)
     radians[0] = 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
+
+
+@inlined
+def clipped(share):
+    """Return a number clipped to [-1, 1]; NaN stays."""
+    return 1.0 if share > 1.0 else -1.0 if share < -1.0 else share
 
 
 @inlined
@@ -165,5 +163,15 @@ def moves_farther(before, after, continuous, longest, out):
             out[0] = True
 
 
+@compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:], b1[:])"], "(k,p),(k,p),(k),(k)->()")
+def are_finite(point, normal, distance, closing_speed, out):
+    """Whether the numbers of obstacles are finite; their distances may be inf."""
+    out[0] = True
+    for k in range(len(distance)):
+        total = point[k, 0] + point[k, 1] + normal[k, 0] + normal[k, 1] + closing_speed[k]
+        if not (math.isfinite(total) and distance[k] > -math.inf):
+            out[0] = False
+
+
 TWIST = np.zeros(6)
-"""Argument `like` of `twist_between` and `planar_twist`."""
+"""Argument `like` of kernels that return twists."""

@@ -73,7 +73,7 @@ def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
             radius=model.radius[used],
             rotation=model.rotation[used],
             offset=model.offset[used],
-            pairs=places.reshape(-1, 2).astype(np.intp),
+            pairs=places.reshape(-1, 2).astype(np.uintp),
         )
         share = float(self_collides(alone, joints).mean())
         if share > _allowed(robot, *pair):

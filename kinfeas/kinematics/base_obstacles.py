@@ -5,17 +5,18 @@ import math
 import numpy as np
 
 from kinfeas.core.backend import ObstacleDistances
+from kinfeas.core.pose_kernels import heading
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import CYLINDER, SPHERE
 from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel, square
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
-from kinfeas.kinematics.solids import in_base, is_empty, solid_arrays, squared_radius
+from kinfeas.kinematics.solids import is_empty, squared_radius, surroundings, write_local
 
 AS_NEAR = 0.1
 """Distance beyond that of the nearest point of a solid within which others are reported, metres."""
 
-_PLACES = 48
+_PLACES = 64
 """Places for the points of a row at first; a row with more needs a second pass."""
 
 
@@ -35,12 +36,12 @@ def base_obstacles(
         within: Metres.
     """
     n, used = len(base_pose), _PLACES
-    local = in_base(solids, base_pose)
-    rows, velocity = solid_arrays(local, n), np.ascontiguousarray(local.velocity)
+    base, rows = surroundings(solids, base_pose, n)
+    velocity = np.ascontiguousarray(solids.velocity)
     while True:
         found = np.zeros((n, used, 6))
         found[:, :, 4] = np.inf
-        if (needed := _obstacles_batch(prisms, *rows, velocity, within, found)) <= used:
+        if (needed := _obstacles_batch(prisms, base, rows, velocity, within, found)) <= used:
             break
         used = needed
     found = found[:, :needed]
@@ -75,20 +76,22 @@ def base_prisms(model: CollisionModel) -> Array:
 
 
 @kernel
-def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
+def _obstacles_batch(prisms, base, rows, velocity, within, out):
     """Write points, normals, distances and closing speeds, shape (n, p, 6).
 
     Returns the largest number of a row.
     """
-    most, reach = 0, 0.0
+    pose, size, cylinder = rows
+    local, most, reach = np.empty(pose.shape[1:]), 0, 0.0
     for s in range(len(prisms)):
         one = prisms[s]
         around = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6]
         reach = max(reach, math.sqrt(one[2] * one[2] + one[3] * one[3]) + around)
     pairs = np.empty((8 * len(prisms), 6))
     solid = np.zeros(9)
-    for i in range(len(pose)):
-        solids = pose[i], size[i], cylinder[i], velocity[i]
+    for i in range(len(base)):
+        write_local(pose[i], base[i], local)
+        solids = local, size[i], cylinder[i], velocity[i], heading(base[i])
         most = max(most, _obstacles(prisms, reach, solids, within, pairs, solid, out[i]))
     return most
 
@@ -97,11 +100,12 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
 def _obstacles(prisms, reach, solids, within, pairs, solid, out):
     """Write points, normals, distances and closing speeds of a row, shape (p, 6).
 
-    `reach` is the radius of the circle around the robot's shapes, metres; `pairs`, shape (8 s, 6),
-    and `solid`, (9,), are scratch memory. Returns the number of points.
+    `reach` is the radius of the circle around the robot's shapes, metres; `solids` are in the base
+    frame, with their world velocity and the yaw of the base; `pairs`, shape (8 s, 6), and `solid`,
+    (9,), are scratch memory. Returns the number of points.
     """
-    pose, size, cylinder, velocity = solids
-    used = 0
+    pose, size, cylinder, velocity, yaw = solids
+    cosine, sine, used = math.cos(yaw), math.sin(yaw), 0
     for k in range(len(pose)):
         farthest = reach + within + math.sqrt(squared_radius(size[k], cylinder[k]))
         squared = square(pose[k, 0]) + square(pose[k, 1])
@@ -126,8 +130,9 @@ def _obstacles(prisms, reach, solids, within, pairs, solid, out):
             if pairs[p, 4] < within and pairs[p, 4] <= nearest + AS_NEAR:
                 if used < out.shape[0]:
                     copy_row(pairs[p], out[used])
-                    away = velocity[k, 0] * pairs[p, 2] + velocity[k, 1] * pairs[p, 3]
-                    out[used, 5] = -away
+                    ahead = cosine * velocity[k, 0] + sine * velocity[k, 1]
+                    left = cosine * velocity[k, 1] - sine * velocity[k, 0]
+                    out[used, 5] = -(ahead * pairs[p, 2] + left * pairs[p, 3])
                 used += 1
     return used
 

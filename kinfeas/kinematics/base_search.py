@@ -118,17 +118,17 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
     nx, ny = cost.shape
     total, first = nx * ny * HEADINGS, _node(start, origin, ny)
     ahead = _costs_ahead(places, place_cost, origin, cost)
-    best, parent = np.full(total, np.inf), np.full(total, -1, dtype=np.int64)
-    state = np.zeros(total, dtype=np.int8)  # 1 is free, 2 is blocked, 3 is done
-    seconds = np.zeros(total)
-    arrival = np.full(total, -1, dtype=np.int64)
+    # 0 is unseen, and only then the other arrays have no values; 1 free, 2 blocked, 3 done.
+    state = np.zeros(total, dtype=np.int8)
+    best, seconds, parent = np.empty(total), np.empty(total), np.empty(total, dtype=np.int64)
+    arrival = np.full(total, -1, dtype=np.int16)
     for p in range(len(places)):
         node = _node(places[p], origin, ny)
         if arrival[node] < 0 or place_cost[p] < place_cost[arrival[node]]:
-            arrival[node], state[node] = p, 1
+            arrival[node], state[node], best[node] = p, 1, np.inf
     scratch, local = make_collision_scratch(model), np.empty_like(pose)
     place_shapes(model, rest, scratch)
-    best[first], parent[first], state[first] = 0.0, first, 1
+    best[first], seconds[first], parent[first], state[first] = 0.0, 0.0, first, 1
     queue = [(0.0, first)]
     if ahead[first // HEADINGS // ny, first // HEADINGS % ny] == np.inf:
         queue.clear()
@@ -142,6 +142,7 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
         if arrival[node] >= 0:
             heapq.heappush(queue, (best[node] + place_cost[arrival[node]], total + node))
         heading, x, y = node % HEADINGS, node // HEADINGS // ny, node // HEADINGS % ny
+        here = min(cost[x, y], 1.0 + _CROWDED)
         for m in range(moves.shape[1]):
             step_x, step_y = moves[heading, m, 0], moves[heading, m, 1]
             i, j = x + step_x, y + step_y
@@ -151,8 +152,10 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
             other = (i * ny + j) * HEADINGS + turned
             if state[other] >= 2:
                 continue
-            metre = min(cost[x, y], 1.0 + _CROWDED) + min(cost[i, j], 1.0 + _CROWDED)
+            metre = here + min(cost[i, j], 1.0 + _CROWDED)
             new = best[node] + 0.0005 * moves[heading, m, 3] * metre
+            if state[other] == 0:
+                best[other] = np.inf
             if new >= best[other]:
                 continue
             way, turn = CELL * math.hypot(step_x, step_y), _TURN * abs(moves[heading, m, 2])

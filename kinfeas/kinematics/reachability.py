@@ -110,23 +110,19 @@ class Postures:
         return bool(np.any(self.solver.solve(targets, joints, solids=solids).feasible))
 
     def around(self, goal: Array, first: int, last: int) -> tuple[Array, Array]:
-        """Return the proposals for `goal`: base poses, shape (m, 7), and arms, shape (m, j)."""
-        heading, cost = self._face(goal)
+        """Return the proposals for `goal`: base poses, shape (m, 7), and arms, shape (m, j).
+
+        Their headings maximize the trace of R_goal' Rz(heading) R_ee.
+        """
+        # R_ee R_goal' as one product of matrices: many small ones take ten times as long.
+        product = (self.turns.reshape(-1, 3) @ rotation(goal).as_matrix().T).reshape(-1, 3, 3)
+        cosine = product[:, 0, 0] + product[:, 1, 1]
+        sine = product[:, 0, 1] - product[:, 1, 0]
+        tilt = 3.0 - np.hypot(cosine, sine) - product[:, 2, 2]
+        cost = (self.ee_pose[:, 2] - goal[2]) ** 2 + ROTATION_WEIGHT**2 * tilt
         best = np.argsort(cost, kind="stable")[first:last]
-        heading, ee = heading[best], self.ee_pose[best]
+        heading, ee = np.arctan2(sine[best], cosine[best]), self.ee_pose[best]
         cosine, sine = np.cos(heading), np.sin(heading)
         x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
         y = goal[1] - (sine * ee[:, 0] + cosine * ee[:, 1])
         return planar_pose(x, y, heading), self.joints[best]
-
-    def _face(self, goal: Array) -> tuple[Array, Array]:
-        """Return the best heading and its squared error for each configuration, shape (l,).
-
-        The heading maximizes the trace of R_goal' Rz(heading) R_ee.
-        """
-        product = np.einsum("ij,lkj->lik", rotation(goal).as_matrix(), self.turns)
-        cosine = product[:, 0, 0] + product[:, 1, 1]
-        sine = product[:, 1, 0] - product[:, 0, 1]
-        trace = np.hypot(cosine, sine) + product[:, 2, 2]
-        height = self.ee_pose[:, 2] - goal[2]
-        return np.arctan2(sine, cosine), height**2 + ROTATION_WEIGHT**2 * (3.0 - trace)

@@ -41,7 +41,7 @@ class CollisionModel(NamedTuple):
     radius: Array
     rotation: Array
     offset: Array
-    pairs: NDArray[np.intp]
+    pairs: NDArray[np.uintp]
     variables: int
 
 
@@ -83,7 +83,7 @@ def build_collision_model(robot: Robot) -> CollisionModel:
         radius=np.array([radius for _, radius in extents]),
         rotation=np.array([mount.rotation for mount in placed]).reshape(-1, 3, 3),
         offset=np.array([mount.offset for mount in placed]).reshape(-1, 3),
-        pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
+        pairs=np.array(pairs, dtype=np.uintp).reshape(-1, 2),
         variables=len(robot.arm),
     )
 

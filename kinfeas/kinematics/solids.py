@@ -27,21 +27,29 @@ SolidArrays = tuple[Array, Array, NDArray[np.bool_]]
 """Pose, size and cylinder of `Solids`, for kernels."""
 
 
-def in_base(solids: Solids, base_pose: Array) -> Solids:
-    """Return the solids as seen from bases on the floor, world poses of shape (n, 7)."""
-    pose, velocity = _turned(solids.pose, solids.velocity, base_pose)
-    return Solids(pose, solids.size, solids.cylinder, velocity, solids.span)
-
-
-@compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:,:], f8[:,:])"], "(k,p),(k,v),(b)->(k,p),(k,v)")
-def _turned(pose, velocity, base, pose_out, velocity_out):
-    """Poses and velocities of k solids in the frame of a base."""
+@inlined
+def write_local(pose, base, out):
+    """Write the poses of solids, shape (k, 3), in the frame of a base at a world pose."""
     yaw = heading(base)
     cosine, sine = math.cos(yaw), math.sin(yaw)
     for k in range(len(pose)):
         x, y = pose[k, 0] - base[0], pose[k, 1] - base[1]
-        pose_out[k, 0], pose_out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
-        pose_out[k, 2] = pose[k, 2] - yaw
+        out[k, 0], out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
+        out[k, 2] = pose[k, 2] - yaw
+
+
+def in_base(solids: Solids, base_pose: Array) -> Solids:
+    """Return the solids as seen from bases on the floor, world poses of shape (n, 7)."""
+    pose, velocity = _in_base(solids.pose, solids.velocity, base_pose)
+    return Solids(pose, solids.size, solids.cylinder, velocity, solids.span)
+
+
+@compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:,:], f8[:,:])"], "(k,p),(k,v),(b)->(k,p),(k,v)")
+def _in_base(pose, velocity, base, pose_out, velocity_out):
+    """Poses and velocities of k solids in the frame of a base."""
+    write_local(pose, base, pose_out)
+    cosine, sine = math.cos(heading(base)), math.sin(heading(base))
+    for k in range(len(velocity)):
         x, y = velocity[k, 0], velocity[k, 1]
         velocity_out[k, 0], velocity_out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
 
@@ -61,6 +69,17 @@ def solid_arrays(solids: Solids, n: int) -> SolidArrays:
     )
 
 
+def surroundings(solids: Solids, base_pose: Array, n: int) -> tuple[Array, SolidArrays]:
+    """Return the poses of n bases, and n rows of solids in the world, for kernels.
+
+    Raises:
+        KinfeasError: If there are not n rows of both.
+    """
+    if base_pose.shape != (n, 7):
+        raise KinfeasError(f"base poses must be of shape ({n}, 7), not {base_pose.shape}")
+    return np.ascontiguousarray(base_pose), solid_arrays(solids, n)
+
+
 def collides(
     model: CollisionModel, joint_positions: Array, base_pose: Array, solids: Solids
 ) -> NDArray[np.bool_]:
@@ -76,7 +95,7 @@ def collides(
     """
     flat, _ = flattened(model.variables, joint_positions)
     touching = np.empty((len(flat), 2), dtype=np.bool_)
-    _collides_batch(model, flat, *solid_arrays(in_base(solids, base_pose), len(flat)), touching)
+    _collides_batch(model, flat, *surroundings(solids, base_pose, len(flat)), touching)
     return touching
 
 
@@ -89,7 +108,7 @@ def distances(
     """
     flat, _ = flattened(model.variables, joint_positions)
     found = np.empty((len(flat), 2))
-    _distances_batch(model, flat, *solid_arrays(in_base(solids, base_pose), len(flat)), found)
+    _distances_batch(model, flat, *surroundings(solids, base_pose, len(flat)), found)
     return found
 
 
@@ -113,11 +132,10 @@ def scan(
         beams: Number of beams.
         max_range: Longest range, metres.
     """
-    angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
-    ranges = np.full((len(base_pose), len(bands), beams), float(max_range))
-    rows = solid_arrays(in_base(solids, base_pose), len(base_pose))
-    around = np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles)
-    _scan_batch(*rows, *around, float(max_range), ranges)
+    n, angles = len(base_pose), -np.pi + 2.0 * np.pi / beams * np.arange(beams)
+    ranges = np.full((n, len(bands), beams), float(max_range))
+    rays = np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles)
+    _scan_batch(*surroundings(solids, base_pose, n), *rays, float(max_range), ranges)
     return ranges
 
 
@@ -128,13 +146,15 @@ def scan_now(solids: MovingSolids, base_pose: Array) -> Array:
 
 
 @kernel
-def _collides_batch(model, joint_positions, pose, size, cylinder, touching):
-    scratch = make_collision_scratch(model)
+def _collides_batch(model, joint_positions, base, solids, touching):
+    pose, size, cylinder = solids
+    scratch, local = make_collision_scratch(model), np.empty(pose.shape[1:])
     for i in range(len(joint_positions)):
         place_shapes(model, joint_positions[i], scratch)
+        write_local(pose[i], base[i], local)
         for moved in range(2):
             touching[i, moved] = touches_solids(
-                model, moved == 1, pose[i], size[i], cylinder[i], scratch
+                model, moved == 1, local, size[i], cylinder[i], scratch
             )
 
 
@@ -169,15 +189,17 @@ def touches_solids(model: CollisionModel, moved, pose, size, cylinder, scratch: 
 
 
 @kernel
-def _distances_batch(model, joint_positions, pose, size, cylinder, out):
-    scratch = make_collision_scratch(model)
+def _distances_batch(model, joint_positions, base, solids, out):
+    pose, size, cylinder = solids
+    scratch, local = make_collision_scratch(model), np.empty(pose.shape[1:])
     for i in range(len(joint_positions)):
         place_shapes(model, joint_positions[i], scratch)
+        write_local(pose[i], base[i], local)
         for moved in range(2):
             # Centres of shapes are farther away than their surfaces.
-            nearest = _nearest_gap(model, moved == 1, pose[i], size[i], cylinder[i], scratch)
+            nearest = _nearest_gap(model, moved == 1, local, size[i], cylinder[i], scratch)
             out[i, moved] = _distance(
-                model, moved == 1, nearest, pose[i], size[i], cylinder[i], scratch
+                model, moved == 1, nearest, local, size[i], cylinder[i], scratch
             )
 
 
@@ -268,9 +290,12 @@ def _gap(s, kind, scratch):
 
 
 @kernel
-def _scan_batch(pose, size, cylinder, bands, cosine, sine, max_range, ranges):
-    for i in range(len(pose)):
-        _scan_row(pose[i], size[i], cylinder[i], bands, cosine, sine, max_range, ranges[i])
+def _scan_batch(base, solids, bands, cosine, sine, max_range, ranges):
+    pose, size, cylinder = solids
+    local = np.empty(pose.shape[1:])
+    for i in range(len(base)):
+        write_local(pose[i], base[i], local)
+        _scan_row(local, size[i], cylinder[i], bands, cosine, sine, max_range, ranges[i])
 
 
 @inner

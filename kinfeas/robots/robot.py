@@ -119,8 +119,10 @@ def _read_only(values: ArrayLike) -> NDArray[Any]:
 
 def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
     """Return the displacement of each joint, (..., j), in (-pi, pi] for continuous joints."""
-    way = after - before
-    return np.where(robot.continuous, spatial.wrap(way), way)
+    way, turning = after - before, robot.continuous
+    if turning.any():
+        way[..., turning] = spatial.wrap(way[..., turning])
+    return way
 
 
 def exceeds_joint_velocity(

@@ -1,8 +1,22 @@
-"""Projection of points into half-spaces."""
+"""Kernels of the obstacle filter: half-spaces of base velocities, and projection into them."""
+
+import math
 
 import numpy as np
 
-from kinfeas.kinematics.kernels import inlined, kernel
+from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.pose_kernels import clipped
+from kinfeas.kinematics.kernels import inlined, kernel, square
+
+LEVER = 0.05
+"""Radius in metres by which rotations are compared with translations. It is small, so that a base
+turns aside before it leaves the path of its arm."""
+
+_RESTORE = 0.5
+"""Seconds in which a base restores most of a distance that is too small."""
+
+_SLACK = 1e-6
+"""Velocity in m/s by which rounding may exceed a limit."""
 
 _ROUNDS = 100
 """Half-spaces at most that are taken up, some of them again; most points take fewer than five."""
@@ -14,23 +28,68 @@ _PARALLEL = 1e-9
 """Squared sine of the angle to others below which a normal depends on them."""
 
 
-@kernel
-def project(points, normals, offsets, slack):
-    """Move points (n, t, a) into the half-spaces of their row; return which were outside, (n, t).
+@compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:,:])"], "(k,p),(k,p),(a)->(k,a)")
+def approach(point, normal, like, out):
+    """Share of each velocity that approaches each obstacle."""
+    last = len(like) - 1
+    for k in range(len(point)):
+        for i in range(last):
+            out[k, i] = normal[k, i]
+        out[k, last] = (normal[k, 1] * point[k, 0] - normal[k, 0] * point[k, 1]) / LEVER
 
-    The half-spaces are `normals @ point <= offsets`, shapes (n, k, a) and (n, k); `slack` is
-    allowed, above 0. Where no point is in all of them, negative offsets are raised up to 0; a point
-    that still finds no place moves to the origin, which is in all half-spaces then.
+
+@compiled(["void(f8[:], f8[:], f8[:], f8[:])"], "(k),(k),(r)->(k)")
+def allowed(distance, closing_speed, rules, out):
+    """Velocity at which each obstacle may be approached.
+
+    `rules` are the distance to keep, the braking and the seconds in which it may be used up.
     """
-    n, t, _ = points.shape
-    outside = np.zeros((n, t), dtype=np.bool_)
-    for row in range(n):
-        for one in range(t):
-            point = points[row, one]
-            if _worst(point, normals[row], offsets[row])[1] > slack:
-                outside[row, one] = True
-                _bring_inside(point, normals[row], offsets[row], slack)
-    return outside
+    least, braking, seconds = rules
+    for k in range(len(distance)):
+        way = distance[k] - least
+        ahead = max(way, 0.0)
+        # A turn leads a little off the straight way, so the base restores the distance.
+        out[k] = min(math.sqrt(braking * ahead), ahead / seconds) + min(way, 0.0) / _RESTORE
+        out[k] -= max(closing_speed[k], 0.0)  # receding obstacles may turn back
+
+
+@kernel
+def hold(actions, full, normal, limit):
+    """Change actions, shape (n, t, a), that exceed a limit of their row."""
+    velocity = np.empty(len(full))
+    for row in range(len(actions)):
+        for action in actions[row]:
+            for i in range(len(full)):
+                velocity[i] = clipped(action[i])
+            velocity[:-1] /= max(_speed(velocity), 1.0)
+            velocity *= full
+            if project(velocity, normal[row], limit[row], _SLACK):
+                velocity /= full
+                # A detour that is faster than the base can drive slows the whole command down.
+                action[:] = velocity / max(_speed(velocity), 1.0)
+
+
+@inlined
+def _speed(command):
+    """Return the length of a command without its rotation."""
+    squared = 0.0
+    for i in range(len(command) - 1):
+        squared += square(command[i])
+    return math.sqrt(squared)
+
+
+@kernel
+def project(point, normals, offsets, slack):
+    """Move a point (a,) to the nearest one in all half-spaces; return whether it was outside.
+
+    The half-spaces are `normals @ point <= offsets`, shapes (k, a) and (k,); `slack` is allowed,
+    above 0. Where no point is in all of them, negative offsets are raised up to 0; a point that
+    still finds no place moves to the origin, which is in all half-spaces then.
+    """
+    if _worst(point, normals, offsets)[1] <= slack:
+        return False
+    _bring_inside(point, normals, offsets, slack)
+    return True
 
 
 @kernel

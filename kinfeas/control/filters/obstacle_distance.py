@@ -8,8 +8,8 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from kinfeas.control.adapters import chain
-from kinfeas.control.drive import carried_out, command_size
-from kinfeas.control.filters.half_spaces import project
+from kinfeas.control.drive import command_size
+from kinfeas.control.filters.half_spaces import LEVER, allowed, approach, hold
 from kinfeas.control.loop import Loop
 from kinfeas.core.backend import ObstacleDistances, SupportsObstacleDistances
 from kinfeas.core.errors import KinfeasError, plugin_note
@@ -20,23 +20,13 @@ from kinfeas.robots.robot import Base
 _RIM = 0.5
 """Radius in metres at which a turning base is assumed to have its rim."""
 
-_LEVER = 0.05
-"""Radius in metres by which rotations are compared with translations. It is small, so that a base
-turns aside before it leaves the path of its arm."""
-
-_RESTORE = 0.5
-"""Seconds in which a base restores most of a distance that is too small."""
-
-_SLACK = 1e-6
-"""Velocity in m/s by which rounding may exceed a constraint."""
-
 
 @dataclass(frozen=True)
 class VelocityConstraints:
     """Linear constraints on base velocities u of n robots: `normal @ u <= limit`.
 
     Attributes:
-        full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `_LEVER`.
+        full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `LEVER`.
         normal: Share of each velocity that approaches each of k obstacles, shape (n, k, a).
         limit: Allowed approach velocities, shape (n, k), m/s; inf without obstacle, negative where
             the base must move away.
@@ -58,12 +48,9 @@ class VelocityConstraints:
         Args:
             action: Base commands, shape (n, t, a): t for each row.
         """
-        velocity = carried_out(action) * self.full
-        breach = project(velocity, self.normal, self.limit, _SLACK)
-        held = velocity / self.full
-        # A detour that is faster than the base can drive slows the whole command down.
-        speed = np.linalg.norm(held[..., :-1], axis=-1, keepdims=True)
-        return np.where(breach[..., np.newaxis], held / np.maximum(speed, 1.0), action)
+        held = np.array(action, dtype=np.float64, order="C")
+        hold(held, self.full, self.normal, self.limit)
+        return held
 
 
 class ObstacleFilter:
@@ -117,37 +104,19 @@ class ObstacleFilter:
             found = self._measure(self._range)
         if not isinstance(found, ObstacleDistances) or len(found.distance) != n:
             raise KinfeasError(f"{name} must return ObstacleDistances of {n} robots")
-        way = found.distance - self.min_distance
-        ahead = np.maximum(way, 0.0)
-        limit = np.minimum(np.sqrt(self._braking * ahead), ahead / (2.0 * self._loop.dt))
-        # A turn leads a little off the straight way, so the base restores the distance.
-        limit += np.minimum(way, 0.0) / _RESTORE
-        if found.closing_speed is not None:
-            # Receding obstacles may turn back.
-            limit -= np.maximum(found.closing_speed, 0.0)
-        normal = _approach(found, len(self._full))
+        k, full = found.distance.shape[1], self._full
+        normal, limit = np.empty((n, k + 2, len(full))), np.empty((n, k + 2))
+        closing = np.zeros(k) if found.closing_speed is None else found.closing_speed
+        rules = np.array([self.min_distance, self._braking, 2.0 * self._loop.dt])
+        approach(found.closest_point, found.normal, full, out=normal[:, :k])
+        allowed(found.distance, closing, rules, out=limit[:, :k])
         # The rotation limit is a constraint as well, so that a projection does not exceed it.
-        turns = np.zeros((n, 2, len(self._full)))
-        turns[:, :, -1] = [1.0, -1.0]
-        fastest = np.full((n, 2), self._full[-1])
-        return VelocityConstraints(
-            self._full,
-            np.concatenate([normal, turns], axis=1),
-            np.concatenate([limit, fastest], axis=1),
-        )
+        normal[:, k:], limit[:, k:] = 0.0, full[-1]
+        normal[:, k:, -1] = 1.0, -1.0
+        return VelocityConstraints(full, normal, limit)
 
 
 def _full_velocity(base: Base) -> Array:
     """Return the velocities of a full command, shape (a,), m/s."""
     translations = command_size(base) - 1
-    return np.array([*[base.max_velocity] * translations, base.max_rotation * _LEVER])
-
-
-def _approach(found: ObstacleDistances, size: int) -> Array:
-    """Return the share of each of `size` velocities that approaches each obstacle, (n, k, size)."""
-    turn = (
-        found.normal[..., 1] * found.closest_point[..., 0]
-        - found.normal[..., 0] * found.closest_point[..., 1]
-    )
-    translations = found.normal[..., : size - 1]
-    return np.concatenate([translations, turn[..., np.newaxis] / _LEVER], axis=-1)
+    return np.array([*[base.max_velocity] * translations, base.max_rotation * LEVER])

@@ -1,5 +1,6 @@
 """Baselines that follow: the base moves with the EE, or along a known base motion."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -7,9 +8,12 @@ import numpy as np
 
 from kinfeas.config.recipes import load_section
 from kinfeas.control.drive import action_toward, command_size
+from kinfeas.control.drive_kernels import write_action_toward
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.policy import PolicyInput
-from kinfeas.core.spatial import Array, wrap, yaw
+from kinfeas.core.pose_kernels import TWIST, clipped, heading, wrapped
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Base, Robot
 
 _MIN_SPEED = 0.05
@@ -99,29 +103,39 @@ class FollowBase:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         base, pose = self.base, policy_input.base_pose
         wanted: Array = getattr(policy_input, self.source)
-        known = ~np.isnan(wanted).any(axis=1, keepdims=True)
-        # Any finite numbers take the place of missing ones; their result is not used.
-        wanted = np.where(known, wanted, pose)
-        heading, now = yaw(wanted), yaw(pose)
-        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1) * self.forward_shift
-        way, turn = wanted[:, :2] + ahead - pose[:, :2], wrap(heading - now)
         motion = policy_input.planned[:, :3] - policy_input.desired[:, :3]
-        step, distance = np.maximum(_length(motion), _MIN_SPEED * HORIZON), _length(way)
-        share = step / np.maximum(np.maximum(distance, _LEVER * np.abs(turn)), step)
-        velocity = np.where(known, way * share[:, None], motion[:, :2]) / HORIZON
-        rotation = turn * share / HORIZON / base.max_rotation
-        action = action_toward(base, pose, velocity, HORIZON)
-        if base.drive == "omnidirectional":
-            action[:, -1:] = np.where(known, rotation[:, None], 0.0)
-        else:
-            forward = np.cos(now) * velocity[:, 0] + np.sin(now) * velocity[:, 1]
-            turning = np.stack([forward / base.max_velocity, rotation], axis=1)
-            action = np.where(known & (distance <= _THERE)[:, None], turning, action)
-        return np.clip(action, -1.0, 1.0)
+        rules = np.array([base.max_velocity, base.max_rotation, self.forward_shift])
+        like = TWIST[: command_size(base)]
+        action: Array = _follow_base(wanted, pose, motion, rules, like)
+        return action
 
 
-def _length(vectors: Array) -> Array:
-    return np.sqrt((vectors * vectors).sum(axis=1))
+@compiled(["void(f8[:], f8[:], f8[:], f8[:], f8[:], f8[:])"], "(p),(p),(m),(r),(a)->(a)")
+def _follow_base(
+    wanted: Array, pose: Array, motion: Array, rules: Array, like: Array, out: Array
+) -> None:
+    """Action that drives to a wanted base pose at the speed of the EE, or copies its velocity.
+
+    `motion` is the way of the EE in `HORIZON` seconds; `rules` are the two velocity limits of the
+    base and its distance ahead of the wanted pose.
+    """
+    fastest, fastest_turn, shift = rules
+    now, x, y = heading(pose), motion[0] / HORIZON, motion[1] / HORIZON
+    turn, rest = 0.0, False
+    if not math.isnan(wanted.sum()):
+        angle = heading(wanted)
+        way_x = wanted[0] + shift * math.cos(angle) - pose[0]
+        way_y = wanted[1] + shift * math.sin(angle) - pose[1]
+        turn, distance = wrapped(angle - now), math.sqrt(way_x * way_x + way_y * way_y)
+        step = max(math.sqrt((motion * motion).sum()), _MIN_SPEED * HORIZON)
+        rate = step / max(distance, _LEVER * abs(turn), step) / HORIZON
+        x, y, turn, rest = way_x * rate, way_y * rate, turn * rate, distance <= _THERE
+    write_action_toward(pose, (x, y), rules, HORIZON, out)
+    if len(out) == 3:
+        out[2] = clipped(turn / fastest_turn)
+    elif rest:
+        forward = math.cos(now) * x + math.sin(now) * y
+        out[0], out[1] = clipped(forward / fastest), clipped(turn / fastest_turn)
 
 
 def demonstrated_base(robot: Robot) -> FollowBase:

@@ -33,7 +33,9 @@ def drawn(seed, count=4, size=3):
 
 def put(points, normals, offsets):
     moved = points.copy()
-    return moved, project(moved, normals, offsets, SLACK)
+    each = zip(moved, normals, offsets, strict=True)
+    outside = [[project(point, *rows, SLACK) for point in some] for some, *rows in each]
+    return moved, np.array(outside)
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 8), size=st.integers(2, 3))

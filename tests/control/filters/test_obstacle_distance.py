@@ -181,6 +181,8 @@ def test_held_commands_are_within_the_base_limits_and_do_not_depend_on_other_row
     lambda: ObstacleDistances(*np.zeros((2, 2, 1, 2)), np.zeros((2, 1))),  # two robots
     lambda: ObstacleDistances(*np.zeros((2, 1, 2)), np.zeros(1)),
     lambda: ObstacleDistances(*np.full((2, 1, 1, 2), np.nan), np.zeros((1, 1))),
+    lambda: ObstacleDistances(*np.zeros((2, 1, 1, 2)), np.full((1, 1), np.nan)),
+    lambda: ObstacleDistances(*np.zeros((2, 1, 1, 2)), np.ones((1, 1)), np.full((1, 1), np.nan)),
 ])  # fmt: skip
 def test_wrong_answers_of_a_backend_raise_errors_that_name_it(robot, answer):
     with pytest.raises(KinfeasError, match="Blind"):

@@ -72,7 +72,7 @@ def test_the_base_gets_the_action_of_the_policy_in_its_own_frame(name):
     backend, link = connected(robot, Time(), yaw=2.5)
     pose, home = backend.read().base_pose, robot.home["home"][np.newaxis]
     for _ in range(20):
-        action = drive.carried_out(rng.uniform(-1.0, 1.0, (1, drive.command_size(robot.base))))
+        action = 0.7 * rng.uniform(-1.0, 1.0, (1, drive.command_size(robot.base)))
         backend.step(drive.base_twist(robot.base, pose, action, DT), home, DT)
         forward, left, turn = link.driven[-1]
         sent = [forward, left][: action.shape[1] - 1]
