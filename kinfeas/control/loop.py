@@ -31,12 +31,14 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
-from kinfeas.robots.robot import exceeds_joint_velocity, joint_displacement
+from kinfeas.robots.robot import exceeds_joint_velocity
 
 _TARGETS = "target_stream."
 
 _REPLAN_SECONDS = 1.0
 """Control time between plans around moving solids."""
+
+_NONE: Rows = np.empty(0, dtype=np.intp)
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ class Step:
         finished: Whether the end of the last sub-goal was reached, on this feasible step.
         joint_jump: Whether an arm joint was commanded to move faster than its limit.
         time_scale: Share of the planned motion that was carried out.
-        collision: Whether the base, then the arm, touches a solid, shape (n, 2); None without any.
+        collision: Whether the base, then the arm, touches a solid, shape (n, 2); None without any,
+            or if the loop does not find them.
     """
 
     feasible: NDArray[np.bool_]
@@ -84,9 +87,11 @@ class Loop:
         periods: Control periods since the start of each row, shape (n,).
         time_scale: Share of the planned motion that the last step carried out, shape (n,).
         period: What a step is about to carry out, for the filters.
+        finds_collisions: Whether steps say which robots touch solids.
     """
 
     period: Period
+    finds_collisions: bool = True
 
     def __init__(
         self,
@@ -206,7 +211,7 @@ class Loop:
             self._check("step", state, len(twist))
             self._unchecked = False
         self._measure(state)
-        collision = self.obstacles.collisions(state)
+        collision = self.obstacles.collisions(state) if self.finds_collisions else None
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         if self.target_stream is not None:
@@ -215,7 +220,7 @@ class Loop:
             feasible=arm.feasible,
             position_error=arm.position_error,
             rotation_error=arm.rotation_error,
-            deviation=np.linalg.norm(self.true_state[1][:, :3] - sequence.desired[:, :3], axis=1),
+            deviation=spatial.distance(self.true_state[1], sequence.desired)[0],
             subgoal=sequence.subgoal,
             goal_distance=goal_distance,
             goal_angle=goal_angle,
@@ -282,7 +287,7 @@ class Loop:
         self.sequence.restore(snapshot)
         self._measure(backend.restore(snapshot))
         if (solids := self.obstacles.after(0.0)) is not None:
-            self.sequence.avoid(solids, np.empty(0, dtype=np.intp))
+            self.sequence.avoid(solids, _NONE)
         self.joint_command = snapshot["joint_command"].copy()
         self.previous_command = snapshot["previous_command"].copy()
         self.periods, self._waited = snapshot["periods"].copy(), snapshot["waited"].copy()
@@ -342,10 +347,12 @@ class Loop:
         """Plan motions around solids that have moved; sub-goals that begin now avoid them, too."""
         solids = self.obstacles.after(0.0)
         if solids is not None and self.sequence.avoids_solids:
-            due = self.periods % max(1, round(_REPLAN_SECONDS / self.dt)) == 0
-            due &= self.obstacles.moving & (self.periods > 0)
+            rows, moving = _NONE, self.obstacles.moving
+            if moving.any():
+                due = self.periods % max(1, round(_REPLAN_SECONDS / self.dt)) == 0
+                rows = np.flatnonzero(due & moving & (self.periods > 0))
             robots = self.state.base_pose, self.state.joint_positions
-            self.sequence.avoid(solids, np.flatnonzero(due), robots)
+            self.sequence.avoid(solids, rows, robots)
 
     def _check(self, method: str, state: RobotState, n: int) -> None:
         check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")
@@ -425,9 +432,8 @@ class Loop:
         Policies are trained with arms at their commands. During a reconfiguration they would read
         a large tracking error and drive the base after the EE.
         """
-        way = np.abs(joint_displacement(self.robot, self.state.joint_positions, self.joint_command))
-        limit = self.robot.max_joint_velocity * RECONFIGURATION_SECONDS
-        reconfigures = np.any(way > limit, axis=1)
+        way = self.state.joint_positions, self.joint_command
+        reconfigures = exceeds_joint_velocity(self.robot, *way, RECONFIGURATION_SECONDS)
         self._waited = np.where(reconfigures, self._waited + 1, 0)
         paused: NDArray[np.bool_] = reconfigures & (self._waited <= self._arm_settle_timeout)
         return paused

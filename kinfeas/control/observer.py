@@ -68,7 +68,7 @@ class Observer:
             ahead = spatial.relative(self._ahead, base_pose[:, np.newaxis])
             seen.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)
         planned = self._planned_base
-        self._base_seen = None if planned is None else _in_base(planned, base_pose)
+        self._base_seen = None if planned is None else spatial.planar_offset(planned, base_pose)
         seen.planned_base = self._base_seen
         self.planned = preview
         if self._time_scale != 1.0:
@@ -86,10 +86,3 @@ class Observer:
             return None
         x, y, angle = self._base_seen.T
         return np.hypot(x, y) + 0.5 * np.abs(angle)
-
-
-def _in_base(wanted: Array, base_pose: Array) -> Array:
-    """Return x, y and yaw of wanted base poses, (n, 7), as seen from the bases; 0 for NaN."""
-    known = ~np.isnan(wanted).any(axis=1, keepdims=True)
-    seen = spatial.relative(np.where(known, wanted, base_pose), base_pose)
-    return np.where(known, np.column_stack([seen[:, :2], spatial.yaw(seen)]), 0.0)

@@ -153,6 +153,17 @@ def yaw(pose, out):
     out[0] = heading(pose)
 
 
+@compiled(["void(f8[:], f8[:], f8[:], f8[:])"], "(p),(p),(v)->(v)")
+def planar_offset(pose, frame, like, out):
+    """x, y and yaw of a pose on the floor, as seen from another one; 0 for NaN."""
+    out[:] = 0.0
+    if not math.isnan(pose.sum()):
+        angle, x, y = heading(frame), pose[0] - frame[0], pose[1] - frame[1]
+        cosine, sine = math.cos(angle), math.sin(angle)
+        out[0], out[1] = cosine * x + sine * y, cosine * y - sine * x
+        out[2] = wrapped(heading(pose) - angle)
+
+
 @compiled(["void(f8[:], f8[:], b1[:], f8[:], b1[:])"], "(j),(j),(j),(j)->()")
 def moves_farther(before, after, continuous, longest, out):
     """Whether a joint moves farther than its `longest` way; continuous ones the shorter way."""

@@ -83,6 +83,12 @@ def planar_pose(x: Array, y: Array, yaw: Array) -> Array:
     return pose
 
 
+def planar_offset(pose: Array, frame: Array) -> Array:
+    """Return x, y and yaw of poses on the floor in `frame`, (..., 7) -> (..., 3); 0 for NaN."""
+    offset: Array = _call(pose_kernels.planar_offset, pose, frame, pose_kernels.TWIST[:3])
+    return offset
+
+
 def yaw(pose: Array) -> Array:
     """Return the heading of planar poses, shape (..., 7) -> (...), radians in (-pi, pi]."""
     if pose.shape[-1:] != _POSE:

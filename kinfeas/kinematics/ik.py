@@ -152,10 +152,9 @@ class IkSolver:
         clearance = self.options.solid_clearance
         if solids is None or not clearance:
             return self._solve(ee_pose_in_base, seed, guide, solids, *rules)
-        wider, anywhere = solids.wider(clearance, clearance), max_joint_step is None
         # No arm is reconfigured for the clearance.
-        strict = max_joint_step, anywhere, hold_torso
-        found = self._solve(ee_pose_in_base, seed, guide, wider, *strict)
+        strict = max_joint_step, max_joint_step is None, hold_torso
+        found = self._solve(ee_pose_in_base, seed, guide, solids, *strict, clearance)
         late = np.flatnonzero(~found.feasible)
         if allow_reconfiguration and late.size:
             given = ee_pose_in_base[late], seed[late], None if guide is None else guide[late]
@@ -171,8 +170,9 @@ class IkSolver:
         max_joint_step: Array | None,
         allow_reconfiguration: bool,
         hold_torso: bool,
+        clearance: float = 0.0,
     ) -> IkSolution:
-        """Return solutions without a clearance from solids; arguments as in `solve`."""
+        """Return solutions with a clearance from solids; arguments as in `solve`."""
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
         within = np.empty(0)
@@ -200,6 +200,7 @@ class IkSolver:
             allow_reconfiguration,
             guides,
             _NO_SOLIDS if solids is None else solid_arrays(solids, len(targets)),
+            clearance,
             solution,
             feasible,
             errors,

@@ -16,7 +16,7 @@ from kinfeas.kinematics.self_collision import (
     place_shapes,
     touches_itself,
 )
-from kinfeas.kinematics.solids import touches_solids
+from kinfeas.kinematics.solids import is_empty, touches_solids
 
 AIM = 0.2
 """Share of the tolerances at which a descent ends early."""
@@ -100,13 +100,15 @@ def solve_batch(
     allow_reconfiguration,
     guide,
     solids,
+    clearance,
     solution,
     feasible,
     errors,
 ):
     """Solve row by row; arguments as in `IkSolver.solve`, `max_joint_step` (0,) for none.
 
-    `solids` are `SolidArrays`; those without places may have fewer rows, as `guide` without any.
+    `solids` are `SolidArrays`, from which arms keep a clearance, metres; those without places may
+    have fewer rows, as `guide` without any.
 
     `solution`, shape (n, v), has the seeds and receives the solutions, `feasible` whether there is
     one, `errors`, shape (n, 2), its errors or those of the closest attempt, metres and radians.
@@ -118,13 +120,16 @@ def solve_batch(
     scores = np.empty(len(problem.library), dtype=np.float32)
     turn, position = np.empty((3, 3)), np.empty(3)
     held, lower, upper = problem.held, problem.lower.copy(), problem.upper.copy()
-    limits = lower, upper
+    limits, (pose, size, cylinder) = (lower, upper), solids
+    grown = np.empty(size.shape[1:])
     for i in range(len(solution)):
         if held >= 0:
             lower[held] = upper[held] = solution[i, held]
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
-        around = solids, i
+        row = min(i, len(pose) - 1)
+        _grow(size[row], clearance, grown)
+        around = pose[row], grown, cylinder[row]
         if _solve_from_seed(
             problem, limits, target, max_joint_step, allow_reconfiguration, near,
             guide[i : i + 1], solution[i], errors[i], scratch, touching, around,
@@ -301,15 +306,23 @@ def _free(problem, q, touching, around):
 
 
 @inner
-def _collides(collision, with_itself, q, touching, solids, row):
+def _collides(collision, with_itself, q, touching, pose, size, cylinder):
     if with_itself and touches_itself(collision, q, touching):
         return True
-    pose, size, cylinder = solids
-    if pose.shape[1] == 0:
+    if len(pose) == 0:
         return False
     if not with_itself:
         place_shapes(collision, q, touching)
-    return touches_solids(collision, True, pose[row], size[row], cylinder[row], touching)
+    return touches_solids(collision, True, pose, size, cylinder, touching)
+
+
+@inlined
+def _grow(size, clearance, out):
+    """Write the sizes of solids, shape (k, 4), that have grown by a clearance."""
+    for k in range(len(size)):
+        by = 0.0 if is_empty(size[k]) else clearance
+        out[k, 0], out[k, 1] = size[k, 0] + by, size[k, 1] + by
+        out[k, 2], out[k, 3] = size[k, 2] - by, size[k, 3] + by
 
 
 @inlined

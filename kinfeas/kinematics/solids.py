@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,11 +133,17 @@ def scan(
         beams: Number of beams.
         max_range: Longest range, metres.
     """
-    n, angles = len(base_pose), -np.pi + 2.0 * np.pi / beams * np.arange(beams)
-    ranges = np.full((n, len(bands), beams), float(max_range))
-    rays = np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles)
-    _scan_batch(*surroundings(solids, base_pose, n), *rays, float(max_range), ranges)
+    ranges = np.full((len(base_pose), len(bands), beams), float(max_range))
+    rays = np.array(bands).reshape(-1, 2), *_directions(beams)
+    _scan_batch(*surroundings(solids, base_pose, len(ranges)), *rays, float(max_range), ranges)
     return ranges
+
+
+@cache
+def _directions(beams: int) -> tuple[Array, Array]:
+    """Return cosines and sines of the angles of beams."""
+    angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
+    return np.cos(angles), np.sin(angles)
 
 
 def scan_now(solids: MovingSolids, base_pose: Array) -> Array:

@@ -192,22 +192,21 @@ class SafetyFilter(_Wrapper):
         """Return targets that the arm can reach within `dt`, or where it is to hold, shape (j,)."""
         before, robot, guards = self.joint_targets[0], self._robot, self._guards
         move = joint_displacement(robot, before, targets)
-        lag = (
-            np.abs(joint_displacement(robot, self._state.joint_positions[0], before))
-            / self._joint_speed
-        )
+        lag = joint_displacement(robot, self._state.joint_positions[0], before)
+        way, lag = np.abs(move), np.abs(lag) / self._joint_speed
         self.hold = ""
-        if np.abs(move).max() > guards.joint_jump:
+        if way.max() > guards.joint_jump:
             self.hold = "the arm's target is too far away"
         elif not lag.max() <= guards.max_tracking_delay:  # also if the measurement is not a number
             self.hold = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
         if self.hold:
             return before
-        move /= np.max(np.abs(move) / (self._joint_speed * dt), initial=1.0)
-        after = np.where(robot.continuous, spatial.wrap(before + move), before + move)
+        after = before + move / max(float((way / (self._joint_speed * dt)).max()), 1.0)
+        if robot.continuous.any():
+            after = np.where(robot.continuous, spatial.wrap(after), after)
         lower, upper = robot.joint_limits
         # A joint that starts beyond a limit must not jump to it.
-        return np.clip(after, np.minimum(lower, before), np.maximum(upper, before))
+        return np.minimum(np.maximum(after, np.minimum(lower, before)), np.maximum(upper, before))
 
 
 class Guarded(_Wrapper):

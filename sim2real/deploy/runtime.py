@@ -189,6 +189,7 @@ class _Run:
             execution,
             setup.filters,
         )
+        self.loop.finds_collisions = False  # nothing here asks for them
         self.loop.set_policy(setup.policy)
         if isinstance(setup.task, StreamTask):
             self.loop.target_stream = setup.task.target_stream(setup.solver)

@@ -25,12 +25,12 @@ class StateMonitor:
         self._needs_age = isinstance(backend, RealTimeBackend)
         self._start: Array | None = None
         self._last: Array = np.empty(7)
-        self._times = np.empty(2)
+        self._times = (math.nan, math.nan)
 
     def begin(self, state: RobotState) -> None:
         """Take a measurement as the start of a run; raise Fault if it exceeds a limit."""
         self._start = None
-        self._times = np.array([self._clock.monotonic(), self._clock.wall()])
+        self._times = self._clock.monotonic(), self._clock.wall()
         self.check(state)
         self._start = self._last
 
@@ -47,12 +47,12 @@ class StateMonitor:
         self._last = state.base_pose[0].copy()
 
     def _check_clocks(self) -> float:
-        before, self._times = self._times, np.array([self._clock.monotonic(), self._clock.wall()])
-        elapsed, wall = (self._times - before).tolist()
+        before, self._times = self._times, (self._clock.monotonic(), self._clock.wall())
+        elapsed = self._times[0] - before[0]
         check_limit("the control period took {} s", elapsed, self._guards.max_period)
-        skew = abs(wall - elapsed)
+        skew = abs(self._times[1] - before[1] - elapsed)
         check_limit("the system's clock was set by {} s", skew, self._guards.max_clock_skew)
-        return float(elapsed)
+        return elapsed
 
     def _check_age(self, age: Array) -> None:
         check_limit("the newest measurement is {} s old", age[0], self._guards.max_age)
@@ -75,11 +75,10 @@ class StateMonitor:
         check_limit(f"{jump}rad", radians, guards.heading_jump + base.max_rotation * elapsed)
 
     def _check_joints(self, joints: Array) -> None:
-        lower, upper = self._robot.joint_limits
-        outside = np.maximum(lower - joints, joints - upper)
-        worst = int(np.argmax(outside))
-        name, most = self._robot.arm[worst].name, self._guards.joint_tolerance
-        check_limit(f"joint {name} is measured {{}} beyond its limits", float(outside[worst]), most)
+        each = zip(self._robot.arm, joints.tolist(), strict=True)
+        outside, name = max((max(one.lower - q, q - one.upper), one.name) for one, q in each)
+        most = self._guards.joint_tolerance
+        check_limit(f"joint {name} is measured {{}} beyond its limits", outside, most)
 
 
 def check_limit(sentence: str, value: float, most: float) -> None:

@@ -11,6 +11,7 @@ from kinfeas.core.spatial import (
     distance,
     integrate,
     make_pose,
+    planar_offset,
     planar_pose,
     relative,
     rotation,
@@ -102,6 +103,16 @@ def test_yaw_reads_planar_poses(shape):
     assert np.allclose(pose[..., :3], np.stack([x, y, np.zeros(shape)], -1))
     assert np.all(pose[..., 6] >= 0.0)
     assert np.allclose(yaw(pose), wrap(heading))
+
+
+def test_planar_offset_is_zero_for_unknown_poses():
+    pose, frame = planar_pose(*np.random.default_rng(0).uniform(-9.0, 9.0, (3, 2, 5)))
+    seen = relative(pose, frame)
+    expected = np.column_stack([seen[:, :2], yaw(seen)])
+    np.testing.assert_allclose(planar_offset(pose, frame), expected, atol=1e-12)
+    pose[2] = np.nan
+    expected[2] = 0.0
+    np.testing.assert_allclose(planar_offset(pose, frame), expected, atol=1e-12)
 
 
 @given(arrays(float, st.sampled_from(SHAPES), elements=st.floats(-1e4, 1e4)))
