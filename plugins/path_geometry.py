@@ -97,17 +97,17 @@ def squared_way(a, b):
 @kernel
 def shares_ahead(points, share, distances, out):
     """Write the shares of paths that lie some metres ahead, (n,) and (d,) -> (n, d), at most 1."""
-    lengths = np.empty(POINTS - 1)
+    lengths, ends = np.empty(POINTS - 1), np.empty((2, 3))
     for i in range(len(share)):
         t = share[i] * (POINTS - 1)
-        first = min(int(t), POINTS - 2)
-        measured, end = first, on_curve(points[i], first)
+        measured = first = min(int(t), POINTS - 2)
+        write_place(points[i], first, ends[first % 2])
         for d in range(len(distances)):
             left, k, done = distances[d], first, t - first
             while k < POINTS - 1:
                 if k == measured:
-                    begin, end = end, on_curve(points[i], k + 1)
-                    lengths[k] = math.sqrt(squared_way(begin, end))
+                    write_place(points[i], k + 1, ends[(k + 1) % 2])
+                    lengths[k] = math.sqrt(squared_way(ends[0], ends[1]))
                     measured += 1
                 if left <= lengths[k] * (1.0 - done):
                     done += left / max(lengths[k], 1e-12)
@@ -117,28 +117,26 @@ def shares_ahead(points, share, distances, out):
             out[i, d] = min((k + min(done, 1.0)) / (POINTS - 1), 1.0)
 
 
-@kernel
-def on_curve(points, t):
-    """Return the place of a path at `t` control points from its beginning, shape (d,)."""
+@inner
+def write_place(points, t, out):
+    """Write the place of a path at `t` control points from its beginning, or its first numbers."""
     k = min(int(t), POINTS - 2)
     u = t - k
     v = 1.0 - u
     p, q = v * v * v, u * u * u
-    place = np.empty(points.shape[1])
-    for i in range(len(place)):
+    for i in range(len(out)):
         b, c = points[k, i], points[k + 1, i]
         a = points[k - 1, i] if k > 0 else 2.0 * b - c
         d = points[k + 2, i] if k < POINTS - 2 else 2.0 * c - b
-        place[i] = (
+        out[i] = (
             p * a + (4.0 - 6.0 * u * u + 3.0 * q) * b + (4.0 - 6.0 * v * v + 3.0 * p) * c + q * d
         ) / 6.0
-    return place
 
 
 @compiled(["void(f8[:, :], f8, f8[:])"], "(k,d),()->(d)")
 def place_at(points, share, out):
     """Place of a path, a uniform cubic B-spline, at a share in [0, 1] of its way."""
-    out[:] = on_curve(points, share * (POINTS - 1))
+    write_place(points, share * (POINTS - 1), out)
 
 
 @compiled(["void(f8[:, :], f8, f8, f8[:], f8[:], f8[:])"], "(k,p),(),(),(p),(p)->(p)")
@@ -152,7 +150,8 @@ def pose_at(points, share, rate, origin, target, out):
     if rate == 0.0:
         write_reached(origin, way, share, out)
         return
-    pose = on_curve(points, share * (POINTS - 1))
+    pose = np.empty(7)
+    write_place(points, share * (POINTS - 1), pose)
     x, y, z, w = pose[3], pose[4], pose[5], pose[6]
     pose[3:] /= math.sqrt(x * x + y * y + z * z + w * w)
     write_reached(pose, way, share, out)
@@ -250,8 +249,10 @@ def _at(corners, length, integral, s):
 @kernel
 def _worse(points, sharp, table, radius):
     """Return whether a path comes nearer than the radius where the other one does not."""
+    a, b = np.empty(3), np.empty(3)
     for i in range(2 * POINTS - 1):
-        a, b = on_curve(points, 0.5 * i), on_curve(sharp, 0.5 * i)
+        write_place(points, 0.5 * i, a)
+        write_place(sharp, 0.5 * i, b)
         near = distances(table, a[0], a[1], a[2], radius)[0] < radius
         if near and distances(table, b[0], b[1], b[2], radius)[0] >= radius:
             return True

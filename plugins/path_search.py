@@ -15,10 +15,10 @@ from kinfeas.plugins.path_geometry import (
     horizontal_gap,
     inner,
     kernel,
-    on_curve,
     smooth,
     squared_way,
     table_of,
+    write_place,
 )
 
 _CELL, _MOST_CELLS, _LEVEL = 0.2, 96, 0.3
@@ -70,11 +70,11 @@ def _rest_of(points, share, table, limits):
     The first two are of the next metres alone.
     """
     free, length, cost, near_cost, near = True, 0.0, 0.0, 0.0, 0.0
-    k = int(share * (POINTS - 1)) + 1
+    k, at = int(share * (POINTS - 1)) + 1, np.empty(3)
     while k < POINTS:
         step = math.sqrt(squared_way(points[k - 1], points[k]))
         for part in range(2):
-            at = on_curve(points, k - 0.5 + 0.5 * part)
+            write_place(points, k - 0.5 + 0.5 * part, at)
             nearest, beside = distances(table, at[0], at[1], at[2], limits[1])
             if nearest < limits[0] and length < _HORIZON:
                 free = False
