@@ -16,6 +16,7 @@ from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Step
 from kinfeas.core.backend import NeedsAbility, RealTimeBackend, build_backend
+from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
@@ -202,7 +203,11 @@ class World:
 
         Args:
             action: Action terms in [-1, 1], shape (n, a).
+
+        Raises:
+            KinfeasError: If the action has another shape or is not finite.
         """
+        check_array(action, (len(self.steps), self.action_size), "the policy's action")
         action, loop = action.clip(-1.0, 1.0), self.loop
         way = planned_way = None
         if loop.target_stream is not None:

@@ -91,6 +91,15 @@ def world(hsr):
     return make(hsr, world=WorldConfig(max_seconds=5.0), seed=0)
 
 
+@pytest.mark.parametrize(("wrong", "told"), [
+    (np.zeros((2, 2)), "shape"), (np.zeros(3), "shape"), (np.full((2, 3), np.nan), "finite"),
+])  # fmt: skip
+def test_wrong_actions_of_a_policy_are_refused(world, wrong, told):
+    world.start([0, 1])
+    with pytest.raises(KinfeasError, match=told):
+        world.step(wrong)
+
+
 @pytest.mark.parametrize("task", [ggr(), CHAIN], ids=["one sub-goal", "chain"])
 def test_an_episode_is_the_same_to_the_bit_in_any_batch(robot, task):
     world = make(robot, task)
