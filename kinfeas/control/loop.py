@@ -38,7 +38,7 @@ _TARGETS = "target_stream."
 _REPLAN_SECONDS = 1.0
 """Control time between plans around moving solids."""
 
-_NONE: Rows = np.empty(0, dtype=np.intp)
+_NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
 
 @dataclass(frozen=True)
@@ -287,7 +287,7 @@ class Loop:
         self.sequence.restore(snapshot)
         self._measure(backend.restore(snapshot))
         if (solids := self.obstacles.after(0.0)) is not None:
-            self.sequence.avoid(solids, _NONE)
+            self.sequence.avoid(solids, _NO_ROWS)
         self.joint_command = snapshot["joint_command"].copy()
         self.previous_command = snapshot["previous_command"].copy()
         self.periods, self._waited = snapshot["periods"].copy(), snapshot["waited"].copy()
@@ -347,7 +347,7 @@ class Loop:
         """Plan motions around solids that have moved; sub-goals that begin now avoid them, too."""
         solids = self.obstacles.after(0.0)
         if solids is not None and self.sequence.avoids_solids:
-            rows, moving = _NONE, self.obstacles.moving
+            rows, moving = _NO_ROWS, self.obstacles.moving
             if moving.any():
                 due = self.periods % max(1, round(_REPLAN_SECONDS / self.dt)) == 0
                 rows = np.flatnonzero(due & moving & (self.periods > 0))

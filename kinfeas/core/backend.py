@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.pose_kernels import are_finite
+from kinfeas.core.pose_kernels import obstacles_are_finite
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array
 
@@ -154,7 +154,8 @@ class ObstacleDistances:
         if speed is not None and speed.shape != shape:
             raise ValueError("closing_speed must have the shape of distance")
         closing = np.zeros(shape[1]) if speed is None else speed
-        if not are_finite(self.closest_point, self.normal, self.distance, closing).all():
+        numbers = self.closest_point, self.normal, self.distance, closing
+        if not obstacles_are_finite(*numbers).all():
             raise ValueError(
                 "closest_point, normal and closing_speed must be finite, and distance must be a "
                 "number, or inf without an obstacle"

@@ -175,7 +175,7 @@ def moves_farther(before, after, continuous, longest, out):
 
 
 @compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:], b1[:])"], "(k,p),(k,p),(k),(k)->()")
-def are_finite(point, normal, distance, closing_speed, out):
+def obstacles_are_finite(point, normal, distance, closing_speed, out):
     """Whether the numbers of obstacles are finite; their distances may be inf."""
     out[0] = True
     for k in range(len(distance)):
@@ -185,4 +185,4 @@ def are_finite(point, normal, distance, closing_speed, out):
 
 
 TWIST = np.zeros(6)
-"""Argument `like` of kernels that return twists."""
+"""Argument `like` of kernels, which has the size of what they return: a twist."""

@@ -30,7 +30,8 @@ class CollisionModel(NamedTuple):
         radius: Radius of the bounding sphere, shape (s,), metres.
         rotation: From body to shape, shape (s, 3, 3).
         offset: Same, metres, shape (s, 3).
-        pairs: Indices of shapes to check, shape (p, 2).
+        pairs: Indices of shapes to check, shape (p, 2); unsigned, since each signed index costs
+            kernels a look whether it is negative.
         variables: Number of the arm's joints.
     """
 

@@ -49,7 +49,8 @@ def in_base(solids: Solids, base_pose: Array) -> Solids:
 def _in_base(pose, velocity, base, pose_out, velocity_out):
     """Poses and velocities of k solids in the frame of a base."""
     write_local(pose, base, pose_out)
-    cosine, sine = math.cos(heading(base)), math.sin(heading(base))
+    yaw = heading(base)
+    cosine, sine = math.cos(yaw), math.sin(yaw)
     for k in range(len(velocity)):
         x, y = velocity[k, 0], velocity[k, 1]
         velocity_out[k, 0], velocity_out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
