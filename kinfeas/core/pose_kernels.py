@@ -164,6 +164,14 @@ def planar_offset(pose, frame, like, out):
         out[2] = wrapped(heading(pose) - angle)
 
 
+@compiled(["void(f8[:], f8[:], b1[:], f8[:])"], "(j),(j),(j)->(j)")
+def joint_displacement(before, after, continuous, out):
+    """Way of each joint; of continuous ones the shorter way."""
+    for j in range(len(before)):
+        way = after[j] - before[j]
+        out[j] = wrapped(way) if continuous[j] else way
+
+
 @compiled(["void(f8[:], f8[:], b1[:], f8[:], b1[:])"], "(j),(j),(j),(j)->()")
 def moves_farther(before, after, continuous, longest, out):
     """Whether a joint moves farther than its `longest` way; continuous ones the shorter way."""

@@ -117,9 +117,10 @@ def _obstacles(prisms, reach, solids, within, pairs, solid, out):
             one = prisms[s]
             if one[7] >= solid[8] or solid[7] >= one[8]:
                 continue
-            gap, _, _ = outward(one[2], one[3], solid)
-            radius = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6] + solid[6]
-            if gap - radius > nearest + AS_NEAR:
+            gap, x, y = outward(one[2], one[3], solid)
+            along, across = one[0] * x + one[1] * y, one[0] * y - one[1] * x
+            extent = abs(along) * one[4] + abs(across) * one[5] + one[6] + solid[6]
+            if gap - extent > nearest + AS_NEAR:  # a side of the solid separates them
                 continue
             first = count
             count = _pair_corners(one, solid, 1.0, pairs, count)

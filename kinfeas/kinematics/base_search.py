@@ -118,7 +118,7 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
     nx, ny = cost.shape
     total, first = nx * ny * HEADINGS, _node(start, origin, ny)
     ahead = _costs_ahead(places, place_cost, origin, cost)
-    # 0 is unseen, and only then the other arrays have no values; 1 free, 2 blocked, 3 done.
+    # 0 is unseen, and only then the other arrays have no values; 1 seen, 2 blocked or done.
     state = np.zeros(total, dtype=np.int8)
     best, seconds, parent = np.empty(total), np.empty(total), np.empty(total, dtype=np.int64)
     arrival = np.full(total, -1, dtype=np.int16)
@@ -126,22 +126,28 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
         node = _node(places[p], origin, ny)
         if arrival[node] < 0 or place_cost[p] < place_cost[arrival[node]]:
             arrival[node], state[node], best[node] = p, 1, np.inf
-    scratch, local = make_collision_scratch(model), np.empty_like(pose)
+    scratch = make_collision_scratch(model)
     place_shapes(model, rest, scratch)
+    near, near_squared = np.concatenate((start[np.newaxis], places)), square(reach)
     best[first], seconds[first], parent[first], state[first] = 0.0, 0.0, first, 1
     queue = [(0.0, first)]
     if ahead[first // HEADINGS // ny, first // HEADINGS % ny] == np.inf:
         queue.clear()
+    base, local = np.empty(3), np.empty_like(pose)
     while len(queue) > 0:
         _, node = heapq.heappop(queue)
         if node >= total:  # an arrival, at its whole cost
             return _way_to(node - total, parent, origin, ny), arrival[node - total]
-        if state[node] == 3:
+        if state[node] == 2:
             continue
-        state[node] = 3
+        state[node] = 2
+        heading, x, y = node % HEADINGS, node // HEADINGS // ny, node // HEADINGS % ny
         if arrival[node] >= 0:
             heapq.heappush(queue, (best[node] + place_cost[arrival[node]], total + node))
-        heading, x, y = node % HEADINGS, node // HEADINGS // ny, node // HEADINGS % ny
+        elif node != first and not moving:  # only now, since the search ends before most of them
+            _write_place(x, y, heading, origin, base)
+            if _touches(model, base, near, near_squared, solids, 0.0, local, scratch):
+                continue
         here = min(cost[x, y], 1.0 + _CROWDED)
         for m in range(moves.shape[1]):
             step_x, step_y = moves[heading, m, 0], moves[heading, m, 1]
@@ -150,31 +156,23 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
                 continue
             turned = (heading + moves[heading, m, 2]) % HEADINGS
             other = (i * ny + j) * HEADINGS + turned
-            if state[other] >= 2:
+            if state[other] == 2:
                 continue
             metre = here + min(cost[i, j], 1.0 + _CROWDED)
             new = best[node] + 0.0005 * moves[heading, m, 3] * metre
             if state[other] == 0:
-                best[other] = np.inf
+                state[other], best[other] = 1, np.inf
             if new >= best[other]:
                 continue
-            way, turn = CELL * math.hypot(step_x, step_y), _TURN * abs(moves[heading, m, 2])
-            time = seconds[node] + max(way / speed[0], turn / speed[1])
-            if state[other] == 0 or moving:
-                at = origin[0] + CELL * i, origin[1] + CELL * j
-                then, yaw = min(time, FORESIGHT), _TURN * turned
-                _write_local((pose, velocity), then, at, yaw, local)
-                near = square(at[0] - start[0]) + square(at[1] - start[1])
-                for p in range(len(places)):
-                    away = square(at[0] - places[p, 0]) + square(at[1] - places[p, 1])
-                    near = min(near, away)
-                hit = touches_solids(model, False, local, size, cylinder, scratch)
-                if not hit and near > square(reach):
-                    hit = touches_solids(model, True, local, size, cylinder, scratch)
-                state[other] = 2 if hit and not moving else 1
-                if hit:
+            if moving:  # solids may have left when the base comes by another way
+                way, turn = CELL * math.hypot(step_x, step_y), _TURN * abs(moves[heading, m, 2])
+                time = seconds[node] + max(way / speed[0], turn / speed[1])
+                _write_place(i, j, turned, origin, base)
+                then = min(time, FORESIGHT)
+                if _touches(model, base, near, near_squared, solids, then, local, scratch):
                     continue
-            best[other], parent[other], seconds[other] = new, node, time
+                seconds[other] = time
+            best[other], parent[other] = new, node
             heapq.heappush(queue, (new + _GREED * ahead[i, j], other))
     return np.empty((0, 3)), -1
 
@@ -219,17 +217,30 @@ def _node(place, origin, ny):
 
 
 @inner
-def _write_local(solids, seconds, at, yaw, out):
-    """Write the poses of solids after some seconds, shape (k, 3), as seen from a base.
+def _touches(model, base, near, near_squared, solids, seconds, local, scratch):
+    """Return whether the robot at a base pose, (3,), touches solids after some seconds.
 
-    `solids` are poses, shape (k, 3), and velocities, (k, 2).
+    The arm counts only far from the places `near`, (p, 3). `local` and `scratch` are memory.
     """
-    (pose, velocity), cosine, sine = solids, math.cos(yaw), math.sin(yaw)
+    pose, size, cylinder, velocity = solids
+    cosine, sine = math.cos(base[2]), math.sin(base[2])
     for k in range(len(pose)):
-        dx = pose[k, 0] + velocity[k, 0] * seconds - at[0]
-        dy = pose[k, 1] + velocity[k, 1] * seconds - at[1]
-        out[k, 0], out[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
-        out[k, 2] = pose[k, 2] - yaw
+        dx = pose[k, 0] + velocity[k, 0] * seconds - base[0]
+        dy = pose[k, 1] + velocity[k, 1] * seconds - base[1]
+        local[k, 0], local[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
+        local[k, 2] = pose[k, 2] - base[2]
+    if touches_solids(model, False, local, size, cylinder, scratch):
+        return True
+    for p in range(len(near)):
+        if square(base[0] - near[p, 0]) + square(base[1] - near[p, 1]) <= near_squared:
+            return False
+    return touches_solids(model, True, local, size, cylinder, scratch)
+
+
+@inner
+def _write_place(x, y, heading, origin, out):
+    """Write the base pose of a node, shape (3,)."""
+    out[0], out[1], out[2] = origin[0] + CELL * x, origin[1] + CELL * y, _TURN * heading
 
 
 @kernel
@@ -240,8 +251,7 @@ def _way_to(last, parent, origin, ny):
         node, count = parent[node], count + 1
     path, node = np.empty((count, 3)), last
     for k in range(count - 1, -1, -1):
-        path[k, 0] = origin[0] + CELL * (node // HEADINGS // ny)
-        path[k, 1] = origin[1] + CELL * (node // HEADINGS % ny)
-        path[k, 2] = _TURN * (node % HEADINGS)
+        x, y = node // HEADINGS // ny, node // HEADINGS % ny
+        _write_place(x, y, node % HEADINGS, origin, path[k])
         node = parent[node]
     return path

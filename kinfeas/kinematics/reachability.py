@@ -120,9 +120,17 @@ class Postures:
         sine = product[:, 0, 1] - product[:, 1, 0]
         tilt = 3.0 - np.hypot(cosine, sine) - product[:, 2, 2]
         cost = (self.ee_pose[:, 2] - goal[2]) ** 2 + ROTATION_WEIGHT**2 * tilt
-        best = np.argsort(cost, kind="stable")[first:last]
+        best = _smallest(cost, last)[first:]
         heading, ee = np.arctan2(sine[best], cosine[best]), self.ee_pose[best]
         cosine, sine = np.cos(heading), np.sin(heading)
         x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
         y = goal[1] - (sine * ee[:, 0] + cosine * ee[:, 1])
         return planar_pose(x, y, heading), self.joints[best]
+
+
+def _smallest(values: Array, count: int) -> NDArray[np.intp]:
+    """Return the places of the smallest values, (n,), in ascending order, at most `count`."""
+    near = np.arange(len(values))
+    if count < len(values):
+        near = np.argpartition(values, count)[:count]
+    return near[np.argsort(values[near])]

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core import spatial
-from kinfeas.core.pose_kernels import moves_farther
+from kinfeas.core import pose_kernels
 from kinfeas.core.spatial import Array
 from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance
 from kinfeas.robots.urdf import Joint, Urdf
@@ -119,9 +118,7 @@ def _read_only(values: ArrayLike) -> NDArray[Any]:
 
 def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
     """Return the displacement of each joint, (..., j), in (-pi, pi] for continuous joints."""
-    way, turning = after - before, robot.continuous
-    if turning.any():
-        way[..., turning] = spatial.wrap(way[..., turning])
+    way: Array = pose_kernels.joint_displacement(before, after, robot.continuous)
     return way
 
 
@@ -130,7 +127,7 @@ def exceeds_joint_velocity(
 ) -> NDArray[np.bool_]:
     """Return whether a joint, shape (..., j), exceeds its velocity limit in `dt` seconds, (...)."""
     longest = robot.max_joint_velocity * dt * _ROUNDING
-    jumps: NDArray[np.bool_] = moves_farther(before, after, robot.continuous, longest)
+    jumps: NDArray[np.bool_] = pose_kernels.moves_farther(before, after, robot.continuous, longest)
     return jumps
 
 
