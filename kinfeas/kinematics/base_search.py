@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinfeas.kinematics.base_obstacles import outward, write_prism
 from kinfeas.kinematics.kernels import inner, kernel, square
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
-from kinfeas.kinematics.solids import is_empty, squared_radius, touches_solids
+from kinfeas.kinematics.solids import bounds, is_empty, squared_radius, touches_solids
 
 CELL, HEADINGS = 0.125, 16
 """Side of a cell of the lattice, metres, and its headings in a full turn."""
@@ -128,7 +128,8 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
             arrival[node], state[node], best[node] = p, 1, np.inf
     scratch = make_collision_scratch(model)
     place_shapes(model, rest, scratch)
-    near, near_squared = np.concatenate((start[np.newaxis], places)), square(reach)
+    near = np.concatenate((start[np.newaxis], places)), square(reach)
+    around = bounds(model, False, scratch), bounds(model, True, scratch)
     best[first], seconds[first], parent[first], state[first] = 0.0, 0.0, first, 1
     queue = [(0.0, first)]
     if ahead[first // HEADINGS // ny, first // HEADINGS % ny] == np.inf:
@@ -146,7 +147,7 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
             heapq.heappush(queue, (best[node] + place_cost[arrival[node]], total + node))
         elif node != first and not moving:  # only now, since the search ends before most of them
             _write_place(x, y, heading, origin, base)
-            if _touches(model, base, near, near_squared, solids, 0.0, local, scratch):
+            if _touches(model, around, base, near, solids, 0.0, local, scratch):
                 continue
         here = min(cost[x, y], 1.0 + _CROWDED)
         for m in range(moves.shape[1]):
@@ -169,7 +170,7 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
                 time = seconds[node] + max(way / speed[0], turn / speed[1])
                 _write_place(i, j, turned, origin, base)
                 then = min(time, FORESIGHT)
-                if _touches(model, base, near, near_squared, solids, then, local, scratch):
+                if _touches(model, around, base, near, solids, then, local, scratch):
                     continue
                 seconds[other] = time
             best[other], parent[other] = new, node
@@ -217,10 +218,11 @@ def _node(place, origin, ny):
 
 
 @inner
-def _touches(model, base, near, near_squared, solids, seconds, local, scratch):
-    """Return whether the robot at a base pose, (3,), touches solids after some seconds.
+def _touches(model, around, base, near, solids, seconds, local, scratch):
+    """Return whether the robot at a base pose, shape (3,), touches solids after some seconds.
 
-    The arm counts only far from the places `near`, (p, 3). `local` and `scratch` are memory.
+    `around` are the `bounds` of the shapes on the base and on the arm. The arm counts only beyond a
+    squared distance from the places in `near`, (p, 3). `local` and `scratch` are memory.
     """
     pose, size, cylinder, velocity = solids
     cosine, sine = math.cos(base[2]), math.sin(base[2])
@@ -229,12 +231,13 @@ def _touches(model, base, near, near_squared, solids, seconds, local, scratch):
         dy = pose[k, 1] + velocity[k, 1] * seconds - base[1]
         local[k, 0], local[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
         local[k, 2] = pose[k, 2] - base[2]
-    if touches_solids(model, False, local, size, cylinder, scratch):
+    if touches_solids(model, False, around[0], local, size, cylinder, scratch):
         return True
-    for p in range(len(near)):
-        if square(base[0] - near[p, 0]) + square(base[1] - near[p, 1]) <= near_squared:
+    places, squared = near
+    for p in range(len(places)):
+        if square(base[0] - places[p, 0]) + square(base[1] - places[p, 1]) <= squared:
             return False
-    return touches_solids(model, True, local, size, cylinder, scratch)
+    return touches_solids(model, True, around[1], local, size, cylinder, scratch)
 
 
 @inner

@@ -16,7 +16,7 @@ from kinfeas.kinematics.self_collision import (
     place_shapes,
     touches_itself,
 )
-from kinfeas.kinematics.solids import is_empty, touches_solids
+from kinfeas.kinematics.solids import bounds, is_empty, touches_solids
 
 AIM = 0.2
 """Share of the tolerances at which a descent ends early."""
@@ -313,7 +313,8 @@ def _collides(collision, with_itself, q, touching, pose, size, cylinder):
         return False
     if not with_itself:
         place_shapes(collision, q, touching)
-    return touches_solids(collision, True, pose, size, cylinder, touching)
+    around = bounds(collision, True, touching)
+    return touches_solids(collision, True, around, pose, size, cylinder, touching)
 
 
 @inlined

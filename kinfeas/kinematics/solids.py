@@ -157,24 +157,23 @@ def scan_now(solids: MovingSolids, base_pose: Array) -> Array:
 def _collides_batch(model, joint_positions, base, solids, touching):
     pose, size, cylinder = solids
     scratch, local = make_collision_scratch(model), np.empty(pose.shape[1:])
+    around_base = bounds(model, False, scratch)
     for i in range(len(joint_positions)):
         place_shapes(model, joint_positions[i], scratch)
         write_local(pose[i], base[i], local)
-        for moved in range(2):
-            touching[i, moved] = touches_solids(
-                model, moved == 1, local, size[i], cylinder[i], scratch
-            )
+        row = local, size[i], cylinder[i]
+        touching[i, 0] = touches_solids(model, False, around_base, *row, scratch)
+        touching[i, 1] = touches_solids(model, True, bounds(model, True, scratch), *row, scratch)
 
 
 @inner
-def touches_solids(model: CollisionModel, moved, pose, size, cylinder, scratch: CollisionScratch):
-    """Return whether a shape touches one of k solids in the base frame.
+def bounds(model: CollisionModel, moved, scratch: CollisionScratch):
+    """Return the smallest and largest x, y and z of the shapes that the arm moves, or the others.
 
-    The shapes are those that the arm moves, or the others, where `place_shapes` has put them. Pose,
-    size and cylinder are a row of `Solids`.
+    They are where `place_shapes` has put them.
     """
-    low, high = np.inf, -np.inf
-    left, right, back, front = np.inf, -np.inf, np.inf, -np.inf
+    back, left, low = np.inf, np.inf, np.inf
+    front, right, high = -np.inf, -np.inf, -np.inf
     for s in range(len(model.body)):
         if (model.body[s] >= 0) == moved:
             x, y, z = scratch.position[s]
@@ -182,6 +181,19 @@ def touches_solids(model: CollisionModel, moved, pose, size, cylinder, scratch: 
             back, front = min(back, x - radius), max(front, x + radius)
             left, right = min(left, y - radius), max(right, y + radius)
             low, high = min(low, z - radius), max(high, z + radius)
+    return back, front, left, right, low, high
+
+
+@inner
+def touches_solids(
+    model: CollisionModel, moved, around, pose, size, cylinder, scratch: CollisionScratch
+):
+    """Return whether a shape touches one of k solids in the base frame.
+
+    The shapes are those that the arm moves, or the others, and `around` are their `bounds`. Pose,
+    size and cylinder are a row of `Solids`.
+    """
+    back, front, left, right, low, high = around
     for k in range(len(pose)):
         if is_empty(size[k]) or size[k, 2] > high or size[k, 3] < low:
             continue
