@@ -150,11 +150,10 @@ def pose_at(points, share, rate, origin, target, out):
     if rate == 0.0:
         write_reached(origin, way, share, out)
         return
-    pose = np.empty(7)
-    write_place(points, share * (POINTS - 1), pose)
-    x, y, z, w = pose[3], pose[4], pose[5], pose[6]
-    pose[3:] /= math.sqrt(x * x + y * y + z * z + w * w)
-    write_reached(pose, way, share, out)
+    write_place(points, share * (POINTS - 1), out)
+    x, y, z, w = out[3], out[4], out[5], out[6]
+    out[3:] /= math.sqrt(x * x + y * y + z * z + w * w)
+    write_reached(out, way, share, out)
 
 
 @inner

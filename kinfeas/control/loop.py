@@ -86,10 +86,12 @@ class Loop:
         joint_command: Last commanded arm joints, shape (n, j).
         periods: Control periods since the start of each row, shape (n,).
         time_scale: Share of the planned motion that the last step carried out, shape (n,).
+        policy_input: Input of the policy now.
         period: What a step is about to carry out, for the filters.
         finds_collisions: Whether steps say which robots touch solids.
     """
 
+    policy_input: PolicyInput
     period: Period
     finds_collisions: bool = True
 
@@ -322,20 +324,6 @@ class Loop:
         return true_state.base_pose, spatial.compose(true_state.base_pose, self._ee_of(true_state))
 
     @property
-    def policy_input(self) -> PolicyInput:
-        """Input of the policy now."""
-        return PolicyInput(
-            observation=self.observation,
-            base_pose=self.state.base_pose,
-            ee_pose=self.ee_pose,
-            joint_positions=self.state.joint_positions,
-            desired=self.desired,
-            planned=self.observer.planned,
-            demonstrated_base=self.sequence.demonstrated_base,
-            planned_base=self.sequence.planned_base,
-        )
-
-    @property
     def _resumable(self) -> Resumable:
         if not isinstance(self.backend, Resumable):
             raise KinfeasError(
@@ -385,10 +373,8 @@ class Loop:
     def _filtered(self, command: Array) -> Array:
         """Return the commands after all filters, shape (n, a); those of paused rows are zero."""
         command = self.period.unless_paused(command)
-        if self.filters:
-            policy_input = self.policy_input
-            for one in self.filters:
-                command = self.period.unless_paused(one(command, policy_input))
+        for one in self.filters:
+            command = self.period.unless_paused(one(command, self.policy_input))
         return command
 
     def _with_torso(self, velocity: Array | None, paused: NDArray[np.bool_] | None) -> Array:
@@ -421,9 +407,19 @@ class Loop:
 
     def _observe(self) -> None:
         """Observe the robots and what comes next."""
-        state = self.state
-        self.observation = self.observer.observe(
+        state, sequence = self.state, self.sequence
+        observation = self.observer.observe(
             state.base_pose, self._ee_in_base, state.joint_positions, self.previous_command
+        )
+        self.policy_input = PolicyInput(
+            observation=observation,
+            base_pose=state.base_pose,
+            ee_pose=self.ee_pose,
+            joint_positions=state.joint_positions,
+            desired=self.desired,
+            planned=self.observer.planned,
+            demonstrated_base=sequence.demonstrated_base,
+            planned_base=sequence.planned_base,
         )
 
     def _find_paused(self) -> NDArray[np.bool_]:

@@ -107,15 +107,16 @@ def _call(
     kernel: Callable[..., Any], one: Array, other: Array, *more: object, last: tuple[int] = _POSE
 ) -> Any:
     # Kernels would read or write past arrays of another last axis.
-    shapes = np.shape(one), np.shape(other)
-    if shapes[0][-1:] != _POSE or shapes[1][-1:] != last:
+    if one.shape[-1:] != _POSE or other.shape[-1:] != last:
         kinds = "poses (..., 7)" if last == _POSE else "a pose (..., 7) and a twist (..., 6)"
-        raise KinfeasError(f"the shapes must be those of {kinds}, not {shapes[0]} and {shapes[1]}")
+        raise KinfeasError(
+            f"the shapes must be those of {kinds}, not {one.shape} and {other.shape}"
+        )
     try:
         return kernel(one, other, *more)
     except ValueError as error:
         raise KinfeasError(
-            f"the leading axes of {shapes[0]} and {shapes[1]} do not broadcast"
+            f"the leading axes of {one.shape} and {other.shape} do not broadcast"
         ) from error
 
 

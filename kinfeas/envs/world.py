@@ -191,7 +191,7 @@ class World:
             self.steps = np.zeros(len(episodes), dtype=np.intp)
         else:
             self.failures[rows], self.steps[rows] = 0, 0
-        return self.loop.observation
+        return self.loop.policy_input.observation
 
     def start_next(self, count: int, rows: Rows | None = None) -> Array:
         """Begin the next `count` episodes, as `start` does."""
@@ -229,7 +229,7 @@ class World:
         joints, command = loop.state.joint_positions, action[:, : loop.command_size]
         base_error = loop.observer.base_error
         return Transition(
-            observation=self.loop.observation,
+            observation=self.loop.policy_input.observation,
             reward=reward(self.config.reward, self.robot, step, command, joints, base_error),
             terminated=terminated,
             truncated=truncated,
@@ -253,4 +253,4 @@ class World:
         """Continue from a `snapshot` and return the observation, shape (n, d)."""
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
-        return self.loop.observation
+        return self.loop.policy_input.observation

@@ -173,39 +173,36 @@ class IkSolver:
         clearance: float = 0.0,
     ) -> IkSolution:
         """Return solutions with a clearance from solids; arguments as in `solve`."""
-        targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
-        solution = np.array(seed, dtype=np.float64, order="C")
-        within = np.empty(0)
+        n, joints = len(ee_pose_in_base), self.chain.variables
+        targets = _checked("targets", ee_pose_in_base, (n, 7))
+        solution = _checked("seeds", seed, (n, joints)).copy()
+        within, guides = np.empty(0), np.empty((0, joints))
         if max_joint_step is not None:
-            within = np.ascontiguousarray(max_joint_step, dtype=np.float64)
-        joints = self.chain.variables
-        guides = np.empty((0, joints))
+            within = _checked("max_joint_step", max_joint_step, (joints,))
         if guide is not None:
-            guides = np.ascontiguousarray(guide, dtype=np.float64)
-        expected = {
-            "targets": (targets, (len(targets), 7)),
-            "seeds": (solution, (len(targets), joints)),
-            "guides": (guides, (0 if guide is None else len(targets), joints)),
-            "max_joint_step": (within, within.shape if max_joint_step is None else (joints,)),
-        }
-        for name, (array, shape) in expected.items():  # the kernels do not check
-            if array.shape != shape:
-                raise KinfeasError(f"{name} must be of shape {shape}, not {array.shape}")
-        feasible = np.empty(len(targets), dtype=np.bool_)
-        errors = np.empty((len(targets), 2))
+            guides = _checked("guides", guide, (n, joints))
+        feasible, errors = np.empty(n, dtype=np.bool_), np.empty((n, 2))
         solve_batch(
             self._held_torso if hold_torso else self._problem,
             targets,
             within,
             allow_reconfiguration,
             guides,
-            _NO_SOLIDS if solids is None else solid_arrays(solids, len(targets)),
+            _NO_SOLIDS if solids is None else solid_arrays(solids, n),
             clearance,
             solution,
             feasible,
             errors,
         )
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
+
+
+def _checked(name: str, values: Array, shape: tuple[int, ...]) -> Array:
+    """Return an array for kernels, which do not check it; raise KinfeasError for another shape."""
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise KinfeasError(f"{name} must be of shape {shape}, not {array.shape}")
+    return array
 
 
 def _make_problem(

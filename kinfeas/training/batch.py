@@ -65,7 +65,7 @@ class Batch:
         ended = np.flatnonzero(over)
         if ended.size:
             self.world.start_next(ended.size, ended)
-        seen = self._scaled(self.world.loop.observation)
+        seen = self._scaled(self.world.loop.policy_input.observation)
         return seen, (earned / periods).astype(np.float32), over, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:

@@ -122,7 +122,7 @@ def test_observations_are_of_the_measured_state(solver):
     expected = observe(
         Seen(recorder.base, in_base, loop.observer.planned, loop.sequence.goal, recorder.joints)
     )
-    np.testing.assert_array_equal(loop.observation, expected)
+    np.testing.assert_array_equal(loop.policy_input.observation, expected)
 
 
 def test_an_infeasible_step_keeps_the_arm_still(solver):
@@ -146,7 +146,7 @@ def test_an_infeasible_step_keeps_the_arm_still(solver):
 @pytest.mark.parametrize("dt", [0.02, 0.05])
 def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
     fine, coarse = make_loop(solver, 4, dt=dt), make_loop(solver, 4)
-    np.testing.assert_array_equal(fine.observation, coarse.observation)
+    np.testing.assert_array_equal(fine.policy_input.observation, coarse.policy_input.observation)
     for _ in range(round(HORIZON / dt)):
         fine.step(still(fine))
     coarse.step(still(coarse))
@@ -204,7 +204,9 @@ def test_preparing_a_step_while_the_robot_moves_changes_nothing(solver):
     for prepares in (False, True):
         recorder = Recorder(lambda: loop.prepare() if prepares else None)  # noqa: B023
         loop = chained(solver, 2, ({}, {"dwell": 0.2}, {}), (-0.01, -0.02, -0.02), recorder)
-        seen.append([(loop.step(still(loop)).subgoal, loop.observation) for _ in range(5)])
+        seen.append(
+            [(loop.step(still(loop)).subgoal, loop.policy_input.observation) for _ in range(5)]
+        )
     for one, other in zip(*seen, strict=True):
         np.testing.assert_array_equal(one[0], other[0])
         np.testing.assert_array_equal(one[1], other[1])
@@ -272,7 +274,7 @@ def test_time_scale_changes_the_motion_but_not_the_observation(solver):
     plain, slow = loops = [
         make_loop(solver, 3, execution=ExecutionConfig(time_scale=scale)) for scale in (1.0, 0.5)
     ]
-    np.testing.assert_array_equal(slow.observation, plain.observation)
+    np.testing.assert_array_equal(slow.policy_input.observation, plain.policy_input.observation)
     # Policies that do not learn read the motion as it will be.
     metres, radians = spatial.distance(slow.desired, slow.observer.planned)
     full_metres, full_radians = spatial.distance(plain.desired, plain.observer.planned)
@@ -385,7 +387,7 @@ def test_policies_and_filters_are_reset_for_rows_that_begin_anew(solver):
     loop = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend(), filters=[halves])
     loop.set_policy(policy)
     loop.start(starts(solver.robot, 3), rngs(3))
-    np.testing.assert_array_equal(loop.observation, loop.state.joint_positions)
+    np.testing.assert_array_equal(loop.policy_input.observation, loop.state.joint_positions)
     for _ in range(2):
         loop.step(policy.act(loop.policy_input))
     loop.start(starts(solver.robot, 1), rngs(1), np.array([1]))

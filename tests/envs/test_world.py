@@ -305,7 +305,7 @@ def test_a_world_with_solids_resumes_to_the_bit(hsr):
     for _ in range(5):
         worlds[0].step(rng.uniform(-1.0, 1.0, (3, 3)))
     kept = {key: values.copy() for key, values in worlds[0].snapshot().items()}
-    np.testing.assert_array_equal(worlds[1].restore(kept), worlds[0].loop.observation)
+    np.testing.assert_array_equal(worlds[1].restore(kept), worlds[0].loop.policy_input.observation)
     for _ in range(5):
         action = rng.uniform(-1.0, 1.0, (3, 3))
         one, other = (world.step(action) for world in worlds)
@@ -362,7 +362,7 @@ def test_whole_body_plans_among_moving_solids_resume_to_the_bit(hsr):
     for _ in range(15):
         worlds[0].step(rng.uniform(-1.0, 1.0, (2, 3)))
     kept = {key: values.copy() for key, values in worlds[0].snapshot().items()}
-    np.testing.assert_array_equal(worlds[1].restore(kept), worlds[0].loop.observation)
+    np.testing.assert_array_equal(worlds[1].restore(kept), worlds[0].loop.policy_input.observation)
     for _ in range(15):
         action = rng.uniform(-1.0, 1.0, (2, 3))
         one, other = (world.step(action) for world in worlds)

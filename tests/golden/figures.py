@@ -96,7 +96,7 @@ def policy(robot, count=8, steps=5):
         observations.append(world.start(range(count)).copy())
         for _ in range(steps):
             world.step(network.act(world.loop.policy_input))
-        observations.append(world.loop.observation.copy())
+        observations.append(world.loop.policy_input.observation.copy())
     seen = np.concatenate(observations)
     with TemporaryDirectory() as temporary:
         file = Path(temporary) / "policy.onnx"
