@@ -38,6 +38,7 @@ def packages(tmp_path, monkeypatch, offer):
         offer(project.parent)
 
 
+@pytest.mark.slow
 def test_the_page(packages):
     for program, *words in COMMANDS:
         if program == "kinfeas" and words[:2] != ["plugins", "new"]:

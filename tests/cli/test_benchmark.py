@@ -43,6 +43,7 @@ def run(kinfeas, tmp_path):
     return benchmark
 
 
+@pytest.mark.slow
 def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, monkeypatch):
     outcome = run("--json", "out.json", code=0)
     out = tmp_path / "out"

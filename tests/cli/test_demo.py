@@ -4,6 +4,8 @@ import re
 import shlex
 from html import unescape
 
+import pytest
+
 from tests.cli.conftest import TINY
 
 QUICK = ("--minutes", "0.01", "--episodes", "3", *TINY)
@@ -14,6 +16,7 @@ subgoals: [{place: my cup}]
 """
 
 
+@pytest.mark.slow
 def test_commands_of_the_report_reproduce_its_figures(kinfeas, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 1)  # starts no processes
     (tmp_path / "my task.yaml").write_text(TASK)

@@ -17,6 +17,7 @@ trials: 3
 """
 
 
+@pytest.mark.slow
 def test_the_winner_is_a_recipe_that_train_takes(kinfeas, tmp_path):
     (tmp_path / "mine.yaml").write_text(SWEEP)
     words = ("sweep", "mine.yaml", "--out", "out", "--processes", "1")

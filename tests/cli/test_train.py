@@ -31,6 +31,7 @@ def files(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas, tmp_path):
     filters = "world.filters=[feasibility]"
     outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh", "--set", filters, code=0)

@@ -48,6 +48,7 @@ def test_results_do_not_depend_on_the_engine_and_are_not_computed_again(engine, 
     assert files(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_the_job_of_a_killed_worker_runs_again(engine, tmp_path):
     found = run_jobs(jobs(tmp_path, draw, die_once, draw), engine)
     assert [one["seed"] for one in found] == [0, 1, 2]

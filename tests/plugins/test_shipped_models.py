@@ -11,6 +11,7 @@ from tests.builders import assert_near
 SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "simulated_demonstrations.py"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["door", "drawer"])
 def test_the_documented_commands_make_them(name):
     pairs = SCRIPT["demonstrate"](name, 12, seed=0)

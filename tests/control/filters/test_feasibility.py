@@ -109,5 +109,6 @@ def mean_deviation_of_hsr(most):
     return evaluate(config, policy, "pretrained")["mean_deviation_m"]
 
 
+@pytest.mark.slow
 def test_max_deviation_keeps_the_arm_of_hsr_near_its_pose():
     assert mean_deviation_of_hsr(0.02) < 0.95 * mean_deviation_of_hsr(1.0)

@@ -52,6 +52,7 @@ def test_fewer_failures_than_the_policy_alone():
     assert (ahead.failures == 0).sum() > (alone.failures == 0).sum()
 
 
+@pytest.mark.slow
 def test_jump_cost_leads_to_fewer_jumps():
     free, dear = (run("tiago", "pretrained", "door", 6, **NEAR, jump_cost=c) for c in (0.0, 0.1))
     assert dear.joint_jumps.sum() < free.joint_jumps.sum()
