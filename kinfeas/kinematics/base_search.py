@@ -113,7 +113,7 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
         speed: Of the base, m/s and rad/s.
     """
     origin, cost = grid
-    pose, size, cylinder, velocity = solids
+    pose, _, _, velocity = solids
     moving = np.any(velocity != 0.0)
     nx, ny = cost.shape
     total, first = nx * ny * HEADINGS, _node(start, origin, ny)
@@ -145,7 +145,7 @@ def search_base(model, rest, reach, start, places, place_cost, solids, grid, mov
         heading, x, y = node % HEADINGS, node // HEADINGS // ny, node // HEADINGS % ny
         if arrival[node] >= 0:
             heapq.heappush(queue, (best[node] + place_cost[arrival[node]], total + node))
-        elif node != first and not moving:  # only now, since the search ends before most of them
+        elif node != first and not moving:  # not before, since most are seen and never come to
             _write_place(x, y, heading, origin, base)
             if _touches(model, around, base, near, solids, 0.0, local, scratch):
                 continue
