@@ -229,7 +229,7 @@ class World:
         joints, command = loop.state.joint_positions, action[:, : loop.command_size]
         base_error = loop.observer.base_error
         return Transition(
-            observation=self.loop.policy_input.observation,
+            observation=loop.policy_input.observation,
             reward=reward(self.config.reward, self.robot, step, command, joints, base_error),
             terminated=terminated,
             truncated=truncated,

@@ -168,20 +168,21 @@ def _collides_batch(model, joint_positions, base, solids, touching):
 
 @inner
 def bounds(model: CollisionModel, moved, scratch: CollisionScratch):
-    """Return the smallest and largest x, y and z of the shapes that the arm moves, or the others.
+    """Return least and largest x, then y and z, of the shapes that the arm moves, or the others.
 
-    They are where `place_shapes` has put them.
+    In metres, in the base frame, of the spheres around shapes where `place_shapes` has put them,
+    with `MARGIN`.
     """
-    back, left, low = np.inf, np.inf, np.inf
-    front, right, high = -np.inf, -np.inf, -np.inf
+    back, right, low = np.inf, np.inf, np.inf
+    front, left, high = -np.inf, -np.inf, -np.inf
     for s in range(len(model.body)):
         if (model.body[s] >= 0) == moved:
             x, y, z = scratch.position[s]
             radius = model.radius[s] + MARGIN
             back, front = min(back, x - radius), max(front, x + radius)
-            left, right = min(left, y - radius), max(right, y + radius)
+            right, left = min(right, y - radius), max(left, y + radius)
             low, high = min(low, z - radius), max(high, z + radius)
-    return back, front, left, right, low, high
+    return back, front, right, left, low, high
 
 
 @inner
@@ -193,12 +194,12 @@ def touches_solids(
     The shapes are those that the arm moves, or the others, and `around` are their `bounds`. Pose,
     size and cylinder are a row of `Solids`.
     """
-    back, front, left, right, low, high = around
+    back, front, right, left, low, high = around
     for k in range(len(pose)):
         if is_empty(size[k]) or size[k, 2] > high or size[k, 3] < low:
             continue
         x, y = pose[k, 0], pose[k, 1]
-        dx, dy = max(back - x, x - front, 0.0), max(left - y, y - right, 0.0)
+        dx, dy = max(back - x, x - front, 0.0), max(right - y, y - left, 0.0)
         if dx * dx + dy * dy > squared_radius(size[k], cylinder[k]):
             continue
         kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
