@@ -10,8 +10,8 @@ from kinfeas.core.backend import ObstacleDistances, RobotState
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.base_obstacles import base_obstacles, base_prisms
+from kinfeas.kinematics.scans import scan_now
 from kinfeas.kinematics.self_collision import build_collision_model
-from kinfeas.kinematics.solids import scan_now
 from kinfeas.robots.robot import Robot
 
 

@@ -10,8 +10,9 @@ from kinfeas.kinematics.base_obstacles import base_obstacles, base_prisms
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.free_space import connected
 from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.kinematics.scans import scan
 from kinfeas.kinematics.self_collision import MARGIN, build_collision_model, self_collides
-from kinfeas.kinematics.solids import collides, distances, in_base, scan
+from kinfeas.kinematics.solids import collides, distances, in_base
 from kinfeas.robots.loading import load_robot
 from tests.builders import at
 from tests.kinematics.conftest import Pinocchio, Primitives, draw, touch

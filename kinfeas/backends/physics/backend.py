@@ -17,7 +17,7 @@ from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, planar_pose
-from kinfeas.kinematics.solids import scan_now
+from kinfeas.kinematics.scans import scan_now
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import StreamTask, Task
