@@ -10,7 +10,8 @@ import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core.spatial import Array, rotation
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, planar_pose, rotation
 from kinfeas.robots.loading import read_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
@@ -143,3 +144,23 @@ def draw(robot: Robot, n: int, seed: int = 0) -> Array:
     """Return n random configurations within the limits of a robot, shape (n, v)."""
     lower, upper = robot.finite_joint_limits
     return np.random.default_rng(seed).uniform(lower, upper, (n, len(lower)))
+
+
+def draw_solids(n: int, places: int, reach: float = 2.5, seed: int = 0) -> Solids:
+    """Return solids around the world's origin; a tenth of the places is empty."""
+    rng = np.random.default_rng(seed)
+    solids = Solids.empty(n, places)
+    solids.pose[:] = rng.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi], (n, places, 3))
+    solids.cylinder[:] = rng.random((n, places)) < 0.4
+    half = rng.uniform(0.03, 0.5, (n, places, 2)) * (rng.random((n, places, 1)) < 0.9)
+    solids.size[..., 0] = half[..., 0]
+    solids.size[..., 1] = np.where(solids.cylinder, half[..., 0], half[..., 1])
+    solids.size[..., 2] = rng.uniform(-0.5, 1.0, (n, places)).clip(0.0)
+    solids.size[..., 3] = solids.size[..., 2] + rng.uniform(0.02, 1.0, (n, places))
+    return solids
+
+
+def draw_bases(n: int, seed: int = 0) -> Array:
+    """Return n poses of bases near the world's origin."""
+    x, y, heading = np.random.default_rng(seed).uniform(-1.0, 1.0, (3, n)) * [[1.0], [1.0], [3.0]]
+    return planar_pose(x, y, heading)

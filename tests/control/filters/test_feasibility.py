@@ -16,7 +16,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity
-from tests.kinematics.test_solids import draw_solids
+from tests.kinematics.conftest import draw_solids
 
 DT, ROWS = 0.5, 64
 
