@@ -95,7 +95,7 @@ class EeMotions:
 
     def move(self, states: Sequence[State], paused: NDArray[np.bool_] | None = None) -> None:
         """Go on to `states`, but for the motions that are `paused`, shape (n,)."""
-        if paused is not None and paused.any():
+        if paused is not None:
             rows, pairs = np.flatnonzero(paused), zip(states, self.states, strict=True)
             states = [
                 {key: with_rows(new, rows, old[key][rows]) for key, new in state.items()}

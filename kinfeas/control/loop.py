@@ -358,7 +358,7 @@ class Loop:
     def _begin_period(self, torso: Array | None) -> Period:
         """Return the next period before any filter; torso velocities are shares, (n,)."""
         plan = self.observer.plan
-        paused = self._find_paused() if self._arm_settle_timeout else None
+        paused = self._find_paused()
         return Period(
             base_pose=self.state.base_pose,
             joints=self._with_torso(torso, paused),
@@ -391,9 +391,10 @@ class Loop:
 
     def _solve(self, command: Array) -> tuple[Array, IkSolution]:
         """Return base twists, shape (n, 6), and arm joints that reach the desired poses."""
-        solved = self.period.solved
-        if solved is not None and np.array_equal(solved[0], command):
-            return solved[1:]
+        if (solved := self.period.solved) is not None:
+            same = solved[0] is command or np.array_equal(solved[0], command)
+            if same:
+                return solved[1:]
         return self.kinematic_step(command, self.period)
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
@@ -422,14 +423,16 @@ class Loop:
             planned_base=sequence.planned_base,
         )
 
-    def _find_paused(self) -> NDArray[np.bool_]:
+    def _find_paused(self) -> NDArray[np.bool_] | None:
         """Return which rows pause in this period, shape (n,), since their arms reconfigure.
 
-        Policies are trained with arms at their commands. During a reconfiguration they would read
-        a large tracking error and drive the base after the EE.
+        None if none does. Policies are trained with arms at their commands. During a
+        reconfiguration they would read a large tracking error and drive the base after the EE.
         """
+        if not self._arm_settle_timeout:
+            return None
         way = self.state.joint_positions, self.joint_command
         reconfigures = exceeds_joint_velocity(self.robot, *way, RECONFIGURATION_SECONDS)
         self._waited = np.where(reconfigures, self._waited + 1, 0)
-        paused: NDArray[np.bool_] = reconfigures & (self._waited <= self._arm_settle_timeout)
-        return paused
+        paused = reconfigures & (self._waited <= self._arm_settle_timeout)
+        return paused if paused.any() else None

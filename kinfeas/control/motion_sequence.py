@@ -159,7 +159,7 @@ class MotionSequence:
     def demonstrated_base(self) -> Array:
         """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
         if not self._demonstrated:
-            return np.full((len(self.subgoal), 7), np.nan)
+            return np.nan * self.desired
         targets = self._target
         return self._motions.ask(lambda one: one.generator.base_pose(one.state, targets[one.rows]))
 

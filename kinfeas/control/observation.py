@@ -11,7 +11,7 @@ from kinfeas.control.drive import command_size
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
-from kinfeas.core.spatial import IDENTITY, Array, integrate, relative, twist_between
+from kinfeas.core.spatial import Array, catch_up, relative
 from kinfeas.robots.robot import Robot
 
 HORIZON = 0.1
@@ -58,9 +58,7 @@ class Seen:
         (n, 7); `ee_in_base` is achieved. Joints have shape (n, j).
         """
         self.ee, self.goal, self.joint_positions = ee_in_base, relative(goal, base_pose), joints
-        catch_up = twist_between(ee_in_base, relative(planned, base_pose), HORIZON)
-        self.velocity = catch_up[:, :3]
-        self.rotation = integrate(IDENTITY, catch_up, HORIZON)[:, 3:]
+        self.velocity, self.rotation = catch_up(ee_in_base, planned, base_pose, HORIZON)
 
 
 def _closeness(seen: Seen, band: int) -> Any:
@@ -160,7 +158,7 @@ def surroundings(robot: Robot, terms: Sequence[str]) -> list[int]:
 
 def scaled(observation: Array, factors: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return observations as the input of a network, shape (n, d)."""
-    return np.clip(observation.astype(np.float32) * factors, -CLIP, CLIP)
+    return np.minimum(np.maximum(observation.astype(np.float32) * factors, -CLIP), CLIP)
 
 
 def action_size(robot: Robot, terms: Sequence[str] = ACTION) -> int:

@@ -51,8 +51,8 @@ class Period(KinematicInputs):
     Attributes:
         plan: Step of the motions. Change it by `Loop.slow_down`.
         time_scale: Share of the planned motion that it makes, shape (n,).
-        paused: Whether base and motion pause while the arm reconfigures, shape (n,); None if they
-            never do.
+        paused: Whether base and motion pause while the arm reconfigures, shape (n,); None if none
+            does.
         velocity_constraints: What an obstacle filter allows the bases, for the filters after it.
         solved: A command with its base twists and IK solution, where a filter has computed them.
     """

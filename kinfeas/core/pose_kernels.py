@@ -14,6 +14,8 @@ from kinfeas.core.kernel_cache import compiled
 
 kernel_cache.settle()  # before the first kernel
 
+IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
 # Explicit options, because those of the first caller would decide the last bits.
 inlined = njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)
 
@@ -52,14 +54,18 @@ def compose(parent, child, out):
     out[3], out[4], out[5], out[6] = quaternion
 
 
+@inlined
+def _write_relative(pose, frame, out):
+    a, b = frame, pose
+    x, y, z = _turn(-a[3], -a[4], -a[5], a[6], b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    out[0], out[1], out[2] = x, y, z
+    out[3], out[4], out[5], out[6] = product(-a[3], -a[4], -a[5], a[6], b[3], b[4], b[5], b[6])
+
+
 @compiled(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)")
 def relative(pose, frame, out):
     """`pose` as seen from `frame`."""
-    a, b = frame, pose
-    x, y, z = _turn(-a[3], -a[4], -a[5], a[6], b[0] - a[0], b[1] - a[1], b[2] - a[2])
-    quaternion = product(-a[3], -a[4], -a[5], a[6], b[3], b[4], b[5], b[6])
-    out[0], out[1], out[2] = x, y, z
-    out[3], out[4], out[5], out[6] = quaternion
+    _write_relative(pose, frame, out)
 
 
 @inlined
@@ -99,6 +105,20 @@ def write_twist(start, end, dt, out):
 def twist_between(start, end, dt, like, out):
     """World twist that leads from `start` to `end` in `dt` seconds; `like` has its size."""
     write_twist(start, end, dt, out)
+
+
+@compiled(["void(f8[:], f8[:], f8[:], f8, f8[:])"], "(p),(p),(p),()->(p)")
+def catch_up(pose, wanted, frame, dt, out):
+    """Velocity (3) and rotation (4) that lead from a pose in `frame` to `wanted` in `dt` seconds.
+
+    `wanted` is given where `frame` is.
+    """
+    twist = np.empty(6)
+    _write_relative(wanted, frame, out)
+    write_twist(pose, out, dt, twist)
+    write_reached(IDENTITY, twist, dt, out)
+    for i in range(3):
+        out[i] = twist[i]
 
 
 @compiled(["void(f8, f8, f8, f8[:], f8[:])"], "(),(),(),(p)->(p)")

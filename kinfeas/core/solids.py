@@ -154,7 +154,7 @@ class MovingSolids:
 
     def __init__(self) -> None:
         self.start, self.seconds = Solids.empty(0), np.zeros(0)
-        self.moving = np.zeros(0, dtype=np.bool_)
+        self._find_moving()
 
     def place(self, solids: Solids | None, rows: NDArray[np.intp], n: int) -> None:
         """Begin episodes with these solids, None for none, in some of n rows."""
@@ -170,7 +170,7 @@ class MovingSolids:
         """Return the solids as they will stand in some seconds, or None without any."""
         if not self.start.places:
             return None
-        return self.start.at(self.seconds + seconds) if self.moving.any() else self.start
+        return self.start.at(self.seconds + seconds) if self._any_moves else self.start
 
     def step(self, dt: float) -> None:
         """Let time pass."""
@@ -193,6 +193,7 @@ class MovingSolids:
 
     def _find_moving(self) -> None:
         self.moving = np.any(self.start.velocity != 0.0, axis=(1, 2))
+        self._any_moves = bool(self.moving.any())
 
 
 def stacked_solids(solids: Sequence[Solids]) -> Solids:

@@ -17,7 +17,7 @@ from kinfeas.core.errors import KinfeasError
 
 Array = NDArray[np.float64]
 
-IDENTITY: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+IDENTITY: Array = pose_kernels.IDENTITY
 
 _POSE, _TWIST = (7,), (6,)
 
@@ -69,6 +69,15 @@ def twist_between(start: Array, end: Array, dt: ArrayLike) -> Array:
     """
     twist: Array = _call(pose_kernels.twist_between, start, end, dt, pose_kernels.TWIST)
     return twist
+
+
+def catch_up(pose: Array, wanted: Array, frame: Array, dt: float) -> tuple[Array, Array]:
+    """Return velocity (n, 3), m/s, and rotation (n, 4) from poses to wanted ones in `dt` seconds.
+
+    The poses are given in `frame`, the wanted ones where `frame` is; shapes (n, 7).
+    """
+    way: Array = _call(pose_kernels.catch_up, pose, wanted, frame, dt)
+    return way[:, :3], way[:, 3:]
 
 
 def distance(a: Array, b: Array) -> tuple[Array, Array]:

@@ -155,7 +155,7 @@ class IkSolver:
         # No arm is reconfigured for the clearance.
         strict = max_joint_step, max_joint_step is None, hold_torso
         found = self._solve(ee_pose_in_base, seed, guide, solids, *strict, clearance)
-        late = np.flatnonzero(~found.feasible)
+        late = (~found.feasible).nonzero()[0]
         if allow_reconfiguration and late.size:
             given = ee_pose_in_base[late], seed[late], None if guide is None else guide[late]
             found.put(late, self._solve(*given, solids.of(late), *rules))

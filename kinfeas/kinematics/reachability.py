@@ -13,7 +13,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.free_space import connected, footprint
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.kinematics.solids import base_collides, in_base
 from kinfeas.robots.robot import Robot
 
 STAGES = (4, 16, 64, 256, 1024)
@@ -101,7 +101,7 @@ class Postures:
         solids = None
         if start is not None and start.solids is not None:
             solids = start.solids.of(np.zeros(len(base), dtype=np.intp))
-            free = ~collides(self.solver.collision, joints, base, solids)[:, 0]
+            free = ~base_collides(self.solver.collision, base, solids)
             free &= connected(start.solids, start.base_pose[0, :2], base[:, :2], self.footprint)
             rows = np.flatnonzero(free)
             base, joints = base[rows], joints[rows]

@@ -1,7 +1,6 @@
 """Range scans around bases among solids."""
 
 import math
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -16,7 +15,7 @@ from kinfeas.kinematics.solids import is_empty, squared_radius, surroundings, wr
 def scan(
     solids: Solids,
     base_pose: Array,
-    bands: Sequence[tuple[float, float]],
+    bands: tuple[tuple[float, float], ...],
     beams: int,
     max_range: float,
 ) -> Array:
@@ -34,16 +33,16 @@ def scan(
         max_range: Longest range, metres.
     """
     ranges = np.full((len(base_pose), len(bands), beams), float(max_range))
-    rays = np.array(bands).reshape(-1, 2), *_directions(beams)
-    _scan_batch(*surroundings(solids, base_pose, len(ranges)), *rays, float(max_range), ranges)
+    around = surroundings(solids, base_pose, len(ranges))
+    _scan_batch(*around, *_rays(bands, beams), float(max_range), ranges)
     return ranges
 
 
 @cache
-def _directions(beams: int) -> tuple[Array, Array]:
-    """Return cosines and sines of the angles of beams."""
+def _rays(bands: tuple[tuple[float, float], ...], beams: int) -> tuple[Array, Array, Array]:
+    """Return bands, shape (b, 2), and cosines and sines of the angles of beams, for kernels."""
     angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
-    return np.cos(angles), np.sin(angles)
+    return np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles)
 
 
 def scan_now(solids: MovingSolids, base_pose: Array) -> Array:

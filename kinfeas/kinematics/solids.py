@@ -98,6 +98,13 @@ def collides(
     return touching
 
 
+def base_collides(model: CollisionModel, base_pose: Array, solids: Solids) -> NDArray[np.bool_]:
+    """Return whether shapes that the arm does not move touch solids, shape (n,), as `collides`."""
+    touching = np.empty(len(base_pose), dtype=np.bool_)
+    _base_collides_batch(model, *surroundings(solids, base_pose, len(base_pose)), touching)
+    return touching
+
+
 def distances(
     model: CollisionModel, joint_positions: Array, base_pose: Array, solids: Solids
 ) -> Array:
@@ -122,6 +129,16 @@ def _collides_batch(model, joint_positions, base, solids, touching):
         row = local, size[i], cylinder[i]
         touching[i, 0] = touches_solids(model, False, around_base, *row, scratch)
         touching[i, 1] = touches_solids(model, True, bounds(model, True, scratch), *row, scratch)
+
+
+@kernel
+def _base_collides_batch(model, base, solids, touching):
+    pose, size, cylinder = solids
+    scratch, local = make_collision_scratch(model), np.empty(pose.shape[1:])
+    around = bounds(model, False, scratch)
+    for i in range(len(base)):
+        write_local(pose[i], base[i], local)
+        touching[i] = touches_solids(model, False, around, local, size[i], cylinder[i], scratch)
 
 
 @inner

@@ -25,7 +25,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.kernels import kernel
 from kinfeas.kinematics.reachability import Postures, at_goals
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes, self_collides
-from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.kinematics.solids import base_collides, collides, in_base
 from kinfeas.robots.robot import joint_displacement
 
 CHECKED_AHEAD = np.arange(1.0, 7.0)
@@ -184,7 +184,7 @@ class WholeBodyPlanner:
             wide = solids.wider(margin)
             base, joints = self._postures.around(goal, first, last)
             among = _repeated(wide, len(base))
-            rows = np.flatnonzero(~collides(self.solver.collision, joints, base, among)[:, 0])
+            rows = np.flatnonzero(~base_collides(self.solver.collision, base, among))
             base, joints = base[rows], joints[rows]
             found = self.solver.solve(
                 relative(np.broadcast_to(goal, base.shape), base),

@@ -12,7 +12,7 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.free_space import connected, footprint
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.solids import collides
+from kinfeas.kinematics.solids import base_collides, collides
 
 SMALLEST = 0.2
 """Smallest length and width of a solid, metres."""
@@ -119,12 +119,11 @@ def touches_robot(solver: IkSolver, start: Start, solids: Solids) -> NDArray[np.
     return touching
 
 
-def free_places(solver: IkSolver, start: Start, goal: Array, moments: Solids) -> Array:
+def free_places(solver: IkSolver, goal: Array, moments: Solids) -> Array:
     """Return base poses near a goal, heading for it, that solids leave free, shape (m, 7).
 
     Args:
         solver: The robot's kinematics.
-        start: Start of the episode.
         goal: World pose of the EE, shape (7,).
         moments: The same solids at some moments, one a row.
     """
@@ -133,15 +132,14 @@ def free_places(solver: IkSolver, start: Start, goal: Array, moments: Solids) ->
     x, y = goal[0] - away * np.cos(bearing), goal[1] - away * np.sin(bearing)
     base = planar_pose(x, y, bearing)
     for row in range(len(moments.pose)):
-        joints = np.tile(start.joint_positions, (len(base), 1))
         solids = moments.of(np.full(len(base), row, dtype=np.intp))
-        base = base[~collides(solver.collision, joints, base, solids)[:, 0]]
+        base = base[~base_collides(solver.collision, base, solids)]
     return base
 
 
 def all_reachable(solver: IkSolver, start: Start, solids: Solids) -> bool:
     """Return whether a disc within the base can be driven to a free place near each goal."""
-    places = [free_places(solver, start, goal, solids) for goal in start.target_poses]
+    places = [free_places(solver, goal, solids) for goal in start.target_poses]
     if not all(len(one) for one in places):
         return False
     disc = footprint(solver.collision)

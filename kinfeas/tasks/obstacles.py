@@ -66,7 +66,7 @@ class ReachingAmongSolids(GoalReaching, Clutter):
         for _ in range(_ROUNDS):
             start = super().sample(solver, rng)
             solids = self._solids(solver, start, rng)
-            if len(free_places(solver, start, start.target_poses[0], solids)):
+            if len(free_places(solver, start.target_poses[0], solids)):
                 return replace(start, solids=solids.of(np.zeros(1, dtype=np.intp)))
         raise KinfeasError(f"task {self.name!r}: {_ROUNDS} draws left no room for the base")
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import with_adapters
 from kinfeas.control.drive import base_velocity, world_twist
-from kinfeas.core import spatial
 from kinfeas.core.backend import (
     SCAN_BEAMS,
     ArmLimited,
@@ -33,8 +32,9 @@ from kinfeas.core.backend import (
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
 from kinfeas.core.spatial import Array
-from kinfeas.robots.robot import Robot, joint_displacement
+from kinfeas.robots.robot import Base, Robot
 from kinfeas.sim2real.deploy.config import Guards
+from kinfeas.sim2real.deploy.guard_kernels import limited_targets, limited_velocity
 from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.deploy.state_monitor import StateMonitor, check_limit
 from kinfeas.sim2real.link.scans import beam
@@ -87,6 +87,7 @@ class SafetyFilter(_Wrapper):
         super().__init__(backend)
         self._robot, self._guards, self._clock, self._rate = robot, guards, clock, rate
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity
+        self._base_limits = _base_limits(robot.base, guards)
         self._velocity, self._dt = np.zeros(3), 0.0
         self._state, self._measured = RobotState(np.empty((0, 7)), np.empty((0, 0))), np.nan
         self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
@@ -116,18 +117,19 @@ class SafetyFilter(_Wrapper):
         """
         self._check_running()
         arm = (1, len(self._robot.arm))
-        check_array(base_twist, (1, 6), "the base command", error=Fault)
         check_array(joint_targets, arm, "the arm command", error=Fault)
+        check_array(base_twist, (1, 6), "the base command", finite=False, error=Fault)
         base, pose = self._robot.base, self._state.base_pose
         wanted = base_velocity(base, pose, base_twist, dt)[0]
-        velocity = limited_velocity(self._robot, self._guards, wanted, self._velocity, dt)
+        # The measured heading is a part of it, and an adapter may hide it from the monitor.
+        check_array(wanted, (3,), "the base command", error=Fault)
+        if base.drive == "differential":
+            wanted[1] = 0.0
+        velocity = limited_velocity(wanted, self._velocity, self._base_limits, dt)
         if self.brake:
             velocity = np.zeros(3)
         twist = world_twist(base, pose, velocity[np.newaxis], dt)
         targets = self._arm_targets(joint_targets[0], dt)[np.newaxis]
-        # The measurement is a part of both, and an adapter may hide it from the monitor.
-        check_array(twist, (1, 6), "the base command", error=Fault)
-        check_array(targets, arm, "the arm command", error=Fault)
         self._check_age()
         forward, left, _ = velocity.tolist()
         if math.hypot(forward, left) > _CREEP and self._blind[beam(np.arctan2(left, forward))]:
@@ -191,22 +193,15 @@ class SafetyFilter(_Wrapper):
     def _arm_targets(self, targets: Array, dt: float) -> Array:
         """Return targets that the arm can reach within `dt`, or where it is to hold, shape (j,)."""
         before, robot, guards = self.joint_targets[0], self._robot, self._guards
-        move = joint_displacement(robot, before, targets)
-        lag = joint_displacement(robot, self._state.joint_positions[0], before)
-        way, lag = np.abs(move), np.abs(lag) / self._joint_speed
+        joints = self._joint_speed, robot.continuous, *robot.joint_limits
+        measured = self._state.joint_positions[0]
+        after, farthest, lag = limited_targets(targets, before, measured, *joints, dt)
         self.hold = ""
-        if way.max() > guards.joint_jump:
+        if farthest > guards.joint_jump:
             self.hold = "the arm's target is too far away"
         elif not lag.max() <= guards.max_tracking_delay:  # also if the measurement is not a number
             self.hold = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
-        if self.hold:
-            return before
-        after = before + move / max(float((way / (self._joint_speed * dt)).max()), 1.0)
-        if robot.continuous.any():
-            after = np.where(robot.continuous, spatial.wrap(after), after)
-        lower, upper = robot.joint_limits
-        # A joint that starts beyond a limit must not jump to it.
-        return np.minimum(np.maximum(after, np.minimum(lower, before)), np.maximum(upper, before))
+        return before if self.hold else after
 
 
 class Guarded(_Wrapper):
@@ -327,28 +322,12 @@ class Guarded(_Wrapper):
                 self.unclosed = str(error) or repr(error)
 
 
-def limited_velocity(
-    robot: Robot, guards: Guards, wanted: Array, before: Array, dt: float
-) -> Array:
-    """Return the velocity nearest to the wanted one, `dt` seconds after another one.
-
-    Velocities are forward, left and rotation, shape (3,), m/s and rad/s. The limits of the guards
-    are never above the robot's own.
-    """
-    base = robot.base
-    linear = min(base.max_velocity, guards.max_linear_velocity or np.inf)
-    angular = min(base.max_rotation, guards.max_angular_velocity or np.inf)
-    acceleration = dt * min(base.max_acceleration, guards.acceleration or np.inf)
-    rotation = dt * min(base.max_rotation_acceleration, guards.rotation_acceleration or np.inf)
-    if base.drive == "differential":
-        wanted = wanted * [1.0, 0.0, 1.0]
-    change = _shortened(wanted, linear, angular) - before
-    return before + _shortened(change, acceleration, rotation)
-
-
-def _shortened(velocity: Array, linear: float, angular: float) -> Array:
-    x, y, rotation = velocity.tolist()
-    length = math.hypot(x, y)
-    scale = linear / length if length > linear else 1.0
-    # A NaN stays one, in this order of the arguments.
-    return np.array([scale * x, scale * y, min(max(rotation, -angular), angular)])
+def _base_limits(base: Base, guards: Guards) -> Array:
+    """Return the limits of the base's velocity and acceleration, never above the robot's own."""
+    limits = (
+        (base.max_velocity, guards.max_linear_velocity),
+        (base.max_rotation, guards.max_angular_velocity),
+        (base.max_acceleration, guards.acceleration),
+        (base.max_rotation_acceleration, guards.rotation_acceleration),
+    )
+    return np.array([min(own, own if other is None else other) for own, other in limits])

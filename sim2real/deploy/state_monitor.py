@@ -75,10 +75,11 @@ class StateMonitor:
         check_limit(f"{jump}rad", radians, guards.heading_jump + base.max_rotation * elapsed)
 
     def _check_joints(self, joints: Array) -> None:
-        each = zip(self._robot.arm, joints.tolist(), strict=True)
-        outside, name = max((max(one.lower - q, q - one.upper), one.name) for one, q in each)
-        most = self._guards.joint_tolerance
-        check_limit(f"joint {name} is measured {{}} beyond its limits", outside, most)
+        lower, upper = self._robot.joint_limits
+        outside = np.maximum(lower - joints, joints - upper)
+        most = int(outside.argmax())
+        sentence = f"joint {self._robot.arm[most].name} is measured {{}} beyond its limits"
+        check_limit(sentence, outside[most], self._guards.joint_tolerance)
 
 
 def check_limit(sentence: str, value: float, most: float) -> None:

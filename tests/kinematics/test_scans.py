@@ -7,7 +7,7 @@ from kinfeas.kinematics.scans import scan
 from tests.builders import at
 from tests.kinematics.conftest import draw_bases, draw_solids
 
-BANDS = [(0.0, 0.35), (0.35, 1.5)]
+BANDS = ((0.0, 0.35), (0.35, 1.5))
 
 
 def inside(points, solids, row, low, high):

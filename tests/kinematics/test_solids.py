@@ -9,7 +9,7 @@ from kinfeas.core.spatial import planar_pose, rotation
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import MARGIN, build_collision_model, self_collides
-from kinfeas.kinematics.solids import collides, distances, in_base
+from kinfeas.kinematics.solids import base_collides, collides, distances, in_base
 from kinfeas.robots.loading import load_robot
 from tests.kinematics.conftest import Pinocchio, Primitives, draw, draw_bases, draw_solids, touch
 
@@ -69,6 +69,8 @@ def check(robot, judge, count):
     assert not np.any(exact & ~fast), "free, but FCL's primitives touch"
     assert np.all(exact.sum(axis=0) > count / 20)
     assert (fast & ~exact).mean() < 0.01  # the margin of 1 mm takes 0.3 %
+    base = base_collides(build_collision_model(robot), bases, solids)
+    np.testing.assert_array_equal(base, fast[:, 0])
 
 
 def test_free_configurations_are_free_for_fcl(robot, judge):

@@ -12,7 +12,7 @@ from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.ik import IkSolution, spread
-from kinfeas.kinematics.solids import collides
+from kinfeas.kinematics.solids import base_collides
 from kinfeas.robots.robot import exceeds_joint_velocity
 
 _CANDIDATES = 32
@@ -48,7 +48,7 @@ class FeasibilityFilter:
         """Return feasible commands where there are any; arguments as in `CommandFilter`."""
         period = self._loop.period
         twist, arm, good = self._follow(command, period)
-        late = np.flatnonzero(~good)
+        late = (~good).nonzero()[0]
         if late.size:
             command = command.copy()
             self._replace(command, late if period.paused is None else late[~period.paused[late]])
@@ -92,8 +92,7 @@ class FeasibilityFilter:
         good = self._in_time(inputs.joints, arm)
         if inputs.solids is not None:
             reached = integrate(inputs.base_pose, twist, step.dt)
-            touches = collides(step.solver.collision, inputs.joints, reached, inputs.solids)
-            good &= ~touches[:, 0]
+            good &= ~base_collides(step.solver.collision, reached, inputs.solids)
         return twist, arm, good
 
     def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:

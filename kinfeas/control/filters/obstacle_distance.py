@@ -73,19 +73,22 @@ class ObstacleFilter:
     def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
         """Use the backend and the base of a loop; arguments as in `CommandFilter`."""
         self._loop, base = loop, loop.robot.base
-        *_, self._innermost = chain(loop.backend)
+        *_, innermost = chain(loop.backend)
+        name = type(innermost).__name__
         if not isinstance(loop.backend, SupportsObstacleDistances):
             raise KinfeasError(
                 "the filter obstacle_distance needs a backend that measures distances to "
-                f"obstacles; {type(self._innermost).__name__} does not"
+                f"obstacles; {name} does not"
             )
         self._measure = loop.backend.obstacle_distances
+        self._note = plugin_note(f"backend {name}")
         self._full = _full_velocity(base)
         fastest = base.max_velocity + base.max_rotation * _RIM
-        self._braking = min(base.max_acceleration, base.max_rotation_acceleration * _RIM)
+        braking = min(base.max_acceleration, base.max_rotation_acceleration * _RIM)
         # Obstacles further away do not limit the base.
-        way = max(fastest**2 / self._braking, 2.0 * loop.dt * fastest)
+        way = max(fastest**2 / braking, 2.0 * loop.dt * fastest)
         self._range = self.min_distance + way
+        self._rules = np.array([self.min_distance, braking, 2.0 * loop.dt])
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return commands that keep the distance; arguments as in `CommandFilter`."""
@@ -99,17 +102,15 @@ class ObstacleFilter:
         Half of the braking that the base is capable of suffices, and a control period uses at most
         half of the remaining distance.
         """
-        name = f"backend {type(self._innermost).__name__}"
-        with plugin_note(name):
+        with self._note:
             found = self._measure(self._range)
         if not isinstance(found, ObstacleDistances) or len(found.distance) != n:
-            raise KinfeasError(f"{name} must return ObstacleDistances of {n} robots")
+            raise KinfeasError(f"{self._note.plugin} must return ObstacleDistances of {n} robots")
         k, full = found.distance.shape[1], self._full
         normal, limit = np.empty((n, k + 2, len(full))), np.empty((n, k + 2))
         closing = np.zeros(k) if found.closing_speed is None else found.closing_speed
-        rules = np.array([self.min_distance, self._braking, 2.0 * self._loop.dt])
         approach(found.closest_point, found.normal, full, out=normal[:, :k])
-        allowed(found.distance, closing, rules, out=limit[:, :k])
+        allowed(found.distance, closing, self._rules, out=limit[:, :k])
         # The rotation limit is a constraint as well, so that a projection does not exceed it.
         normal[:, k:], limit[:, k:] = 0.0, full[-1]
         normal[:, k:, -1] = 1.0, -1.0
