@@ -9,6 +9,7 @@ from kinfeas.benchmark.speed import (
     Effort,
     Figure,
     cold_targets,
+    measure_ik,
     measure_speed,
     time_ours,
     time_peer,
@@ -39,21 +40,23 @@ def warm(pr2):
     return warm_targets(pr2, 100, np.random.default_rng(1))
 
 
-@pytest.mark.parametrize("installed", [True, False])
-def test_all_figures(monkeypatch, installed):
+def test_all_figures(monkeypatch):
     monkeypatch.setattr(speed, "BATCHES", {1: 3, 128: 2, 1024: 1})
     monkeypatch.setattr(speed, "ROOM_STEPS", 2)
     trained = Figure("training", 3000.0, "steps/s", "train_steps_per_s")
     monkeypatch.setattr(speed, "measure_training", lambda robot, effort: iter([trained]))
-    if not installed:
-        monkeypatch.setattr(peers, "find_spec", lambda name: None)
     parts = []
     figures = measure_speed("hsr", effort=SMALL, on_part=parts.append)
     assert {figure.key for figure in figures if figure.key} == KEYS
     assert all(figure.value is None or math.isfinite(figure.value) for figure in figures)
     assert len(parts) == 5
+
+
+def test_peers_that_are_not_installed_have_no_figures(monkeypatch, hsr):
+    monkeypatch.setattr(peers, "find_spec", lambda name: None)
+    figures = measure_ik(hsr, SMALL)
     missing = {figure.key for figure in figures if figure.value is None and figure.key}
-    assert installed or missing == {"pinocchio_warm_us", "pinocchio_cold_us", "pybullet_warm_us"}
+    assert missing == {"pinocchio_warm_us", "pinocchio_cold_us", "pybullet_warm_us"}
 
 
 def test_targets(pr2, cold, warm):
