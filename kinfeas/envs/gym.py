@@ -10,12 +10,11 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
 from kinfeas.core.backend import SupportsContacts, SupportsRendering
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World, WorldConfig, evaluation_world
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
@@ -105,8 +104,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             ResetNeeded: Before the first reset.
         """
         check_reset(self.world)
-        command = read_actions(action, (self.world.action_size,))
-        transition = self.world.step(command[np.newaxis])
+        transition = self.world.step(np.asarray(action, dtype=np.float64)[np.newaxis])
         info = {key: values[0].item() for key, values in step_info(self.world, transition).items()}
         return (
             transition.observation[0].astype(np.float32),
@@ -194,15 +192,6 @@ def seed_world(world: World, seed: int | None, np_random_seed: int | None) -> No
     world.seed = np_random_seed
     if seed is not None:
         world.next_episode = 0
-
-
-def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return base commands as an array."""
-    read = np.asarray(actions, dtype=np.float64)
-    if read.shape != shape or not np.isfinite(read).all():
-        got = f"not of shape {read.shape}" if read.shape != shape else "not NaN or infinite"
-        raise KinfeasError(f"an action must be finite numbers of shape {shape}, {got}")
-    return read
 
 
 def check_reset(world: World) -> None:

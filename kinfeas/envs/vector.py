@@ -16,7 +16,6 @@ from kinfeas.envs.gym import (
     learning_world,
     make_world,
     observation_space,
-    read_actions,
     seed_world,
     step_info,
 )
@@ -88,8 +87,7 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
             ResetNeeded: Before the first reset.
         """
         check_reset(self.world)
-        commands = read_actions(actions, (self.num_envs, self.world.action_size))
-        transition = self.world.step(commands)
+        transition = self.world.step(np.asarray(actions, dtype=np.float64))
         brought = step_info(self.world, transition)
         infos = _masked(brought, ~transition.done)
         seen = transition.observation

@@ -207,7 +207,7 @@ class World:
         Raises:
             KinfeasError: If the action has another shape or is not finite.
         """
-        check_array(action, (len(self.steps), self.action_size), "the policy's action")
+        check_array(action, (len(self.steps), self.action_size), "the action")
         action, loop = action.clip(-1.0, 1.0), self.loop
         way = planned_way = None
         if loop.target_stream is not None:

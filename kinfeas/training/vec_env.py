@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from kinfeas.control import observation
+from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import workers_alive
-from kinfeas.envs.gym import read_actions
 from kinfeas.envs.world import World
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
@@ -72,7 +72,8 @@ class EpisodesVecEnv(VecEnv):
         """
         assert self.action_space.shape is not None
         # A copy, for the caller may change the actions meanwhile.
-        commands = read_actions(actions, (self.num_envs, *self.action_space.shape)).copy()
+        commands = np.array(actions, dtype=np.float64)
+        check_array(commands, (self.num_envs, *self.action_space.shape), "the action")
         self._begin("step", *[[commands[rows]] for rows in self._rows])
 
     def step_wait(self) -> StepResult:
