@@ -116,7 +116,7 @@ class Loop:
         """
         self.execution = execution = execution or ExecutionConfig()
         self.solver, self.backend, self.dt, self.filters = solver, backend, dt, tuple(filters)
-        self._backend_name, self._unchecked = f"backend {type(backend).__name__}", True
+        self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
         self.robot = solver.robot
         self.sequence = MotionSequence(subgoals, solver, dt, execution)
         self.kinematic_step = KinematicStep(solver, dt)
@@ -159,7 +159,7 @@ class Loop:
         fresh = np.arange(len(rngs)) if rows is None else rows
         if self._stochastic is not None:
             self._stochastic.seed(seeds, fresh)
-        with plugin_note(self._backend_name):
+        with self._note:
             state = self.backend.reset(start.base_pose, start.joint_positions, rows)
             self.obstacles.place(start.solids, fresh)
         self._check("reset", state, len(rngs) if rows is None else len(self.joint_command))
@@ -207,7 +207,7 @@ class Loop:
         twist, arm = self._solve(command)
         self.time_scale = period.time_scale
         self.joint_command = arm.joint_positions
-        with plugin_note(self._backend_name):
+        with self._note:
             state = self.backend.step(twist, self.joint_command, self.dt)
         if self._unchecked:
             self._check("step", state, len(twist))
@@ -343,7 +343,7 @@ class Loop:
             self.sequence.avoid(solids, rows, robots)
 
     def _check(self, method: str, state: RobotState, n: int) -> None:
-        check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")
+        check_state(state, n, len(self.robot.arm), f"{self._note.plugin}: {method}")
 
     def _measure(self, state: RobotState) -> None:
         self.state = state

@@ -34,7 +34,7 @@ class Obstacles:
         self._backend = innermost if isinstance(innermost, SupportsSolids) else None
         self._known = MovingSolids() if isinstance(innermost, RealTimeBackend) else None
         self._scanner = backend if isinstance(backend, SupportsScan) else None
-        self._name, self._shapes = f"backend {type(innermost).__name__}", shapes
+        self._note, self._shapes = plugin_note(f"backend {type(innermost).__name__}"), shapes
 
     def place(self, solids: Solids | None, rows: Rows) -> None:
         """Put solids around the robots of some rows, None for none."""
@@ -43,7 +43,7 @@ class Obstacles:
         elif self._known is not None:
             self._known.place(solids, rows, len(rows))
         elif solids is not None:
-            raise KinfeasError(f"{self._name} has no solids, which the task needs")
+            raise KinfeasError(f"{self._note.plugin} has no solids, which the task needs")
 
     def after(self, seconds: float) -> Solids | None:
         """Return the solids as they will stand in some seconds, or None without any."""
@@ -65,8 +65,8 @@ class Obstacles:
     def scan(self) -> Array:
         """Return the ranges around the bases, as `SupportsScan` does."""
         if self._scanner is None:
-            raise KinfeasError(f"{self._name} has no scan, which the policy needs")
-        with plugin_note(self._name):
+            raise KinfeasError(f"{self._note.plugin} has no scan, which the policy needs")
+        with self._note:
             return self._scanner.scan()
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
