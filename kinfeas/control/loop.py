@@ -391,10 +391,9 @@ class Loop:
 
     def _solve(self, command: Array) -> tuple[Array, IkSolution]:
         """Return base twists, shape (n, 6), and arm joints that reach the desired poses."""
-        if (solved := self.period.solved) is not None:
-            same = solved[0] is command or np.array_equal(solved[0], command)
-            if same:
-                return solved[1:]
+        solved = self.period.solved
+        if solved is not None and (solved[0] is command or np.array_equal(solved[0], command)):
+            return solved[1:]
         return self.kinematic_step(command, self.period)
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
