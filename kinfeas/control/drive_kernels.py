@@ -16,7 +16,7 @@ def _write_twist(pose, forward, left, turn, seconds, out):
 
 
 @inlined
-def _within_speed(forward, left, fastest):
+def within_speed(forward, left, fastest):
     """Return a planar velocity, slowed down to the fastest one."""
     scale = fastest / max(math.sqrt(forward * forward + left * left), fastest)
     return forward * scale, left * scale
@@ -30,7 +30,7 @@ def base_twist(pose, action, limits, dt, like, out):
     if len(action) == 2:
         _write_twist(pose, forward, 0.0, turn, dt, out)
     else:
-        forward, left = _within_speed(forward, clipped(action[1]) * fastest, fastest)
+        forward, left = within_speed(forward, clipped(action[1]) * fastest, fastest)
         _write_twist(pose, forward, left, turn, 0.0, out)
 
 
@@ -57,7 +57,7 @@ def write_action_toward(pose, velocity, limits, dt, out):
     forward = cosine * velocity[0] + sine * velocity[1]
     left = cosine * velocity[1] - sine * velocity[0]
     if len(out) == 3:
-        forward, left = _within_speed(forward, left, fastest)
+        forward, left = within_speed(forward, left, fastest)
         out[0], out[1], out[2] = forward / fastest, left / fastest, 0.0
         return
     # Of the absolute value, since a velocity of -0 would point behind.

@@ -1,23 +1,22 @@
 """Kernels of the safety filter, for one robot: commands within the limits."""
 
-import math
-
+from kinfeas.control.drive_kernels import within_speed
 from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.pose_kernels import inlined, wrapped
 
 
 @inlined
 def _shortened(x, y, turn, linear, angular):
-    scale = linear / max(math.hypot(x, y), linear)
-    return scale * x, scale * y, min(max(turn, -angular), angular)
+    x, y = within_speed(x, y, linear)
+    return x, y, min(max(turn, -angular), angular)
 
 
 @compiled(["void(f8[:], f8[:], f8[:], f8, f8[:])"], "(v),(v),(l),()->(v)")
 def limited_velocity(wanted, before, limits, dt, out):
     """Velocity nearest to the wanted one, `dt` seconds after another one.
 
-    Velocities are forward, left and rotation. `limits` are those of speed and rotation, and of the
-    change of each in a second.
+    Velocities are forward, left and rotation, m/s and rad/s. `limits` are those of speed and
+    rotation, and of the change of each in a second.
     """
     x, y, turn = _shortened(wanted[0], wanted[1], wanted[2], limits[0], limits[1])
     x, y, turn = x - before[0], y - before[1], turn - before[2]
@@ -34,19 +33,19 @@ def limited_targets(
 ):
     """Joint targets on the way from the last to the wanted ones that joints reach in `dt` seconds.
 
-    `farthest` is the longest way of a joint to its wanted target, `lag` the seconds that each needs
-    to its last one.
+    Joints are in radians or metres. `farthest` is the longest way of a joint to its wanted target,
+    `lag` the seconds that each needs to its last one.
     """
-    farthest[0], most = 0.0, 1.0
+    farthest[0], periods = 0.0, 1.0
     for j in range(len(out)):
         way, behind = wanted[j] - before[j], before[j] - measured[j]
         if continuous[j]:
             way, behind = wrapped(way), wrapped(behind)
         out[j], lag[j] = way, abs(behind) / speed[j]
         farthest[0] = max(farthest[0], abs(way))
-        most = max(most, abs(way) / (speed[j] * dt))
+        periods = max(periods, abs(way) / (speed[j] * dt))
     for j in range(len(out)):
-        target = before[j] + out[j] / most
+        target = before[j] + out[j] / periods
         target = wrapped(target) if continuous[j] else target
         # A joint that starts beyond a limit must not jump to it.
         out[j] = min(max(target, min(lower[j], before[j])), max(upper[j], before[j]))

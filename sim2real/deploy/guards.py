@@ -117,8 +117,8 @@ class SafetyFilter(_Wrapper):
         """
         self._check_running()
         arm = (1, len(self._robot.arm))
+        check_array(base_twist, (1, 6), "the base command", error=Fault)
         check_array(joint_targets, arm, "the arm command", error=Fault)
-        check_array(base_twist, (1, 6), "the base command", finite=False, error=Fault)
         base, pose = self._robot.base, self._state.base_pose
         wanted = base_velocity(base, pose, base_twist, dt)[0]
         # The measured heading is a part of it, and an adapter may hide it from the monitor.
@@ -130,6 +130,7 @@ class SafetyFilter(_Wrapper):
             velocity = np.zeros(3)
         twist = world_twist(base, pose, velocity[np.newaxis], dt)
         targets = self._arm_targets(joint_targets[0], dt)[np.newaxis]
+        check_array(targets, arm, "the arm command", error=Fault)
         self._check_age()
         forward, left, _ = velocity.tolist()
         if math.hypot(forward, left) > _CREEP and self._blind[beam(np.arctan2(left, forward))]:
@@ -323,7 +324,7 @@ class Guarded(_Wrapper):
 
 
 def _base_limits(base: Base, guards: Guards) -> Array:
-    """Return the limits of the base's velocity and acceleration, never above the robot's own."""
+    """Return the limits for `limited_velocity`, shape (4,), never above the robot's own."""
     limits = (
         (base.max_velocity, guards.max_linear_velocity),
         (base.max_rotation, guards.max_angular_velocity),

@@ -77,9 +77,9 @@ class StateMonitor:
     def _check_joints(self, joints: Array) -> None:
         lower, upper = self._robot.joint_limits
         outside = np.maximum(lower - joints, joints - upper)
-        most = int(outside.argmax())
-        sentence = f"joint {self._robot.arm[most].name} is measured {{}} beyond its limits"
-        check_limit(sentence, outside[most], self._guards.joint_tolerance)
+        worst = int(outside.argmax())
+        sentence = f"joint {self._robot.arm[worst].name} is measured {{}} beyond its limits"
+        check_limit(sentence, outside[worst], self._guards.joint_tolerance)
 
 
 def check_limit(sentence: str, value: float, most: float) -> None:

@@ -182,7 +182,7 @@ def test_actions_are_finite_numbers_of_their_shape(kind):
     env.reset(seed=0)
     shape = env.action_space.shape
     for wrong in (np.zeros(2), np.zeros((9, 3)), np.full(shape, np.nan), np.zeros(())):
-        with pytest.raises(KinfeasError, match="the action"):
+        with pytest.raises(KinfeasError, match=r"the action (has shape|is not finite)"):
             env.step(wrong)
 
 

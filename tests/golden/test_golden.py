@@ -12,7 +12,7 @@ import pytest
 from tests.golden.figures import FIGURES
 from tests.golden.renew import DATA, machine, read
 
-SLOW = ("plain", "rollout_planner", "physics", "training")
+SLOW = ("rollout_planner", "physics", "training")
 CLOSE = 1e-6
 OTHER_SOLUTIONS = 0.01
 """Share of IK targets for which another restart may win where the last bits differ."""

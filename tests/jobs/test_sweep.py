@@ -66,9 +66,8 @@ class KilledError(BaseException):
 
 @pytest.mark.parametrize(
     ("owner", "name"),
-    [pytest.param(training._Run, "_step", marks=pytest.mark.slow), (training._Run, "_save"),
-     (optuna.Study, "tell"),
-     pytest.param(optuna.Trial, "suggest_categorical", marks=pytest.mark.slow)],
+    [(training._Run, "_step"), (training._Run, "_save"), (optuna.Study, "tell"),
+     (optuna.Trial, "suggest_categorical")],
 )  # fmt: skip
 def test_a_killed_sweep_continues_to_the_same_results(whole, tmp_path, monkeypatch, owner, name):
     function, calls = getattr(owner, name), []

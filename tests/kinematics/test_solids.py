@@ -74,7 +74,7 @@ def check(robot, judge, count):
 
 
 def test_free_configurations_are_free_for_fcl(robot, judge):
-    check(robot, judge, 400)
+    check(robot, judge, 700)
 
 
 @pytest.mark.slow

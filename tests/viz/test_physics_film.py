@@ -52,7 +52,6 @@ def test_paths_are_true_positions_without_sensor_errors(hsr, engine):
     world.close()
 
 
-@pytest.mark.parametrize("engine", ["mujoco"], indirect=True)
 @pytest.mark.parametrize("suffix", [".gif", ".png", ".mp4"])
 def test_films_are_written(film, tmp_path, suffix):
     if suffix == ".mp4":

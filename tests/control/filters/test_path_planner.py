@@ -20,7 +20,7 @@ def world_of(robot, task="ggr_restricted", filters=("path_planner", "feasibility
     return World(load_robot(robot), load_task(task, {}), config, seed=3)
 
 
-@pytest.mark.parametrize("name", ["pr2", pytest.param("tiago", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["pr2", "tiago"])
 def test_the_base_goes_where_the_policy_would_not(name):
     alone, ahead = (
         world_of(name, filters=given) for given in ((), ("path_planner", "feasibility"))
