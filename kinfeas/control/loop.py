@@ -173,15 +173,16 @@ class Loop:
             joints = state.joint_positions.copy()
             self.periods, self._waited = np.zeros((2, len(joints)), dtype=np.intp)
             self.previous_command = np.zeros((len(joints), self.command_size))
+            self.time_scale = np.ones(len(joints))
         else:
             joints = with_rows(self.joint_command, rows, state.joint_positions[rows])
             self.periods[rows] = self._waited[rows] = 0
             self.previous_command = with_rows(self.previous_command, rows, np.array(0.0))
+            self.time_scale = with_rows(self.time_scale, rows, np.array(1.0))
         self.joint_command = joints
-        self.time_scale = np.ones(len(joints))
         if self.target_stream is not None:
             self.target_stream.start(self, rngs, fresh)
-            self.sequence.aim(self.target_stream.targets(self))
+            self.sequence.aim(self.target_stream.targets(self, fresh))
         self._observe()
         if self._recurrent is not None:
             self._recurrent.reset(self, fresh)
@@ -236,7 +237,7 @@ class Loop:
         self._grip(step.subgoal, stops | step.finished)
         self.periods += 1
         if self.target_stream is not None:
-            self.sequence.aim(self.target_stream.targets(self))
+            self.sequence.aim(self.target_stream.targets(self, np.arange(len(twist))))
             self.sequence.begin_again(np.flatnonzero(self.time_scale == 0.0))
         self._observe()
         return step

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import REMOTEST, Positive, PositiveSeconds
 from kinfeas.core import spatial
-from kinfeas.core.motion import Rows
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array
 
 UNIT = 1e-2
@@ -23,8 +23,8 @@ class TargetStream(Protocol):
         """Begin new motions in the m `rows` of the `kinfeas.control.loop.Loop`."""
         ...
 
-    def targets(self, loop: Any) -> Array:
-        """Return the world poses that the EEs go to in the next period, shape (n, 7)."""
+    def targets(self, loop: Any, rows: Rows) -> Array:
+        """Begin the next period of `rows`; return the EEs' targets in it, of all rows, (n, 7)."""
         ...
 
     @property
@@ -170,39 +170,47 @@ class TargetInbox:
         """Count messages that are no poses or twists at all."""
         self.counts[rows, 1] += 1
 
-    def advance(
-        self, now: Array, dt: float, seconds: float, time_scale: Array, desired: Array
-    ) -> Array:
-        """Return the targets for the end of the next period, shape (n, 7).
+    def wait(self, rows: Rows, time_scale: Array, desired: Array) -> None:
+        """Let targets wait where motions did in their last period.
 
         Args:
-            now: Time of its beginning, shape (n,).
+            rows: Rows of m motions.
+            time_scale: Share of the period that each carried out, shape (m,).
+            desired: World poses of the motions now, shape (m, 7), where targets continue if none
+                of the period was carried out.
+        """
+        if (time_scale == 1.0).all():
+            return
+        before = self._before[rows]
+        way = spatial.twist_between(before, self.target[rows], 1.0)
+        rest = spatial.integrate(before, way, time_scale)
+        rest = np.where(time_scale[:, np.newaxis] == 0.0, desired, rest)
+        self.target = with_rows(self.target, rows, rest)
+
+    def advance(self, rows: Rows, now: Array, dt: float, seconds: float) -> None:
+        """Move targets to the end of the next period.
+
+        Args:
+            rows: Rows of the m targets that move.
+            now: Time of the period's beginning, shape (m,).
             dt: Its length.
             seconds: Its motion time.
-            time_scale: Share of the last step that the motion carried out, shape (n,).
-            desired: World poses of the motions now, shape (n, 7); targets begin there after a wait.
         """
-        rest = self.target
-        if (time_scale != 1.0).any():
-            rest = spatial.integrate(
-                self._before, spatial.twist_between(self._before, rest, 1.0), time_scale
-            )
-            rest = np.where(time_scale[:, np.newaxis] == 0.0, desired, rest)
-        self.live = now <= self._until
-        aims = _interpolated(now + dt, self._times, self._poses)
+        rest, live = self.target[rows], now <= self._until[rows]
+        aims = _interpolated(now + dt, self._times[rows], self._poses[rows])
         twist = np.where(
-            self._poses_given[:, np.newaxis],
+            self._poses_given[rows, np.newaxis],
             spatial.twist_between(rest, aims, seconds),
-            self._twist,
+            self._twist[rows],
         )
-        twist *= self._allowed(twist)[:, np.newaxis]
-        self.speed = np.linalg.norm(twist[:, :3], axis=1)
-        self._before, self.target = rest, spatial.integrate(rest, twist, seconds)
+        twist *= (live * self._slowing(twist))[:, np.newaxis]
+        target = spatial.integrate(rest, twist, seconds)
         if self.rules.heights is not None:
             low, high = self.rules.heights
             z = rest[:, 2]
-            self.target[:, 2] = np.clip(self.target[:, 2], np.minimum(low, z), np.maximum(high, z))
-        return self.target
+            target[:, 2] = np.clip(target[:, 2], np.minimum(low, z), np.maximum(high, z))
+        self.live[rows], self.speed[rows] = live, np.linalg.norm(twist[:, :3], axis=1)
+        self._before[rows], self.target = rest, with_rows(self.target, rows, target)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
@@ -249,12 +257,13 @@ class TargetInbox:
         self._sent[rows[good]], self._until[rows[good]] = sent[good], until[good]
         return good
 
-    def _allowed(self, twist: Array) -> Array:
-        """Return the factors by which twists shrink to the limits, or to rest, shape (n,)."""
+    def _slowing(self, twist: Array) -> Array:
+        """Return the factors by which twists shrink to the limits, shape (n,)."""
         rules = self.rules
         linear = np.linalg.norm(twist[:, :3], axis=1) / rules.max_velocity
         angular = np.linalg.norm(twist[:, 3:], axis=1) / rules.max_angular_velocity
-        return self.live / np.maximum(1.0, np.maximum(linear, angular))
+        slowing: Array = 1.0 / np.maximum(1.0, np.maximum(linear, angular))
+        return slowing
 
 
 def _numbers(values: Array) -> NDArray[np.bool_]:

@@ -116,20 +116,21 @@ class SimulatedStream:
         for key, values in drawn.items():
             self._drawn[key][rows] = values
 
-    def targets(self, loop: Any) -> Array:
-        """Deliver the messages until now and return the targets, shape (n, 7)."""
+    def targets(self, loop: Any, rows: Rows) -> Array:
+        """Deliver the messages until now and begin the next period of `rows`."""
         now = loop.periods * loop.dt
         received, last = self._drawn["received"], self._drawn["received"].shape[1] - 1
         while True:
             due = received[np.arange(len(now)), np.minimum(self._read, last)] <= now
-            rows = np.flatnonzero(due & (self._read <= last))
-            if not rows.size:
+            sent = np.flatnonzero(due & (self._read <= last))
+            if not sent.size:
                 break
-            self._deliver(rows, now[rows], loop.desired[rows])
-            self._read[rows] += 1
-        seconds = loop.dt * loop.execution.time_scale
-        self.asked.advance(now, loop.dt, seconds, np.ones(len(now)), loop.desired)
-        return self.inbox.advance(now, loop.dt, seconds, loop.time_scale, loop.desired)
+            self._deliver(sent, now[sent], loop.desired[sent])
+            self._read[sent] += 1
+        self.inbox.wait(rows, loop.time_scale[rows], loop.desired[rows])
+        for one in (self.inbox, self.asked):
+            one.advance(rows, now[rows], loop.dt, loop.dt * loop.execution.time_scale)
+        return self.inbox.target
 
     @property
     def live(self) -> NDArray[np.bool_]:

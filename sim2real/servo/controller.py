@@ -109,7 +109,7 @@ class TargetController:
             self._queue.clear()
         self._inbox.start(loop.desired)
 
-    def targets(self, loop: Any) -> Array:
+    def targets(self, loop: Any, rows: Rows) -> Array:
         """Return the target of the next period, shape (1, 7)."""
         with self._lock:
             messages = list(self._queue)
@@ -118,8 +118,9 @@ class TargetController:
         self.base_pose, self.pose, self.running = loop.state.base_pose[0], loop.desired[0], True
         for message in messages:
             self._read(message, now)
-        seconds = loop.dt * loop.execution.time_scale
-        return self._inbox.advance(now, loop.dt, seconds, loop.time_scale, loop.desired)
+        self._inbox.wait(rows, loop.time_scale, loop.desired)
+        self._inbox.advance(rows, now, loop.dt, loop.dt * loop.execution.time_scale)
+        return self._inbox.target
 
     @property
     def speed(self) -> Array:

@@ -5,7 +5,6 @@ from kinfeas.control.execution import tool_pose
 from kinfeas.core import registry, spatial
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
 from tests.builders import at, twist
 
@@ -35,11 +34,6 @@ objects:
   wall: {urdf: wall.urdf, position: [-3, 0, 0]}
   chest: {urdf: chest.urdf, position: [0, -4, 0.5]}
 """
-
-
-@pytest.fixture(scope="session")
-def hsr():
-    return load_robot("hsr")
 
 
 @pytest.fixture(scope="session", params=["pybullet", "mujoco"])

@@ -49,3 +49,16 @@ def test_observations_are_measured_and_the_deviation_is_true(pr2):
     # The arm makes up for a base that it believes elsewhere: it seems right and is wrong.
     assert np.median(step.deviation) > 0.1
     assert not np.allclose(seen_off, step.deviation)
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.05])
+def test_the_ee_rests_for_the_head_start_of_its_episode(pr2, dt):
+    config = WorldConfig(dt=dt, adapters=(PluginSpec("head_start", {"seconds": [0.5, 1.5]}),))
+    world = World(pr2, ggr(), config, seed=0)
+    world.start(range(3))
+    first, still = world.loop.desired, np.zeros(3, dtype=int)
+    for _ in range(30):
+        world.step(np.zeros((3, world.action_size)))
+        still += np.all(world.loop.desired == first, axis=1)
+    assert len(set(still)) == 3
+    assert np.all((still >= 0.5 / dt) & (still <= 1.5 / dt))

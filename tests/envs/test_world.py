@@ -1,13 +1,12 @@
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from kinfeas import config
 from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.benchmark.speed import random_network
 from kinfeas.config import PluginSpec
-from kinfeas.control import observation
 from kinfeas.core import registry
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
@@ -15,7 +14,6 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import planar_pose, relative, yaw
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.policies.baselines.following import FollowBase, FollowEe
-from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
 from kinfeas.tasks.chain import ChainTask
@@ -37,19 +35,22 @@ CHAIN = config.from_mapping(
     },
     "test",
 )
+SLOW = PluginSpec("time_scale", {"factor": 0.5})
 NOISY = WorldConfig(adapters=(PluginSpec("base_noise", {"linear": 0.05, "angular": 0.05}),))
 
 
-def network(world, seed=0):
-    """Return an untrained network, its actions large enough to spread the episodes."""
-    rng = np.random.default_rng(seed)
-    sizes = (observation.size(world.robot), 64, 64, world.action_size)
-    pairs = list(pairwise(sizes))
-    return Network(
-        np.ones(sizes[0], dtype=np.float32),
-        tuple((rng.normal(size=pair) / np.sqrt(pair[0])).astype(np.float32) for pair in pairs),
-        tuple(np.zeros(pair[1], dtype=np.float32) for pair in pairs),
-    )
+@dataclass(frozen=True)
+class Walled:
+    name: str = "walled"
+    subgoals: tuple = ggr().subgoals
+
+    def sample(self, solver, rng):
+        start = ggr().sample(solver, rng)
+        solids = Solids.empty(1, 1)
+        turn = yaw(start.base_pose)
+        solids.pose[0, 0] = [np.cos(turn), np.sin(turn), turn]
+        solids.size[0, 0] = [0.1, 3.0, 0.0, 0.3]
+        return replace(start, solids=solids)
 
 
 def make(robot, task=None, world=NOISY, seed=3):
@@ -58,7 +59,7 @@ def make(robot, task=None, world=NOISY, seed=3):
 
 def trace(world, episodes, steps=40, policy=None):
     """Return observations and rewards under a policy, a network's, (n, steps, 21 + j + 1)."""
-    policy, found = policy or network(world), []
+    policy, found = policy or random_network(world.robot, 64), []
     world.start(episodes)
     for _ in range(steps):
         transition = world.step(policy.act(world.loop.policy_input))
@@ -81,29 +82,15 @@ def idle(world, n=1):
     return np.zeros((n, world.action_size))
 
 
-@pytest.fixture(scope="module")
-def hsr():
-    return load_robot("hsr")
-
-
 @pytest.fixture
 def world(hsr):
     return make(hsr, world=WorldConfig(max_seconds=5.0), seed=0)
 
 
-@pytest.mark.parametrize(("wrong", "told"), [
-    (np.zeros((2, 2)), "shape"), (np.zeros(3), "shape"), (np.full((2, 3), np.nan), "finite"),
-])  # fmt: skip
-def test_wrong_actions_of_a_policy_are_refused(world, wrong, told):
-    world.start([0, 1])
-    with pytest.raises(KinfeasError, match=told):
-        world.step(wrong)
-
-
 @pytest.mark.parametrize("task", [ggr(), CHAIN], ids=["one sub-goal", "chain"])
 def test_an_episode_is_the_same_to_the_bit_in_any_batch(robot, task):
     world = make(robot, task)
-    policy = network(world) if task is not CHAIN else FollowEe(robot.base, feedback=True)
+    policy = random_network(robot, 64) if task is not CHAIN else FollowEe(robot.base, feedback=True)
     together = trace(world, range(24), 120, policy)
     if task is CHAIN:
         assert set(world.loop.sequence.subgoal.tolist()) == {0, 1, 2}
@@ -114,7 +101,7 @@ def test_an_episode_is_the_same_to_the_bit_in_any_batch(robot, task):
 
 def test_an_episode_is_the_same_in_any_row_and_after_others(hsr):
     world = make(hsr)
-    expected, policy = trace(world, range(8)), network(world)
+    expected, policy = trace(world, range(8)), random_network(hsr, 64)
     world.start(range(100, 105))
     for _ in range(13):
         world.step(policy.act(world.loop.policy_input))
@@ -125,13 +112,20 @@ def test_an_episode_is_the_same_in_any_row_and_after_others(hsr):
         np.testing.assert_array_equal(seen[[4, 0]], expected[[7, 2], i])
 
 
-@pytest.mark.parametrize("task", [ggr(), CHAIN], ids=["one sub-goal", "chain"])
-def test_a_world_continues_from_a_snapshot_to_the_bit(hsr, task):
-    world, other = make(hsr, task), make(hsr, task)
+@pytest.mark.parametrize(("task", "config", "terms"), [
+    (ggr(), NOISY, ()), (CHAIN, NOISY, ()),
+    (Walled(), WorldConfig(), ("ee_position", "scan_low", "previous_command")),
+    (load_task("ggr_dynamic"), WorldConfig(), ("ee_position", "planned_base")),
+], ids=["one sub-goal", "chain", "wall", "moving solids"])  # fmt: skip
+def test_a_world_continues_from_a_snapshot_to_the_bit(hsr, task, config, terms):
+    world, other = (make(hsr, task, config) for _ in range(2))
+    for one in (world, other):
+        one.loop.observer.terms = terms or one.loop.observer.terms
     policy = FollowEe(hsr.base, feedback=True)
-    trace(world, range(8), 60, policy)
-    world.failures += np.arange(8)
-    other.restore(world.snapshot())
+    trace(world, range(4), 60, policy)
+    world.failures += np.arange(4)
+    kept = {key: values.copy() for key, values in world.snapshot().items()}
+    np.testing.assert_array_equal(other.restore(kept), world.loop.policy_input.observation)
     for _ in range(60):
         action = policy.act(world.loop.policy_input)
         one, two = world.step(action), other.step(action)
@@ -180,22 +174,16 @@ def test_a_goal_reached_with_a_touching_base_is_no_success(world):
     assert transition.terminated.all()
 
 
-@pytest.mark.parametrize("dt", [0.1, 0.02])
-def test_the_time_limit_truncates_at_any_control_rate(hsr, dt):
-    world = make(hsr, world=WorldConfig(dt=dt, max_seconds=0.5), seed=0)
+@pytest.mark.parametrize(("changes", "steps"), [
+    ({}, 5), ({"dt": 0.02}, 25), ({"time_scale": 0.5}, 10), ({"adapters": (SLOW,)}, 10),
+])  # fmt: skip
+def test_the_time_limit_truncates_and_is_in_motion_time(hsr, changes, steps):
+    world = make(hsr, world=WorldConfig(max_seconds=0.5, **changes), seed=0)
     world.start([0])
     pretend(world, feasible=True, finished=False)
-    steps = round(0.5 / dt)
     ends = [world.step(idle(world)) for _ in range(steps)]
     assert [bool(one.truncated[0]) for one in ends] == [False] * (steps - 1) + [True]
     assert not ends[-1].terminated.any()
-
-
-def test_the_time_limit_is_in_motion_time(hsr):
-    slow = make(hsr, world=WorldConfig(max_seconds=0.5, time_scale=0.5), seed=0)
-    slow.start([0])
-    pretend(slow, feasible=True, finished=False)
-    assert [bool(slow.step(idle(slow)).truncated[0]) for _ in range(10)] == [False] * 9 + [True]
 
 
 def test_the_time_limit_is_that_of_a_sub_goal(hsr):
@@ -253,20 +241,6 @@ def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch):
     assert RealRobot.closed
 
 
-@dataclass(frozen=True)
-class Walled:
-    name: str = "walled"
-    subgoals: tuple = ggr().subgoals
-
-    def sample(self, solver, rng):
-        start = ggr().sample(solver, rng)
-        solids = Solids.empty(1, 1)
-        turn = yaw(start.base_pose)
-        solids.pose[0, 0] = [np.cos(turn), np.sin(turn), turn]
-        solids.size[0, 0] = [0.1, 3.0, 0.0, 0.3]
-        return replace(start, solids=solids)
-
-
 def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):
     world = make(hsr, Walled(), WorldConfig(max_failures=10**6))
     world.start(range(4))
@@ -293,30 +267,6 @@ def test_scans_see_the_solids_in_front(hsr):
     np.testing.assert_allclose(low[:, SCAN_BEAMS // 2], 1.0 - 0.9 / SCAN_RANGE, atol=1e-9)
     assert (low[:, 0] == 0.0).all()
     assert (high == 0.0).all()
-
-
-def test_a_world_with_solids_resumes_to_the_bit(hsr):
-    terms = ("ee_position", "scan_low", "previous_command")
-    worlds = [make(hsr, Walled(), WorldConfig()) for _ in range(2)]
-    for world in worlds:
-        world.loop.observer.terms = terms
-    rng = np.random.default_rng(0)
-    worlds[0].start(range(3))
-    for _ in range(5):
-        worlds[0].step(rng.uniform(-1.0, 1.0, (3, 3)))
-    kept = {key: values.copy() for key, values in worlds[0].snapshot().items()}
-    np.testing.assert_array_equal(worlds[1].restore(kept), worlds[0].loop.policy_input.observation)
-    for _ in range(5):
-        action = rng.uniform(-1.0, 1.0, (3, 3))
-        one, other = (world.step(action) for world in worlds)
-        np.testing.assert_array_equal(one.observation, other.observation)
-        np.testing.assert_array_equal(one.reward, other.reward)
-
-
-def moving_solids(hsr):
-    world = World(hsr, load_task("ggr_dynamic"), WorldConfig(), 0)
-    world.loop.observer.terms = ("ee_position", "planned_base")
-    return world
 
 
 def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
@@ -353,20 +303,6 @@ def test_redundant_arms_follow_their_whole_body_plan():
     planned = world.loop.sequence.planned_joints
     way = joint_displacement(robot, world.loop.joint_command, planned)
     assert np.nanmedian(np.abs(way)) < 0.1  # 0.21 where IK does not know the plan
-
-
-def test_whole_body_plans_among_moving_solids_resume_to_the_bit(hsr):
-    worlds = [moving_solids(hsr) for _ in range(2)]
-    worlds[0].start(range(2))
-    rng = np.random.default_rng(0)
-    for _ in range(15):
-        worlds[0].step(rng.uniform(-1.0, 1.0, (2, 3)))
-    kept = {key: values.copy() for key, values in worlds[0].snapshot().items()}
-    np.testing.assert_array_equal(worlds[1].restore(kept), worlds[0].loop.policy_input.observation)
-    for _ in range(15):
-        action = rng.uniform(-1.0, 1.0, (2, 3))
-        one, other = (world.step(action) for world in worlds)
-        np.testing.assert_array_equal(one.observation, other.observation)
 
 
 def test_furniture_is_scanned_and_has_distances_in_the_analytic_world(hsr):

@@ -43,6 +43,20 @@ def test_targets_keep_their_speed_and_heights(name):
     assert (inbox.counts[:, 0] > 0).all()
 
 
+@pytest.mark.parametrize("name", TASKS)
+def test_targets_are_not_moved_by_other_rows_that_start_again(name):
+    one, many = world(name), world(name)
+    one.start([3])
+    many.start([3, 1])
+    for step in range(40):
+        if step in {20, 21}:
+            many.start([2], np.array([1]))
+        for made, n in ((one, 1), (many, 2)):
+            made.step(np.full((n, 3), 0.1))
+    np.testing.assert_array_equal(one.loop.desired[0], many.loop.desired[0])
+    np.testing.assert_array_equal(one.loop.target_stream.speed[0], many.loop.target_stream.speed[0])
+
+
 def test_an_episode_is_the_same_in_any_batch_and_after_a_restore():
     one, many = world("chunks"), world("chunks")
     one.start([3])
