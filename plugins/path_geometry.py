@@ -9,12 +9,10 @@ import math
 import numpy as np
 from numba import njit
 
-from kinfeas.core import kernel_cache
 from kinfeas.core.kernel_cache import UNCOUNTED, compiled
 from kinfeas.core.motion import WAYPOINTS
 from kinfeas.core.pose_kernels import write_reached, write_twist
 
-kernel_cache.settle()  # before the first kernel
 kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
 inner = njit(cache=True, error_model="numpy", fastmath=False, nogil=True, **UNCOUNTED)
 

@@ -201,9 +201,7 @@ class BasePathPlanner:
         self, joints: Array, target: Array, base: Array, seconds: float, solids: Solids | None
     ) -> IkSolution:
         """Return the arms, as far as they get in some time from joints (m, j), at a target."""
-        among = None
-        if solids is not None:
-            among = solids.of(np.zeros(len(base), dtype=np.intp))
+        among = None if solids is None else solids.repeated(len(base))
         arm = self.solver.solve(
             relative(np.broadcast_to(target, base.shape), base),
             joints,

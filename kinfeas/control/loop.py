@@ -258,7 +258,7 @@ class Loop:
     def slow_down(self, time_scale: Array) -> None:
         """Let this step carry out shares, shape (n,), of its planned motion; for filters."""
         period, sequence = self.period, self.sequence
-        period.time_scale = time_scale
+        period.time_scale, period.solved = time_scale, None
         period.plan = sequence.plan(self._motion_time * time_scale)
         period.desired = sequence.next_desired(period.plan, period.paused)
 

@@ -202,7 +202,7 @@ def describe_action(robot: Robot, terms: Sequence[str] = ACTION) -> tuple[TermIn
     entries = (*linear, "turn")
     unit = "m/s, turn in rad/s"
     described = {
-        "base_velocity": TermInfo(terms[0], len(entries), base.frame, unit, entries, scale)
+        "base_velocity": TermInfo("base_velocity", len(entries), base.frame, unit, entries, scale)
     }
     slowest = f"share of the planned motion, {SLOWEST:g} at -1"
     described["time_scale"] = TermInfo(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import REMOTEST, Positive, PositiveSeconds
 from kinfeas.core import spatial
+from kinfeas.core.errors import check_ascending
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array
 
@@ -67,6 +68,11 @@ class TargetRules:
     max_velocity: Positive = 0.2
     max_angular_velocity: Positive = 0.5
     heights: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the heights ascend."""
+        if self.heights is not None:
+            check_ascending("heights", self.heights)
 
     @property
     def generator_limits(self) -> dict[str, float]:

@@ -52,3 +52,9 @@ def check_name(name: str) -> None:
     """Raise ValueError if the name of a robot or task does not fit into tables and file names."""
     if not name.strip() or "/" in name or not name.isprintable():
         raise ValueError(f"'name' must be printable, not empty and without '/', not {name!r}")
+
+
+def check_ascending(name: str, bounds: tuple[float, float]) -> None:
+    """Raise ValueError if the bounds of a range descend."""
+    if bounds[0] > bounds[1]:
+        raise ValueError(f"{name!r} must not descend from {bounds[0]:g} to {bounds[1]:g}")

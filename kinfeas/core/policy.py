@@ -59,10 +59,14 @@ class TermInfo:
 
 
 class Policy(Protocol):
-    """Commands the base."""
+    """Commands the base.
+
+    The attributes `observation_terms` and `action_terms`, where there are any, name other terms
+    than the default ones.
+    """
 
     def act(self, policy_input: PolicyInput) -> Array:
-        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
+        """Return the action terms in [-1, 1], shape (n, a): at least the base's command."""
         ...
 
 

@@ -12,7 +12,7 @@ from numba import njit
 from kinfeas.core import kernel_cache
 from kinfeas.core.kernel_cache import compiled
 
-kernel_cache.settle()  # before the first kernel
+kernel_cache.settle()  # before the first kernel: all modules with kernels import this one
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 

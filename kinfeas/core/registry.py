@@ -75,7 +75,7 @@ def register(group: str, name: str, factory: type | FunctionType) -> None:
     """
     if any(entry.name == name and entry not in _REGISTERED for entry in _entries(group)):
         raise KinfeasError(f"{GROUPS[group]} {name!r} is installed already; choose another name")
-    if "." in factory.__qualname__:
+    if not factory.__qualname__.isidentifier():
         raise KinfeasError(f"{factory.__qualname__} must be at the top level of its module")
     target = f"{factory.__module__}:{factory.__qualname__}"
     _REGISTERED[:] = [entry for entry in _REGISTERED if (entry.group, entry.name) != (group, name)]

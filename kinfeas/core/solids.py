@@ -83,6 +83,10 @@ class Solids:
         """Return the solids of some rows."""
         return Solids(*(getattr(self, one.name)[rows] for one in fields(self)))
 
+    def repeated(self, n: int) -> "Solids":
+        """Return the solids of the first row in each of n rows."""
+        return self.of(np.zeros(n, dtype=np.intp))
+
     def beyond(self, places: int) -> "Solids":
         """Return the solids without the first places of each row."""
         return self.only(slice(places, None)) if places else self

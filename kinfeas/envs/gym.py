@@ -136,8 +136,8 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 def learning_world(backend: str, robot: str) -> WorldConfig:
     """Return the default world of the environments: rewards belong to the commanded actions.
 
-    The analytic world is that of training. Others have the settings of the robot's evaluations
-    without filters of the commands.
+    The analytic world has the defaults of `WorldConfig`. Others have the settings of the robot's
+    evaluations without filters of the commands.
     """
     if backend == "analytic":
         return WorldConfig()

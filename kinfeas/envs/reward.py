@@ -8,12 +8,9 @@ from numba import njit
 
 from kinfeas.config.quantities import NotNegative, PositiveShare
 from kinfeas.control.loop import Step
-from kinfeas.core import kernel_cache
 from kinfeas.core.metrics import WITHIN
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-
-kernel_cache.settle()  # before the first kernel
 
 _FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4
 _FAILURE_METRES, _FAILURE_RADIANS, _SQUARED_RADIANS = 0.1, 0.3, 0.05

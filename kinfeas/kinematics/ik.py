@@ -13,7 +13,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.descent import Descent
-from kinfeas.kinematics.forward import Chain, build_chain, forward
+from kinfeas.kinematics.forward import Chain, build_chain, forward, jacobian
 from kinfeas.kinematics.search import AIM, Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
 from kinfeas.kinematics.solids import solid_arrays
@@ -242,7 +242,7 @@ def _make_problem(
         accept_position=position,
         accept_rotation=turn,
         held=held,
-        lift=chain.tree.multiplier[0] * chain.tree.rotation[0][:, 2],
+        lift=jacobian(chain, middle)[:3, held].copy(),
     )
 
 

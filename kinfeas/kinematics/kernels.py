@@ -2,11 +2,8 @@
 
 from numba import njit
 
-from kinfeas.core import kernel_cache
 from kinfeas.core.kernel_cache import UNCOUNTED
 from kinfeas.core.pose_kernels import product
-
-kernel_cache.settle()  # before the first kernel
 
 # numpy's error model has no zero check at divisions. Sums may be regrouped and multiply-adds fused,
 # always in the same way: results are deterministic. Without `forceinline=False` a kernel is inlined

@@ -100,7 +100,7 @@ class Postures:
         base, joints = self.around(goal, first, last)
         solids = None
         if start is not None and start.solids is not None:
-            solids = start.solids.of(np.zeros(len(base), dtype=np.intp))
+            solids = start.solids.repeated(len(base))
             free = ~base_collides(self.solver.collision, base, solids)
             free &= connected(start.solids, start.base_pose[0, :2], base[:, :2], self.footprint)
             rows = np.flatnonzero(free)

@@ -29,7 +29,7 @@ HOPEFUL, HOPELESS_COST = 6, 0.02**2
 
 GUIDED, DRAWN, NEAR, WIDE = range(4)
 """Descents within `max_joint_step` of the seed: from the guide, centring the joints or not; and one
-from the seed to anywhere."""
+from where these ended to anywhere."""
 
 
 class Problem(NamedTuple):

@@ -183,7 +183,7 @@ class WholeBodyPlanner:
         for first, last, margin in zip(_PROPOSALS, _PROPOSALS[1:], _AT_GOAL, strict=False):
             wide = solids.wider(margin)
             base, joints = self._postures.around(goal, first, last)
-            among = _repeated(wide, len(base))
+            among = wide.repeated(len(base))
             rows = np.flatnonzero(~base_collides(self.solver.collision, base, among))
             base, joints = base[rows], joints[rows]
             found = self.solver.solve(
@@ -341,7 +341,7 @@ def _eased(share: Array) -> Array:
 
 def _later(solids: Solids, seconds: Array) -> Solids:
     """Return one row of solids as they will stand after some seconds, m rows."""
-    later = _repeated(solids, len(seconds))
+    later = solids.repeated(len(seconds))
     pose = later.pose.copy()
     pose[..., :2] += later.velocity * np.minimum(seconds, FORESIGHT)[:, np.newaxis, np.newaxis]
     return replace(later, pose=pose)
@@ -355,7 +355,3 @@ def _blurred(solids: Solids) -> Solids:
     size[..., 0] += np.where(solids.cylinder, np.hypot(x, y), np.abs(cosine * x + sine * y))
     size[..., 1] += np.where(solids.cylinder, np.hypot(x, y), np.abs(cosine * y - sine * x))
     return replace(solids, size=size)
-
-
-def _repeated(solids: Solids, n: int) -> Solids:
-    return solids.of(np.zeros(n, dtype=np.intp))

@@ -21,7 +21,7 @@ BASELINES = (
     "geometric_modulation",
     "whole_body_qp",
 )
-"""Entry points of the package: base motions without training."""
+"""Entry points of the package: base motions without training, but for `stationary`."""
 
 QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 """Baselines without set-up time and extra packages, for comparisons."""

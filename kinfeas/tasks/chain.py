@@ -10,7 +10,7 @@ from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import Distance, Metres, Position, Radians
-from kinfeas.core.errors import KinfeasError, check_name, no_such
+from kinfeas.core.errors import KinfeasError, check_ascending, check_name, no_such
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose
 from kinfeas.core.start import Start
@@ -48,10 +48,8 @@ class Place:
         """Check that the ranges ascend."""
         for name, numbers in (("position", self.position), ("rpy", self.rpy)):
             for number in numbers:
-                if isinstance(number, tuple) and number[0] > number[1]:
-                    raise ValueError(
-                        f"{name!r} must not descend from {number[0]:g} to {number[1]:g}"
-                    )
+                if isinstance(number, tuple):
+                    check_ascending(name, number)
 
     def draw(self, rng: np.random.Generator) -> Array:
         """Return a pose, shape (7,)."""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config.quantities import Distance, NotNegative, Share
+from kinfeas.core.errors import check_ascending
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, planar_pose
 from kinfeas.core.start import Start
@@ -51,6 +52,11 @@ class Clutter:
     cylinders: Share = 0.2
     speed: tuple[Distance, Distance] = (0.0, 0.0)
     span: tuple[Distance, Distance] = (2.0, 3.0)
+
+    def __post_init__(self) -> None:
+        """Check that the ranges ascend."""
+        for name in ("speed", "span"):
+            check_ascending(name, getattr(self, name))
 
     def draw_solids(self, rng: np.random.Generator, centre: Array) -> Solids:
         """Return one row of solids around a centre, shape (2,)."""

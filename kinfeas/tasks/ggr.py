@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config.quantities import Distance, Metres
-from kinfeas.core.errors import KinfeasError, check_name
+from kinfeas.core.errors import KinfeasError, check_ascending, check_name
 from kinfeas.core.spatial import Array, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
 
 _HEIGHTS_OF = {"ggr_obstacles": "ggr", "ggr_dynamic": "ggr", "spline": "ggr_restricted"}
-"""Tasks with the goal heights of another one, unless the robot has their own."""
+"""Tasks with the goal heights of another one."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,11 @@ class GoalReaching:
     The base begins at the origin with a random heading; the goal lies at a random bearing.
 
     Attributes:
-        name: Task name, also the key of the robot's goal heights.
+        name: Task name.
         motion: Generator of the EE motion.
         distance: Smallest and largest planar distance of the goal from the base, metres.
-        heights: Smallest and largest height of the goal, metres; the robot's own by default.
+        heights: Smallest and largest height of the goal, metres; the robot's of this name by
+            default.
         restrict_start: Whether the EE also starts within the goal heights.
         start: `free` draws arm configurations without self-collision; `any` also allows
             self-collision at the goal heights and, even with `restrict_start`, other heights
@@ -48,8 +49,8 @@ class GoalReaching:
         """Check the name, and that the ranges ascend."""
         check_name(self.name)
         for name, bounds in (("distance", self.distance), ("heights", self.heights)):
-            if bounds is not None and bounds[0] > bounds[1]:
-                raise ValueError(f"{name!r} must not descend from {bounds[0]:g} to {bounds[1]:g}")
+            if bounds is not None:
+                check_ascending(name, bounds)
 
     @property
     def subgoals(self) -> tuple[Subgoal, ...]:
@@ -76,13 +77,9 @@ class GoalReaching:
     def _heights(self, solver: IkSolver) -> tuple[float, float]:
         if self.heights is not None:
             return self.heights
-        known = solver.robot.goal_heights
-        name = self.name if self.name in known else _HEIGHTS_OF.get(self.name, self.name)
+        name, known = _HEIGHTS_OF.get(self.name, self.name), solver.robot.goal_heights
         if name not in known:
-            raise KinfeasError(
-                f"robot {solver.robot.name!r} has no goal heights for task {self.name!r}; "
-                f"its YAML has them for: {', '.join(sorted(known)) or 'none'}"
-            )
+            raise KinfeasError(f"task {self.name!r} needs 'heights', as robots have none for it")
         return known[name]
 
     def _orientation(self, rng: np.random.Generator) -> Rotation:

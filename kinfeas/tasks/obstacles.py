@@ -50,7 +50,8 @@ class ReachingAmongSolids(GoalReaching, Clutter):
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        super().__post_init__()
+        GoalReaching.__post_init__(self)
+        Clutter.__post_init__(self)
         if self.places > MOST_SOLIDS or not 0.5 <= self.spacing <= self.extent <= 100.0:
             raise ValueError(
                 f"'places' must be at most {MOST_SOLIDS}, 'spacing' at least 0.5 m and 'extent' "
@@ -67,7 +68,7 @@ class ReachingAmongSolids(GoalReaching, Clutter):
             start = super().sample(solver, rng)
             solids = self._solids(solver, start, rng)
             if len(free_places(solver, start.target_poses[0], solids)):
-                return replace(start, solids=solids.of(np.zeros(1, dtype=np.intp)))
+                return replace(start, solids=solids.repeated(1))
         raise KinfeasError(f"task {self.name!r}: {_ROUNDS} draws left no room for the base")
 
     def _solids(self, solver: IkSolver, start: Start, rng: np.random.Generator) -> Solids:
@@ -85,10 +86,8 @@ class ReachingAmongSolids(GoalReaching, Clutter):
         taken = np.where(at_start | near | at_goal, np.inf, detour)
         order = np.argsort(taken, kind="stable")[: self.places]
         order = order[np.isfinite(taken[order])]
-        kept = Solids.empty(len(moments.pose), self.places)
-        for name in vars(kept):
-            getattr(kept, name)[:, : len(order)] = getattr(moments, name)[:, order]
-        return kept
+        n = len(moments.pose)
+        return Solids.empty(n, self.places).put(np.arange(n), moments.only(order))
 
 
 def _moments(solids: Solids) -> Solids:
@@ -97,7 +96,7 @@ def _moments(solids: Solids) -> Solids:
     if not speed.any():
         return solids
     longest = np.max(solids.span / np.where(speed > 0.0, speed, np.inf))
-    return solids.of(np.zeros(_MOMENTS, dtype=np.intp)).at(np.linspace(0.0, longest, _MOMENTS))
+    return solids.repeated(_MOMENTS).at(np.linspace(0.0, longest, _MOMENTS))
 
 
 def ggr_obstacles(**parameters: object) -> ReachingAmongSolids:

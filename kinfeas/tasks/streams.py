@@ -12,6 +12,7 @@ from kinfeas import config
 from kinfeas.config.quantities import Positive, PositiveSeconds, Seconds, Share
 from kinfeas.control.targets import TargetInbox, TargetRules
 from kinfeas.core import spatial
+from kinfeas.core.errors import check_ascending
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
@@ -61,6 +62,11 @@ class Stream:
     offset: tuple[Seconds, Seconds] = (0.02, 0.1)
     rules: TargetRules = field(default_factory=lambda: TargetRules(timeout=0.5))
     motion: MotionSpec = field(default_factory=lambda: MotionSpec("servo"))
+
+    def __post_init__(self) -> None:
+        """Check that the ranges ascend."""
+        for name in ("rate", "delay", "offset"):
+            check_ascending(name, getattr(self, name))
 
     @property
     def subgoals(self) -> tuple[Subgoal, ...]:
@@ -227,13 +233,13 @@ class SimulatedStream:
             return
         path = drawn["path"]
         if self.task.kind == "carried":
-            step = np.minimum(np.rint(sent / _GRID).astype(np.intp), path.shape[1] - 1)
+            step = np.clip(np.rint(sent / _GRID).astype(np.intp), 0, path.shape[1] - 1)
             poses = path[rows, step][:, np.newaxis]
             self._put("put_poses", rows, now, sent, sent[:, np.newaxis], poses)
             return
         first = np.ceil(sent / _GRID).astype(np.intp)
         steps = first[:, np.newaxis] + np.arange(self._chunk)
-        poses = path[rows[:, np.newaxis], np.minimum(steps, path.shape[1] - 1)].copy()
+        poses = path[rows[:, np.newaxis], np.clip(steps, 0, path.shape[1] - 1)].copy()
         poses[..., :3] += drawn["offset"][rows, read][:, np.newaxis]
         self._put("put_poses", rows, now, sent, _GRID * steps.astype(np.float64), poses)
 

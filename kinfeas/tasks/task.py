@@ -164,7 +164,7 @@ def sample_start(
 
 
 def _check_solids(solids: Solids, what: str) -> None:
-    places = np.shape(solids.pose)[1]
+    places = np.shape(solids.cylinder)[-1]
     if places > MOST_SOLIDS:
         raise KinfeasError(f"{what}: {places} places; at most {MOST_SOLIDS} are allowed")
     for name, shape in (("pose", (3,)), ("size", (4,)), ("velocity", (2,)), ("span", ())):

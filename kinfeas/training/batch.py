@@ -39,7 +39,7 @@ class Batch:
         """Set the scale of the observations."""
         terms = self.world.loop.observer.terms
         self.scale = observation.scale(self.world.robot, terms).astype(np.float32)
-        self._saves_world = isinstance(self.world.backend, Resumable)
+        self._saves_world = isinstance(self.world.loop.backend, Resumable)
 
     def start(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""

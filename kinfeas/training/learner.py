@@ -21,8 +21,6 @@ from kinfeas.training.vec_env import EpisodesVecEnv
 
 Learner = SAC | TD3
 
-_ACTIVATIONS = ("torch.nn.modules.activation",)
-
 INITIAL_STD = 0.1
 """Standard deviation, before the bounds, of SAC's actions when it starts from a policy."""
 
@@ -146,8 +144,9 @@ def save_policy(model: Learner, env: EpisodesVecEnv, folder: Path) -> None:
     Raises:
         KinfeasError: If the actor has other layers.
     """
-    others = {type(m).__name__ for m in model.actor.modules() if type(m).__module__ in _ACTIVATIONS}
-    if not others <= {"ReLU", "Tanh"} or (isinstance(model, SAC) and "Tanh" in others):
+    hidden: Any = model.actor.mu[:-1] if isinstance(model, TD3) else model.actor.latent_pi
+    layers = [*hidden, model.actor.features_extractor]
+    if others := {type(m).__name__ for m in layers} - {"Linear", "ReLU", "FlattenExtractor"}:
         raise KinfeasError(f"the actor must have ReLU layers, not {', '.join(sorted(others))}")
     write_network(network_of(model, env), folder, env.robot, {"steps": model.num_timesteps})
 

@@ -416,3 +416,21 @@ def test_filters_apply_in_order(solver):
     twist = base_twist(loop.robot.base, before, loop.previous_command, loop.dt)
     moved = spatial.integrate(before, twist, loop.dt)
     np.testing.assert_array_equal(loop.state.base_pose, moved)
+
+
+class AtHalfSpeed(Ones):
+    def reset(self, loop, rows):
+        self.loop = loop
+
+    def __call__(self, command, policy_input):
+        self.loop.slow_down(np.full(len(command), 0.5))
+        return command
+
+
+def test_a_motion_that_slows_down_gets_arms_of_its_own(solver):
+    arms = []
+    for filters in ([AtHalfSpeed()], [FeasibilityFilter(), AtHalfSpeed()]):
+        loop = make_loop(solver, 8, filters=filters)
+        assert loop.step(still(loop)).feasible.all()
+        arms.append(loop.joint_command)
+    np.testing.assert_array_equal(*arms)

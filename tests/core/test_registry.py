@@ -144,6 +144,7 @@ def test_register_raises_for_used_names_inner_classes_and_unknown_groups(registe
 
     assert "'linear'" in message(registry.register, MOTIONS, "linear", Hop)
     assert "Inner" in message(registry.register, MOTIONS, "inner", Inner)
+    assert "lambda" in message(registry.register, MOTIONS, "lambda", lambda: Hop())
     assert "kinfeas.hops" in message(registry.register, "kinfeas.hops", "hop", Hop)
 
 

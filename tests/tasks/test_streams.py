@@ -13,7 +13,7 @@ SCALING = WorldConfig(filters=(PluginSpec("time_scaling"),))
 
 
 def world(name, config=SCALING, **parameters):
-    return World(load_robot("pr2"), load_task(name, {"seconds": 8.0, **parameters}), config, 1)
+    return World(load_robot("pr2"), load_task(name, {"seconds": 8.0} | parameters), config, 1)
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -41,6 +41,16 @@ def test_targets_keep_their_speed_and_heights(name):
         assert (inbox.target[:, 2] >= np.minimum(low - offset - 0.02, before[:, 2])).all()
         assert (inbox.target[:, 2] <= np.maximum(high + offset + 0.02, before[:, 2])).all()
     assert (inbox.counts[:, 0] > 0).all()
+
+
+def test_messages_of_slow_streams_begin_at_the_begin_of_the_path():
+    made = world("carried", seconds=2.0, rate=[0.5, 2.0])
+    made.start(range(16))
+    begun = made.loop.desired[:, :3]
+    for periods in range(1, 21):
+        made.step(np.zeros((16, 3)))
+        sent = np.linalg.norm(made.loop.target_stream.inbox._asked[:, :3] - begun, axis=1)
+        assert (sent <= 0.2 * 0.1 * (periods + 1)).all()
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -29,6 +29,16 @@ def test_wrong_motions_raise(motion, named):
         build_subgoals([Subgoal(), Subgoal(motion)])
 
 
+@pytest.mark.parametrize(("task", "wrong", "named"), [
+    ("ggr", {"distance": [2, 1]}, "distance"), ("ggr_obstacles", {"heights": [2, 1]}, "heights"),
+    ("ggr_dynamic", {"span": [2, 1]}, "span"), ("joystick", {"rate": [2, 1]}, "rate"),
+    ("carried", {"rules": {"heights": [2, 1]}}, "heights"),
+])  # fmt: skip
+def test_ranges_ascend(task, wrong, named):
+    with pytest.raises(KinfeasError, match=f"'{named}' must not descend"):
+        load_task(task, wrong)
+
+
 def arms(solver, n, accept=None, **options):
     rngs = (np.random.default_rng((0, i)) for i in range(n))
     return np.array([random_arm(solver, rng, accept, **options) for rng in rngs])

@@ -3,9 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import SAC
+from stable_baselines3 import SAC, TD3
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from torch import nn
 
 from kinfeas.control.observation import scaled
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
@@ -18,6 +21,7 @@ from kinfeas.training.learner import (
     explore,
     make_learner,
     network_of,
+    save_policy,
     take_network,
 )
 from kinfeas.training.vec_env import WorldVecEnv
@@ -59,6 +63,21 @@ def test_the_network_acts_as_the_actor_and_is_a_copy(config, env, net_arch, tmp_
     np.testing.assert_array_equal(network(seen), found)
     write_network(network, tmp_path, env.robot, {"steps": 3})
     np.testing.assert_array_equal(read_network(tmp_path, env.robot)(seen), found)
+
+
+class Doubled(FlattenExtractor):
+    def forward(self, observations):
+        return 2.0 * super().forward(observations)
+
+
+@pytest.mark.parametrize(("algorithm", "options", "named"), [
+    (SAC, {"activation_fn": nn.Tanh}, "Tanh"), (TD3, {"activation_fn": nn.Tanh}, "Tanh"),
+    (SAC, {"features_extractor_class": Doubled}, "Doubled"),
+])  # fmt: skip
+def test_only_actors_that_the_format_holds_are_saved(env, algorithm, options, named, tmp_path):
+    save_policy(algorithm("MlpPolicy", env), env, tmp_path)
+    with pytest.raises(KinfeasError, match=named):
+        save_policy(algorithm("MlpPolicy", env, policy_kwargs=options), env, tmp_path)
 
 
 def test_exploration_scatters_about_the_actor(config, env):

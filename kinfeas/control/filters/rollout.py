@@ -66,12 +66,13 @@ class RolloutPlanner:
     deviation_cost: Share = 0.1
     offset: Array = field(default_factory=lambda: np.zeros((0, 0)), init=False)
     _loop: Any = field(default=None, init=False, repr=False)
+    _known: Policy | None = field(default=None, init=False, repr=False)
 
     def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
         """Plan for the motions of a loop; arguments as in `CommandFilter`."""
         if loop.policy is None or isinstance(loop.policy, RecurrentPolicy):
             raise KinfeasError("the filter rollout_planner needs a policy without a state")
-        if loop is not self._loop:
+        if loop is not self._loop or loop.policy is not self._known:
             self._connect(loop, loop.policy)
         if len(loop.desired) != len(self.offset):
             self.offset = np.zeros((len(loop.desired), loop.command_size))
@@ -112,7 +113,7 @@ class RolloutPlanner:
 
     def _connect(self, loop: Loop, policy: Policy) -> None:
         """Build the simulated loop: without physics, filters and pauses."""
-        self._loop = loop
+        self._loop, self._known = loop, policy
         solver = IkSolver(loop.robot, replace(loop.solver.options, restarts=_RESTARTS))
         execution = replace(loop.execution, arm_settle_timeout=0.0)
         analytic = registry.build("kinfeas.backends", "analytic", {})

@@ -94,7 +94,7 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     centre and the proportions of the places from which it reaches most of them, and both are of
     the size at which they hold the most such places and the fewest others.
     """
-    low, high = _heights(robot)
+    low, high = robot.goal_heights["ggr"]
     solver = IkSolver(robot, IkOptions(candidates=1, restarts=8))
     scouts = _Targets(solver, _SCOUTS, 0.0, np.pi)
     bearing = _best_bearing(scouts)
@@ -110,15 +110,6 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     return ReachEllipses(heights, pitches, _filled(shapes), bearing)
 
 
-def _heights(robot: Robot) -> tuple[float, float]:
-    known = robot.goal_heights.get("ggr")
-    if known is None:
-        raise KinfeasError(
-            f"geometric_modulation needs goal_heights of ggr, and robot {robot.name!r} has none"
-        )
-    return known
-
-
 class _Targets:
     """EE poses spread over heights, pitches and rolls, and whether the arm reaches them.
 
@@ -132,7 +123,7 @@ class _Targets:
     def __init__(self, solver: IkSolver, count: int, bearing: float, cone: float) -> None:
         robot = solver.robot
         share = spread(count, 6)
-        low, high = _heights(robot)
+        low, high = robot.goal_heights["ggr"]
         ee = forward(solver.chain, spread_configurations(robot, 4096))
         reach = float(np.hypot(ee[:, 0], ee[:, 1]).max())
         self.height = low - 0.2 + share[:, 0] * (high - low + 0.4)

@@ -92,6 +92,16 @@ def test_offsets_do_not_depend_on_other_rows_and_aborted_rollouts(monkeypatch):
     assert short.any()
 
 
+def test_rollouts_are_those_of_the_policy_now():
+    world, policies = world_of("hsr"), [Still(3), Still(3)]
+    planner = planner_of(world, policies[0], **NEAR)
+    for policy in policies:
+        world.loop.set_policy(policy)
+        planner.reset(world.loop, np.arange(4))
+        planner.plan(planner._now(), np.arange(4))
+    assert all(policy.asked for policy in policies)
+
+
 def test_needs_a_policy_without_a_state():
     class Recurrent(Still):
         def reset(self, loop, rows):
