@@ -59,9 +59,7 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
     """
     if path.is_file() and is_record(path):
         record = read_record(path)
-        # The last row of a run has its end, at the time of the row before.
-        later = np.diff(record.time, prepend=-np.inf) > 0.0
-        time, desired = record.time[later], record.desired[later]
+        time, desired = record.time[record.later], record.desired[record.later]
         if len(time) < 2 or (np.diff(time) <= 0.0).any():
             raise KinfeasError(f"{path}: must have 2 moments at least, and their time must ascend")
         ee_pose, first = make_pose(desired[:, :3], rotation(desired)), np.full(7, np.nan)

@@ -2,8 +2,10 @@
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
 from kinfeas.config import strict_yaml
+from kinfeas.control.observation import SCAN_TERMS
 from kinfeas.core.policy import TermInfo
 from kinfeas.policies.onnx_policy import PolicyMetadata
 
@@ -44,8 +46,7 @@ world that the policy was trained for.
 ## Limits
 
 - Valid for the kinematics with the hash `{kinematics}` only; kinfeas raises an error on others.
-- The training world has no forces and no slip; the policy does not observe obstacles.
-- The metrics come from simulation.
+{limits}- The metrics come from simulation.
 """
 
 
@@ -71,9 +72,21 @@ def model_card(metadata: PolicyMetadata) -> str:
         results=_results(metadata),
         observation=_terms(metadata.observation),
         action=_terms(metadata.action),
+        limits=_limits(metadata),
         training="\n".join([*training, "", "```yaml", recipe.rstrip(), "```"]),
     )
     return f"---\n{strict_yaml.to_text(head)}---\n\n{text}"
+
+
+def _limits(metadata: PolicyMetadata) -> str:
+    config: Any = metadata.training.get("config", {})
+    backend = config.get("world", {}).get("backend", "analytic")
+    blind = not SCAN_TERMS & {term.name for term in metadata.observation}
+    limits = {
+        "- The training world has no forces and no slip.\n": backend == "analytic",
+        "- The policy does not observe obstacles.\n": blind,
+    }
+    return "".join(text for text, applies in limits.items() if applies)
 
 
 def _version(metadata: PolicyMetadata) -> dict[str, object]:

@@ -5,7 +5,6 @@ many restarts as our own solver.
 """
 
 import tempfile
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -18,6 +17,7 @@ from kinfeas.backends.pybullet.physics import silence
 from kinfeas.core import spatial
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkOptions
+from kinfeas.robots.elements import numbers_text
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint
 
@@ -146,17 +146,14 @@ def _joint_xml(robot: Robot, joint: Joint) -> str:
         lower, upper = (-np.pi, np.pi) if arm.continuous else (arm.lower, arm.upper)
         # A continuous joint is limited to one turn, which all libraries understand.
         kind = "prismatic" if joint.kind == "prismatic" else "revolute"
-        inner = f'<axis xyz="{_text(joint.axis)}"/>'
+        inner = f'<axis xyz="{numbers_text(joint.axis)}"/>'
         inner += f'<limit lower="{lower}" upper="{upper}" velocity="{arm.velocity}" effort="1000"/>'
     elif joint.moves:
         origin = joint.pose_at(robot.fixed_joints[joint.name])
-    with warnings.catch_warnings():
-        # In gimbal lock any of the equivalent angles is right.
-        warnings.simplefilter("ignore", UserWarning)
-        rpy = spatial.rotation(origin).as_euler("xyz")
+    rpy = numbers_text(spatial.rpy(origin))
     return (
         f'<joint name="{joint.name}" type="{kind}"><parent link="{joint.parent}"/>'
-        f'<child link="{joint.child}"/><origin xyz="{_text(origin[:3])}" rpy="{_text(rpy)}"/>'
+        f'<child link="{joint.child}"/><origin xyz="{numbers_text(origin[:3])}" rpy="{rpy}"/>'
         f"{inner}</joint>\n"
     )
 
@@ -172,7 +169,3 @@ def _mimics(robot: Robot) -> bool:
     arm = [joint.name for joint in robot.arm]
     path = robot.urdf.path_to(robot.ee_frame)
     return any(joint.mimic and joint.name not in (*arm, *robot.fixed_joints) for joint in path)
-
-
-def _text(numbers: Any) -> str:
-    return " ".join(repr(float(number)) for number in numbers)

@@ -72,6 +72,8 @@ def _read(path: Path) -> "Demonstration":
             return read_demonstration(path)
     run = read_record(path)
     robot = load_robot(run.about.robot)
-    ee = spatial.compose(run.base_pose, forward(IkSolver(robot).chain, run.joint_positions))
+    base, joints = run.base_pose[run.later], run.joint_positions[run.later]
+    ee = spatial.compose(base, forward(IkSolver(robot).chain, joints))
     tool = spatial.compose(ee, tool_pose(robot))
-    return Demonstration(run.time, tool, run.base_pose, np.repeat(tool[-1:], len(tool), axis=0))
+    goal = np.repeat(tool[-1:], len(tool), axis=0)
+    return Demonstration(run.time[run.later], tool, base, goal)

@@ -59,8 +59,7 @@ def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolic
     known = options.read_robot(robot or options.robot_of(policy))
     from kinfeas.sim2real.export import export as run
 
-    folder = pretrained.find(known.name, policy) if pretrained.is_shipped(policy) else Path(policy)
-    return run(folder, known, out)
+    return run(pretrained.folder(known.name, policy), known, out)
 
 
 def _write_card(policy: "OnnxPolicy", out: Path) -> Path | None:

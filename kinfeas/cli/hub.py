@@ -27,7 +27,7 @@ def push(
     from kinfeas.policies import pretrained
 
     known = options.read_robot(robot or options.robot_of(policy))
-    folder = pretrained.find(known.name, policy) if pretrained.is_shipped(policy) else Path(policy)
+    folder = pretrained.folder(known.name, policy)
     from kinfeas.sim2real import hub
 
     with status("uploading"):

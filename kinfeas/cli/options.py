@@ -239,6 +239,10 @@ def with_filters(
     """
     if filters is None:
         return list(overrides)
+    return [*assignments({f"{prefix}filters": filter_names(filters)}), *overrides]
+
+
+def filter_names(filters: str | Sequence[str]) -> list[str]:
+    """Return names of filters, which may be one text with commas or `none`."""
     names = filters.split(",") if isinstance(filters, str) else filters
-    listed = [name.strip() for name in names if name.strip() not in ("", "none")]
-    return [*assignments({f"{prefix}filters": listed}), *overrides]
+    return [name.strip() for name in names if name.strip() not in ("", "none")]

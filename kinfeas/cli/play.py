@@ -50,9 +50,8 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.echo(f"http://{host}:{server.get_port()}")  # browsers load while the rest is imported
         from kinfeas.viz.play import play as run
 
-        given = (name.strip() for name in filters.split(","))
         choice = Choice(
             robot or options.robot_of(policy), policy, second_policy, generator,
-            tuple(name for name in given if name not in ("", "none")), backend, scene,
+            tuple(options.filter_names(filters)), backend, scene,
         )  # fmt: skip
         run(server, choice, demonstrations)

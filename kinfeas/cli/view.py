@@ -75,7 +75,7 @@ def _run_facts(run: "Record") -> dict[str, object]:
         "backend": about.backend,
         "started": about.started,
         "seconds": float(run.time[-1] - run.time[0]),
-        "steps": len(periods),
+        "steps": int((periods > 0.5 * about.dt).sum()),  # the end is no step
         "control_period_s": about.dt,
         "failures": int((~run.feasible).sum()),
         "top_speed_m_s": float((run.base_twist[:, :2] ** 2).sum(axis=1).max() ** 0.5),

@@ -13,9 +13,6 @@ from kinfeas.core.errors import check_ascending
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array
 
-UNIT = 1e-2
-"""Largest deviation of the norm of a valid quaternion from 1."""
-
 
 class TargetStream(Protocol):
     """Targets of the EEs of a loop, which change while it runs."""
@@ -150,7 +147,7 @@ class TargetInbox:
         valid = _numbers(numbers)
         usable = np.where(valid[:, np.newaxis, np.newaxis], poses, spatial.IDENTITY)
         length = np.linalg.norm(usable[:, :, 3:], axis=2)
-        valid &= (np.abs(length - 1.0) <= UNIT).all(axis=1)
+        valid &= (np.abs(length - 1.0) <= spatial.UNIT).all(axis=1)
         when = np.where(valid[:, np.newaxis], times, 0.0)
         valid &= (np.diff(when, axis=1) > 0.0).all(axis=1)
         usable = np.where(valid[:, np.newaxis, np.newaxis], usable, spatial.IDENTITY)

@@ -5,6 +5,7 @@ A pose is `(..., 7)`: x y z qx qy qz qw in metres with a unit quaternion (xyzw).
 `KinfeasError`.
 """
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -19,12 +20,23 @@ Array = NDArray[np.float64]
 
 IDENTITY: Array = pose_kernels.IDENTITY
 
+UNIT = 1e-2
+"""Largest deviation of the norm of a measured or given quaternion from 1."""
+
 _POSE, _TWIST = (7,), (6,)
 
 
 def rotation(pose: Array) -> Rotation:
     """Return the orientation of `pose`, shape (..., 7)."""
     return Rotation.from_quat(pose[..., 3:])
+
+
+def rpy(pose: Array) -> Array:
+    """Return roll, pitch and yaw about fixed axes, shape (..., 3), radians; any in gimbal lock."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of gimbal lock
+        angles: Array = rotation(pose).as_euler("xyz")
+    return angles
 
 
 def make_pose(position: Array, orientation: Rotation) -> Array:

@@ -108,6 +108,12 @@ class Record:
     subgoal: NDArray[np.intp]
     event: tuple[str, ...]
 
+    @property
+    def later(self) -> NDArray[np.bool_]:
+        """Whether each line is later than the line before: the last of a run may have its time."""
+        later: NDArray[np.bool_] = np.diff(self.time, prepend=-np.inf) > 0.0
+        return later
+
 
 class Recorder:
     """A context that writes a run log, line by line, to `path`.

@@ -64,6 +64,8 @@ class Dimension:
             raise ValueError("a dimension has 'choices', or 'low' and 'high'")
         if self.low is not None and self.high is not None and self.low >= self.high:
             raise ValueError("'low' must be below 'high'")
+        if self.log and self.low is not None and self.low <= 0:
+            raise ValueError("'low' must be above 0 with 'log'")
 
     def draw(self, key: str, trial: Trial) -> object:
         """Return the value of a trial."""

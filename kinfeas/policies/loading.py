@@ -43,8 +43,7 @@ def load_policy(name: str, robot: Robot) -> Policy:
     if name in registry.names(GROUP):
         policy: Policy = registry.build(GROUP, name, {"robot": robot})
         return policy
-    shipped = pretrained.is_shipped(name)
-    path = pretrained.find(robot.name, name) if shipped else Path(name)
+    path = pretrained.folder(robot.name, name)
     if name and path.is_dir():
         return read_network(path, robot)
     if path.is_file():

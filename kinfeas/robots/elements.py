@@ -2,7 +2,6 @@
 
 import math
 import os
-import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, make_pose, rotation
+from kinfeas.core.spatial import Array, make_pose, rpy
 from kinfeas.io.files import read_file
 
 MAX_BYTES = 10_000_000
@@ -140,12 +139,8 @@ def set_origin(element: Any, pose: Array, digits: int | None = None) -> None:
     """Replace the <origin> of an XML element by `pose`, shape (7,); digits as above."""
     for old in element.findall("origin"):
         element.remove(old)
-    with warnings.catch_warnings():
-        # In gimbal lock several angles describe the rotation; any of them will do.
-        warnings.simplefilter("ignore", UserWarning)
-        rpy = rotation(pose).as_euler("xyz")
-    xyz = numbers_text(pose[:3], digits)
-    ElementTree.SubElement(element, "origin", xyz=xyz, rpy=numbers_text(rpy, digits))
+    xyz, angles = numbers_text(pose[:3], digits), numbers_text(rpy(pose), digits)
+    ElementTree.SubElement(element, "origin", xyz=xyz, rpy=angles)
 
 
 def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:

@@ -370,7 +370,7 @@ def _footprint(robot: Robot) -> Array:
     """Return the outline of the low parts of a body on the floor, shape (k, 3), metres."""
     body = list(robot_solids(robot, spatial.IDENTITY, robot.home["home"], ("", "arm")))
     low = [one for one in body if not one.colour and corners([one])[:, 2].min() < _LOW]
-    points = corners(low)[:, :2]
+    points = corners(low or body)[:, :2]
     outline = points[ConvexHull(points).vertices]
     return np.column_stack([outline, np.zeros(len(outline))])
 

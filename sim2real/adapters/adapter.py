@@ -21,7 +21,7 @@ from kinfeas.sim2real.adapters import random_numbers
 
 Memory = dict[str, NDArray[Any]]
 
-Number = float | tuple[float, float] | list[float]
+Number = float | tuple[float, float]
 """A number, or a range [low, high] from which each episode draws its number uniformly."""
 
 _LIMIT = 10_000.0  # seconds, metres or radians
@@ -37,11 +37,10 @@ class Range:
 
 def read_range(name: str, value: Number, within: Interval) -> Range:
     """Return the range of a parameter; KinfeasError if it does not ascend `within` the interval."""
-    ends = value if isinstance(value, list | tuple) else (value, value)
-    low, high = ends[0], ends[-1]
-    if len(ends) != 2 or low > high:
+    low, high = value if isinstance(value, tuple) else (value, value)
+    if low > high:
         raise KinfeasError(f"{name} must be a number or an ascending range, not {value!r}")
-    for end in ends:
+    for end in (low, high):
         convert(Annotated[float, within], end, "parameters", name)
     return Range(low, high)
 

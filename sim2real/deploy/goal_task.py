@@ -18,8 +18,6 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import MotionSpec, Subgoal, Task, sample_start
 
-_UNIT = 1e-2  # deviation of a quaternion's norm from 1
-
 
 @dataclass(frozen=True, eq=False)
 class GoalTask:
@@ -79,7 +77,7 @@ def make_goal_task(
     turn = numbers[3:]
     if len(turn) == 3:
         turn = Rotation.from_euler("xyz", turn).as_quat()
-    elif abs(float(np.linalg.norm(turn)) - 1.0) > _UNIT:
+    elif abs(float(np.linalg.norm(turn)) - 1.0) > spatial.UNIT:
         raise KinfeasError("the goal's quaternion must be of length 1")
     return GoalTask(numbers[:3], turn / np.linalg.norm(turn), motion)
 

@@ -26,16 +26,18 @@ _SWITCH_INTERVAL = 1e-5
 class PlannerThread:
     """A thread for one robot, which ends with `close`."""
 
+    _usual_interval, _threads = 0.0, 0  # of all planners
     _worker: ThreadPoolExecutor | None = None
     _coming: Future[Any] | None = None
-    _interval = _SWITCH_INTERVAL
 
     def open(self) -> ThreadPoolExecutor:
         """Start the thread, or start it again."""
         self.close()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="planner")
-        self._interval = sys.getswitchinterval()
-        sys.setswitchinterval(_SWITCH_INTERVAL)
+        if not PlannerThread._threads:
+            PlannerThread._usual_interval = sys.getswitchinterval()
+            sys.setswitchinterval(_SWITCH_INTERVAL)
+        PlannerThread._threads += 1
         return self._worker
 
     def close(self) -> None:
@@ -43,7 +45,9 @@ class PlannerThread:
         if self._worker is not None:
             self._worker.shutdown()
             self._worker = self._coming = None
-            sys.setswitchinterval(self._interval)
+            PlannerThread._threads -= 1
+            if not PlannerThread._threads:
+                sys.setswitchinterval(PlannerThread._usual_interval)
 
 
 class RolloutPlannerThread(PlannerThread, RolloutPlanner):

@@ -9,7 +9,7 @@ import numpy as np
 from kinfeas.config import PluginSpec
 from kinfeas.control.loop import Loop
 from kinfeas.control.motion_sequence import subgoal_ends
-from kinfeas.core import spatial
+from kinfeas.core import registry, spatial
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
@@ -58,13 +58,18 @@ def warm_up(
     adapters: Sequence[PluginSpec] = (),
     filters: Sequence[CommandFilter] = (),
 ) -> None:
-    """Compile the kernels of a run by a few steps in the analytic world."""
+    """Compile the kernels of a run by a few steps in the analytic world.
+
+    Adapters for some backends only are left out.
+    """
     robot, rng = solver.robot, np.random.default_rng(0)
     joints = robot.home["home"][np.newaxis]
     target = forward(solver.chain, joints) + _WARM_UP_WAY
     targets = np.stack([target] * len(task.subgoals), axis=1)
     analytic = build_backend("analytic", {}, robot=robot)
-    backend = Guarded(analytic, robot, Guards().timeless(), adapters=adapters)
+    kinds = {one.name: registry.load("kinfeas.adapters", one.name) for one in adapters}
+    general = [one for one in adapters if not hasattr(kinds[one.name], "check_backend")]
+    backend = Guarded(analytic, robot, Guards().timeless(), adapters=general)
     loop = Loop(solver, build_subgoals(task.subgoals), backend, dt, filters=filters)
     loop.set_policy(policy)
     loop.start(Start(spatial.IDENTITY[np.newaxis], joints, targets, _WARM_UP_SOLIDS), [rng])
@@ -85,8 +90,8 @@ def _check_reach(solver: IkSolver, goals: Array) -> None:
         return
     first = int(np.argmin(reached))
     goal = "the goal" if len(goals) == 1 else f"the end of sub-goal {first + 1} of {len(goals)}"
-    rpy = spatial.rotation(goals[first]).as_euler("xyz")
-    numbers = (f"{value + 0.0:g}" for value in np.round([*goals[first, :3], *rpy], 3))
+    goal_numbers = np.round([*goals[first, :3], *spatial.rpy(goals[first])], 3)
+    numbers = (f"{value + 0.0:g}" for value in goal_numbers)
     x, y, z, roll, pitch, yaw = numbers
     raise KinfeasError(
         f"no base pose was found from which the arm reaches {goal}, x {x}, y {y}, z {z} m, roll "

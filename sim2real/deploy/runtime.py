@@ -1,9 +1,9 @@
 """A run of a policy on a robot: the control loop behind guards, recorded step by step."""
 
+import logging
 import math
 import signal
 import sys
-import traceback
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -35,6 +35,8 @@ from kinfeas.sim2real.deploy.rate import Clock, Prepares, Rate, Timing
 from kinfeas.sim2real.deploy.signals import Signals
 from kinfeas.sim2real.deploy.watchdog import Watchdog, Watched
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals
+
+_log = logging.getLogger(__name__)
 
 
 class Code(IntEnum):
@@ -208,9 +210,10 @@ class _Run:
                 return Watchdog(backend.stop_call(), seconds)
         if seconds is not None and self.setup.live:
             name = type(backend).__name__
-            sys.stderr.write(
+            _log.warning(
                 "no watchdog: nothing stops the base if this process dies or hangs; backend "
-                f"{name} has no stop_call\n"
+                "%s has no stop_call",
+                name,
             )
         return nullcontext()
 
@@ -218,11 +221,12 @@ class _Run:
         """Start the loop, with a real robot where it is."""
         setup, rng = self.setup, episode_rng(self.setup.seed, 0)
         start = begin(setup.task, setup.solver, rng, self.guarded.read(), setup.solids)
-        if SCAN_TERMS & set(self.loop.observer.terms) and isinstance(self.guarded, SupportsScan):
+        scans = SCAN_TERMS & set(self.loop.observer.terms)
+        if setup.live and scans and isinstance(self.guarded, SupportsScan):
             self.guarded.scan()  # waits for the first one
         stream = self.loop.target_stream is not None  # its targets are not known yet
         if not stream and (warning := preflight(self.loop, start, rng, setup.guards)):
-            sys.stderr.write(f"{warning}\n")
+            _log.warning("%s", warning)
         self.loop.start(start, [rng])
         self.loop.measure(self.guarded.refresh())  # planning a motion takes time
         self.began = self.clock.monotonic()
@@ -241,7 +245,7 @@ class _Run:
             code, reason = Code.FAULT, str(error)
         except PLUGIN_ERRORS as error:  # a mistake in the code of a plugin, or in ours
             self.guarded.stop()
-            traceback.print_exc()
+            _log.exception("the run ends")
             code, reason = Code.FAULT, f"{type(error).__name__}: {error}"
         finally:
             self.guarded.stop()

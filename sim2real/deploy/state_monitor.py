@@ -13,8 +13,6 @@ from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.rate import Clock
 
-_UNIT = 1e-2  # deviation of a quaternion's norm from 1
-
 
 class StateMonitor:
     """Checks one measurement after the other, and the clocks they are dated by."""
@@ -61,7 +59,7 @@ class StateMonitor:
     def _check_pose(self, pose: Array, elapsed: float) -> None:
         guards, base = self._guards, self._robot.base
         x, y, _, *quaternion = pose.tolist()
-        if abs(math.hypot(*quaternion) - 1.0) > _UNIT:
+        if abs(math.hypot(*quaternion) - 1.0) > spatial.UNIT:
             raise Fault("the orientation of the measured base_pose is not a unit quaternion")
         tilt = 2.0 * math.hypot(*quaternion[:2])
         check_limit("the base leans by {} rad", tilt, guards.max_tilt)

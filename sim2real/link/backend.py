@@ -86,10 +86,11 @@ class LinkBackend:
             self.link.open(self._inbox.readings())
             self._opened = True
         end = self._clock.monotonic() + self._timeout
-        while not self._inbox.wait(_POLL) or self.link.waits_for() is not None:
+        while any(self._inbox.missing()) or self.link.waits_for() is not None:
             self.link.check()
             if self._clock.monotonic() > end:
                 raise KinfeasError(self._missing())
+            self._clock.sleep(_POLL)
         self._check_other_joints()
         self.rate = None
         return self.read()

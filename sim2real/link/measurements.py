@@ -87,7 +87,7 @@ class Inbox:
         self.fault: str | None = None
         self._robot, self._now = robot, now
         self._names = [names[joint.name] for joint in robot.arm]
-        self._changed = threading.Condition()
+        self._lock = threading.RLock()
         self._base: tuple[BaseReading, float] | None = None
         self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, sent
         self._laser: tuple[LaserReading, float] | None = None
@@ -100,36 +100,31 @@ class Inbox:
 
     def forget(self, *, scans: bool = True) -> None:
         """Drop everything, or all except scans."""
-        with self._changed:
+        with self._lock:
             self._base = self.fault = None
             if scans:
                 self._laser = self._costmap = None
             self._joints.clear()
             self._delays.clear()
 
-    def wait(self, seconds: float) -> bool:
-        """Wait for all parts, `seconds` at most; return whether all have arrived."""
-        with self._changed:
-            return self._changed.wait_for(lambda: not any(self.missing()), seconds)
-
     def missing(self) -> tuple[bool, list[str]]:
         """Return whether the base pose is missing, and the names of the missing arm joints."""
-        with self._changed:  # reentrant
+        with self._lock:
             return self._base is None, [name for name in self._names if name not in self._joints]
 
     def positions(self) -> dict[str, float]:
         """Return the newest positions of all joints by name, of the arm and others."""
-        with self._changed:
+        with self._lock:
             return {name: values[0] for name, values in self._joints.items()}
 
     def arm(self) -> Array:
         """Return the arm's positions as measured, with the turns of continuous joints, (j,)."""
-        with self._changed:
+        with self._lock:
             return np.array([self._joints[name][0] for name in self._names])
 
     def state(self) -> RobotState:
         """Return the newest state as a batch of one; nothing may be missing."""
-        with self._changed:
+        with self._lock:
             assert self._base is not None
             (base, sent), joints = self._base, [self._joints[name] for name in self._names]
         position, velocity, joint_sent = np.array(joints).T
@@ -147,12 +142,12 @@ class Inbox:
 
     def scans(self) -> set[type[LaserReading] | type[CostmapReading]]:
         """Return the kinds of scans that have arrived."""
-        with self._changed:
+        with self._lock:
             return {type(one[0]) for one in (self._laser, self._costmap) if one is not None}
 
     def scan(self) -> MeasuredScan:
         """Return the newest scan; a base pose, and a laser or costmap, must have arrived."""
-        with self._changed:
+        with self._lock:
             assert self._base is not None
             base, laser, costmap = self._base[0], self._laser, self._costmap
         low = None if laser is None else laser_ranges(laser[0])
@@ -163,16 +158,15 @@ class Inbox:
 
     def _take_base(self, reading: BaseReading) -> None:
         now = self._now()
-        with self._changed:
+        with self._lock:
             if not np.isfinite([reading.x, reading.y, reading.yaw, reading.age]).all():
                 self._fail("the measured base pose is not finite")
             elif (sent := self._sent("the base", reading.stamp, now)) is not None:
                 self._base = reading, min(sent, now - reading.age)
-                self._changed.notify_all()
 
     def _take_joints(self, reading: JointReading) -> None:
         now = self._now()
-        with self._changed:
+        with self._lock:
             for name, position in reading.positions.items():
                 if math.isfinite(position):
                     if (sent := self._sent(name, reading.stamp, now)) is not None:
@@ -180,11 +174,10 @@ class Inbox:
                         self._joints[name] = position, velocity, sent
                 elif name in self._names:
                     self._fail(f"the measured position of joint {name} is not finite")
-            self._changed.notify_all()
 
     def _take_scan(self, reading: LaserReading | CostmapReading) -> None:
         now = self._now()
-        with self._changed:
+        with self._lock:
             if isinstance(reading, LaserReading):
                 if (sent := self._sent("the laser", reading.stamp, now)) is not None:
                     self._laser = reading, sent

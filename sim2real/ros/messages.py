@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas.core.backend import SCAN_RANGE, Grip
-from kinfeas.core.spatial import IDENTITY, Array, compose, relative
+from kinfeas.core.spatial import IDENTITY, UNIT, Array, compose, relative
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.link.measurements import DRIFT, TransportDelay
 from kinfeas.sim2real.link.scans import ANGLES, CostmapReading, LaserReading
@@ -170,7 +170,7 @@ def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
 def planar(pose: Array) -> tuple[float, float, float]:
     """Return x, y and heading of a pose, shape (7,); NaN without a unit quaternion."""
     x, y, _, qx, qy, qz, qw = pose.tolist()
-    if not abs(math.hypot(qx, qy, qz, qw) - 1.0) < 0.01:
+    if not abs(math.hypot(qx, qy, qz, qw) - 1.0) <= UNIT:
         return math.nan, math.nan, math.nan
     return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
 

@@ -6,9 +6,9 @@ On DDS the topic `/joint_states` of ROS 2 is `rt/joint_states`, and its type is
 names, fields and defaults of ROS 2.
 """
 
+import logging
 import math
 import os
-import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -45,6 +45,7 @@ _QUEUE = 100  # messages of topics where every one counts
 _UNREAD = ViewState.Any | InstanceState.Any | SampleState.NotRead
 _LATCHED = "/tf_static"  # the topic that late subscribers get, too
 _NANO = 1_000_000_000
+_log = logging.getLogger(__name__)
 
 _LOCAL = (
     "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General><Discovery>"
@@ -138,7 +139,7 @@ class Ros2Bus:
                         if isinstance(message, kind):  # not the notice of a sender that has gone
                             take(message)
                 except Exception:  # noqa: BLE001 - the next message may be better
-                    traceback.print_exc()
+                    _log.exception("a message was dropped")
             self._waits.wait(duration(infinite=True))
 
     def _topic(self, name: str, kind: Any) -> Any:

@@ -72,20 +72,25 @@ class GripperTopics:
     Attributes:
         command: Topic.
         kind: Message: trajectory_msgs/JointTrajectory or, in ROS 1, PR2's Pr2GripperCommand.
+        open: Open position, radians or metres.
+        closed: Closed position.
         joints: Joints of the trajectory, which all go to the same position.
-        closed: Closed position, radians or metres.
-        open: Open position.
         seconds: Duration of a trajectory.
         max_effort: Force of PR2's command, N; below 0 for no limit.
     """
 
     command: str
     kind: Literal["trajectory", "pr2"]
-    joints: tuple[str, ...] = ()
+    open: float
     closed: float = 0.0
-    open: float = 0.0
+    joints: tuple[str, ...] = ()
     seconds: Positive = 1.0
     max_effort: float = -1.0
+
+    def __post_init__(self) -> None:
+        """Check that a trajectory has joints."""
+        if self.kind == "trajectory" and not self.joints:
+            raise ValueError("'joints' must name at least one joint of a trajectory")
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.control.drive import command_size
-from kinfeas.control.targets import RULES, UNIT, TargetInbox, TargetRules
+from kinfeas.control.targets import RULES, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
@@ -180,8 +180,8 @@ class TargetController:
             self._inbox.reject(_ROW)
             return
         turn = np.clip(values[:, 3:], -2.0, 2.0)  # no overflow
-        off = np.abs(np.linalg.norm(turn, axis=1) - 1.0)
-        if frame is not spatial.IDENTITY and np.isfinite(values).all() and (off <= UNIT).all():
+        unit = np.abs(np.linalg.norm(turn, axis=1) - 1.0) <= spatial.UNIT
+        if frame is not spatial.IDENTITY and np.isfinite(values).all() and unit.all():
             values = spatial.compose(frame, values)
         self._inbox.put_poses(_ROW, now, sent, times[np.newaxis], values[np.newaxis])
 

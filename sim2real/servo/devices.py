@@ -1,5 +1,6 @@
 """Targets from a keyboard and from a gamepad: twists along the axes of the base."""
 
+import logging
 import os
 import select
 import struct
@@ -17,6 +18,8 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, yaw
 from kinfeas.sim2real.servo.controller import TargetController
+
+_log = logging.getLogger(__name__)
 
 _PERIOD = 0.03  # s between twists
 _HELD = 0.4  # s for which a key counts as held: terminals repeat keys after a while
@@ -55,7 +58,7 @@ class _Device:
                         turn = Rotation.from_euler("z", heading)
                         controller.set_twist(turn.apply(twist.reshape(2, 3)).ravel())
             except OSError as error:  # unplugged: the stream ends
-                sys.stderr.write(f"target source: {error}\n")
+                _log.warning("target source: %s", error)
 
         self._thread = threading.Thread(target=send, daemon=True)
         self._thread.start()

@@ -92,7 +92,9 @@ def test_replay_of_a_run(kinfeas, record, tmp_path):
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
     facts = json.loads((tmp_path / "run.json").read_text())
     assert facts["events"][0]["event"] == "start"
-    assert facts["seconds"] == pytest.approx(0.2)
+    assert (facts["seconds"], facts["steps"]) == (pytest.approx(0.2), 10)
+    kinfeas("dataset", "run.csv", "--kind", "csv", "--out", "shown", code=0)
+    assert len(read_demonstration(tmp_path / "shown" / "001.csv").time) == 11
     record.write_bytes(record.read_bytes()[:-300])
     kinfeas("view", "--record", "run.csv", code=0)
 

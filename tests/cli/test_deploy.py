@@ -72,6 +72,16 @@ def test_adapters_change_the_run(run, tmp_path):
     assert not (paths[0] == paths[1]).all()
 
 
+@pytest.mark.parametrize(("adapters", "words"), [
+    ("randomised", ("pretrained", "--backend", "pybullet", "--goal", "0.9", "0.1", "0.8")),
+    ("scans.yaml", ("pretrained/rooms", "--backend", "analytic", "--task", "ggr_obstacles")),
+])  # fmt: skip
+def test_adapters_for_physics_and_of_scans_deploy(run, tmp_path, adapters, words):
+    (tmp_path / "scans.yaml").write_text("adapters: [{name: scan_noise}]")
+    done, _ = run(*words, *HSR, "--adapters", adapters, "--seconds", "0.1", code=4)
+    assert "not reached" in done.err
+
+
 def test_guards_come_from_a_file_and_from_settings(run, tmp_path):
     (tmp_path / "guards.yaml").write_text("{max_linear_velocity: 0.05, max_distance: 0.02}")
     words = ("--guards", "guards.yaml", "--set", "guards.max_linear_velocity=0.02")

@@ -48,6 +48,12 @@ def test_check_reports_every_rule(kinfeas, tmp_path):
     assert [one["rule"] for one in found["rules"]] == list(RULES)
 
 
+def test_check_of_a_policy(kinfeas, tmp_path):
+    kinfeas("plugins", "check", "follow_ee", "--robot", "hsr", "--json", "a.json", code=0)
+    assert json.loads((tmp_path / "a.json").read_text())["passed"] is True
+    check_one_line(kinfeas("plugins", "check", "follow_ee", "--set", "gain=1"), "follow_ee")
+
+
 def test_check_of_a_generator_that_breaks_rules(kinfeas, tmp_path):
     settings = ["--set", "max_velocity=0.4", "--set", "max_angular_velocity=null"]
     words = [*settings, "--duration", "9", "--json", "a.json"]

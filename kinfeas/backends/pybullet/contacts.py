@@ -40,7 +40,8 @@ class Surroundings:
     def __init__(self, body: RobotBody) -> None:
         self._body = body
         self._shapes = _shapes(body)
-        self._radius = max(np.linalg.norm(one.corners, axis=1).max() for one in self._shapes)
+        corners = [np.zeros((1, 2)), *(one.corners for one in self._shapes)]
+        self._radius = np.linalg.norm(np.concatenate(corners), axis=1).max()
 
     def around(
         self, bodies: Iterable[int], within: float, handled: Collection[tuple[int, int]] = ()

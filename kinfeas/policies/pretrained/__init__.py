@@ -24,6 +24,11 @@ def is_shipped(name: str) -> bool:
     return name.partition("/")[0] == NAME
 
 
+def folder(robot: str, policy: str) -> Path:
+    """Return the folder of a policy: a robot's shipped one, or a path."""
+    return find(robot, policy) if is_shipped(policy) else Path(policy)
+
+
 def find(robot: str, name: str = NAME) -> Path:
     """Return the folder of a robot's shipped policy of this name."""
     kind = name.removeprefix(NAME).removeprefix("/")

@@ -1,3 +1,5 @@
+import re
+import shutil
 import struct
 from functools import reduce
 from pathlib import Path
@@ -24,7 +26,7 @@ from kinfeas.backends.physics.robot import (
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose
 from kinfeas.robots.elements import read_xml
-from kinfeas.robots.loading import load_robot
+from kinfeas.robots.loading import load_robot, read_robot
 from kinfeas.robots.urdf_file import parse_urdf
 from tests.backends.conftest import place, stay
 
@@ -157,3 +159,13 @@ def test_meshes_are_loaded(tmp_path, kind, mesh, capfd, opened):
     place(world)
     stay(world, 5)
     assert capfd.readouterr().out == ""
+
+
+def test_a_robot_without_collision_shapes_stands_among_obstacles(opened, scene, tmp_path):
+    text = (EXAMPLE / "scout.urdf").read_text()
+    (tmp_path / "scout.urdf").write_text(re.sub("<collision>.*?</collision>", "", text, flags=re.S))
+    shutil.copy(EXAMPLE / "scout.yaml", tmp_path)
+    world = opened(read_robot(tmp_path / "scout.yaml"), scene)
+    place(world, scene=scene)
+    stay(world, 3)
+    assert world.obstacle_distances(1.0).distance.size == 0

@@ -131,12 +131,12 @@ def test_continues_from_a_snapshot_to_the_bit(adapters, pr2):
 
 
 def test_ranges_are_drawn_for_each_episode(rig):
-    many = rig(BaseNoise, n=400, linear=[0.1, 0.3], angular=0.0)
+    many = rig(BaseNoise, n=400, linear=(0.1, 0.3), angular=0.0)
     drawn = many.adapter.number("linear")[:, 0]
     assert 0.1 <= drawn.min() < 0.11
     assert 0.29 < drawn.max() <= 0.3
     assert kstest(drawn, "uniform", args=(0.1, 0.2)).pvalue > 1e-3
-    few = rig(BaseNoise, n=3, first_seed=7, linear=[0.1, 0.3], angular=0.0)
+    few = rig(BaseNoise, n=3, first_seed=7, linear=(0.1, 0.3), angular=0.0)
     np.testing.assert_array_equal(few.adapter.number("linear")[:, 0], drawn[7:10])
     many.run(np.zeros((20, 6)))
     np.testing.assert_array_equal(many.adapter.number("linear")[:, 0], drawn)

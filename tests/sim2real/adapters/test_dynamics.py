@@ -59,7 +59,7 @@ def test_friction_changes_in_its_row_alone(world):
 
 def test_each_episode_draws_its_own_dynamics(world):
     drawn, scale = {}, world.scale_dynamics
-    adapter = DomainRandomisation(world, world.robot, mass=[0.5, 2.0], motor_gain=0.9)
+    adapter = DomainRandomisation(world, world.robot, mass=(0.5, 2.0), motor_gain=0.9)
 
     def note(mass, friction, motor_gain, rows):
         drawn.update(zip(rows.tolist(), zip(mass, friction, motor_gain, strict=True), strict=True))

@@ -11,7 +11,7 @@ from kinfeas.control.filters.rollout import RolloutPlanner
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.deploy.planner_threads import in_threads
+from kinfeas.sim2real.deploy.planner_threads import PlannerThread, in_threads
 from kinfeas.tasks.loading import load_task
 
 FAR = {"horizon": 10.0, "replan_interval": 0.5, "num_samples": 8}
@@ -64,6 +64,13 @@ def planner(loop):
         made.close()
     assert sys.getswitchinterval() == before
     assert not any(thread.name.startswith("planner") for thread in threading.enumerate())
+
+
+def test_planners_may_overlap(planner):
+    fast, other = sys.getswitchinterval(), PlannerThread()
+    other.open()
+    other.close()
+    assert sys.getswitchinterval() == fast
 
 
 def settle(planner):

@@ -223,7 +223,7 @@ def test_a_simulated_world_waits_for_the_clock_or_has_none(run, time):
     (KeyError("boom"), "KeyError: 'boom'"),
     (SystemExit(5), "SystemExit: 5"),
 ])  # fmt: skip
-def test_a_robot_in_trouble_is_stopped_in_time(run, time, capsys, trouble, reason):
+def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reason):
     robot = RealTimeRobot(time, trouble)
     outcome, record = run(robot, Drive())
     assert outcome.code is Code.FAULT
@@ -235,7 +235,7 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, capsys, trouble, reaso
     assert record.event[-1] == outcome.reason
     assert not record.base_twist[-1].any()
     # A mistake in the code of a plugin needs its traceback.
-    assert ("Traceback" in capsys.readouterr().err) is isinstance(trouble, KeyError | SystemExit)
+    assert ("Traceback" in caplog.text) is isinstance(trouble, KeyError | SystemExit)
 
 
 @pytest.mark.parametrize(("driver", "named"), [

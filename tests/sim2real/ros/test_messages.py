@@ -271,3 +271,13 @@ def test_controllers_must_have_each_joint_of_the_arm_once(tmp_path, joints, name
     path.write_text(TOPICS % ", ".join(joints))
     with pytest.raises(KinfeasError, match=f"mine.yaml: 'joints.controllers'.*{named}"):
         read_topics(HSR, 1, str(path))
+
+
+@pytest.mark.parametrize(("gripper", "named"), [
+    ("kind: trajectory, open: 1", "joints"), ("kind: trajectory, joints: [hand]", "open"),
+])  # fmt: skip
+def test_grippers_need_joints_and_an_open_position(tmp_path, gripper, named):
+    path = tmp_path / "mine.yaml"
+    path.write_text(TOPICS % ", ".join(ARM) + f"gripper: {{command: /hand, {gripper}}}")
+    with pytest.raises(KinfeasError, match=f"gripper.*{named}"):
+        read_topics(HSR, 2, str(path))
