@@ -34,3 +34,14 @@ def random_poses(shape, seed=0, reach=1.0):
     pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
     pose[..., 3:] = canonical(pose[..., 3:])
     return pose
+
+
+def random_bases(n, seed=0):
+    """Return base poses in a square of 4 m, in any heading, shape (n, 7)."""
+    rng = np.random.default_rng(seed)
+    return planar_pose(*rng.uniform(-2.0, 2.0, (2, n)), rng.uniform(-np.pi, np.pi, n))
+
+
+def contents(folder):
+    """Return the bytes of all files below a folder, by path."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}

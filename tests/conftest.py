@@ -13,7 +13,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 from hypothesis import settings
 
-from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 
 # Numba compiles within the first example, and a busy machine takes long over any.
@@ -53,9 +53,10 @@ def solver(robot):
     return IkSolver(robot)
 
 
-@pytest.fixture(scope="session")
-def exact_solver(robot):
-    return IkSolver(robot, IkOptions(pose_tolerance=False))
+@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
+def engine(request):
+    pytest.importorskip(request.param)
+    return request.param
 
 
 @pytest.fixture

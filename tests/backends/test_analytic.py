@@ -1,12 +1,8 @@
 import numpy as np
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.core.spatial import integrate, planar_pose
-
-
-def bases(n, seed=0):
-    rng = np.random.default_rng(seed)
-    return planar_pose(*rng.uniform(-1.0, 1.0, (2, n)), rng.uniform(-np.pi, np.pi, n))
+from kinfeas.core.spatial import integrate
+from tests.builders import random_bases
 
 
 def twists(n):
@@ -16,7 +12,7 @@ def twists(n):
 
 
 def test_commands_are_executed_exactly():
-    backend, base = AnalyticBackend(), bases(4)
+    backend, base = AnalyticBackend(), random_bases(4)
     joints = np.random.default_rng(2).normal(size=(4, 7))
     given = base.copy(), joints.copy()
     state = backend.reset(*given)
@@ -31,10 +27,10 @@ def test_commands_are_executed_exactly():
 
 def test_a_reset_of_rows_leaves_other_rows_and_old_states_alone():
     backend = AnalyticBackend()
-    before = backend.reset(bases(4), np.zeros((4, 7)))
+    before = backend.reset(random_bases(4), np.zeros((4, 7)))
     held = before.base_pose.copy()
-    after = backend.reset(bases(2, seed=3), np.ones((2, 7)), np.array([3, 0]))
-    np.testing.assert_array_equal(after.base_pose[[3, 0]], bases(2, seed=3))
+    after = backend.reset(random_bases(2, seed=3), np.ones((2, 7)), np.array([3, 0]))
+    np.testing.assert_array_equal(after.base_pose[[3, 0]], random_bases(2, seed=3))
     np.testing.assert_array_equal(after.base_pose[[1, 2]], held[[1, 2]])
     np.testing.assert_array_equal(after.joint_positions.sum(axis=1), [7, 0, 0, 7])
     np.testing.assert_array_equal(before.base_pose, held)

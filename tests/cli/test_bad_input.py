@@ -9,6 +9,7 @@ from kinfeas.config.recipes import default_engine
 from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.policies import pretrained
 from kinfeas.robots.loading import load_robot
+from tests.builders import contents
 from tests.cli.conftest import check_one_line
 from tests.cli.test_benchmark import PHYSICS, STUDY
 from tests.importer.conftest import ARM
@@ -164,7 +165,7 @@ def files(tmp_path):
     still = {name: np.tile(getattr(other, name)[:1], (len(other.time), 1)) for name in poses}
     write_demonstration(shown, tmp_path / "shown" / "0.csv")
     write_demonstration(replace(other, **still), tmp_path / "shown" / "1.csv")
-    return lambda: {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    return lambda: contents(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +12,7 @@ from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.policies import pretrained
 from kinfeas.tasks.loading import load_task
 from tests.cli.test_main import HEAVY, kinfeas_process
+from tests.sim2real.doubles import wait
 
 OWN_ROBOT = Path(__file__).parents[2] / "examples" / "own_robot"
 HSR = ("--robot", "hsr", "--no-real-time")
@@ -123,10 +123,7 @@ def test_record_survives_signals(tmp_path, number, code):
     code_line = "from kinfeas.cli.main import main; main()"
     words = ("deploy", "pretrained", "--robot", "hsr", *GOAL, "--record", str(path))
     process = subprocess.Popen([sys.executable, "-c", code_line, *words], stderr=subprocess.PIPE)
-    end = time.monotonic() + 120.0
-    while not path.exists() or path.read_text().count("\n") < 10:
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    wait(lambda: path.exists() and path.read_text().count("\n") >= 10)
     process.send_signal(number)
     process.communicate(timeout=60)
     assert process.returncode == code

@@ -14,6 +14,7 @@ from kinfeas.control.adapters import read_sim2real
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.training import train as training
+from tests.builders import contents
 from tests.cli.conftest import TINY, check_one_line
 from tests.cli.test_main import HEAVY, kinfeas_process
 from tests.sim2real.policy_cases import write_run
@@ -25,10 +26,6 @@ SHORT = ("train", "--robot", "hsr", "--steps", "64", "--out", "run", *TINY)
 def run_folder(kinfeas, tmp_path):
     kinfeas(*SHORT, code=0)
     return tmp_path / "run"
-
-
-def files(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.mark.slow
@@ -83,10 +80,10 @@ def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch):
 
 
 def test_taken_folder_is_one_line(kinfeas, run_folder):
-    before = files(run_folder)
+    before = contents(run_folder)
     outcome = kinfeas(*SHORT)
     check_one_line(outcome, "--resume run")
-    assert files(run_folder) == before
+    assert contents(run_folder) == before
 
 
 @pytest.mark.parametrize("words", [("--out", "."), ("--resume", ".")])

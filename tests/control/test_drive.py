@@ -4,6 +4,7 @@ import pytest
 from kinfeas.control.drive import action_toward, base_twist, command_size
 from kinfeas.core.spatial import integrate, planar_pose, yaw
 from kinfeas.robots.robot import Base
+from tests.builders import random_bases
 
 OMNI = Base("omnidirectional", 0.2, 1.0, 1.0, 1.0, "base")
 DIFFERENTIAL = Base("differential", 0.2, 0.4, 1.0, 1.0, "base")
@@ -13,11 +14,6 @@ DT = 0.1
 def headings(*angles):
     angles = np.array(angles, dtype=float)
     return planar_pose(np.full(angles.shape, 1.0), np.full(angles.shape, -2.0), angles)
-
-
-def random_bases(n, seed=0):
-    rng = np.random.default_rng(seed)
-    return planar_pose(*rng.uniform(-5.0, 5.0, (2, n)), rng.uniform(-np.pi, np.pi, n))
 
 
 def random_actions(base, n, seed=1):

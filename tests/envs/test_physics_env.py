@@ -9,12 +9,6 @@ from kinfeas.envs import PHYSICS_ENVIRONMENTS
 from kinfeas.envs.world import evaluation_world
 
 
-@pytest.fixture(params=["pybullet", "mujoco"])
-def engine(request):
-    pytest.importorskip(request.param)
-    return request.param
-
-
 @pytest.fixture
 def make(engine):
     return lambda robot="hsr", **arguments: gymnasium.make(

@@ -12,12 +12,6 @@ from kinfeas.tasks.ggr import ggr
 from kinfeas.tasks.loading import load_task
 
 
-@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
-def engine(request):
-    pytest.importorskip(request.param)
-    return request.param
-
-
 @pytest.fixture(scope="module")
 def chosen(engine):
     world = replace(evaluation_world(engine, "hsr"), max_seconds=4.0)

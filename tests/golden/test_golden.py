@@ -79,11 +79,5 @@ ELSEWHERE = {
 }
 
 
-@pytest.mark.parametrize("name", [name for name in FIGURES if kind(name) == "policy"])
-def test_an_export_acts_as_its_network(name):
-    stored, _ = read(name)
-    np.testing.assert_allclose(stored["onnx_actions"], stored["network_actions"], atol=CLOSE)
-
-
 def test_each_figure_is_stored_and_each_file_is_a_figure():
     assert {path.stem for path in DATA.iterdir()} == set(FIGURES)

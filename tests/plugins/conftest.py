@@ -68,13 +68,16 @@ def starts_and_targets(n, seed):
     return away, targets
 
 
-def run(generator, start, target, duration, dt=DT):
+def run(generator, start, target, duration, dt=DT, *, state=None, on_step=lambda *now: now[1]):
     """Return poses, shape (steps + 1, n, 7), twists, (steps, n, 6), and the last state."""
-    state, poses, twists = generator.start(start, target, [None] * len(start)), [start], []
-    for _ in range(round(duration / dt)):
+    poses, twists = [start], []
+    if state is None:
+        state = generator.start(start, target, [None] * len(start))
+    for i in range(round(duration / dt)):
         twist, state = generator.twist(state, poses[-1], target, np.full(len(start), dt))
         poses.append(integrate(poses[-1], twist, dt))
         twists.append(twist)
+        state = on_step(i, state, poses[-1])
     return np.stack(poses), np.stack(twists), state
 
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.motion import WholeBodyPath
 from kinfeas.core.solids import Solids, stacked_solids
-from kinfeas.core.spatial import distance, integrate
+from kinfeas.core.spatial import distance
 from kinfeas.plugins.minimum_jerk import MinimumJerk
 from kinfeas.plugins.planned import Planned, RandomSpline, WholeBody
 from kinfeas.testing import check_motion_generator
@@ -71,21 +71,10 @@ def planned(solids, start, goal, **parameters):
     )
 
 
-def follow(generator, state, ee, goal, seconds, on_step=lambda i, state, ee: state):
-    poses, twists = [ee], []
-    for i in range(round(seconds / DT)):
-        twist, state = generator.twist(state, ee, goal, np.full(len(ee), DT))
-        ee = integrate(ee, twist, DT)
-        poses.append(ee)
-        twists.append(twist)
-        state = on_step(i, state, ee)
-    return np.stack(poses), np.stack(twists)
-
-
 def test_paths_keep_clear_arrive_and_are_smooth():
     solids, start, goal = worlds(40)
     generator, state = planned(solids, start, goal)
-    poses, twists = follow(generator, state, start, goal, 250.0)
+    poses, twists, _ = run(generator, start, goal, 250.0, state=state)
     assert np.max(distance(poses[-1], goal)) < 1e-6
     assert max(map(np.max, speeds(twists))) <= 0.1 * (1.0 + 1e-9)
     around = 0
@@ -141,7 +130,7 @@ def test_ends_beside_a_solid_are_left_and_reached():
     solids, start, goal = across(2.0, at=2.93)
     goal[:, 0] = 3.03
     generator, state = planned(solids, start, goal)
-    poses, _ = follow(generator, state, start, goal, 150.0)
+    poses, _, _ = run(generator, start, goal, 150.0, state=state)
     assert np.max(distance(poses[-1], goal)) < 1e-6
     near = clearance(solids, 0, poses[:, 0, :3]) < RADIUS
     assert distance(poses[near], goal)[0].max() < 0.4
@@ -156,7 +145,7 @@ def test_a_new_plan_begins_with_the_velocity_of_the_old_one():
     def replanned(i, state, ee):
         return generator.replan(state, ee, goal, other) if i == 60 else state
 
-    poses, twists = follow(generator, state, start, goal, 200.0, replanned)
+    poses, twists, _ = run(generator, start, goal, 200.0, state=state, on_step=replanned)
     assert poses[:, 0, 1].max() > 0.4
     assert clearance(other, 0, poses[:, 0, :3]).min() > RADIUS
     linear, _ = speeds(np.diff(twists, axis=0) / DT)
@@ -170,7 +159,7 @@ def test_splines_are_random_smooth_and_within_their_spread():
     start, goal = np.zeros((20, 7)), np.zeros((20, 7))
     start[:, 6], goal[:, 6], goal[:, 0] = 1.0, 1.0, 3.0
     state = generator.start(start, goal, [np.random.default_rng(i) for i in range(20)])
-    poses, twists = follow(generator, state, start, goal, 100.0)
+    poses, twists, _ = run(generator, start, goal, 100.0, state=state)
     assert np.max(distance(poses[-1], goal)) < 1e-6
     middle = np.abs(poses[..., :3] - start[:, :3]).max(axis=0)[:, 1:]
     assert np.all(middle.max(axis=0) < [0.8, 0.3])
@@ -200,7 +189,7 @@ def test_whole_body_motions_follow_their_path_with_the_robot_ahead():
         robots.append(generator.robot_ahead(state, waypoints, seconds)[0])
         return state
 
-    poses, twists = follow(generator, state, start, goal, 60.0, watch)
+    poses, twists, _ = run(generator, start, goal, 60.0, state=state, on_step=watch)
     assert np.max(distance(poses[-1], goal)) < 1e-6
     assert max(map(np.max, speeds(twists))) <= 0.1 * (1.0 + 1e-9)
     off = np.linalg.norm(poses[:, 0, np.newaxis, :3] - path.ee[:, :3], axis=2).min(axis=1)

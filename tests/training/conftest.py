@@ -1,7 +1,5 @@
 """Runs of a few hundred steps."""
 
-import hashlib
-
 import pytest
 
 from kinfeas import config
@@ -25,15 +23,6 @@ TINY = {
 def tiny():
     """Settings of a small run, with overrides as `--set` takes them."""
     return lambda *overrides: config.from_mapping(TrainConfig, TINY, "tiny", overrides)
-
-
-@pytest.fixture(scope="session")
-def digest():
-    def hashes(folder):
-        files = sorted(path for path in folder.rglob("*") if path.is_file())
-        return {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
-
-    return hashes
 
 
 @pytest.fixture(scope="session")

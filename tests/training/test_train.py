@@ -4,7 +4,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -22,6 +21,8 @@ from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.run import finished
 from kinfeas.training.train import resume, train
+from tests.builders import contents
+from tests.sim2real.doubles import wait
 
 # Slowed down, so that it cannot end before it is killed; no figure depends on it.
 TRAIN = """
@@ -101,14 +102,12 @@ def checkpoint_steps(out):
 @pytest.mark.slow
 @pytest.mark.parametrize("signal_number", [signal.SIGKILL, signal.SIGINT])
 def test_a_killed_process_resumes_to_the_same_bits(whole, tiny, tmp_path, signal_number):
-    out, settings, deadline = tmp_path / "run", tmp_path / "settings.yaml", time.monotonic() + 120.0
+    out, settings = tmp_path / "run", tmp_path / "settings.yaml"
     config.dump(tiny(), settings)
     with subprocess.Popen([sys.executable, "-c", TRAIN, settings, out]) as process:
         try:
-            while checkpoint_steps(out) <= 80:
-                assert process.poll() is None
-                assert time.monotonic() < deadline
-                time.sleep(0.005)
+            wait(lambda: process.poll() is not None or checkpoint_steps(out) > 80)
+            assert process.poll() is None
             process.send_signal(signal_number)
             assert process.wait(timeout=60) != 0
         finally:
@@ -181,10 +180,10 @@ def test_checkpoints_of_a_writer_killed_between_its_renames_are_found(half):
     assert resume(half).steps == 480
 
 
-def test_a_finished_run_resumes_to_nothing_and_a_longer_one_goes_on(whole, half, digest):
-    before = digest(whole / "checkpoints")
+def test_a_finished_run_resumes_to_nothing_and_a_longer_one_goes_on(whole, half):
+    before = contents(whole / "checkpoints")
     assert resume(whole).steps == 320
-    assert digest(whole / "checkpoints") == before
+    assert contents(whole / "checkpoints") == before
     with (half / "metrics.csv").open("a") as file:
         file.write("330,7.0\n470,9.0\n")  # written after the last checkpoint
     assert resume(half).steps == 480
@@ -192,7 +191,7 @@ def test_a_finished_run_resumes_to_nothing_and_a_longer_one_goes_on(whole, half,
     assert not {"330", "470"} & {row["steps"] for row in rows(half)}
 
 
-def test_divergence_raises_and_keeps_the_last_checkpoint(tiny, tmp_path, monkeypatch, digest):
+def test_divergence_raises_and_keeps_the_last_checkpoint(tiny, tmp_path, monkeypatch):
     learner = replace(tiny().learner, learning_rate=1e20)
     with pytest.raises(KinfeasError, match=r"learner\.learning_rate"):
         train(replace(tiny(), learner=learner), tmp_path / "fast")
@@ -202,14 +201,14 @@ def test_divergence_raises_and_keeps_the_last_checkpoint(tiny, tmp_path, monkeyp
     def diverging(self):
         step(self)
         if self.progress.steps >= 200:
-            before.update(before or digest(run / "checkpoints"))
+            before.update(before or contents(run / "checkpoints"))
             self.learner.logger.record("train/critic_loss", float("nan"))
 
     monkeypatch.setattr(training._Run, "_step", diverging)
     with pytest.raises(KinfeasError, match=r"learner\.learning_rate"):
         train(tiny(), run)
     assert before
-    assert digest(run / "checkpoints") == before
+    assert contents(run / "checkpoints") == before
 
 
 def test_minutes_count_training_without_evaluations(tiny, tmp_path, monkeypatch):
@@ -273,35 +272,35 @@ def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path,
 
 @pytest.mark.parametrize("file", ["state.json", "state.safetensors", "policy.safetensors"])
 @pytest.mark.parametrize("share", [0.99, None])
-def test_a_broken_checkpoint_raises_and_stays(half, digest, file, share):
+def test_a_broken_checkpoint_raises_and_stays(half, file, share):
     path = half / "checkpoints" / "last" / file
     content = path.read_bytes()
     path.unlink()
     if share is not None:
         path.write_bytes(content[: int(share * len(content))])
-    before = digest(half)
+    before = contents(half)
     with pytest.raises(KinfeasError, match="last"):
         resume(half)
-    assert digest(half) == before
+    assert contents(half) == before
 
 
-def test_a_folder_in_use_raises(half, tiny, tmp_path, digest):
-    before = digest(half)
+def test_a_folder_in_use_raises(half, tiny, tmp_path):
+    before = contents(half)
     with alone(half), pytest.raises(KinfeasError, match="half"):
         resume(half)
-    assert digest(half) == before
+    assert contents(half) == before
     (tmp_path / "empty").mkdir()
     with alone(tmp_path / "empty"), pytest.raises(KinfeasError, match="empty"):
         train(tiny(), tmp_path / "empty")
     assert not list((tmp_path / "empty").iterdir())
 
 
-def test_a_full_disk_raises_and_loses_nothing(half, monkeypatch, digest):
-    before = digest(half / "checkpoints" / "last")
+def test_a_full_disk_raises_and_loses_nothing(half, monkeypatch):
+    before = contents(half / "checkpoints" / "last")
     with monkeypatch.context() as patch, pytest.raises(KinfeasError, match=r"last: .*No space"):
         patch.setattr(checkpoint, "save_file", Mock(side_effect=OSError(28, "No space left")))
         resume(half)
-    assert digest(half / "checkpoints" / "last") == before
+    assert contents(half / "checkpoints" / "last") == before
 
 
 def test_an_initial_policy_sets_the_layers_and_waits_for_the_critics(

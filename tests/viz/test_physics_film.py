@@ -18,12 +18,6 @@ def start(robot, task, seconds, engine, **changes):
     return World(robot, load_task(task), config, 1), load_policy("follow_ee", robot)
 
 
-@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
-def engine(request):
-    pytest.importorskip(request.param)
-    return request.param
-
-
 @pytest.fixture(scope="module")
 def film(hsr, engine):
     world, policy = start(hsr, "door", 1, engine)

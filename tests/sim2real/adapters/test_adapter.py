@@ -10,10 +10,10 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import read_sim2real, with_adapters
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import planar_pose
 from kinfeas.sim2real.adapters.adapter import Adapter
 from kinfeas.sim2real.adapters.latency import CommandLatency
 from kinfeas.sim2real.adapters.noise import BaseNoise
+from tests.builders import random_bases
 
 PHYSICS = "domain_randomisation"
 NAMES = sorted({one.name for one in registry.plugins("kinfeas.adapters")} - {PHYSICS})
@@ -43,15 +43,10 @@ def built(name, robot, backend=None, **parameters):
     return registry.build("kinfeas.adapters", name, given)
 
 
-def poses(n, seed=0):
-    rng = np.random.default_rng(seed)
-    return planar_pose(*rng.uniform(-2.0, 2.0, (2, n)), rng.uniform(-np.pi, np.pi, n))
-
-
 def on_reset(backend, robot, seeds, env_ids=None):
     places = np.arange(len(seeds)) if env_ids is None else np.array(env_ids)
     backend.seed(np.array(seeds, dtype=np.uint64), places)
-    base = np.concatenate([poses(1, seed) for seed in seeds])
+    base = np.concatenate([random_bases(1, seed) for seed in seeds])
     joints = np.stack([configuration(robot, seed) for seed in seeds])
     return backend.reset(base, joints, None if env_ids is None else places)
 
@@ -163,7 +158,7 @@ def test_an_additional_adapter_does_not_change_the_random_numbers_of_others(rig,
     alone, within = rig(BaseNoise, n=3), rig(BaseNoise, n=3)
     around = CommandLatency(within.adapter, within.robot, seconds=0.0)
     around.seed(np.arange(3, dtype=np.uint64), np.arange(3))
-    around.reset(poses(3), within.joints)
+    around.reset(random_bases(3), within.joints)
     alone.run(twists)
     for twist in twists:
         around.step(twist, within.joints, 0.1)
@@ -174,7 +169,7 @@ def test_two_adapters_of_a_class_have_independent_random_numbers(rig):
     once = rig(BaseNoise, n=2000, linear=1.0)
     twice = BaseNoise(once.adapter, once.robot, linear=1.0)
     twice.seed(np.arange(2000, dtype=np.uint64), np.arange(2000))
-    twice.reset(poses(2000), once.joints)
+    twice.reset(random_bases(2000), once.joints)
     twice.step(np.zeros((2000, 6)), once.joints, 0.1)
     assert np.std(once.passed[0, :, 0]) == pytest.approx(np.sqrt(2.0), rel=0.06)
 

@@ -14,10 +14,9 @@ from kinfeas.tasks.loading import load_task
 DT, TICKS = 0.02, 40
 
 
-@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
-def world(request):
-    pytest.importorskip(request.param)
-    backend = registry.load("kinfeas.backends", request.param)(load_robot("tiago"))
+@pytest.fixture(scope="module")
+def world(engine):
+    backend = registry.load("kinfeas.backends", engine)(load_robot("tiago"))
     yield backend
     backend.close()
 

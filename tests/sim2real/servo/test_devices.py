@@ -31,6 +31,7 @@ def test_a_gamepad_sends_its_axes_until_they_are_centred(tmp_path):
         device.write(struct.pack("<IhBB", 0, -32767, 0x02, 3))
         wait(lambda: controller.twists)
         device.write(struct.pack("<IhBB", 0, 0, 0x02, 1) + struct.pack("<IhBB", 0, 500, 0x02, 3))
+        wait(lambda: not gamepad._shares().any())
         wait(lambda: time.monotonic() - controller.twists[-1][2] > 0.2)
         gamepad.close()
     # The axes of the base at the start, although it turns.
