@@ -33,7 +33,15 @@ from kinfeas.core.spatial import (
     yaw,
 )
 from kinfeas.io.demonstrations import Demonstration
-from kinfeas.plugins.imitation import Component, Kind, Model, Source, learned_path
+from kinfeas.plugins.imitation import (
+    LONGEST,
+    SHORTEST,
+    Component,
+    Kind,
+    Model,
+    Source,
+    learned_path,
+)
 from kinfeas.plugins.path import below
 from kinfeas.plugins.replay import resampled
 
@@ -103,6 +111,11 @@ def fit(
         _sampled(shown, kind, name) for shown, name in zip(demonstrations, called, strict=True)
     ]
     duration = float(np.mean([path.duration for path in paths]))
+    if not SHORTEST <= duration <= LONGEST:
+        raise KinfeasError(
+            f"the demonstrations take {duration:g} s, where {SHORTEST:g} to {LONGEST:g} s are "
+            "allowed: is their time in seconds?"
+        )
     goals = np.stack([path.ee_pose[-1] for path in paths])
     mean_orientation = rotation(np.concatenate([path.ee_pose for path in paths])).mean()
     model = Model(

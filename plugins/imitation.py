@@ -42,6 +42,9 @@ Kind = Literal["imitation", "gaussian_mixture"]
 # Beyond any room or turn, and small enough that nothing computed from it overflows.
 Number = Annotated[float, Interval(ge=-1000.0, le=1000.0)]
 
+SHORTEST, LONGEST = 0.01, 3600.0
+"""Durations of learned motions, seconds."""
+
 _SIZE, _SIZE_WITH_BASE = 7, 10  # numbers of a component's mean
 _FOLDER = Path(__file__).parent / "models"
 _ROUNDING = 1e-6  # error of quaternions and weights
@@ -170,7 +173,7 @@ class Model:
 
     format: Literal[1]
     kind: Kind
-    duration: Annotated[float, Interval(ge=0.01, le=3600.0)]
+    duration: Annotated[float, Interval(ge=SHORTEST, le=LONGEST)]
     goal: tuple[Number, Number, Number, float, float, float, float]
     mean_orientation: tuple[float, float, float, float]
     fitted_from: Source

@@ -13,7 +13,7 @@ from kinfeas.cli.export import export_policy, facts
 from kinfeas.cli.output import check_file_path, check_suffix
 from kinfeas.cli.train import default_folder, read_settings, write_evaluation
 from kinfeas.config import convert
-from kinfeas.config.quantities import Episodes
+from kinfeas.config.quantities import Episodes, Processes, Seed
 
 if TYPE_CHECKING:
     from kinfeas.core.policy import Policy
@@ -113,9 +113,10 @@ def evaluate(  # noqa: PLR0913 - options of the command
         str(task),
         world,
         episodes=None if episodes is None else convert(Episodes, episodes, "evaluate", "episodes"),
-        seed=seed,
+        seed=convert(Seed, seed, "evaluate", "seed"),
         overrides=overrides,
     )
+    processes = convert(Processes, processes, "evaluate", "processes")
     ceiling = evaluation.reachability_of(chosen)
     return evaluation.evaluate(chosen, driver, name, ceiling, processes, on_done)
 

@@ -15,7 +15,7 @@ from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.policies.loading import BASELINES
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
-from kinfeas.tasks.task import build_subgoals
+from kinfeas.tasks.task import StreamTask, build_subgoals
 
 Seed = Annotated[int, Interval(ge=0)]
 
@@ -155,7 +155,10 @@ def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
             raise KinfeasError(f"{kind!r} must not hold two of one name: {', '.join(names)}")
     plain: list[tuple[str, dict[str, object]]] = [(task, {}) for task in benchmark.tasks]
     for task, parameters in [*plain, *((one.task, one.parameters) for one in benchmark.variants)]:
-        build_subgoals(load_task(task, parameters).subgoals)
+        known = load_task(task, parameters)
+        if isinstance(known, StreamTask):
+            raise KinfeasError(f"'tasks': {task} has no ceiling, since its targets move")
+        build_subgoals(known.subgoals)
     for robot in robots:
         for settings in (
             benchmark.settings,

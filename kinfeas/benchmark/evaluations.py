@@ -18,6 +18,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.evaluate import evaluate, prepare, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.io.files import is_path
 from kinfeas.io.policy_metadata import policy_folder
 from kinfeas.jobs.job import Job, Result
 from kinfeas.policies import pretrained
@@ -76,12 +77,24 @@ class Evaluation:
             self.robot, self.task, _weights(self) or self.source, self.episodes, self.seed,
             self.first, self.backend, self.settings, self.parameters,
         ]  # fmt: skip
+        parts += [_own_files(self)] if is_path(self.robot) or is_path(self.task) else []
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:10]
         return f"{Path(self.robot).stem}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
     def job(self, folder: Path) -> Job:
         """Return the job whose result is a file in `folder`."""
         return Job(compute, self, folder / f"{self.name}.json")
+
+
+def _own_files(case: Evaluation) -> list[str]:
+    """Return the content of the files of an own robot or task."""
+    found: list[str] = []
+    if is_path(case.robot):
+        files = Path(case.robot), load_robot(case.robot).urdf_path
+        found += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+    if is_path(case.task):
+        found.append(json.dumps(config.to_mapping(load_task(case.task, case.parameters))))
+    return found
 
 
 def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Evaluation]:

@@ -276,8 +276,9 @@ def draw_pictures(
         pictures["learning_curves"] = png(curves_figure(ordered, _levels(runs, cells)), 110)
     spaces: dict[str, list[Result]] = {}
     for robot in benchmark.robots:
-        own = [(case, result) for case, result in found
-               if case.robot == robot and "workspace" in result and not case.variant]  # fmt: skip
+        plain = [one for one in found if not (one[0].variant or one[0].row)]
+        own = [(case, result) for case, result in plain
+               if case.robot == robot and "workspace" in result]  # fmt: skip
         own = [(case, result) for case, result in own if case.policy == own[0][0].policy]
         if not own:
             continue

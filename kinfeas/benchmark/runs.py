@@ -19,7 +19,7 @@ from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.run import read_settings
+from kinfeas.training.run import read_settings, with_initial_policy
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,11 @@ def _settings(training: Training, seed: int) -> TrainConfig:
     assignments = [f"{key}={json.dumps(value)}" for key, value in values.items()]
     assignments += training.settings
     if training.recipe is not None:
-        return load_recipe(TrainConfig, training.recipe, "train", assignments)
-    return load_section(TrainConfig, "train", load_robot(training.robot).name, assignments)
+        settings = load_recipe(TrainConfig, training.recipe, "train", assignments)
+    else:
+        name = load_robot(training.robot).name
+        settings = load_section(TrainConfig, "train", name, assignments)
+    return with_initial_policy(settings)
 
 
 def _changes(

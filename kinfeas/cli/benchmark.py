@@ -103,7 +103,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
             one for each in worlds for one in plan_evaluations(replace(chosen, backend=each), taken)
         ]
         # Engines have the same references.
-        evaluations = list({(one.name, one.row): one for one in evaluations}.values())
+        evaluations = list({(one.name, one.row, one.variant): one for one in evaluations}.values())
         results = _evaluate([one.job(out / "results") for one in evaluations], runner)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")

@@ -35,6 +35,7 @@ def dataset(
     """
     from kinfeas.core.errors import KinfeasError
     from kinfeas.io.demonstrations import demonstration_files, write_demonstration
+    from kinfeas.io.files import write_folder
     from kinfeas.io.lerobot import write_lerobot_dataset
 
     if kind == "lerobot":
@@ -47,9 +48,12 @@ def dataset(
         if kind == "lerobot":
             write_lerobot_dataset(shown, out, task, robot, fps)
         else:
-            out.mkdir(parents=True)
-            for number, one in enumerate(shown, 1):
-                write_demonstration(one, out / f"{number:03}.csv")
+
+            def fill(folder: Path) -> None:
+                for number, one in enumerate(shown, 1):
+                    write_demonstration(one, folder / f"{number:03}.csv")
+
+            write_folder(out, fill)
     seconds = sum(float(one.time[-1] - one.time[0]) for one in shown)
     print_facts(f"{kind} in {out}", {"motions": len(shown), "seconds": seconds})
 
@@ -60,7 +64,7 @@ def _read(path: Path) -> "Demonstration":
 
     from kinfeas.control.execution import tool_pose
     from kinfeas.core import spatial
-    from kinfeas.io.demonstrations import Demonstration, read_demonstration
+    from kinfeas.io.demonstrations import Demonstration, check_samples, read_demonstration
     from kinfeas.io.files import reading
     from kinfeas.io.run_log import is_record, read_record
     from kinfeas.kinematics.forward import forward
@@ -75,5 +79,6 @@ def _read(path: Path) -> "Demonstration":
     base, joints = run.base_pose[run.later], run.joint_positions[run.later]
     ee = spatial.compose(base, forward(IkSolver(robot).chain, joints))
     tool = spatial.compose(ee, tool_pose(robot))
-    goal = np.repeat(tool[-1:], len(tool), axis=0)
-    return Demonstration(run.time[run.later], tool, base, goal)
+    time, goal = run.time[run.later], np.repeat(tool[-1:], len(tool), axis=0)
+    check_samples(path, time, {"ee_pose": tool, "base_pose": base})
+    return Demonstration(time, tool, base, goal)

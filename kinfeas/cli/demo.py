@@ -43,12 +43,15 @@ def demo(
     from kinfeas.benchmark.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file
+    from kinfeas.tasks.task import StreamTask
     from kinfeas.viz.report import write_report
 
     settings = read_settings(robot, seed=seed, minutes=minutes, overrides=overrides or ())
+    task = options.read_task(settings.task, settings.task_parameters)
+    if isinstance(task, StreamTask):
+        raise KinfeasError(f"task {task.name!r} has no goal; use kinfeas train and evaluate")
     folder = free_folder(out)
     train_run(settings, folder)
-    task = options.read_task(settings.task, settings.task_parameters)
     # Another seed than that of training, whose episodes the policy has seen.
     trial = EvalConfig(options.read_robot(settings.robot), task, episodes, settings.seed + 1)
     with progress("evaluating") as advance:

@@ -93,7 +93,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     given |= {"world.backend_parameters.objects": False if without_objects else None}
     given |= {"world.backend_parameters.gui": gui or None}
     given |= options.adapters_of_world(adapters)
-    settings = [*options.assignments(given), *options.with_filters(filters, overrides or [])]
+    assigned = options.assignments(options.given(given))
+    settings = [*assigned, *options.with_filters(filters, overrides or [])]
     chosen, driver = prepare(
         policy, robot, task, world, episodes=count, seed=seed, overrides=settings
     )

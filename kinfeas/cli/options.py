@@ -226,8 +226,24 @@ def read_engine(text: str, processes: int | None, address: str | None) -> "Engin
 
 
 def assignments(values: Mapping[str, object]) -> list[str]:
-    """Return values by key as assignments of `--set`; None is left out."""
-    return [f"{key}={json.dumps(value)}" for key, value in values.items() if value is not None]
+    """Return values by key as assignments of `--set`."""
+    return [
+        f"{key}={json.dumps(value, ensure_ascii=False, default=_plain)}"
+        for key, value in values.items()
+    ]
+
+
+def given(values: Mapping[str, object]) -> dict[str, object]:
+    """Return the values that are not None, as options that are not given are."""
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _plain(value: Any) -> object:
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # of NumPy
+        return value.tolist()
+    raise KinfeasError(f"{value!r} is no value of a setting")
 
 
 def with_filters(

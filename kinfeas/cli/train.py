@@ -130,7 +130,7 @@ def read_settings(  # noqa: PLR0913 - options of the command
     given: dict[str, object] = {"robot": robot, "task": task, "seed": seed, "init": init}
     given |= {"processes": processes, "learner.algorithm": algorithm}
     given |= options.adapters_of_world(adapters)
-    changes = [*options.assignments(given), *_duration(minutes, steps), *overrides]
+    changes = [*options.assignments(options.given(given)), *_duration(minutes, steps), *overrides]
     section = "train"
     if world != "analytic":
         section = "train_physics" if init is None else "finetune_physics"

@@ -168,13 +168,15 @@ def _validated(
     kind: Any, data: object, source: str, key: str = "", overrides: Sequence[str] = ()
 ) -> Any:
     from pydantic import ValidationError
-    from pydantic_core import to_json
+    from pydantic_core import PydanticSerializationError, to_json
 
     try:
         # Read as JSON, a list may fill a tuple in strict mode.
         return _adapter(kind).validate_json(to_json((data,), inf_nan_mode="constants"))[0]
     except ValidationError as error:
         key, message = _explained(error, kind, data, key)
+    except PydanticSerializationError as error:  # text that is no valid UTF-8
+        message = str(error)
     within = [text for text in overrides if f"{key}.".startswith(f"{_key(text)}.")]
     beyond = [text for text in overrides if _key(text).startswith(f"{key}." if key else "")]
     raise KinfeasError(f"{', '.join(within or beyond) or source}: {message}")

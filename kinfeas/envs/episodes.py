@@ -188,8 +188,11 @@ class _Tally:
         self.deviation_max[episodes] = np.maximum(
             self.deviation_max[episodes], step.deviation[rows]
         )
-        # An episode that never began the last sub-goal did not end near its goal.
-        self.final[episodes] = np.where(step.subgoal == self.last, step.goal_distance, np.inf)[rows]
+        # An episode that never began the last sub-goal did not end near its goal. A stream has
+        # no goal.
+        stream = self.world.loop.target_stream is not None
+        end = step.deviation if stream else step.goal_distance
+        self.final[episodes] = np.where(step.subgoal == self.last, end, np.inf)[rows]
         backend = self.world.backend
         if isinstance(backend, SupportsContacts):
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):

@@ -10,13 +10,14 @@ from kinfeas.control.execution import SubgoalMotion
 from kinfeas.control.motion_sequence import MotionSequence, begin_motions, subgoal_ends
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng, stacked
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.reachability import STAGES, Reachability, at_goals, reachable
 from kinfeas.robots.robot import Robot
-from kinfeas.tasks.task import Task, build_subgoals, sample_start
+from kinfeas.tasks.task import StreamTask, Task, build_subgoals, sample_start
 
 MOST_ALONG_THE_WAY = 256
 """Base poses to try around a waypoint."""
@@ -56,6 +57,8 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     some base poses must also reach all waypoints: each its own, and base motions between them are
     not checked. `on_done` is called with the share of all work, 0-1, that has just been done.
     """
+    if isinstance(task, StreamTask):
+        raise KinfeasError(f"task {task.name!r} has no ceiling: its targets move")
     options = ik or IkOptions()
     solver = IkSolver(robot, at_goals(robot, options))
     drawn = _starts(solver, task, episodes, seed)

@@ -13,7 +13,7 @@ import numpy as np
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, interpolated
 from kinfeas.io.demonstrations import Demonstration, columns
-from kinfeas.io.files import writing
+from kinfeas.io.files import write_folder
 
 EE = tuple(f"{name}.pos" for name in columns("ee_pose"))
 """Names of a pose of the EE in features; LeRobot's rollout needs these endings."""
@@ -60,9 +60,11 @@ def write_lerobot_dataset(
     whole = {name: np.concatenate([one[name] for one in episodes]) for name in episodes[0]}
     about = {"robot_type": robot, "fps": fps, **_description(whole, names, len(episodes))}
     stats = {name: _statistics(values) for name, values in whole.items()}
-    with writing(folder):
+    if folder.exists():
+        raise KinfeasError(f"{folder}: exists")
+
+    def fill(folder: Path) -> None:
         meta, first = folder / "meta", _FILE.format(chunk_index=0, file_index=0)
-        folder.mkdir(parents=True)
         for path in (folder / "data" / first, meta / "episodes" / first):
             path.parent.mkdir(parents=True)
         tables = [_table(one) for one in episodes]
@@ -74,6 +76,8 @@ def write_lerobot_dataset(
         parquet.write_table(_tasks(task), meta / "tasks.parquet")
         for name, content in (("info", about), ("stats", stats)):
             (meta / f"{name}.json").write_text(json.dumps(content, indent=4), encoding="utf-8")
+
+    write_folder(folder, fill)
 
 
 def _frames(shown: Demonstration, state: list[str], fps: int) -> dict[str, Any]:

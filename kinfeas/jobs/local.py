@@ -5,6 +5,7 @@ from concurrent.futures import as_completed
 from contextlib import suppress
 from dataclasses import dataclass
 
+from kinfeas.config.quantities import Count
 from kinfeas.envs.episodes import WorkerDiedError, worker_pool
 from kinfeas.jobs.job import Job
 
@@ -13,7 +14,7 @@ from kinfeas.jobs.job import Job
 class Local:
     """Runs jobs in worker processes; in this process if there is to be one."""
 
-    processes: int = 1
+    processes: Count = 1
 
     def __call__(self, jobs: Sequence[Job]) -> Iterator[Job]:
         """Run jobs; a worker that dies ends the others, too."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import ray
 from ray.exceptions import RayError, RayTaskError
 
+from kinfeas.config.quantities import Count
 from kinfeas.jobs.job import ATTEMPTS, Job
 
 
@@ -21,7 +22,7 @@ class Ray:
         address: Of a running cluster, or `local`.
     """
 
-    processes: int = 1
+    processes: Count = 1
     address: str = "local"
 
     def __call__(self, jobs: Sequence[Job]) -> Iterator[Job]:

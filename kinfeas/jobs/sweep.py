@@ -9,17 +9,16 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import optuna
-from annotated_types import Interval
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from kinfeas import config
-from kinfeas.config.quantities import LAST_SEED, Count
+from kinfeas.config.quantities import Count, Seed
 from kinfeas.config.recipes import find_recipe, load_recipe, load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
@@ -100,7 +99,7 @@ class SweepConfig:
     trials: Count = 20
     sampler: Literal["tpe", "random"] = "tpe"
     pruner: Literal["median", "asha", "none"] = "median"
-    seed: Annotated[int, Interval(ge=0, le=LAST_SEED)] = 0
+    seed: Seed = 0
 
 
 def read_sweep(name: str, overrides: Sequence[str]) -> SweepConfig:
@@ -260,9 +259,10 @@ def _own_values(sweep: SweepConfig) -> dict[str, object]:
     for key, dimension in sweep.space.items():
         value: Any = config.to_mapping(settings_of(sweep, {}))
         for part in key.split("."):
-            value = value[int(part)] if isinstance(value, list) else value.get(part)
-        if value in dimension.choices:
-            own[key] = json.dumps(value)
+            known = value if isinstance(value, Mapping | list) else {}
+            value = known[int(part)] if isinstance(known, list) else known.get(part)
+        if value in dimension.choices:  # 0.0 is found as 0
+            own[key] = json.dumps(dimension.choices[dimension.choices.index(value)])
         elif dimension.low is not None and isinstance(value, int | float):
             assert dimension.high is not None
             if dimension.low <= value <= dimension.high:

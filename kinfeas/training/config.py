@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from kinfeas.config.quantities import (
-    LAST_SEED,
-    MOST_PROCESSES,
     Count,
     Episodes,
     NotNegative,
     Positive,
     PositiveShare,
+    Processes,
+    Seed,
     Share,
 )
 from kinfeas.control.observation import ACTION, ACTIONS, OBSERVATION, TERMS
@@ -118,9 +118,9 @@ class TrainConfig:
     robot: str = "pr2"
     task: str = "ggr"
     task_parameters: dict[str, object] = field(default_factory=dict)
-    seed: Annotated[int, Interval(ge=0, le=LAST_SEED)] = 0
+    seed: Seed = 0
     num_envs: Annotated[int, Interval(ge=1, le=65_536)] = 256
-    processes: Annotated[int, Interval(ge=1, le=MOST_PROCESSES)] = 1
+    processes: Processes = 1
     action_repeat: Annotated[int, Interval(ge=1, le=1000)] = 1
     observation: tuple[str, ...] = OBSERVATION
     action: tuple[str, ...] = ACTION

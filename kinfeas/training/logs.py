@@ -50,7 +50,7 @@ class TensorBoard:
 
         self._folder = out / "tensorboard"
         with writing(self._folder):
-            self._board = SummaryWriter(str(self._folder), purge_step=steps, flush_secs=10)
+            self._board = SummaryWriter(str(self._folder), purge_step=steps + 1, flush_secs=10)
             for name, value in _about(settings).items():
                 self._board.add_text(name, value, steps)
 

@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 
 from kinfeas import config
+from kinfeas.config.quantities import LAST_SEED
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training import worlds
-from kinfeas.training.config import LAST_SEED, TrainConfig
+from kinfeas.training.config import TrainConfig
 from kinfeas.training.worlds import EVALUATION_SEED, FRESH_SEED, training_world
 
 EPISODES = 4
