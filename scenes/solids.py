@@ -3,7 +3,7 @@
 import numpy as np
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import rotation, yaw
+from kinfeas.core.spatial import rotation
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.objects import SceneObject, moving_joint
 from kinfeas.scenes.scene import Scene
@@ -41,8 +41,9 @@ def _line(shape: Shape) -> tuple[list[float], list[float], bool]:
     high, low = (np.array([shape.reach(side) for side in sign * np.eye(3)]) for sign in (1, -1))
     heights = [-low[2], high[2]]
     half, heading = (high + low)[:2] / 2.0, 0.0
-    upright = abs(rotation(shape.pose).as_matrix()[2, 2]) >= _UPRIGHT
-    if shape.kind == "box" and upright:
-        half, heading = np.array(shape.size[:2]) / 2.0, float(yaw(shape.pose))
+    turn = rotation(shape.pose).as_matrix()
+    upright = abs(turn[2, 2]) >= _UPRIGHT
+    if shape.kind == "box" and upright:  # also upside down
+        half, heading = np.array(shape.size[:2]) / 2.0, float(np.arctan2(turn[1, 0], turn[0, 0]))
     cylinder = shape.kind == "sphere" or (shape.kind == "cylinder" and upright)
     return [*shape.pose[:2], heading], [*half, *heights], cylinder

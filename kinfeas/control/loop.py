@@ -206,7 +206,7 @@ class Loop:
         self.previous_command = command = self._filtered(command)
         sequence.move(period.plan, period.paused)
         twist, arm = self._solve(command)
-        self.time_scale = period.time_scale
+        self.time_scale = np.where(period.motion_seconds > 0.0, period.time_scale, 0.0)
         self.joint_command = arm.joint_positions
         with self._note:
             state = self.backend.step(twist, self.joint_command, self.dt)

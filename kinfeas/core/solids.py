@@ -12,6 +12,9 @@ from kinfeas.core.spatial import Array, planar_pose
 MOST_SOLIDS = 64
 """Largest number of places of a row."""
 
+THIN = 1e-3
+"""Least half extent that a negative margin leaves of a solid, metres."""
+
 _SOLIDS = "solids."
 
 
@@ -96,9 +99,14 @@ class Solids:
         return Solids(*(getattr(self, one.name)[:, places] for one in fields(self)))
 
     def wider(self, margin: float, above: float = 0.0) -> "Solids":
-        """Return the solids grown by a margin sideways and by another one above and below."""
+        """Return the solids grown by a margin sideways and by another one above and below.
+
+        Where a negative margin leaves nothing, they stay `THIN`.
+        """
         by = np.where(self.filled[..., np.newaxis], [margin, margin, -above, above], 0.0)
-        return replace(self, size=self.size + by)
+        size = self.size + by
+        size[..., :2] = np.maximum(size[..., :2], np.minimum(self.size[..., :2], THIN))
+        return replace(self, size=size)
 
     def put(self, rows: NDArray[np.intp], other: "Solids") -> "Solids":
         """Return these solids with other ones in some rows."""
@@ -123,7 +131,8 @@ class Solids:
         pose = self.pose.copy()
         pose[:, :, :2] += self.velocity * share[:, :, np.newaxis]
         back = (moves & (way > span))[:, :, np.newaxis]
-        return replace(self, pose=pose, velocity=np.where(back, -self.velocity, self.velocity))
+        velocity = np.where(moves[:, :, np.newaxis], self.velocity, 0.0)
+        return replace(self, pose=pose, velocity=np.where(back, -velocity, velocity))
 
     def gaps(self, points: Array) -> tuple[Array, Array]:
         """Return the horizontal and the vertical gaps from points to solids, shape (n, m, k).
@@ -144,7 +153,7 @@ class Solids:
         planar = np.where(self.cylinder[:, np.newaxis], round_, box)
         z = points[:, :, np.newaxis, 2]
         vertical = np.maximum(np.maximum(size[..., 2] - z, z - size[..., 3]), 0.0)
-        return np.where(size[..., 0] > 0.0, planar, np.inf), vertical
+        return np.where(self.filled[:, np.newaxis], planar, np.inf), vertical
 
 
 class MovingSolids:

@@ -47,12 +47,12 @@ def connected(
     """
     moving = np.any(solids.velocity != 0.0, axis=2, keepdims=True)
     size = np.where(moving, 0.0, solids.size)
-    known = np.concatenate([solids.pose[0, size[0, :, 0] > 0.0, :2], start[np.newaxis], places])
+    standing = Solids(solids.pose, size, solids.cylinder, solids.velocity, solids.span)
+    known = np.concatenate([solids.pose[0, standing.filled[0], :2], start[np.newaxis], places])
     low, high = known.min(axis=0) - _MARGIN, known.max(axis=0) + _MARGIN
     x, y = (np.arange(low[i], high[i] + _CELL, _CELL) for i in (0, 1))
     points = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((len(x), len(y)))], axis=-1)
     points[..., 2] = disc[1] + 1e-3
-    standing = Solids(solids.pose, size, solids.cylinder, solids.velocity, solids.span)
     planar, vertical = standing.gaps(points.reshape(1, -1, 3))
     blocked = (planar < disc[0] - _CELL) & (vertical <= 0.0)
     labels, _ = ndimage.label(~blocked.any(axis=2).reshape(len(x), len(y)))

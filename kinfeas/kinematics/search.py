@@ -124,7 +124,8 @@ def solve_batch(
     grown = np.empty(size.shape[1:])
     for i in range(len(solution)):
         if held >= 0:
-            lower[held] = upper[held] = solution[i, held]
+            at = min(max(solution[i, held], problem.lower[held]), problem.upper[held])
+            lower[held] = upper[held] = at
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
         row = min(i, len(pose) - 1)

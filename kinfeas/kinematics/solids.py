@@ -59,13 +59,10 @@ def solid_arrays(solids: Solids, n: int) -> SolidArrays:
     Raises:
         KinfeasError: If there are not n rows.
     """
-    if len(solids.pose) != n:
-        raise KinfeasError(f"solids must have {n} rows, not {len(solids.pose)}")
-    return (
-        np.ascontiguousarray(solids.pose),
-        np.ascontiguousarray(solids.size),
-        np.ascontiguousarray(solids.cylinder),
-    )
+    pose, size, cylinder = solids.pose, solids.size, solids.cylinder
+    if not len(pose) == len(size) == len(cylinder) == n:
+        raise KinfeasError(f"solids must have {n} rows, not {len(size)}")
+    return np.ascontiguousarray(pose), np.ascontiguousarray(size), np.ascontiguousarray(cylinder)
 
 
 def surroundings(solids: Solids, base_pose: Array, n: int) -> tuple[Array, SolidArrays]:

@@ -152,15 +152,20 @@ class SafetyFilter(_Wrapper):
         self._measured = self._clock.monotonic()
 
     def _scan(self) -> Array:
-        """Return the ranges that the backend measures; raise Fault if they are old or blind."""
+        """Return the ranges that the backend measures; raise Fault if they are old or blind.
+
+        Ranges that are no finite numbers are a Fault, too.
+        """
         if self._measuring is None:
-            return super()._scan()
-        scan = self._measuring.measured_scan()
-        check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
-        if scan.blind.all():
-            raise Fault("the scan is blind in all directions")
-        self._blind = scan.blind
-        return scan.ranges
+            ranges = super()._scan()
+        else:
+            scan = self._measuring.measured_scan()
+            check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
+            if scan.blind.all():
+                raise Fault("the scan is blind in all directions")
+            self._blind, ranges = scan.blind, scan.ranges
+        check_array(ranges, (1, 2, SCAN_BEAMS), "the scan", error=Fault)
+        return ranges
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Close or open the gripper; raise Fault after a stop."""

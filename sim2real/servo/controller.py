@@ -163,7 +163,8 @@ class TargetController:
         """Put a message into the inbox."""
         values, times, stamp = message.values, message.times, message.stamp
         frame = self._frame(message.frame)
-        if values is None or frame is None or (stamp is not None and not math.isfinite(stamp)):
+        stamped = stamp is None or math.isfinite(stamp)
+        if values is None or frame is None or not (stamped and np.isfinite(values).all()):
             self._inbox.reject(_ROW)
             return
         sent = self._sent(message)
@@ -194,8 +195,9 @@ class TargetController:
     def _sent(self, message: _Message) -> Array:
         """Return when a message was sent by our clock, shape (1,)."""
         arrival, stamp = message.arrival, message.stamp
-        if arrival - self._heard > self.rules.timeout:
-            self._delay = TransportDelay()  # perhaps of another clock
+        silent = arrival - self._heard > self.rules.timeout
+        if silent and stamp is not None and stamp < self._delay.last:
+            self._delay = TransportDelay()  # of another clock
         self._heard = arrival
         return np.array([arrival if stamp is None else self._delay.sent(stamp, arrival)])
 

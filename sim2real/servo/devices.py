@@ -53,7 +53,7 @@ class _Device:
                     if select.select([descriptor], [], [], _PERIOD)[0]:
                         self._read(descriptor)
                     twist, moved = self._shares() * self._scale, moves
-                    if moves := bool(twist.any()):
+                    if moves := bool(twist.any()) and controller.running:
                         heading = heading if moved else float(yaw(controller.base_pose))
                         turn = Rotation.from_euler("z", heading)
                         controller.set_twist(turn.apply(twist.reshape(2, 3)).ravel())

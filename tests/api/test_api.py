@@ -52,8 +52,22 @@ def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"policy": "folow_ee"}, {"world": "real"}, {"episodes": 0}, {"settings": {"world.dtt": 1}}],
+    [
+        {"policy": "folow_ee"},
+        {"world": "real"},
+        {"episodes": 0},
+        {"settings": {"world.dtt": 1}},
+        {"seed": -1},
+        {"processes": 0},
+        {"settings": {"world.dt": object()}},
+    ],
 )
 def test_bad_input_is_an_error(arguments):
     with pytest.raises(KinfeasError):
         kinfeas.evaluate(**{"policy": "follow_ee", **arguments})
+
+
+def test_settings_may_be_none_and_numbers_of_numpy(tmp_path):
+    settings = SETTINGS | {"schedule.minutes": None, "learner.batch_size": np.int64(16)}
+    run = kinfeas.train("hsr", steps=64, out=tmp_path / "run", settings=settings)
+    assert "minutes: null" in (run.folder / "config.yaml").read_text()

@@ -23,6 +23,22 @@ def test_moving_solids_stay_on_their_span_and_keep_their_speed(seconds, speed, s
     np.testing.assert_allclose(period, at[0], atol=1e-6)
 
 
+def test_solids_that_do_not_move_have_no_velocity():
+    solids = row((1.0, 2.0), (3.0, 2.0))
+    solids.velocity[0, :, 0], solids.span[0, 1] = 0.1, 1.0
+    then = solids.at(np.array([1.0]))
+    np.testing.assert_allclose(then.pose[0, :, 0], [1.0, 3.1])
+    np.testing.assert_allclose(then.velocity[0, :, 0], [0.0, 0.1])
+
+
+def test_no_margin_removes_a_solid_or_makes_one():
+    solids = row((1.0, 2.0), (3.0, 2.0), (4.0, 2.0))
+    solids.size[0, 1, 0], solids.size[0, 2, 1] = 0.02, 0.0
+    np.testing.assert_array_equal(solids.wider(-0.03).filled, [[True, True, False]])
+    np.testing.assert_array_equal(solids.wider(0.03).filled, [[True, True, False]])
+    assert np.isinf(solids.gaps(np.zeros((1, 1, 3)))[0][0, 0]).tolist() == [False, False, True]
+
+
 def test_rows_get_solids_and_times_of_their_own():
     moving = MovingSolids()
     moving.place(None, np.arange(3), 3)

@@ -2,11 +2,13 @@ import numpy as np
 import pytest
 
 from kinfeas import config
+from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
+from kinfeas.tasks.loading import load_task
 
 
 @pytest.mark.slow
@@ -49,3 +51,8 @@ def test_paths_are_harder_than_goals():
     assert not np.any(path.reached & ~goals.reached)
     assert sum(done) == pytest.approx(1.0)
     assert list(path.convergence) == sorted(path.convergence)
+
+
+def test_streams_have_no_ceiling(hsr):
+    with pytest.raises(KinfeasError, match="joystick"):
+        measure_reachability(hsr, load_task("joystick"), 2, 1)

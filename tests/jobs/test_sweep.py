@@ -91,6 +91,13 @@ def test_a_sweep_can_be_extended_but_not_changed(tmp_path):
         sweep.plan_trials(tiny(seed=5), tmp_path)
 
 
+def test_the_recipe_s_values_are_found_as_they_are_written(tmp_path):
+    path = "task_parameters.motion.parameters.max_velocity"
+    space = {"learner.anchor": {"choices": [0, 1]}, path: {"low": 0.05, "high": 0.2}}
+    assert len(sweep.plan_trials(tiny(space=space, trials=2), tmp_path)) == 2
+    assert sweep._own_values(tiny(space=space)) == {"learner.anchor": "0"}
+
+
 def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
     losses = training.check_losses
 

@@ -179,6 +179,9 @@ def test_a_held_torso_stays_where_the_seed_has_it(tiago):
     check_solutions(tiago, held.joint_positions[solved])
     metres, radians = distance(forward(tiago.chain, held.joint_positions[solved]), targets[solved])
     assert np.all((metres <= METRES) & (radians <= RADIANS))
+    seed[:, 0] = tiago.robot.joint_limits[1][0] + 0.1
+    beyond = tiago.solve(targets, seed, hold_torso=True)
+    check_solutions(tiago, beyond.joint_positions[beyond.feasible])
     with pytest.raises(KinfeasError, match="no torso"):
         IkSolver(load_robot("pr2")).solve(targets[:, :7], seed[:, :7], hold_torso=True)
 

@@ -163,3 +163,10 @@ def test_distances_are_those_of_fcl(robot, judge):
     touching = collides(model, joints, bases, solids)
     np.testing.assert_array_equal(touching, found < MARGIN)
     assert np.all(distances(model, joints, bases, Solids.empty(n, 2)) == np.inf)
+
+
+def test_solids_need_a_row_for_each_arm(hsr):
+    solver, joints = IkSolver(hsr), np.tile(hsr.home["home"], (4, 1))
+    around = in_base(Solids.empty(1, 1), planar_pose(*np.zeros((3, 4))))
+    with pytest.raises(KinfeasError, match="4 rows"):
+        solver.solve(forward(solver.chain, joints), joints, solids=around)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
+from kinfeas.core import spatial
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.loading import load_policy
@@ -24,6 +25,7 @@ def test_a_stream_is_followed_to_its_end_without_failure_and_jump(name):
     assert not records.joint_jumps.any()
     assert records.way is not None
     assert (records.way > 0.0).all()
+    assert (records.final_distance <= records.max_deviation).all()
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -41,6 +43,15 @@ def test_targets_keep_their_speed_and_heights(name):
         assert (inbox.target[:, 2] >= np.minimum(low - offset - 0.02, before[:, 2])).all()
         assert (inbox.target[:, 2] <= np.maximum(high + offset + 0.02, before[:, 2])).all()
     assert (inbox.counts[:, 0] > 0).all()
+
+
+def test_targets_wait_for_the_head_start_of_the_ee():
+    made = world("joystick", WorldConfig(head_start=2.0))
+    made.start(range(4))
+    for _ in range(15):
+        made.step(np.zeros((4, 3)))
+    ahead = spatial.distance(made.loop.target_stream.inbox.target, made.loop.desired)[0]
+    assert ahead.max() <= 0.2 * 0.1
 
 
 def test_messages_of_slow_streams_begin_at_the_begin_of_the_path():

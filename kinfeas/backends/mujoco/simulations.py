@@ -53,7 +53,8 @@ class Simulations:
         self._base = np.zeros((n, 3))  # commanded velocity; of a differential drive forward, 0, yaw
         self._qpos = np.tile(model.rest, (n, 1))
         self._mocap = np.zeros((n, engine.nmocap, 7))
-        self._mocap[:, engine.body_mocapid[model.solid_bodies]] = _AWAY
+        solids = engine.body_mocapid[model.solid_bodies]
+        self._mocap[:, solids], self.batch.mocap_pos[:, solids] = _AWAY, _AWAY[:3]
         if model.scene is not None:
             for row in range(n):
                 self.arrange(row, model.scene)
@@ -222,7 +223,7 @@ class Simulations:
         """Return the force between hand and object, N."""
         engine, data, grasp = self.model.engine, self._scratch, self.model.grasp
         engine.eq_data[grasp] = self._ends[row]
-        self.batch.get_data(row, data)
+        self._take(row)
         mujoco.mj_forward(engine, data)
         equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
         return float(np.linalg.norm(data.efc_force[equality & (data.efc_id == grasp)][:3]))
@@ -239,12 +240,16 @@ class Simulations:
 
     def data(self, row: int) -> Any:
         """Return MuJoCo's data of a simulation at its present positions, until the next call."""
+        self._take(row)
+        mujoco.mj_fwdPosition(self.model.engine, self._scratch)
+        return self._scratch
+
+    def _take(self, row: int) -> None:
+        """Write state and solids of a simulation where MuJoCo's functions read them."""
         self.batch.get_data(row, self._scratch)
         for name, values in self._shapes.items():
             at = self.model.solid_rows(name)
             getattr(self.model.engine, name)[at] = values[row, at]
-        mujoco.mj_fwdPosition(self.model.engine, self._scratch)
-        return self._scratch
 
 
 def _write(mine: Array, other: Array) -> None:

@@ -14,7 +14,7 @@ from kinfeas.control.observation import HORIZON
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import WITHIN
-from kinfeas.core.motion import Rows
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import Policy, PolicyInput, RecurrentPolicy
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver, spread
@@ -76,6 +76,7 @@ class RolloutPlanner:
             self._connect(loop, loop.policy)
         if len(loop.desired) != len(self.offset):
             self.offset = np.zeros((len(loop.desired), loop.command_size))
+        self.offset = with_rows(self.offset, rows, np.array(0.0))
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return the commands with the offsets; arguments as in `CommandFilter`."""

@@ -88,3 +88,14 @@ def test_a_reset_takes_solids_away_and_leaves_no_trace(rooms, hsr):
     world.reset(*start(hsr))
     world.place_solids(fresh.solids.start, ROWS)
     np.testing.assert_array_equal([s.joint_velocities for s in run(world, 40, 0.0, 0.1)], joints)
+
+
+def test_more_solids_of_one_robot_are_none_of_others(rooms):
+    world = rooms()
+    more = Solids.empty(1, 5)
+    more.pose[0, :, :2], more.size[0] = [5.0, 5.0], [0.3, 0.3, 0.0, 0.5]
+    joints = world.robot.home["home"][np.newaxis]
+    world.reset(spatial.planar_pose(*np.zeros((3, 1))), joints, ROWS[1:])
+    world.place_solids(more, ROWS[1:])
+    for _ in run(world, 3):
+        assert not world.touched(0)

@@ -92,6 +92,13 @@ def test_offsets_do_not_depend_on_other_rows_and_aborted_rollouts(monkeypatch):
     assert short.any()
 
 
+def test_new_episodes_begin_without_an_offset():
+    planner = planner_of(world_of("hsr"), Still(3), **NEAR)
+    planner.offset[:] = 1.0
+    planner.reset(planner._loop, np.array([1, 3]))
+    assert planner.offset.any(axis=1).tolist() == [True, False, True, False]
+
+
 def test_rollouts_are_those_of_the_policy_now():
     world, policies = world_of("hsr"), [Still(3), Still(3)]
     planner = planner_of(world, policies[0], **NEAR)

@@ -92,9 +92,9 @@ def test_stamps_of_another_clock_order_messages_and_show_their_age(solver):
     assert controller.counts["repeated"] == 2
     controller.set_twist(up, stamp=there + 0.041)  # 60 ms after the last one
     clock.passes(0.5)
-    controller.set_twist(up, stamp=there + 0.05)
+    controller.set_twist(up, stamp=there + 0.05)  # 490 ms late, by the sender's own clock
     step(clock, loop)
-    assert controller.counts["late"] == 1
+    assert controller.counts["late"] == 2
 
 
 MALFORMED = [
@@ -154,3 +154,26 @@ def test_time_scaling_waits_at_the_end_of_the_reach(solver):
     for _ in range(4):
         found = step(clock, loop)
     assert found.time_scale[0] == 1.0
+
+
+def test_an_invalid_message_of_the_future_makes_no_other_late(solver):
+    controller, clock, loop = begin(solver)
+    controller.set_twist([math.nan] * 6, stamp=clock.monotonic + 5.0)
+    for _ in range(10):
+        controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], stamp=clock.monotonic)
+        step(clock, loop)
+    assert controller.counts["accepted"] == 10
+
+
+def test_messages_that_waited_in_a_queue_through_a_silence_are_late(solver):
+    controller, clock, loop = begin(solver)
+    for waited in (0.0, 2.0):
+        for _ in range(10):
+            stamp = clock.monotonic - waited
+            controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], stamp=stamp)
+            step(clock, loop)
+        clock.passes(2.5)
+    assert (controller.counts["accepted"], controller.counts["late"]) == (10, 10)
+    controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], stamp=3.0)  # another sender's clock
+    step(clock, loop)
+    assert controller.counts["accepted"] == 11

@@ -15,7 +15,7 @@ from tests.sim2real.doubles import wait
 
 class Controller:
     def __init__(self):
-        self.base_pose, self.twists = planar_pose(0.0, 0.0, np.pi / 2.0), []
+        self.base_pose, self.twists, self.running = planar_pose(0.0, 0.0, np.pi / 2.0), [], True
 
     def set_twist(self, twist, stamp=None, frame=""):
         self.twists.append((np.asarray(twist), frame, time.monotonic()))
