@@ -67,6 +67,7 @@ class LinkBackend:
         self._inbox = Inbox(robot, self._names, drift, self._clock.monotonic)
         self._seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
+        self._target: Array | None = None  # of the last command
         self._opened = False
         if isinstance(link, ScanLink):
             self._scan_sources = link.scan_sources
@@ -92,7 +93,7 @@ class LinkBackend:
                 raise KinfeasError(self._missing())
             self._clock.sleep(_POLL)
         self._check_other_joints()
-        self.rate = None
+        self.rate = self._target = None
         return self.read()
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
@@ -106,7 +107,7 @@ class LinkBackend:
         if self.robot.base.drive == "differential":
             velocity[1] = 0.0
         self.link.drive(velocity)
-        self._send(joint_targets[0])
+        self._send(joint_targets[0], self._inbox.arm())
         self.rate.wait()
         return self.read()
 
@@ -179,17 +180,20 @@ class LinkBackend:
 
     def _hold(self) -> None:
         if not any(self._inbox.missing()):
-            self._send(self._inbox.arm())
+            measured = self._inbox.arm()
+            # Where measurements have stopped, the arm is nearer to its last target.
+            self._send(measured, measured if self._target is None else self._target)
 
-    def _send(self, targets: Array) -> None:
-        """Send the arm to joint positions, shape (j,)."""
+    def _send(self, targets: Array, start: Array) -> None:
+        """Send the arm to joint positions, shape (j,), at a limited velocity from where it is."""
         measured = self._inbox.arm()
         # Continuous joints are measured with their turns and take the shorter way.
         way = joint_displacement(self.robot, measured, targets)
-        # An arm that lags has a longer way, at a limited velocity.
-        seconds = max(self._seconds, float(np.max(np.abs(way) / self._joint_speed)))
-        names = self._names.values()
-        self.link.move(dict(zip(names, (measured + way).tolist(), strict=True)), seconds)
+        # The peak velocity of a cubic from rest is 1.5 times its mean.
+        longest = 1.5 * np.abs(joint_displacement(self.robot, start, targets)) / self._joint_speed
+        seconds = max(self._seconds, float(np.max(longest)))
+        self._target, names = measured + way, self._names.values()
+        self.link.move(dict(zip(names, self._target.tolist(), strict=True)), seconds)
 
     def _missing(self) -> str:
         """Return which measurement or receiver is missing."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config.recipes import default_engine
@@ -76,24 +77,34 @@ class SimulationResult:
 class JointSetpoints:
     """Setpoints of joints over time, as trajectory controllers have them.
 
-    A trajectory starts at the present setpoint, and its last point holds.
+    A trajectory is a cubic spline from the present setpoint and velocity; it ends at rest.
     """
 
     def __init__(self, positions: Mapping[str, float]) -> None:
-        self._paths = {name: (np.zeros(1), np.array([at])) for name, at in positions.items()}
+        rest = {name: np.array([at, at]) for name, at in positions.items()}
+        self._paths = {
+            name: CubicHermiteSpline([0.0, 1.0], at, np.zeros(2)) for name, at in rest.items()
+        }
 
     def follow(self, path: JointPath, time: float) -> None:
         """Start a trajectory at a time in seconds; joints of others are ignored."""
         times: Array = np.concatenate([[time], time + np.maximum(path.times, 1e-9)])
         for column, name in enumerate(path.joints):
             if name in self._paths:
-                start = np.interp(time, *self._paths[name])
-                values = np.concatenate([[start], path.positions[:, column]])
-                self._paths[name] = times, values
+                before, now = self._paths[name], _within(self._paths[name], time)
+                values = np.concatenate([[before(now)], path.positions[:, column]])
+                slopes = np.gradient(values, times)
+                slopes[0], slopes[-1] = before(now, 1), 0.0
+                self._paths[name] = CubicHermiteSpline(times, values, slopes)
 
     def at(self, time: float) -> dict[str, float]:
         """Return the setpoints at a time in seconds, by joint."""
-        return {name: float(np.interp(time, *path)) for name, path in self._paths.items()}
+        return {name: float(path(_within(path, time))) for name, path in self._paths.items()}
+
+
+def _within(path: CubicHermiteSpline, time: float) -> float:
+    """Return the nearest time of a path."""
+    return float(np.clip(time, path.x[0], path.x[-1]))
 
 
 class SimulatedRobot:

@@ -28,9 +28,18 @@ def path(joints, *points):
 def test_setpoints_pass_the_points_in_order_and_hold_the_last():
     setpoints = JointSetpoints({"a": 0.0, "b": 4.0, "c": 7.0})
     setpoints.follow(path(("b", "a", "unknown"), (1.0, [4, 1, 9]), (3.0, [0, -1, 9])), 10.0)
-    for time, a, b in ((10.0, 0.0, 4.0), (10.5, 0.5, 4.0), (11.0, 1.0, 4.0), (12.0, 0.0, 2.0)):
+    for time, a, b in ((10.0, 0.0, 4.0), (11.0, 1.0, 4.0), (13.0, -1.0, 0.0), (99.0, -1.0, 0.0)):
         assert setpoints.at(time) == pytest.approx({"a": a, "b": b, "c": 7.0})
-    assert setpoints.at(13.0) == setpoints.at(99.0) == {"a": -1.0, "b": 0.0, "c": 7.0}
+
+
+def test_setpoints_go_on_at_their_velocity_and_come_to_rest():
+    setpoints = JointSetpoints({"a": 0.0})
+    setpoints.follow(path(("a",), (2.0, [3])), 10.0)
+    assert setpoints.at(11.0)["a"] == pytest.approx(1.5)  # at 1.5 times the mean velocity
+    setpoints.follow(path(("a",), (1.0, [3])), 11.0)
+    for time, velocity in ((11.0, 2.25), (12.0, 0.0)):
+        way = setpoints.at(time + 1e-4)["a"] - setpoints.at(max(time, 11.0))["a"]
+        assert way / 1e-4 == pytest.approx(velocity, abs=1e-2)
 
 
 @pytest.fixture(scope="module", params=ENGINES)
