@@ -12,6 +12,9 @@ from kinfeas.core.errors import KinfeasError
 if TYPE_CHECKING:
     from kinfeas.policies.onnx_policy import OnnxPolicy
 
+_CARD = b"---\nlibrary_name: kinfeas"
+"""Begin of model cards."""
+
 
 def export(
     policy: Annotated[
@@ -39,6 +42,9 @@ def export(
     if check is not None and policy is None and out is None:
         _check(check, robot, json)
     elif policy is not None and out is not None and check is None:
+        beside = out.with_suffix(".md")
+        if beside.is_file() and not beside.read_bytes().startswith(_CARD):
+            raise KinfeasError(f"{beside}: exists, and is no model card; choose another --out")
         with status("exporting"):
             found, deviation = export_policy(policy, robot, out)
         told = {**facts(found, out), "parity": deviation}

@@ -15,14 +15,21 @@ from kinfeas.control.execution import (
     SubgoalMotion,
 )
 from kinfeas.control.motion_sequence import MotionSequence
-from kinfeas.control.observation import ACTION, HORIZON, OBSERVATION, action_size, split_action
+from kinfeas.control.observation import (
+    ACTION,
+    HORIZON,
+    OBSERVATION,
+    action_size,
+    check_names,
+    split_action,
+)
 from kinfeas.control.observer import Observer
 from kinfeas.control.obstacles import Obstacles
 from kinfeas.control.period import KinematicStep, Period
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
-from kinfeas.core.checks import check_state
+from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.motion import Rows, with_rows
@@ -117,6 +124,8 @@ class Loop:
         self.execution = execution = execution or ExecutionConfig()
         self.solver, self.backend, self.dt, self.filters = solver, backend, dt, tuple(filters)
         self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
+        notes = [plugin_note(f"command filter {type(one).__name__}") for one in self.filters]
+        self._noted_filters = tuple(zip(self.filters, notes, strict=True))
         self.robot = solver.robot
         self.sequence = MotionSequence(subgoals, solver, dt, execution)
         self.kinematic_step = KinematicStep(solver, dt)
@@ -138,11 +147,16 @@ class Loop:
         self.joint_command: Array = np.empty((0, len(self.robot.arm)))
 
     def set_policy(self, policy: Policy) -> None:
-        """Use a policy: its terms, and its `reset` at each start if it has one."""
-        self.policy = policy
+        """Use a policy: its terms, and its `reset` at each start if it has one.
+
+        Raises:
+            KinfeasError: If a term is unknown or there twice, or the base velocity is not first.
+        """
+        terms = getattr(policy, "observation_terms", OBSERVATION)
+        actions = getattr(policy, "action_terms", ACTION)
+        check_names(terms, actions, f"policy {type(policy).__name__}: ")
+        self.policy, self.observer.terms, self.action_terms = policy, tuple(terms), tuple(actions)
         self._recurrent = policy if isinstance(policy, RecurrentPolicy) else None
-        self.observer.terms = tuple(getattr(policy, "observation_terms", OBSERVATION))
-        self.action_terms = tuple(getattr(policy, "action_terms", ACTION))
 
     def start(
         self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
@@ -185,9 +199,11 @@ class Loop:
             self.sequence.aim(self.target_stream.targets(self, fresh))
         self._observe()
         if self._recurrent is not None:
-            self._recurrent.reset(self, fresh)
-        for one in self.filters:
-            one.reset(self, fresh)
+            with plugin_note(f"policy {type(self._recurrent).__name__}"):
+                self._recurrent.reset(self, fresh)
+        for one, note in self._noted_filters:
+            with note:
+                one.reset(self, fresh)
 
     def step(self, action: Array) -> Step:
         """Advance all robots by one control period.
@@ -374,8 +390,11 @@ class Loop:
     def _filtered(self, command: Array) -> Array:
         """Return the commands after all filters, shape (n, a); those of paused rows are zero."""
         command = self.period.unless_paused(command)
-        for one in self.filters:
-            command = self.period.unless_paused(one(command, self.policy_input))
+        for one, note in self._noted_filters:
+            with note:
+                changed = one(command, self.policy_input)
+            check_array(changed, command.shape, note.plugin)
+            command = self.period.unless_paused(changed)
         return command
 
     def _with_torso(self, velocity: Array | None, paused: NDArray[np.bool_] | None) -> Array:

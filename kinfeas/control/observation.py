@@ -216,6 +216,16 @@ def describe_action(robot: Robot, terms: Sequence[str] = ACTION) -> tuple[TermIn
     return tuple(described[name] for name in terms)
 
 
+def check_names(observation: Sequence[str], action: Sequence[str], whose: str = "") -> None:
+    """Raise KinfeasError unless the terms of a policy are known, each once, the base first."""
+    named = ("observation", observation, tuple(TERMS)), ("action", action, ACTIONS)
+    for key, names, known in named:
+        if not names or not set(names) <= set(known) or len(set(names)) < len(names):
+            raise KinfeasError(f"{whose}'{key}' must have some of {', '.join(known)}, each once")
+    if action[0] != ACTION[0]:
+        raise KinfeasError(f"{whose}'action' must begin with {ACTION[0]}")
+
+
 def check_terms(found: Sequence[TermInfo], known: Sequence[str], key: str) -> tuple[str, ...]:
     """Return the names of the terms under `key` of a policy's file, all of them known."""
     for term in found:

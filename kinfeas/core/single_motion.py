@@ -97,13 +97,14 @@ class RowByRow:
     ) -> tuple[Array, State]:
         """Return the world twist, shape (n, 6), and the next state."""
         rows = zip(ee_pose, target_pose, dt.tolist(), strict=True)
-        twists, states = np.zeros((len(dt), 6)), []
+        twists, states = [], []
         for i, (pose, target, seconds) in enumerate(rows):
-            twists[i], after = self.single.twist(
-                _row(state, i), pose.copy(), target.copy(), seconds
-            )
+            twist, after = self.single.twist(_row(state, i), pose.copy(), target.copy(), seconds)
+            twists.append(twist)
             states.append(after)
-        return twists, _stacked(states) if states else dict(state)
+        if not states:
+            return np.zeros((0, 6)), dict(state)
+        return np.array(twists, dtype=np.float64), _stacked(states)
 
 
 def _stacked(states: list[Mapping[str, ArrayLike]]) -> State:

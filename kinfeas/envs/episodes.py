@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from kinfeas.core.backend import BatchLimited, SupportsContacts
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import EpisodeRecords, join
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy
@@ -54,7 +54,9 @@ def run_episodes(
     world.start(running.tolist())
     waiting = first + len(running)
     while (live := np.flatnonzero(running >= 0)).size:
-        transition = world.step(policy.act(world.loop.policy_input))
+        with plugin_note(f"policy {type(policy).__name__}"):
+            action = policy.act(world.loop.policy_input)
+        transition = world.step(action)
         if watch is not None:
             watch(world, transition, live, running[live])
         tally.add(transition, live, running[live])

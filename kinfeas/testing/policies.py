@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 
 from kinfeas.core.checks import ConformanceError, check_array
+from kinfeas.core.errors import plugin_note
 from kinfeas.core.policy import Policy, RecurrentPolicy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig
@@ -49,7 +50,8 @@ def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
     for _ in range(_STEPS):
         given = world.loop.policy_input
         before = {key: value.copy() for key, value in vars(given).items()}
-        action = policy.act(given)
+        with plugin_note(_name(policy)):
+            action = policy.act(given)
         _check_action(policy, action, (len(episodes), world.action_size))
         for key, values in before.items():
             if not np.array_equal(values, getattr(given, key), equal_nan=True):

@@ -15,7 +15,7 @@ from kinfeas.config.quantities import (
     Seed,
     Share,
 )
-from kinfeas.control.observation import ACTION, ACTIONS, OBSERVATION, TERMS
+from kinfeas.control.observation import ACTION, OBSERVATION, check_names
 from kinfeas.envs.world import WorldConfig
 
 
@@ -136,11 +136,4 @@ class TrainConfig:
             raise ValueError(
                 f"'processes' must be at most 'num_envs', {self.num_envs}, not {self.processes}"
             )
-        for key, names, known in (
-            ("observation", self.observation, tuple(TERMS)),
-            ("action", self.action, ACTIONS),
-        ):
-            if not names or not set(names) <= set(known) or len(set(names)) < len(names):
-                raise ValueError(f"'{key}' must have some of {', '.join(known)}, each once")
-        if self.action[0] != ACTION[0]:
-            raise ValueError(f"'action' must begin with {ACTION[0]}")
+        check_names(self.observation, self.action)

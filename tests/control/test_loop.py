@@ -11,6 +11,7 @@ from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON, Seen, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
+from kinfeas.core.errors import KinfeasError, raised_by
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
@@ -434,3 +435,47 @@ def test_a_motion_that_slows_down_gets_arms_of_its_own(solver):
         assert loop.step(still(loop)).feasible.all()
         arms.append(loop.joint_command)
     np.testing.assert_array_equal(*arms)
+
+
+@pytest.mark.parametrize(("answer", "named"), [
+    (lambda command: command[:, :1], "shape"), (lambda command: command[0], "shape"),
+    (lambda command: np.full_like(command, np.nan), "finite"), (lambda command: None, "NoneType"),
+])  # fmt: skip
+def test_wrong_commands_of_a_filter_are_refused(solver, answer, named):
+    class Wrong(Ones):
+        def __call__(self, command, policy_input):
+            return answer(command)
+
+    loop = make_loop(solver, 2, filters=[Wrong()])
+    with pytest.raises(KinfeasError, match=f"command filter Wrong.*{named}"):
+        loop.step(still(loop))
+
+
+def test_exceptions_of_filters_and_policies_name_them(solver):
+    class Broken(Counter):
+        def __call__(self, command, policy_input):
+            raise LookupError("boom")
+
+        def reset(self, loop, rows):
+            raise LookupError("boom")
+
+    loop = make_loop(solver, 2)
+    loop.set_policy(Broken())
+    with pytest.raises(LookupError) as caught:
+        loop.start(starts(solver.robot, 2), rngs(2))
+    assert raised_by(caught.value) == "policy Broken"
+    with pytest.raises(LookupError) as caught:
+        make_loop(solver, 2, filters=[Broken()])
+    assert raised_by(caught.value) == "command filter Broken"
+
+
+@pytest.mark.parametrize("terms", [
+    {"action_terms": ("time_scale", "base_velocity")}, {"action_terms": ("nope",)},
+    {"observation_terms": ("goal_positon",)}, {"observation_terms": "goal_position"},
+    {"observation_terms": ()},
+])  # fmt: skip
+def test_terms_of_policies_are_known_and_begin_with_the_base(solver, terms):
+    loop, policy = make_loop(solver, 1), Counter()
+    vars(policy).update(terms)
+    with pytest.raises(KinfeasError, match=r"policy Counter: '(observation|action)'"):
+        loop.set_policy(policy)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from kinfeas.core.checks import ConformanceError
 from kinfeas.core.single_motion import batched
 from kinfeas.core.spatial import twist_between
 from kinfeas.testing import check_motion_generator
@@ -78,3 +79,12 @@ def test_each_row_has_its_own_dt():
 
     batched(Asks)().twist({}, random_poses(2, 0), random_poses(2, 1), np.array([0.1, 100.0]))
     assert seconds == [0.1, 100.0]
+
+
+def test_a_twist_of_one_number_is_no_twist():
+    class Number(Straight):
+        def twist(self, state, ee_pose, target_pose, dt):
+            return 0.05, state
+
+    with pytest.raises(ConformanceError, match="shape"):
+        check_motion_generator(batched(Number)())
