@@ -124,8 +124,6 @@ class Loop:
         self.execution = execution = execution or ExecutionConfig()
         self.solver, self.backend, self.dt, self.filters = solver, backend, dt, tuple(filters)
         self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
-        notes = [plugin_note(f"command filter {type(one).__name__}") for one in self.filters]
-        self._noted_filters = tuple(zip(self.filters, notes, strict=True))
         self.robot = solver.robot
         self.sequence = MotionSequence(subgoals, solver, dt, execution)
         self.kinematic_step = KinematicStep(solver, dt)
@@ -201,8 +199,8 @@ class Loop:
         if self._recurrent is not None:
             with plugin_note(f"policy {type(self._recurrent).__name__}"):
                 self._recurrent.reset(self, fresh)
-        for one, note in self._noted_filters:
-            with note:
+        for one in self.filters:
+            with plugin_note(f"command filter {type(one).__name__}"):
                 one.reset(self, fresh)
 
     def step(self, action: Array) -> Step:
@@ -390,10 +388,11 @@ class Loop:
     def _filtered(self, command: Array) -> Array:
         """Return the commands after all filters, shape (n, a); those of paused rows are zero."""
         command = self.period.unless_paused(command)
-        for one, note in self._noted_filters:
-            with note:
+        for one in self.filters:
+            name = f"command filter {type(one).__name__}"
+            with plugin_note(name):
                 changed = one(command, self.policy_input)
-            check_array(changed, command.shape, note.plugin)
+            check_array(changed, command.shape, name)
             command = self.period.unless_paused(changed)
         return command
 
