@@ -66,7 +66,5 @@ clean:  ## Remove .venv and everything built
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --no-compile -c constraints.txt -e ".[test,dev]"
-	@$(BIN)/python -m pip install -q --no-compile -c constraints.txt -e ".[dmp]" >/dev/null 2>&1 || \
-		echo "The extra dmp cannot be built here: its motion generator and tests are left out"
 	@$(BIN)/python -m compileall -qq -j 0 $(VENV) || true
 	touch $@

@@ -19,7 +19,6 @@ GENERATORS: dict[str, dict[str, object]] = {
     "minimum_jerk": {},
     "waypoints": {"file": str(MOTIONS / "put_down.yaml")},
     "imitation": {"model": "door_open"},
-    "dmp": SHOWN,
     "replay": SHOWN,
 }
 SECONDS, DT = 80.0, 0.1

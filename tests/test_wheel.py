@@ -127,7 +127,6 @@ LACKING = {
     f"{EVALUATE} --replay a.html": "view",
     "play --robot hsr": "view,plots",
     "export pretrained --robot hsr --out a.onnx": "export",
-    "push pretrained someone/policy": "hub",
     "evaluate --policy whole_body_qp --robot hsr --episodes 1": "qp",
     f"{EVALUATE} --world pybullet": "pybullet",
     DEPLOY: "pybullet" if sys.version_info < (3, 12) else "mujoco",

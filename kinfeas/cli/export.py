@@ -12,9 +12,6 @@ from kinfeas.core.errors import KinfeasError
 if TYPE_CHECKING:
     from kinfeas.policies.onnx_policy import OnnxPolicy
 
-_CARD = b"---\nlibrary_name: kinfeas"
-"""Begin of model cards."""
-
 
 def export(
     policy: Annotated[
@@ -30,8 +27,6 @@ def export(
 ) -> None:
     """Write or verify a policy as ONNX file. The file describes itself.
 
-    Its model card has the same name with the suffix .md.
-
     The file answers as the training policy does, to 1e-5. It runs with onnxruntime alone, and
     --policy of other commands takes it.
 
@@ -42,16 +37,11 @@ def export(
     if check is not None and policy is None and out is None:
         _check(check, robot, json)
     elif policy is not None and out is not None and check is None:
-        beside = out.with_suffix(".md")
-        if beside.is_file() and not beside.read_bytes().startswith(_CARD):
-            raise KinfeasError(f"{beside}: exists, and is no model card; choose another --out")
         with status("exporting"):
             found, deviation = export_policy(policy, robot, out)
         told = {**facts(found, out), "parity": deviation}
         write_json(told, json)
         _show(f"exported: {out}", told)
-        if card := _write_card(found, out):
-            typer.echo(str(card))
     else:
         raise KinfeasError("give POLICY and --out FILE to export, or --check FILE to verify")
 
@@ -66,18 +56,6 @@ def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolic
     from kinfeas.sim2real.export import export as run
 
     return run(pretrained.folder(known.name, policy), known, out)
-
-
-def _write_card(policy: "OnnxPolicy", out: Path) -> Path | None:
-    """Write the model card beside a file, unless that is a device or a pipe; return its path."""
-    from kinfeas.io.files import replaced, write_file
-    from kinfeas.sim2real.card import model_card
-
-    if replaced(out) is None:
-        return None
-    card = out.with_suffix(".md")
-    write_file(card, model_card(policy.metadata).encode())
-    return card
 
 
 def _check(path: Path, robot: str | None, json: Path | None) -> None:

@@ -19,7 +19,6 @@ from kinfeas.cli.deploy import deploy
 from kinfeas.cli.evaluate import evaluate
 from kinfeas.cli.export import export
 from kinfeas.cli.fit import fit
-from kinfeas.cli.hub import pull, push
 from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
@@ -38,7 +37,7 @@ app = typer.Typer(
     context_settings={"max_content_width": 100},
 )
 for _command in (
-    demo, train, sweep, evaluate, benchmark, ceiling, speed, export, push, pull, deploy, servo,
+    demo, train, sweep, evaluate, benchmark, ceiling, speed, export, deploy, servo,
     play, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)

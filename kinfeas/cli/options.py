@@ -129,7 +129,7 @@ AllProcesses = Annotated[
 EngineName = Annotated[
     str,
     typer.Option(
-        help="Where jobs run: local, ray, slurm, or a mapping such as {name: slurm, minutes: 60}."
+        help="Where jobs run: local, ray, or a mapping such as {name: ray, address: auto}."
     ),
 ]
 EngineAddress = Annotated[

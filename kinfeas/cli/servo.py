@@ -25,10 +25,10 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     source: Annotated[
         str,
         typer.Option(
-            help="ros2, ros1, keyboard, gamepad, module:Class, or a plugin.",
+            help="ros2, ros1, module:Class, or a plugin.",
             autocompletion=options.names_of("target_sources"),
         ),
-    ] = "keyboard",
+    ] = "ros2",
     rate: options.Rate = 50.0,
     seconds: Annotated[float, typer.Option(min=0.0, help="Duration of the run.")] = 3600.0,
     record: options.Record = None,

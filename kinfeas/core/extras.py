@@ -15,13 +15,10 @@ EXTRAS = {
     "meshes": ("trimesh", "collada"),
     "ros2": ("cyclonedds",),
     "qp": ("pinocchio", "pink", "qpsolvers", "daqp"),
-    "dmp": ("movement_primitives", "pytransform3d"),
     "ray": ("ray",),
-    "slurm": ("submitit",),
     "sweep": ("optuna",),
     "wandb": ("wandb",),
     "mlflow": ("mlflow",),
-    "hub": ("huggingface_hub",),
     "lerobot": ("pyarrow",),
 }
 """Names under which the packages of each extra are imported."""

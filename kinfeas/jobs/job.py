@@ -18,7 +18,7 @@ from kinfeas.io.files import write_file, writing
 ATTEMPTS = 10
 """Times in a row that workers may die before a job is done."""
 
-ENGINES = {name: f"kinfeas.jobs.{name}:{name.title()}" for name in ("local", "ray", "slurm")}
+ENGINES = {name: f"kinfeas.jobs.{name}:{name.title()}" for name in ("local", "ray")}
 """Class of each engine."""
 
 Result = dict[str, Any]
@@ -101,7 +101,7 @@ def build_engine(text: str, processes: int, address: str | None = None) -> Engin
     """Return an engine by its name, or by a mapping in YAML with its parameters.
 
     Args:
-        text: A name of `ENGINES`, or a mapping such as `{name: slurm, partition: cpu}`.
+        text: A name of `ENGINES`, or a mapping such as `{name: ray, address: auto}`.
         processes: Number of jobs at a time.
         address: Of a running Ray cluster.
     """

@@ -25,18 +25,8 @@ def file(kinfeas, tmp_path):
     return tmp_path / "hsr.onnx"
 
 
-def test_an_export_overwrites_no_other_file(kinfeas, file, tmp_path):
-    kinfeas("export", "run", "--robot", "hsr", "--out", "hsr.onnx", code=0)  # its own card
-    (tmp_path / "notes.md").write_text("my notes on kinfeas")
-    words = ("export", "run", "--robot", "hsr", "--out", "notes.onnx")
-    check_one_line(kinfeas(*words), "notes.md")
-    assert (tmp_path / "notes.md").read_text() == "my notes on kinfeas"
-    assert not (tmp_path / "notes.onnx").exists()
-
-
 def test_export_and_check_show_the_same_metadata(kinfeas, file, tmp_path):
     exported = json.loads((tmp_path / "out.json").read_text())
-    assert (tmp_path / "hsr.md").read_text().startswith("---")
     assert 0.0 <= exported.pop("parity") <= 1e-5
     assert exported["robot"]["name"] == "hsr"
     outcome = kinfeas(

@@ -8,15 +8,9 @@ from kinfeas.jobs.local import Local
 from tests.jobs.job_cases import die, die_once, draw, fail, jobs
 
 ROOT = Path(__file__).parents[2]
-ENGINES = {
-    "local": "local",
-    "ray": "ray",
-    "slurm": "{name: slurm, cluster: local, poll_seconds: 0.1, folder: logs}",
-}
 
 
-@pytest.fixture(params=[name if name == "local" else pytest.param(name, marks=pytest.mark.slow)
-                        for name in ENGINES])  # fmt: skip
+@pytest.fixture(params=["local", pytest.param("ray", marks=pytest.mark.slow)])
 def engine(request, tmp_path, monkeypatch):
     """Each of the engines, with two processes."""
     monkeypatch.chdir(tmp_path)
@@ -25,9 +19,7 @@ def engine(request, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT)
     if request.param == "ray":
         pytest.importorskip("ray")
-    if request.param == "slurm":
-        pytest.importorskip("submitit")
-    return build_engine(ENGINES[request.param], 2)
+    return build_engine(request.param, 2)
 
 
 def files(folder):

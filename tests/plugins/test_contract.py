@@ -37,14 +37,11 @@ CASES = [
     Case("gaussian_mixture", model="gaussian_mixture"),
     *(Case("waypoints", frame, file="waypoints") for frame in (*TARGET_FRAMES, "world")),
     *(Case("replay", frame, file="shown") for frame in (*TARGET_FRAMES, "world")),
-    *(Case("dmp", frame, file="shown") for frame in TARGET_FRAMES),
 ]
 
 
 @pytest.fixture(scope="module", params=CASES, ids=str)
 def case(request):
-    if request.param.name == "dmp":
-        pytest.importorskip("movement_primitives.dmp", reason="built from source")
     return request.param
 
 
@@ -126,7 +123,7 @@ def test_moves_with_its_target_or_stays_in_the_world(generator, case):
     assert max(metres.max(), radians.max()) < 1e-6
 
 
-ENDS = {"waypoints": WAYPOINTS[-1], "replay": SHOWN.ee_pose[-1], "dmp": SHOWN.ee_pose[-1]}
+ENDS = {"waypoints": WAYPOINTS[-1], "replay": SHOWN.ee_pose[-1]}
 
 
 def test_frames_place_the_end(generator, case):

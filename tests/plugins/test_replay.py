@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY, relative
+from kinfeas.core.spatial import IDENTITY
 from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.io.run_log import About, Moment, Recorder
-from kinfeas.plugins.dmp import Dmp
-from kinfeas.plugins.replay import Replay, read_recording, resampled
+from kinfeas.plugins.replay import Replay, read_recording
 from tests.builders import assert_near
 from tests.plugins.conftest import DT, SHOWN, random_poses, run
 
@@ -56,18 +55,3 @@ def test_reads_the_desired_motion_of_a_run(tmp_path, name):
     for frame, times in (("object", np.arange(5)), ("goal", [0.1] * 5), ("goal", [0, 2, 1, 1, 1])):
         with pytest.raises(KinfeasError, match=name):
             read_recording(write_run(path, desired, times), frame)
-
-
-FAST = {"max_velocity": 10.0, "max_angular_velocity": 10.0}
-IN_END = relative(SHOWN.ee_pose, np.broadcast_to(SHOWN.ee_pose[-1], SHOWN.ee_pose.shape))
-
-
-def test_reproduces_the_demonstration_in_its_time_or_slower_within_limits(files):
-    pytest.importorskip("movement_primitives.dmp", reason="the extra dmp is built from source")
-    fast, _, _ = run(Dmp(file=files["shown"], **FAST), IN_END[:1], IDENTITY[np.newaxis], 10.0, 0.01)
-    moments = np.arange(0.0, SHOWN.time[-1], 0.2)
-    expected = resampled(SHOWN.time, IN_END, moments / SHOWN.time[-1])
-    assert_near(fast[np.round(moments / 0.01).astype(int), 0], expected, 5e-3, 0.02)
-    slow, _, _ = run(Dmp(file=files["shown"]), IN_END[:1], IDENTITY[np.newaxis], 40.0)
-    metres = np.linalg.norm(slow[:, 0, np.newaxis, :3] - fast[:, 0, :3], axis=-1)
-    assert metres.min(axis=1).max() < 5e-3

@@ -1,7 +1,6 @@
 import json
 import re
 import runpy
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network
 from kinfeas.policies.onnx_policy import TOLERANCE, read_policy_file
 from kinfeas.sim2real import export as export_module
-from kinfeas.sim2real.card import model_card
 from kinfeas.sim2real.export import GOLDEN_PAIRS, export
 from tests.sim2real.policy_cases import write_run
 
@@ -34,16 +32,6 @@ def test_the_shipped_policies(robot, tmp_path):
     model = onnx.load(tmp_path / "policy.onnx", load_external_data=False)
     assert {node.op_type for node in model.graph.node} == {"Mul", "Clip", "Gemm", "Relu", "Tanh"}
     assert [one.type.tensor_type.shape.dim[0].dim_param for one in model.graph.input] == ["batch"]
-
-
-@pytest.mark.parametrize(("name", "blind"), [("pretrained", True), ("pretrained/rooms", False)])
-def test_model_cards_have_the_limits_of_their_policy(hsr, tmp_path, name, blind):
-    policy, _ = export(pretrained.folder("hsr", name), hsr, tmp_path / "policy.onnx")
-    card = model_card(policy.metadata)
-    assert ("not observe obstacles" in card) is blind
-    assert "no forces" in card
-    physics = {"config": {"world": {"backend": "mujoco"}}}
-    assert "no forces" not in model_card(replace(policy.metadata, training=physics))
 
 
 def test_takes_the_best_checkpoint_and_its_run_s_figures(pr2, tmp_path):
