@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from speed import one_core
 from stable_baselines3 import SAC
 
-from kinfeas.benchmark.speed import one_core
 from kinfeas.config.recipes import load_section
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.fast_sac import FastSAC

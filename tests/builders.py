@@ -1,8 +1,12 @@
 """Poses, random numbers and comparisons that many tests share."""
 
+from itertools import pairwise
+
 import numpy as np
 
+from kinfeas.control import drive, observation
 from kinfeas.core.spatial import canonical, distance, planar_pose
+from kinfeas.policies.network import Network
 
 
 def assert_near(one, other, metres, radians):
@@ -45,3 +49,17 @@ def random_bases(n, seed=0):
 def contents(folder):
     """Return the bytes of all files below a folder, by path."""
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def random_network(robot, width=256):
+    """Return an untrained network of two hidden layers for a robot."""
+    rng = np.random.default_rng(0)
+    sizes = (observation.size(robot), width, width, drive.command_size(robot.base))
+    return Network(
+        scale=observation.scale(robot).astype(np.float32),
+        weights=tuple(
+            rng.normal(0.0, (2.0 / rows) ** 0.5, (rows, columns)).astype(np.float32)
+            for rows, columns in pairwise(sizes)
+        ),
+        biases=tuple(np.zeros(columns, dtype=np.float32) for columns in sizes[1:]),
+    )

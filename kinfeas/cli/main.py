@@ -24,7 +24,6 @@ from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
 from kinfeas.cli.servo import servo
 from kinfeas.cli.simulate import simulate
-from kinfeas.cli.speed import speed
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
 from kinfeas.cli.view import view
@@ -37,7 +36,7 @@ app = typer.Typer(
     context_settings={"max_content_width": 100},
 )
 for _command in (
-    demo, train, sweep, evaluate, benchmark, ceiling, speed, export, deploy, servo,
+    demo, train, sweep, evaluate, benchmark, ceiling, export, deploy, servo,
     play, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)

@@ -7,13 +7,13 @@ import pytest
 
 from kinfeas import config
 from kinfeas.benchmark.runs import Run, find_runs, plan_runs, publish, read_run, train_command
-from kinfeas.benchmark.speed import random_network
 from kinfeas.core.errors import KinfeasError
 from kinfeas.jobs.training import training_job
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 from tests.benchmark.benchmark_cases import study
+from tests.builders import random_network
 from tests.training.conftest import TINY
 
 OUT = Path("out")

@@ -2,8 +2,6 @@ import json
 
 import pytest
 
-from kinfeas.benchmark import speed as speed_module
-from kinfeas.benchmark.speed import Figure
 from kinfeas.config.recipes import default_engine
 
 EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "2")
@@ -75,14 +73,3 @@ def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     for name in ("four.png", "episode.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert b"<html" in (tmp_path / "page.html").read_bytes()[:1000].lower()
-
-
-def test_speed(evaluate, monkeypatch):
-    timed = []
-    figures = [Figure("one", 1.5, "us", "one_us"), Figure("peer", None, "us", "peer_us")]
-    figures += [Figure("solved", 0.25, ""), Figure("rate", 12345.6, "steps/s")]
-    monkeypatch.setattr(
-        speed_module, "measure_speed", lambda *given, **_: timed.append(given) or figures
-    )
-    assert evaluate("speed", "--robot", "hsr") == {"one_us": 1.5, "peer_us": None}
-    assert timed == [("hsr",)]

@@ -5,7 +5,6 @@ import pytest
 
 from kinfeas import config
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.benchmark.speed import random_network
 from kinfeas.config import PluginSpec
 from kinfeas.core import registry
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
@@ -19,6 +18,7 @@ from kinfeas.robots.robot import joint_displacement
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
 from kinfeas.tasks.loading import load_task
+from tests.builders import random_network
 
 FAST = {"gain": 0.5, "max_velocity": 0.2, "max_angular_velocity": None}
 CHAIN = config.from_mapping(

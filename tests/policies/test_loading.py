@@ -5,13 +5,13 @@ import sys
 import numpy as np
 import pytest
 
-from kinfeas.benchmark.speed import random_network
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.policies.loading import BASELINES, load_policy
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.testing import ConformanceError, check_policy
+from tests.builders import random_network
 from tests.policies.policy_inputs import policy_inputs
 
 

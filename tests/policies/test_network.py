@@ -4,12 +4,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from kinfeas.benchmark.speed import random_network
 from kinfeas.control.observation import ACTIONS, CLIP, OBSERVATION
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.network import Network, read_network, write_network
 from kinfeas.robots.robot import fingerprint
+from tests.builders import random_network
 
 
 def network(sizes=(28, 256, 256, 3), seed=0):

@@ -4,10 +4,10 @@ import json
 
 import onnx
 
-from kinfeas.benchmark.speed import random_network
 from kinfeas.policies.network import write_network
 from kinfeas.policies.onnx_policy import digest_entry
 from kinfeas.sim2real.export import export
+from tests.builders import random_network
 
 TRAINED = {
     "config": {"robot": "pr2", "task": "ggr", "world": {"dt": 0.1}},

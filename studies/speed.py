@@ -1,6 +1,13 @@
-"""Speed of inverse kinematics, environments, policies and training on this machine."""
+"""Print run times of inverse kinematics, environments, a policy and training on this machine.
 
-import math
+    python studies/speed.py --robot hsr
+
+IK is timed beside Pinocchio and PyBullet. Figures are the best of several repeats on one core. The
+policy has random weights. Training uses the robot's recipe on all cores for half a minute.
+`time_to_level.py` trains whole recipes.
+"""
+
+import argparse
 import os
 import tempfile
 import time
@@ -10,12 +17,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import ik_peers as peers
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from kinfeas.benchmark import peers
-from kinfeas.benchmark.learning_speed import learning_curve, levels, recipe_of
 from kinfeas.config.recipes import load_section
 from kinfeas.control import drive, observation
 from kinfeas.core import registry, spatial
@@ -46,9 +52,9 @@ _EE_STEP, _EE_TURN, _BASE_STEP = 0.01, 0.01, 0.02
 
 @dataclass(frozen=True)
 class Figure:
-    """One measurement: its name, its value, the unit (none for shares), and its key in JSON.
+    """One measurement: its name, its value and the unit (none for shares).
 
-    The value is None if the peer is not installed, or the level was not reached.
+    The value is None if the peer is not installed.
     """
 
     text: str
@@ -86,13 +92,10 @@ def measure_speed(
     robot: str,
     effort: Effort | None = None,
     on_part: Callable[[str], None] | None = None,
-    *,
-    to_level: bool = False,
 ) -> list[Figure]:
     """Return all measurements: on one core, except training, which uses all.
 
-    `on_part` is called with the name of each part at its beginning. `to_level` adds training times
-    to levels of success.
+    `on_part` is called with the name of each part at its beginning.
     """
     effort, known = effort or Effort(), load_robot(robot)
     parts: dict[str, Callable[[], Iterator[Figure]]] = {
@@ -102,8 +105,6 @@ def measure_speed(
         "action": lambda: measure_action(known, random_network(known), effort),
         "training": lambda: measure_training(robot, effort),
     }
-    if to_level:
-        parts["training to levels"] = lambda: measure_levels(robot)
     figures: list[Figure] = []
     for name, measure in parts.items():
         if on_part is not None:
@@ -193,12 +194,16 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
     the environments are stepped in a thread beside the updates.
     """
     # Not at the top: they load torch.
+    from kinfeas.training.config import TrainConfig
     from kinfeas.training.train import train
 
     schedule = ["schedule.evaluations=1", "schedule.evaluation_episodes=1"]
     schedule += ["schedule.final_episodes=1", f"schedule.minutes={effort.train_minutes}"]
     with tempfile.TemporaryDirectory() as folder:
-        progress = train(recipe_of(robot, schedule), Path(folder) / "run")
+        recipe = load_section(
+            TrainConfig, "train", load_robot(robot).name, [f"robot={robot}", *schedule]
+        )
+        progress = train(recipe, Path(folder) / "run")
     steps, seconds = progress.steps, progress.parts["step"]
     yield Figure("training", steps / progress.seconds, "steps/s", "train_steps_per_s")
     yield Figure("updates", progress.updates / progress.seconds, "updates/s", "updates_per_s")
@@ -206,15 +211,6 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
         yield Figure(f"share of {text}", progress.parts[part] / seconds, "", f"{part}_share")
     for part, used in progress.cpu.items():
         yield Figure(f"CPU time of {part} a step", used / steps * 1e6, "us", f"{part}_cpu_us")
-
-
-def measure_levels(robot: str) -> Iterator[Figure]:
-    """Yield the training time of the robot's own recipe to levels of success."""
-    curve = learning_curve(robot, minutes=recipe_of(robot, []).schedule.minutes or 3.0)
-    for number, (text, level) in enumerate(levels(robot).items()):
-        seconds = curve.time_to(level)
-        value = seconds if math.isfinite(seconds) else None
-        yield Figure(f"training to {text} ({level:.1%})", value, "s", f"seconds_to_level_{number}")
 
 
 def random_network(robot: Robot, width: int = 256) -> Network:
@@ -350,3 +346,26 @@ def _one_step(ee_pose: Array, rng: np.random.Generator) -> Array:
 def _directions(rng: np.random.Generator, count: int, axes: int) -> Array:
     vectors = rng.normal(size=(count, axes))
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def main() -> None:
+    """Print all figures of a robot."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--robot", default="pr2")
+    chosen = parser.parse_args()
+    for figure in measure_speed(chosen.robot, on_part=lambda part: print(f"timing: {part}")):
+        print(f"{figure.text:42s} {_text(figure)}")
+
+
+def _text(figure: Figure) -> str:
+    if figure.value is None:
+        return "not installed"
+    if not figure.unit:
+        return f"{100.0 * figure.value:.1f} %"
+    return f"{figure.value:,.{0 if figure.value >= 1000 else 2}f} {figure.unit}"
+
+
+if __name__ == "__main__":
+    main()
