@@ -7,6 +7,7 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEMO_STAMP := $(VENV)/.installed-demo
 PACKAGES := kinfeas plugins scenes sim2real configs
 FRESH = build/$(notdir $(PYTHON))
 WORKERS ?= auto
@@ -19,7 +20,7 @@ help:  ## Show the targets
 
 install: $(STAMP)  ## Build .venv with the tested versions
 
-demo: $(STAMP)  ## Train a PR2 base policy for two minutes, evaluate it and write a report
+demo: $(or $(wildcard $(STAMP)),$(DEMO_STAMP))  ## Train a PR2 base policy for two minutes, evaluate it and write a report
 	$(BIN)/kinfeas demo
 
 test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests
@@ -61,10 +62,12 @@ clean:  ## Remove .venv and everything built
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The stamp makes a second call quick; a change of the dependencies or entry points installs anew.
+# The stamps make a second call quick; a change of the dependencies or entry points installs anew.
 # Bytecode is compiled by all cores; some packages bring templates that are no Python.
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): EXTRAS := test,dev
+$(DEMO_STAMP): EXTRAS := train,plots
+$(STAMP) $(DEMO_STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --no-compile -c constraints.txt -e ".[test,dev]"
+	$(BIN)/python -m pip install --no-compile -c constraints.txt -e ".[$(EXTRAS)]"
 	@$(BIN)/python -m compileall -qq -j 0 $(VENV) || true
 	touch $@

@@ -5,8 +5,9 @@ import argparse
 import gymnasium
 import numpy as np
 
-import kinfeas.envs  # noqa: F401  registers the environment
 from kinfeas.control.observation import TERMS
+
+ENVIRONMENT = "kinfeas.envs:kinfeas/BaseMotion-v0"  # module that registers it, and name
 
 
 def main() -> None:
@@ -16,7 +17,7 @@ def main() -> None:
     parser.add_argument("--robot", default="tiago")
     given = parser.parse_args()
 
-    env = gymnasium.make("kinfeas/BaseMotion-v0", robot=given.robot, task="ggr")
+    env = gymnasium.make(ENVIRONMENT, robot=given.robot, task="ggr")
     print(f"observation {env.observation_space.shape}: {', '.join(TERMS)}")
     print(f"action {env.action_space.shape}: base velocities as fractions of their limits")
     env.reset(seed=0)
@@ -32,7 +33,7 @@ def main() -> None:
     env.close()
 
     many = gymnasium.make_vec(
-        "kinfeas/BaseMotion-v0",
+        ENVIRONMENT,
         num_envs=64,
         vectorization_mode="vector_entry_point",
         robot=given.robot,

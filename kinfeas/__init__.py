@@ -5,13 +5,18 @@
 
 __version__ = "0.2.0"
 
-_API = ("Run", "evaluate", "export", "load_policy", "train")
+__all__ = ["Run", "__version__", "evaluate", "export", "load_policy", "train"]
 
 
 def __getattr__(name: str) -> object:
     """Return what `kinfeas.api` has of this name; it is imported when first asked for."""
-    if name not in _API:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
     return getattr(import_module("kinfeas.api"), name)
+
+
+def __dir__() -> list[str]:
+    """Return the names of this module, also of what it has not imported yet."""
+    return sorted({*globals(), *__all__})

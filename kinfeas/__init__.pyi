@@ -1,7 +1,5 @@
-from kinfeas.api import Run as Run
-from kinfeas.api import evaluate as evaluate
-from kinfeas.api import export as export
-from kinfeas.api import load_policy as load_policy
-from kinfeas.api import train as train
+from kinfeas.api import Run, evaluate, export, load_policy, train
+
+__all__ = ["Run", "__version__", "evaluate", "export", "load_policy", "train"]
 
 __version__: str

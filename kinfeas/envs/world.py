@@ -202,13 +202,13 @@ class World:
         """Advance all n episodes by one control period.
 
         Args:
-            action: Action terms in [-1, 1], shape (n, a).
+            action: Action terms, clipped to [-1, 1], shape (n, a).
 
         Raises:
             KinfeasError: If the action has another shape or is not finite.
         """
         check_array(action, (len(self.steps), self.action_size), "the action")
-        action, loop = action.clip(-1.0, 1.0), self.loop
+        loop = self.loop
         way = planned_way = None
         if loop.target_stream is not None:
             before = loop.true_state[1]
@@ -226,7 +226,7 @@ class World:
         if planned_way is not None:
             way = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
             reached = truncated
-        joints, command = loop.state.joint_positions, action[:, : loop.command_size]
+        joints, command = loop.state.joint_positions, action[:, : loop.command_size].clip(-1.0, 1.0)
         base_error = loop.observer.base_error
         return Transition(
             observation=loop.policy_input.observation,

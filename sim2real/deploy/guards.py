@@ -40,6 +40,7 @@ from kinfeas.sim2real.deploy.state_monitor import StateMonitor, check_limit
 from kinfeas.sim2real.link.scans import beam
 
 _CREEP = 0.02  # m/s up to which the base may drive into a blind direction
+_ROUNDING = 1e-12  # m, rad and their rates up to which the limits change a command by rounding only
 
 
 class _Wrapper(BackendWrapper):
@@ -128,7 +129,7 @@ class SafetyFilter(_Wrapper):
         velocity = limited_velocity(wanted, self._velocity, self._base_limits, dt)
         if self.brake:
             velocity = np.zeros(3)
-        twist = world_twist(base, pose, velocity[np.newaxis], dt)
+        twist = _unrounded(world_twist(base, pose, velocity[np.newaxis], dt), base_twist)
         targets = self._arm_targets(joint_targets[0], dt)[np.newaxis]
         check_array(targets, arm, "the arm command", error=Fault)
         self._check_age()
@@ -207,7 +208,7 @@ class SafetyFilter(_Wrapper):
             self.hold = "the arm's target is too far away"
         elif not lag.max() <= guards.max_tracking_delay:  # also if the measurement is not a number
             self.hold = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
-        return before if self.hold else after
+        return before if self.hold else _unrounded(after, targets)
 
 
 class Guarded(_Wrapper):
@@ -326,6 +327,11 @@ class Guarded(_Wrapper):
         except PLUGIN_ERRORS as error:
             if not self.unstopped:  # or the connection is known to be lost
                 self.unclosed = str(error) or repr(error)
+
+
+def _unrounded(limited: Array, wanted: Array) -> Array:
+    """Return limited commands; those within the limits are the wanted ones to the bit."""
+    return np.where(np.abs(limited - wanted) <= _ROUNDING, wanted, limited)
 
 
 def _base_limits(base: Base, guards: Guards) -> Array:

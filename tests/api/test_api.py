@@ -29,6 +29,12 @@ def test_train_evaluate_export_and_load(tmp_path):
         kinfeas.train("hsr", out=run.folder)
 
 
+def test_the_package_lists_its_functions():
+    assert set(kinfeas.__all__) <= set(dir(kinfeas))
+    assert {"train", "evaluate", "export", "load_policy"} <= set(kinfeas.__all__)
+    assert all(hasattr(kinfeas, name) for name in dir(kinfeas))
+
+
 def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
     from kinfeas.cli import main
 

@@ -7,6 +7,8 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common import env_checker as sb3_checker
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from kinfeas import envs
 from kinfeas.config import PluginSpec
@@ -87,6 +89,17 @@ def test_gymnasium_makes_both_by_name():
     assert vector.unwrapped.single_observation_space == single.observation_space
     assert vector.unwrapped.single_action_space == single.action_space
     assert vector.reset(seed=0)[0] in vector.observation_space
+
+
+@pytest.mark.slow
+def test_processes_of_sb3_make_the_environment_by_its_name():
+    parts = {"vec_env_cls": SubprocVecEnv, "vec_env_kwargs": {"start_method": "spawn"}}
+    name, robot = "kinfeas.envs:kinfeas/BaseMotion-v0", {"robot": "hsr"}
+    many = make_vec_env(name, 2, seed=SEED, env_kwargs=robot, **parts)
+    observations = many.reset()
+    many.close()
+    for row, observation in enumerate(observations):
+        np.testing.assert_array_equal(observation, BaseMotionEnv("hsr").reset(seed=SEED + row)[0])
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])

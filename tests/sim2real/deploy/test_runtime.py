@@ -17,6 +17,9 @@ from kinfeas.control.loop import Loop
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
+from kinfeas.envs.world import World
+from kinfeas.evaluation.evaluate import prepare
+from kinfeas.evaluation.recording import record_episodes
 from kinfeas.io.run_log import REACHED, About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import network as policy
@@ -145,6 +148,38 @@ def test_reaches_the_goal_and_reports_task_success(run, trained, done, end):
     assert record.base_twist.any()
     assert record.time[-1] == pytest.approx(outcome.seconds)
     np.testing.assert_allclose(record.goal[:, :3], np.tile(target.goal, (len(record.goal), 1)))
+
+
+class Bold:
+    """A policy whose actions exceed their range."""
+
+    def __init__(self, policy):
+        self.policy = policy
+
+    def act(self, policy_input):
+        return 3.0 * self.policy.act(policy_input)
+
+
+@pytest.mark.parametrize("drive", [lambda policy: policy, Bold], ids=["within", "beyond"])
+@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
+def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, drive):
+    settings = ["task={distance: [1.0, 1.2]}", "world.filters=[{name: feasibility}]"]
+    config, policy = prepare(pretrained.NAME, name, "ggr", seed=3, overrides=settings)
+    # Accelerations that the policy does not reach, since evaluations have no limits.
+    base = replace(config.robot.base, max_acceleration=99.0, max_rotation_acceleration=99.0)
+    config, driver = replace(config, robot=replace(config.robot, base=base)), drive(policy)
+    world = World(config.robot, config.task, config.world, config.seed)
+    (recording,) = record_episodes(world, driver, 1)
+    filters, moments = build_filters(config.world.filters), []
+    setup = Setup(
+        world.solver, driver, config.task, AnalyticBackend(config.robot), config.world.dt,
+        seed=config.seed, filters=filters, real_time=False,
+    )  # fmt: skip
+    assert deploy(setup, Mock(write=moments.append)).code == Code.REACHED
+    moments = moments[: len(recording.base_pose)]  # the last one is the stop
+    for key in ("base_pose", "joint_positions", "desired"):
+        values = np.array([getattr(moment, key) for moment in moments])
+        np.testing.assert_array_equal(values, getattr(recording, key), err_msg=key)
 
 
 class InPlace(AnalyticBackend):
