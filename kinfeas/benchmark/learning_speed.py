@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinfeas.config.recipes import load_section
 from kinfeas.core import registry
 from kinfeas.evaluation.paper import LEARNED, paper_figures
 from kinfeas.evaluation.reachability import measure_reachability
@@ -71,7 +70,6 @@ def levels(robot: str, goals: int = 500) -> dict[str, float]:
 
 def recipe_of(robot: str, overrides: Sequence[str]) -> "TrainConfig":
     """Return the training recipe of a robot, changed by assignments such as `seed=1`."""
-    from kinfeas.training.config import TrainConfig
+    from kinfeas.training.config import load_recipe
 
-    name = load_robot(robot).name
-    return load_section(TrainConfig, "train", name, [f"robot={robot}", *overrides])
+    return load_recipe(None, [f"robot={robot}", *overrides])
