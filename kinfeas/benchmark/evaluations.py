@@ -18,7 +18,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.evaluate import evaluate, prepare, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
-from kinfeas.io.files import is_path
+from kinfeas.io.files import is_path, reading
 from kinfeas.io.policy_metadata import policy_folder
 from kinfeas.jobs.job import Job, Result
 from kinfeas.policies import pretrained
@@ -235,4 +235,5 @@ def _weights(case: Evaluation) -> str:
     shipped = case.source == pretrained.NAME
     folder = pretrained.find(case.robot_name) if shipped else Path(case.source)
     place = policy_folder(folder) / WEIGHTS
-    return hashlib.sha256(place.read_bytes()).hexdigest()
+    with reading(place):
+        return hashlib.sha256(place.read_bytes()).hexdigest()

@@ -9,7 +9,7 @@ from typing import Any
 
 from kinfeas import __version__, config
 from kinfeas.benchmark.config import BenchmarkConfig, Training
-from kinfeas.config.recipes import load_recipe, load_section
+from kinfeas.config.recipes import load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import policy_folder, read_best
 from kinfeas.jobs.job import Job
@@ -129,12 +129,7 @@ def _settings(training: Training, seed: int) -> TrainConfig:
         values |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
     assignments = [f"{key}={json.dumps(value)}" for key, value in values.items()]
     assignments += training.settings
-    if training.recipe is not None:
-        settings = load_recipe(TrainConfig, training.recipe, "train", assignments)
-    else:
-        name = load_robot(training.robot).name
-        settings = load_section(TrainConfig, "train", name, assignments)
-    return with_initial_policy(settings)
+    return with_initial_policy(load_recipe(training.recipe, assignments))
 
 
 def _changes(

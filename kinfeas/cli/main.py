@@ -27,7 +27,7 @@ from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
 from kinfeas.cli.view import view
-from kinfeas.core.errors import KinfeasError, raised_by
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, raised_by
 from kinfeas.core.extras import missing_extra
 
 app = typer.Typer(
@@ -54,7 +54,7 @@ def main() -> None:
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         code = 130
-    except Exception as error:
+    except PLUGIN_ERRORS as error:
         if missing := missing_extra(error):
             sys.stderr.write(f"error: {missing}\n")
             sys.exit(2)

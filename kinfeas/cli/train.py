@@ -119,31 +119,16 @@ def read_settings(  # noqa: PLR0913 - options of the command
     overrides: Sequence[str] = (),
 ) -> "TrainConfig":
     """Return the settings of a run: the recipe, then the options, then `overrides`."""
-    from kinfeas.config.recipes import load_recipe, load_section
     from kinfeas.core.registry import from_anywhere
     from kinfeas.envs.world import World
-    from kinfeas.training.config import TrainConfig
+    from kinfeas.training.config import load_recipe
     from kinfeas.training.run import with_initial_policy
 
-    if config is None and robot is None:
-        robot = options.robot_of(init)
     given: dict[str, object] = {"robot": robot, "task": task, "seed": seed, "init": init}
     given |= {"processes": processes, "learner.algorithm": algorithm}
     given |= options.adapters_of_world(adapters)
     changes = [*options.assignments(options.given(given)), *_duration(minutes, steps), *overrides]
-    section = "train"
-    if world != "analytic":
-        section = "train_physics" if init is None else "finetune_physics"
-        # MuJoCo steps a batch on all cores, and only a world in this process can be saved.
-        if world == "mujoco" and processes is None:
-            changes.insert(0, "processes=1")
-    if config is None:
-        if world != "analytic":
-            changes.insert(0, f"world.backend={world}")
-        name = options.read_robot(robot or options.DEFAULT_ROBOT).name
-        settings = load_section(TrainConfig, section, name, changes)
-    else:
-        settings = load_recipe(TrainConfig, config, section, changes)
+    settings = load_recipe(config, changes, backend=world, robot=options.robot_of(None if robot else init))
     if settings.world.backend != world:
         raise KinfeasError(f"--world {world}: the recipe is for the world {settings.world.backend}")
     # Before there is a folder, since it raises the errors of unknown names.

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kinfeas.config import from_mapping, load, strict_yaml
+from kinfeas.config import from_mapping, strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
 
 T = TypeVar("T")
@@ -26,18 +26,56 @@ def recipes(folder: str) -> list[str]:
     return sorted(f"{folder}/{path.stem}" for path in place.glob("*.yaml"))
 
 
-def find_recipe(name: str, folder: str) -> Path:
+def find_recipe(name: str, folder: str, within: Path = Path()) -> Path:
     """Return the file of a recipe: a path, or a shipped one, such as `paper/pr2` or `pr2`.
 
-    Names without a folder are those in the shipped `folder`.
+    Names without a folder are those in the shipped `folder`; paths are relative to `within`.
     """
     shipped = [_ROOT / f"{stem}.yaml" for stem in (name, f"{folder}/{name}")]
-    for path in (Path(name), *(one for one in shipped if one.resolve().is_relative_to(_ROOT))):
+    for path in (within / name, *(one for one in shipped if one.resolve().is_relative_to(_ROOT))):
         if path.is_file():
             return path
     files = (_ROOT / folder).is_dir()
     names = [one.removeprefix(f"{folder}/") if files else one for one in recipes(folder)]
+    names += [] if files else recipes("paper")
     raise KinfeasError(f"unknown configuration {name!r}{no_such(name, names)}, or a YAML file")
+
+
+def read_recipe(
+    name: str, folder: str, within: Path = Path(), above: Sequence[Path] = ()
+) -> tuple[dict[str, Any], bool]:
+    """Return the keys of a recipe, over those of the one that it `extends`, if there is one.
+
+    Args:
+        name: As in `find_recipe`, or `train/pr2` for the section `train` of a robot.
+        folder: Section, or folder of shipped recipes, of names without one.
+        within: Folder of relative paths.
+        above: Files that extend this recipe.
+
+    Returns:
+        The keys, and whether they come from the section of a robot, and so are complete.
+
+    Raises:
+        KinfeasError: If there is no such recipe, or it extends itself.
+    """
+    for section_name in (name, f"{folder}/{name}"):
+        kind, _, robot = section_name.partition("/")
+        if kind in _read_robot("default") and section_name in recipes(kind):
+            own = {} if robot == "default" else {"robot": robot}
+            return {**own, **section(kind, robot)[0]}, True
+    path = find_recipe(name, folder, within)
+    data = strict_yaml.read(path)
+    if (extended := data.pop("extends", None)) is None:
+        return data, False
+    if not isinstance(extended, str):
+        raise KinfeasError(f"{path}: 'extends' must be the name or path of a recipe")
+    if path.resolve() in above:
+        raise KinfeasError(f"{path}: 'extends' itself")
+    try:
+        keys, complete = read_recipe(extended, folder, path.parent, [*above, path.resolve()])
+    except KinfeasError as error:
+        raise KinfeasError(f"{path}: extends: {error}") from error
+    return merged(keys, data), complete
 
 
 def section(name: str, robot: str) -> tuple[dict[str, Any], str]:
@@ -48,7 +86,7 @@ def section(name: str, robot: str) -> tuple[dict[str, Any], str]:
     settings of evaluations; all engines have the section `physics`.
     """
     name = "physics" if name in ENGINES else name
-    data = _merged(_read_robot("default").get(name, {}), _read_robot(robot).get(name, {}))
+    data = merged(_read_robot("default").get(name, {}), _read_robot(robot).get(name, {}))
     return data, f"configs/robots/{robot}.yaml, {name}"
 
 
@@ -57,33 +95,17 @@ def load_section(cls: type[T], name: str, robot: str, overrides: Sequence[str] =
     return from_mapping(cls, *section(name, robot), overrides)
 
 
-def load_recipe(cls: type[T], name: str, folder: str, overrides: Sequence[str] = ()) -> T:
-    """Return the recipe of a training as an instance of `cls`; `overrides` as in `from_mapping`.
-
-    Names are those of `find_recipe`, or `train/pr2` for the section `train` of a robot.
-
-    Raises:
-        KinfeasError: If there is no such recipe, or it is invalid.
-    """
-    kind, _, robot = name.partition("/")
-    if kind in _read_robot("default"):
-        folder = kind
-    if folder == kind and name in recipes(kind):
-        own = [] if robot == "default" else [f"robot={robot}"]
-        return load_section(cls, kind, robot, [*own, *overrides])
-    return load(cls, find_recipe(name, folder), overrides)
-
-
 def _read_robot(name: str) -> dict[str, Any]:
     """Return the sections of a robot's shipped file, if it has one."""
     path = _ROBOTS / f"{name}.yaml"
     return strict_yaml.read(path) if name == Path(name).name and path.is_file() else {}
 
 
-def _merged(data: Any, changes: Any) -> Any:
+def merged(data: Any, changes: Any) -> Any:
+    """Return nested mappings with changed keys; other values, lists too, are replaced."""
     if not isinstance(data, Mapping) or not isinstance(changes, Mapping):
         return changes
-    return {**data, **{key: _merged(data.get(key), value) for key, value in changes.items()}}
+    return {**data, **{key: merged(data.get(key), value) for key, value in changes.items()}}
 
 
 def default_engine() -> str:

@@ -1,5 +1,6 @@
 """Observation and action terms of policies."""
 
+import reprlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -220,6 +221,8 @@ def check_names(observation: Sequence[str], action: Sequence[str], whose: str = 
     """Raise KinfeasError unless the terms of a policy are known, each once, the base first."""
     named = ("observation", observation, tuple(TERMS)), ("action", action, ACTIONS)
     for key, names, known in named:
+        if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+            raise KinfeasError(f"{whose}'{key}' must be a list of names, not {reprlib.repr(names)}")
         if not names or not set(names) <= set(known) or len(set(names)) < len(names):
             raise KinfeasError(f"{whose}'{key}' must have some of {', '.join(known)}, each once")
     if action[0] != ACTION[0]:

@@ -38,7 +38,7 @@ class plugin_note:  # noqa: N801 - used like contextlib.suppress, and faster tha
     def __enter__(self) -> None: ...
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Exception):
+        if isinstance(error, PLUGIN_ERRORS):
             error.add_note(_RAISED_BY + self.plugin)
 
 

@@ -130,6 +130,8 @@ def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
             built = factory(**typed)
     except (ValueError, TypeError, ImportError) as error:
         raise KinfeasError(f"{subject}: {missing_extra(error) or error}") from error
+    except SystemExit as error:
+        raise KinfeasError(f"{subject} raised SystemExit: {error}") from error
     lacks = [name for name in _MEMBERS.get(group, ()) if not hasattr(built, name)]
     if lacks:
         raise KinfeasError(

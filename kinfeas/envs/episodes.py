@@ -106,7 +106,10 @@ def evaluate_episodes(
 
 @contextmanager
 def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of processes that end silently on Ctrl-C, and with this process."""
+    """Yield a pool of processes that end silently on Ctrl-C, and with this process.
+
+    An exception in the block terminates them at once.
+    """
     pool = ProcessPoolExecutor(
         processes,
         mp_context=multiprocessing.get_context("spawn"),
@@ -116,6 +119,10 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     with workers_alive(processes):
         try:
             yield pool
+        except BaseException:
+            for worker in list((pool._processes or {}).values()):
+                worker.terminate()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
 

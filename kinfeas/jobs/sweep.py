@@ -19,14 +19,13 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 
 from kinfeas import config
 from kinfeas.config.quantities import Count, Seed
-from kinfeas.config.recipes import find_recipe, load_recipe, load_section
+from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
-from kinfeas.io.files import writing
+from kinfeas.io.files import reading, writing
 from kinfeas.jobs.job import Job, Result
 from kinfeas.jobs.training import finish
-from kinfeas.robots.loading import load_robot
-from kinfeas.training.config import TrainConfig
+from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import Progress
 
 SETTINGS, BEST = "sweep.yaml", "best.yaml"
@@ -83,7 +82,7 @@ class SweepConfig:
 
     Attributes:
         robot: Name or YAML file; its section `train` is the recipe by default.
-        recipe: Name or file of another recipe.
+        recipe: Name or file of another recipe; its robot, if it has one, takes the place of this.
         settings: Assignments `a.b=c` to the recipe of all trials.
         space: Keys of the recipe and their values.
         trials: Number of trials. The first one is the recipe itself, as far as it is in the space.
@@ -119,10 +118,7 @@ def read_sweep(name: str, overrides: Sequence[str]) -> SweepConfig:
 def settings_of(sweep: SweepConfig, values: Mapping[str, object]) -> TrainConfig:
     """Return the recipe with values of a trial."""
     changes = [*sweep.settings, *(f"{key}={json.dumps(value)}" for key, value in values.items())]
-    if sweep.recipe is None:
-        changes = [f"robot={json.dumps(sweep.robot)}", *changes]
-        return load_section(TrainConfig, "train", load_robot(sweep.robot).name, changes)
-    return load_recipe(TrainConfig, sweep.recipe, "train", changes)
+    return load_recipe(sweep.recipe, changes, robot=sweep.robot)
 
 
 def plan_trials(sweep: SweepConfig, folder: Path) -> list[Job]:
@@ -146,7 +142,7 @@ def plan_trials(sweep: SweepConfig, folder: Path) -> list[Job]:
 
 
 def open_study(folder: Path) -> optuna.Study:
-    """Return the study of a sweep."""
+    """Return the study of a sweep; raise KinfeasError if its journal is broken."""
     sweep = config.load(SweepConfig, folder / SETTINGS)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     pruners: dict[str, optuna.pruners.BasePruner] = {
@@ -155,14 +151,18 @@ def open_study(folder: Path) -> optuna.Study:
         "none": optuna.pruners.NopPruner(),
     }
     # Of a relative path, Optuna never releases the lock of a process that was killed.
-    journal = JournalFileBackend(str((folder / "journal.log").resolve()))
-    return optuna.create_study(
-        study_name="sweep",
-        storage=JournalStorage(journal),
-        load_if_exists=True,
-        direction="maximize",
-        pruner=pruners[sweep.pruner],
-    )
+    journal = (folder / "journal.log").resolve()
+    try:
+        with reading(journal):
+            return optuna.create_study(
+                study_name="sweep",
+                storage=JournalStorage(JournalFileBackend(str(journal))),
+                load_if_exists=True,
+                direction="maximize",
+                pruner=pruners[sweep.pruner],
+            )
+    except (LookupError, TypeError, AttributeError, AssertionError) as error:
+        raise KinfeasError(f"{journal}: not the journal of a sweep: {error!r}") from error
 
 
 def run_trial(description: tuple[Path, int]) -> Result:

@@ -28,7 +28,7 @@ from kinfeas.control.observation import (
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import write_folder
+from kinfeas.io.files import reading, write_folder
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
 from kinfeas.robots.robot import Robot, fingerprint
 
@@ -148,7 +148,8 @@ def read_network(folder: Path, robot: Robot) -> Network:
     place = policy_folder(folder)
     trained = read_trained(place)
     try:
-        tensors = load_file(place / WEIGHTS)
+        with reading(place / WEIGHTS):
+            tensors = load_file(place / WEIGHTS)
         network = Network(
             tensors["scale"],
             tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
@@ -156,6 +157,8 @@ def read_network(folder: Path, robot: Robot) -> Network:
             check_terms(trained.observation, tuple(TERMS), f"{place}: observation"),
             check_terms(trained.action, ACTIONS, f"{place}: action"),
         )
+    except KinfeasError:
+        raise
     except _BROKEN as error:
         raise KinfeasError(f"{place}: broken policy: {error}") from error
     check_network(network, str(place))

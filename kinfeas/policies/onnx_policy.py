@@ -174,7 +174,11 @@ class OnnxPolicy:
             raise KinfeasError(f"its graph has the sizes {found}, its metadata {wanted}")
 
     def _check_golden_pairs(self) -> None:
-        golden = self.metadata.golden
+        golden, network = self.metadata.golden, self._network
+        n, inputs, outputs = len(golden.observation), len(network.scale), len(network.biases[-1])
+        sizes = [len(row) for row in (*golden.observation, *golden.action)]
+        if not n or sizes != [inputs] * n + [outputs] * n:
+            raise KinfeasError(f"its golden pairs are not rows of {inputs} and {outputs} numbers")
         deviation = np.abs(self(np.array(golden.observation)) - np.array(golden.action)).max()
         if not deviation <= TOLERANCE:
             raise KinfeasError(f"its golden pairs are off by {deviation:.2g} > {TOLERANCE:g}")
@@ -234,7 +238,7 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
             {1: [name.encode() for name in inputs], 2: [output.encode()], 4: [operator.encode()]}
             for operator, inputs, output in graph_nodes(len(layers))
         ]
-        if [_fields(node) for node in graph[1]] != known:
+        if not layers or [_fields(node) for node in graph[1]] != known:
             raise KinfeasError("its graph is not that of a policy")
         if (float(tensors["low"]), float(tensors["high"])) != (-CLIP, CLIP):
             raise KinfeasError("its graph clips observations elsewhere")
@@ -243,7 +247,7 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
         )
         network = Network(tensors["scale"], weights, biases)
         return {one[1][0].decode(): one[2][0].decode() for one in pairs}, network
-    except (ValueError, LookupError, AttributeError, TypeError) as error:
+    except (ValueError, LookupError, AttributeError, TypeError, OverflowError) as error:
         raise KinfeasError(f"its graph cannot be read: {error}") from error
 
 
@@ -252,13 +256,13 @@ def _fields(message: bytes) -> dict[int, list[Any]]:
     stream, fields = BytesIO(message), defaultdict[int, list[Any]](list)
 
     def integer() -> int:
-        value = shift = 0
-        while True:
+        value = 0
+        for shift in range(0, 70, 7):  # 64 bits
             (byte,) = stream.read(1)
             value |= (byte & 127) << shift
             if byte < 128:
                 return value
-            shift += 7
+        raise ValueError("an integer has more than 10 bytes")
 
     while stream.tell() < len(message):
         field, kind = divmod(integer(), 8)
@@ -275,6 +279,6 @@ def _metadata(entries: dict[str, str]) -> PolicyMetadata:
     entries.pop(f"{PREFIX}digest", None)
     try:
         data = {key.removeprefix(PREFIX): json.loads(value) for key, value in entries.items()}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise KinfeasError(f"its metadata are not JSON: {error}") from error
     return config.from_mapping(PolicyMetadata, data, "its metadata")

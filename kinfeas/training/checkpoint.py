@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import SAC
 
+from kinfeas.io.files import reading
 from kinfeas.training.fast_sac import Replay
 from kinfeas.training.learner import Learner
 from kinfeas.training.run import loading, read_state, write_state
@@ -46,7 +47,8 @@ def load_learner(
     """
     about = read_state(folder)
     with loading(folder):
-        tensors = load_file(folder / _TENSORS)
+        with reading(folder / _TENSORS):
+            tensors = load_file(folder / _TENSORS)
         buffer = _buffer(learner)
         buffer.pos, buffer.full = int(about["buffer"]["position"]), bool(about["buffer"]["full"])
         if not 0 <= buffer.pos < buffer.buffer_size:

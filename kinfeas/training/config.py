@@ -1,10 +1,12 @@
 """Settings of a training run: the schema of the sections `train` of `configs/robots`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from annotated_types import Interval
 
+from kinfeas.config import assigned, from_mapping
 from kinfeas.config.quantities import (
     Count,
     Episodes,
@@ -15,8 +17,10 @@ from kinfeas.config.quantities import (
     Seed,
     Share,
 )
+from kinfeas.config.recipes import merged, read_recipe, section
 from kinfeas.control.observation import ACTION, OBSERVATION, check_names
 from kinfeas.envs.world import WorldConfig
+from kinfeas.robots.loading import load_robot
 
 
 @dataclass(frozen=True)
@@ -137,3 +141,39 @@ class TrainConfig:
                 f"'processes' must be at most 'num_envs', {self.num_envs}, not {self.processes}"
             )
         check_names(self.observation, self.action)
+
+
+def load_recipe(
+    name: str | None,
+    overrides: Sequence[str] = (),
+    *,
+    backend: str = "analytic",
+    robot: str = TrainConfig.robot,
+) -> TrainConfig:
+    """Return the recipe of a training.
+
+    Args:
+        name: Recipe as in `read_recipe`; None for the robot's own. Keys that it lacks are those of
+            the robot's own recipe, unless it extends the recipe of a robot.
+        overrides: Assignments, as in `from_mapping`.
+        backend: World of the robot's recipe; those with physics have another one, also with `init`.
+        robot: Robot where neither the overrides nor the recipe name one.
+
+    Raises:
+        KinfeasError: If there is no such recipe or robot, or a key or value is wrong.
+    """
+    kind = "train" if backend == "analytic" else "train_physics"
+    data, complete = ({}, False) if name is None else read_recipe(name, kind)
+    source, changes = name or "", assigned(overrides)
+    data = {"robot": robot, **data}
+    chosen = changes.get("robot", data["robot"])
+    if not complete and isinstance(chosen, str):
+        if kind != "train" and (changes.get("init") or data.get("init")):
+            kind = "finetune_physics"
+        base, own = section(kind, load_robot(chosen).name)
+        if kind != "train":
+            base = merged(base, {"world": {"backend": backend}})
+        if backend == "mujoco":  # steps a batch on all cores; only a world in this process is saved
+            base = {**base, "processes": 1}
+        data, source = merged(base, data), source or own
+    return from_mapping(TrainConfig, data, source, overrides)

@@ -12,7 +12,7 @@ from kinfeas import __version__, config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
-from kinfeas.io.files import writing
+from kinfeas.io.files import reading, writing
 from kinfeas.training.config import TrainConfig
 
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
@@ -190,8 +190,10 @@ def _table(file: Any) -> "csv.DictWriter[str]":
 def _rows_up_to(steps: int, path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
+    with reading(path):
+        file = path.open(newline="", encoding="utf-8")
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with file:
             return [row for row in csv.DictReader(file) if float(row["steps"]) <= steps]
     except (ValueError, TypeError, KeyError, csv.Error) as error:
         raise KinfeasError(f"{path}: not the metrics of a training run; remove it") from error

@@ -18,7 +18,8 @@ from safetensors import SafetensorError
 from kinfeas import config as configuration
 from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import find_folder, writing
+from kinfeas.io.files import find_folder, read_file, writing
+from kinfeas.io.formats import MAX_JSON_BYTES
 from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import Network, read_network
@@ -219,7 +220,7 @@ def write_state(folder: Path, entries: Mapping[str, Any]) -> None:
 def read_state(folder: Path) -> dict[str, Any]:
     """Return the entries that `write_state` wrote, and the format."""
     with loading(folder):
-        about: dict[str, Any] = json.loads((folder / _STATE).read_text(encoding="utf-8"))
+        about: dict[str, Any] = json.loads(read_file(folder / _STATE, MAX_JSON_BYTES))
         if about["format"] != _FORMAT:
             raise ValueError(f"its format is {about['format']}, not {_FORMAT}")
         return about

@@ -87,8 +87,8 @@ def test_programming_errors_keep_their_traceback(monkeypatch):
         module.main()
 
 
-def test_errors_of_plugins_have_a_traceback_and_the_code_of_bad_input(monkeypatch, capsys):
-    error = KeyError("x")
+@pytest.mark.parametrize("error", [KeyError("x"), SystemExit(0)])
+def test_errors_of_plugins_have_a_traceback_and_the_code_of_bad_input(monkeypatch, capsys, error):
     error.add_note("raised by adapter Mine")
     monkeypatch.setattr(module, "app", raising(error))
     with pytest.raises(SystemExit) as end:

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas.config import PluginSpec, assigned, dump, from_mapping, load
-from kinfeas.config.recipes import load_recipe, load_section, recipes, section
+from kinfeas.config.recipes import load_section, recipes, section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import EvalSettings
 from kinfeas.policies.baselines.following import BaselineConfig
 from kinfeas.sim2real.deploy.config import DeployConfig
-from kinfeas.training.config import TrainConfig
+from kinfeas.training.config import TrainConfig, load_recipe
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,48 @@ def test_robot_file_changes_keys_of_the_default():
     tiago = load_section(TrainConfig, "train", "tiago")
     assert tiago.learner.net_arch == (256, 256, 256)
     assert tiago.world.ik.restarts == default["world"]["ik"]["restarts"]
-    assert load_recipe(TrainConfig, "train/tiago", "train") == replace(tiago, robot="tiago")
+    assert load_recipe("train/tiago") == replace(tiago, robot="tiago")
+
+
+@pytest.mark.parametrize("robot", ["hsr", "pr2", "tiago"])
+def test_keys_that_a_recipe_lacks_are_those_of_its_robot(tmp_path, robot):
+    path = tmp_path / "mine.yaml"
+    path.write_text("learner: {gamma: 0.9}\nseed: 3\n")
+    own = load_recipe(None, [f"robot={robot}"])
+    mine = replace(own, seed=3, learner=replace(own.learner, gamma=0.9))
+    assert load_recipe(str(path), [f"robot={robot}"]) == mine
+    assert load_recipe(str(path), robot=robot) == mine
+    path.write_text(path.read_text() + f"robot: {robot}\n")
+    assert load_recipe(str(path)) == mine
+    physics = load_recipe(None, [f"robot={robot}"], backend="mujoco")
+    learner = replace(physics.learner, gamma=0.9)
+    assert load_recipe(str(path), backend="mujoco") == replace(physics, seed=3, learner=learner)
+    assert (physics.world.backend, physics.processes) == ("mujoco", 1)
+
+
+def test_recipes_extend_others_by_name_and_by_path_relative_to_the_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "below").mkdir()
+    (tmp_path / "base.yaml").write_text("extends: tiago\nnum_envs: 5\n")
+    top = tmp_path / "below" / "top.yaml"
+    top.write_text("extends: ../base.yaml\nrobot: hsr\n")
+    tiago = load_section(TrainConfig, "train", "tiago")
+    assert load_recipe("below/top.yaml") == replace(tiago, robot="hsr", num_envs=5)
+    top.write_text("extends: paper/pr2\nseed: 2\n")
+    assert load_recipe("below/top.yaml") == replace(load_recipe("paper/pr2"), seed=2)
+
+
+@pytest.mark.parametrize(("text", "named"), [
+    ("extends: paper/pr3", "extends: .*paper/pr2.*train/tiago"), ("extends: 3", "'extends'"),
+    ("extends: mine.yaml", "mine.yaml: 'extends'"), ("extends: sub", "'sub'"),
+    ("robot: 3", "'robot'"), ("robot: hsr\nlerner: {}", "'learner'"), ("robot: pr3", "'pr3'"),
+])  # fmt: skip
+def test_wrong_recipes_name_the_file_or_the_value(tmp_path, text, named):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(KinfeasError, match=named) as caught:
+        load_recipe(str(path))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("robot", ["no_such_robot", "../robots/pr2", "a/b"])

@@ -472,7 +472,8 @@ def test_exceptions_of_filters_and_policies_name_them(solver):
 @pytest.mark.parametrize("terms", [
     {"action_terms": ("time_scale", "base_velocity")}, {"action_terms": ("nope",)},
     {"observation_terms": ("goal_positon",)}, {"observation_terms": "goal_position"},
-    {"observation_terms": ()},
+    {"observation_terms": ()}, {"observation_terms": 5}, {"observation_terms": [["ee_position"]]},
+    {"action_terms": {"base_velocity": 1}}, {"action_terms": None},
 ])  # fmt: skip
 def test_terms_of_policies_are_known_and_begin_with_the_base(solver, terms):
     loop, policy = make_loop(solver, 1), Counter()

@@ -40,10 +40,10 @@ def test_other_states_raise_errors(name):
         check_state(STATES[name](SOUND), 3, 5, "mine")
 
 
-def test_exceptions_keep_their_type_and_name_the_plugin():
-    error = StopIteration()
+@pytest.mark.parametrize("error", [StopIteration(), SystemExit(0)])
+def test_exceptions_keep_their_type_and_name_the_plugin(error):
     assert raised_by(error) is None
-    with pytest.raises(StopIteration) as caught, plugin_note("adapter Mine"):
+    with pytest.raises(type(error)) as caught, plugin_note("adapter Mine"):
         raise error
     assert caught.value is error
     assert raised_by(error) == "adapter Mine"

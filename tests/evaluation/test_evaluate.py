@@ -1,6 +1,7 @@
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -112,6 +113,16 @@ with worker_pool(1) as pool:
     print(pool.submit(int).result(), flush=True)
     pool.submit(time.sleep, 600).result()
 """
+
+
+@pytest.mark.slow
+def test_an_interrupt_of_the_parent_alone_ends_the_workers_at_once():
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", POOL], **pipes) as process:
+        assert process.stdout.readline() == b"0\n"
+        process.send_signal(signal.SIGINT)
+        # Ends when no process holds the pipes any more.
+        assert b"KeyboardInterrupt" in process.communicate(timeout=60)[1]
 
 
 @pytest.mark.slow

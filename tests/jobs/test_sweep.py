@@ -91,6 +91,18 @@ def test_a_sweep_can_be_extended_but_not_changed(tmp_path):
         sweep.plan_trials(tiny(seed=5), tmp_path)
 
 
+@pytest.mark.parametrize("line", ["{", "[]", "7", '{"op_code": 99}', '{"op_code": 4}', "\x00"])
+def test_a_broken_journal_is_an_error_that_names_it(tmp_path, line):
+    sweep.plan_trials(tiny(), tmp_path)
+    journal = tmp_path / "journal.log"
+    first, *others = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join([first, f"{line}\n", *others]))
+    before = journal.read_bytes()
+    with pytest.raises(KinfeasError, match=r"journal\.log"):
+        sweep.plan_trials(tiny(), tmp_path)
+    assert journal.read_bytes() == before
+
+
 def test_the_recipe_s_values_are_found_as_they_are_written(tmp_path):
     path = "task_parameters.motion.parameters.max_velocity"
     space = {"learner.anchor": {"choices": [0, 1]}, path: {"low": 0.05, "high": 0.2}}

@@ -1,5 +1,7 @@
 import json
+import os
 import pickle
+import shutil
 import sys
 
 import numpy as np
@@ -34,6 +36,8 @@ def test_a_class_of_a_module_in_the_working_folder(hsr, tmp_path, monkeypatch):
         "class Still:\n"
         "    def __init__(self, robot): self.size = 3\n"
         "    def act(self, given): return np.zeros((len(given.base_pose), self.size))\n"
+        "class Ends(Still):\n"
+        "    def __init__(self, robot): raise SystemExit(0)\n"
         "class Loud(Still):\n"
         "    def act(self, given): return 2.0 + super().act(given)\n"
     )
@@ -42,7 +46,7 @@ def test_a_class_of_a_module_in_the_working_folder(hsr, tmp_path, monkeypatch):
     check_policy(load_policy("my_policy:Still", hsr), hsr)
     with pytest.raises(ConformanceError, match=r"Loud.*\[-1, 1\]"):
         check_policy(load_policy("my_policy:Loud", hsr), hsr)
-    for wrong in ("my_policy:Nothing", "no_policy:Still"):
+    for wrong in ("my_policy:Nothing", "no_policy:Still", "my_policy:Ends"):
         with pytest.raises(KinfeasError, match=wrong.partition(":")[2]):
             load_policy(wrong, hsr)
 
@@ -53,6 +57,12 @@ def test_wrong_folders_and_files_raise_errors_that_name_them(hsr, trained, tmp_p
     for name in ("empty.onnx", "none"):
         with pytest.raises(KinfeasError, match=name):
             load_policy(str(tmp_path / name), hsr)
+    for name in ("policy.safetensors", "policy.json"):  # a reader of a pipe waits for its writer
+        shutil.copytree(trained, tmp_path / f"pipe-{name}")
+        (tmp_path / f"pipe-{name}" / name).unlink()
+        os.mkfifo(tmp_path / f"pipe-{name}" / name)
+        with pytest.raises(KinfeasError, match=f"pipe-{name}/{name}: .*regular file"):
+            load_policy(str(tmp_path / f"pipe-{name}"), hsr)
     path = trained / "policy.json"
     path.write_text(path.read_text().replace('"hsr"', '"other"'))
     with pytest.raises(KinfeasError, match="'other'"):

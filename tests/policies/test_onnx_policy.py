@@ -9,7 +9,7 @@ from kinfeas.control.observation import HORIZON, size
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.policies import onnx_policy
-from kinfeas.policies.onnx_policy import read_policy_file
+from kinfeas.policies.onnx_policy import digest_entry, read_policy_file
 from kinfeas.robots.loading import load_robot
 from tests.sim2real.policy_cases import change, get_entry, set_entry, write_policy_file
 
@@ -116,6 +116,20 @@ def edit_entry(key, edit):
     return lambda model: set_entry(model, key, edit(get_entry(model, key)))
 
 
+def deep(levels):
+    return [deep(levels - 1)] if levels else []
+
+
+def without_layers(model):
+    first, last = model.graph.node[0], model.graph.node[-1]
+    last.input[0] = first.output[0]
+    del model.graph.node[1:-1]
+    names = {"scale", "low", "high"}
+    kept = [one for one in model.graph.initializer if one.name in names]
+    del model.graph.initializer[:]
+    model.graph.initializer.extend(kept)
+
+
 SIGNED = {
     "other weights": (set_tensor("weight_0", lambda w: w * np.float32(0.9)), "golden"),
     "other shape": (set_tensor("weight_0", lambda w: w.T), "graph"),
@@ -134,8 +148,32 @@ SIGNED = {
         edit_entry("action", lambda a: [{**a[0], "scale": [9.0, 9.0, 9.0]}]),
         "observation or action",
     ),
+    "deep metadata": (lambda m: setattr(m.metadata_props[3], "value", "[" * 100_000), "JSON"),
+    "deep training": (edit_entry("training", lambda t: {**t, "config": deep(250)}), "metadata"),
+    "empty golden pairs": (
+        edit_entry("golden", lambda g: {"observation": [], "action": []}),
+        "gol",
+    ),
+    "fewer golden actions": (
+        edit_entry("golden", lambda g: {**g, "action": g["action"][:1]}),
+        "gol",
+    ),
+    "short golden row": (
+        edit_entry("golden", lambda g: {**g, "action": [[0.0]] * len(g["action"])}),
+        "gol",
+    ),
+    "no layers": (without_layers, "graph"),
+    "huge axis": (lambda m: m.graph.initializer[0].dims.append(2**63 - 1), "graph"),
     "other horizon": (edit_entry("control", lambda c: {**c, "horizon": 0.2}), "observation or"),
 }
+
+
+@pytest.mark.parametrize("tail", [b"\x08" + b"\xff" * 2_000_000, b"\x3a" + b"\xff" * 9 + b"\x01"])
+def test_integers_without_end(path, hsr, tail):
+    change(path, lambda model: None, sign=False)
+    body = path.read_bytes() + tail
+    path.write_bytes(body + digest_entry(body))
+    rejected(path, hsr, "graph")
 
 
 @pytest.mark.parametrize("case", SIGNED)

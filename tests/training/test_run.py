@@ -4,13 +4,13 @@ import shutil
 import pytest
 
 from kinfeas import config
-from kinfeas.config.recipes import load_recipe, recipes
+from kinfeas.config.recipes import recipes
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
 from kinfeas.io.policy_metadata import Trained, write_trained
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
-from kinfeas.training.config import TrainConfig
+from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import (
     Progress,
     check_begun,
@@ -133,7 +133,7 @@ def test_wrong_progress_raises(write_run, tmp_path, key, value):
 
 @pytest.mark.parametrize("name", [*recipes("train"), *recipes("paper")])
 def test_every_recipe_makes_a_world(name):
-    recipe = load_recipe(TrainConfig, name, "train")
+    recipe = load_recipe(name)
     task = load_task(recipe.task, recipe.task_parameters)
     World(load_robot(recipe.robot), task, recipe.world, recipe.seed)
     assert config.from_mapping(TrainConfig, config.to_mapping(recipe), "again") == recipe

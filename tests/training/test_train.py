@@ -1,5 +1,6 @@
 import csv
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -271,11 +272,16 @@ def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path,
 
 
 @pytest.mark.parametrize("file", ["state.json", "state.safetensors", "policy.safetensors"])
-@pytest.mark.parametrize("share", [0.99, None])
+@pytest.mark.parametrize("share", [0.99, None, "pipe"])
 def test_a_broken_checkpoint_raises_and_stays(half, file, share):
     path = half / "checkpoints" / "last" / file
     content = path.read_bytes()
     path.unlink()
+    if share == "pipe":
+        os.mkfifo(path)
+        with pytest.raises(KinfeasError, match=rf"last/{file}: .*regular file"):
+            resume(half)
+        return
     if share is not None:
         path.write_bytes(content[: int(share * len(content))])
     before = contents(half)
