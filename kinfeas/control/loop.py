@@ -405,7 +405,10 @@ class Loop:
             joints, way = joints.copy(), velocity * step.max_joint_step[torso]
             if paused is not None:
                 way = np.where(paused, 0.0, way)
-            joints[:, torso] = np.clip(joints[:, torso] + way, lower[torso], upper[torso])
+            # One that is measured beyond a limit must not jump to it.
+            low = np.minimum(lower[torso], joints[:, torso])
+            high = np.maximum(upper[torso], joints[:, torso])
+            joints[:, torso] = np.clip(joints[:, torso] + way, low, high)
         return joints
 
     def _solve(self, command: Array) -> tuple[Array, IkSolution]:

@@ -134,7 +134,8 @@ class IkSolver:
             ee_pose_in_base: Targets, shape (n, 7).
             seed: First joint positions, shape (n, v), radians or metres.
             max_joint_step: Largest displacement of each joint in one control step, shape (v,);
-                solutions within it come first.
+                solutions within it come first. There, a joint whose seed is beyond a limit is
+                limited by its seed instead.
             allow_reconfiguration: Whether solutions beyond `max_joint_step` are allowed.
             solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
                 solution.

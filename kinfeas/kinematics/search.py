@@ -115,7 +115,7 @@ def solve_batch(
     """
     scratch = make_scratch(len(problem.chain.tree.variable), solution.shape[1])
     touching = make_collision_scratch(problem.collision)
-    near = np.empty((4, len(max_joint_step)))
+    near = np.empty((6, len(max_joint_step)))
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
     turn, position = np.empty((3, 3)), np.empty(3)
@@ -124,7 +124,9 @@ def solve_batch(
     grown = np.empty(size.shape[1:])
     for i in range(len(solution)):
         if held >= 0:
-            at = min(max(solution[i, held], problem.lower[held]), problem.upper[held])
+            at = solution[i, held]
+            if len(max_joint_step) == 0:
+                at = min(max(at, problem.lower[held]), problem.upper[held])
             lower[held] = upper[held] = at
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
@@ -170,11 +172,17 @@ def _solve_from_seed(
     """Descend from the seed if it is near the target; return whether there is a solution.
 
     The first descents stay within `max_joint_step`, towards the guide if there is one, then with
-    and without centring of the joints. The last one, if `allow_reconfiguration`, has the joint
-    limits only.
+    and without centring of the joints. There a joint of the seed beyond a limit may stay where it
+    is, since it cannot jump. The last descent, if `allow_reconfiguration`, has the joint limits
+    only.
     """
-    q = scratch.trial
-    _start(limits, solution, q)
+    q, own = scratch.trial, limits
+    if len(max_joint_step) > 0:
+        own = near[4], near[5]
+        for j in range(len(q)):
+            own[0][j] = min(limits[0][j], solution[j])
+            own[1][j] = max(limits[1][j], solution[j])
+    _start(own, solution, q)
     place_chain(problem.chain, q, scratch.frames)
     cost, trace = 0.0, 0.0
     for i in range(3):
@@ -191,8 +199,8 @@ def _solve_from_seed(
         first = GUIDED
     if first != WIDE:
         for j in range(len(q)):
-            near[0, j] = max(limits[0][j], q[j] - max_joint_step[j])
-            near[1, j] = min(limits[1][j], q[j] + max_joint_step[j])
+            near[0, j] = max(own[0][j], q[j] - max_joint_step[j])
+            near[1, j] = min(own[1][j], q[j] + max_joint_step[j])
     for attempt in range(first, WIDE + 1 if allow_reconfiguration else WIDE):
         if attempt == DRAWN and len(problem.centering) == 0:
             continue
@@ -214,12 +222,12 @@ def _solve_from_seed(
         elif _improves(problem, metres, radians, error, q, touching, around):
             error[0], error[1] = metres, radians
         if attempt <= DRAWN:
-            _start(limits, solution, q)
+            _start(own, solution, q)
             place_chain(problem.chain, q, scratch.frames)
     # With a pose tolerance, the seed itself may be a solution that every descent has left.
     if not _close_enough(problem, metres_here, radians_here):
         return False
-    _start(limits, solution, q)
+    _start(own, solution, q)
     if not _free(problem, q, touching, around):
         return False
     error[0], error[1] = metres_here, radians_here

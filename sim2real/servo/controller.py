@@ -1,5 +1,6 @@
 """The controller of a servo run: takes targets from any thread and hands them to the loop."""
 
+import logging
 import math
 import threading
 import time
@@ -14,20 +15,24 @@ from numpy.typing import ArrayLike, NDArray
 from kinfeas.control.drive import command_size
 from kinfeas.control.targets import RULES, TargetInbox, TargetRules
 from kinfeas.core import spatial
+from kinfeas.core.errors import Fault
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.link.measurements import TransportDelay
+from kinfeas.sim2real.servo.sender_clock import SenderClock
 from kinfeas.tasks.task import MotionSpec, Subgoal
 
 WORLD = ("", "world", "map", "odom")
 """Names of the world frame."""
 
 _QUEUE = 256  # messages in a control period; older ones are dropped
+_LONG = 2.0  # s after which ignored messages are reported
 _ROW = np.zeros(1, dtype=np.intp)
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +46,23 @@ class _Message:
     frame: str = ""
 
 
+@dataclass
+class _Ignored:
+    """Messages that were all ignored: times of the first and last, s, and the counts before."""
+
+    since: float
+    counts: dict[str, int]
+    last: float = -math.inf
+    reported: bool = False
+
+
 class TargetController:
     """Targets of one EE: a `TargetStream` of the loop, and a filter that stops the base.
 
     Messages may come from any thread, at any rate and with any content: those that `TargetRules`
-    exclude are counted and have no other effect. Stamps and times are of the sender's clock, which
-    may differ from ours by a constant. A message without a stamp was sent when it arrives.
+    exclude are counted and have no other effect; if all are for `_LONG` seconds, a warning says so.
+    Stamps and times are of the sender's clock, as in `SenderClock`. A message without a stamp was
+    sent when it arrives.
 
     Attributes:
         robot: Robot model.
@@ -54,6 +70,7 @@ class TargetController:
         pose: World pose of the EE that is desired now, shape (7,), once `running`.
         base_pose: World pose of the base, shape (7,), likewise.
         running: Whether the loop reads the messages.
+        longest_ignored: Longest time for which all messages were ignored, seconds.
     """
 
     def __init__(
@@ -70,8 +87,11 @@ class TargetController:
         self._inbox = TargetInbox(self.rules, max(2, max_poses))
         self._queue: deque[_Message] = deque(maxlen=_QUEUE)
         self._lock = threading.Lock()
-        self._delay, self._heard = TransportDelay(), -math.inf
-        self.base_pose = spatial.IDENTITY
+        self._sender = SenderClock(self.rules.timeout)
+        self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
+        self._ignored: _Ignored | None = None
+        self._failure = ""
+        self.base_pose, self.longest_ignored = spatial.IDENTITY, 0.0
 
     def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
         """Send the EE to a pose (7,), given in the world, base or EE frame by its name.
@@ -100,8 +120,17 @@ class TargetController:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of messages by what became of them."""
-        return dict(zip(RULES, self._inbox.counts.sum(axis=0).tolist(), strict=True))
+        """Number of messages by what became of them, of `RULES`.
+
+        Besides, `ahead` by their stamps, with an unknown `frame`, or `dropped` since too many came
+        in a control period.
+        """
+        counts = dict(zip(RULES, self._inbox.counts.sum(axis=0).tolist(), strict=True))
+        return counts | self._others
+
+    def fail(self, reason: str) -> None:
+        """Let the next period raise Fault with a reason, from any thread."""
+        self._failure = reason
 
     def start(self, loop: Any, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
         """Rest where the EE is; earlier messages are dropped."""
@@ -110,14 +139,19 @@ class TargetController:
         self._inbox.start(loop.desired)
 
     def targets(self, loop: Any, rows: Rows) -> Array:
-        """Return the target of the next period, shape (1, 7)."""
+        """Return the target of the next period, shape (1, 7); raise Fault after `fail`."""
+        if self._failure:
+            raise Fault(self._failure)
         with self._lock:
             messages = list(self._queue)
             self._queue.clear()
         now = np.array([self._clock()])
         self.base_pose, self.pose, self.running = loop.state.base_pose[0], loop.desired[0], True
-        for message in messages:
-            self._read(message, now)
+        if messages:
+            before = self.counts
+            for message in messages:
+                self._read(message, now)
+            self._watch(before, float(now[0]))
         self._inbox.wait(rows, loop.time_scale, loop.desired)
         self._inbox.advance(rows, now, loop.dt, loop.dt * loop.execution.time_scale)
         return self._inbox.target
@@ -157,17 +191,44 @@ class TargetController:
         except (TypeError, ValueError, OverflowError):
             message = _Message(arrival, None, None)
         with self._lock:
+            self._others["dropped"] += self.running and len(self._queue) == _QUEUE
             self._queue.append(message)
+
+    def _watch(self, before: dict[str, int], now: float) -> None:
+        """Report messages that are ignored for long; they were counted as `before` until now."""
+        counts, ignored = self.counts, self._ignored
+        if counts["accepted"] > before["accepted"]:
+            if ignored is not None and ignored.reported:
+                _log.warning("messages are accepted again, after %.1f s", now - ignored.since)
+            self._ignored = None
+            return
+        if ignored is None or now - ignored.last > _LONG:
+            ignored = self._ignored = _Ignored(now, before)
+        ignored.last, seconds = now, now - ignored.since
+        self.longest_ignored = max(self.longest_ignored, seconds)
+        if seconds >= _LONG and not ignored.reported:
+            ignored.reported = True
+            new = {rule: n - ignored.counts[rule] for rule, n in counts.items()}
+            why = ", ".join(f"{n} {rule}" for rule, n in new.items() if n)
+            _log.warning("all messages are ignored, for %.1f s: %s", seconds, why)
 
     def _read(self, message: _Message, now: Array) -> None:
         """Put a message into the inbox."""
         values, times, stamp = message.values, message.times, message.stamp
         frame = self._frame(message.frame)
         stamped = stamp is None or math.isfinite(stamp)
-        if values is None or frame is None or not (stamped and np.isfinite(values).all()):
+        if values is None or not (stamped and np.isfinite(values).all()):
             self._inbox.reject(_ROW)
             return
-        sent = self._sent(message)
+        if frame is None:
+            self._others["frame"] += 1
+            return
+        arrival = message.arrival
+        when = arrival if stamp is None else self._sender.sent(stamp, arrival)
+        if when is None:
+            self._others["ahead"] += 1
+            return
+        sent = np.array([when])
         if times is None and values.shape == (6,):
             twist = spatial.compose(frame, _point(values[:3]))[:3] - frame[:3]
             turn = spatial.compose(frame, _point(values[3:]))[:3] - frame[:3]
@@ -191,15 +252,6 @@ class TargetController:
         name = name.lstrip("/") if isinstance(name, str) else "?"
         known = {self.robot.base.frame: self.base_pose, self.robot.ee_frame: self.pose}
         return spatial.IDENTITY if name in WORLD else known.get(name)
-
-    def _sent(self, message: _Message) -> Array:
-        """Return when a message was sent by our clock, shape (1,)."""
-        arrival, stamp = message.arrival, message.stamp
-        silent = arrival - self._heard > self.rules.timeout
-        if silent and stamp is not None and stamp < self._delay.last:
-            self._delay = TransportDelay()  # of another clock
-        self._heard = arrival
-        return np.array([arrival if stamp is None else self._delay.sent(stamp, arrival)])
 
 
 def _point(position: Array) -> Array:

@@ -233,6 +233,40 @@ def test_an_ee_at_rest_leaves_the_arm_at_rest_and_seeds_may_be_beyond_the_limits
     check_solutions(tiago, beyond.joint_positions[beyond.feasible])
 
 
+@pytest.mark.parametrize("hold", [False, True])
+def test_arms_beyond_a_limit_stay_within_the_step_and_come_back(robot, hold):
+    """A joint may be measured up to 0.05 beyond a limit; it must neither jump back nor go on."""
+    if hold and robot.torso is None:
+        return
+    solver, rng = IkSolver(robot), np.random.default_rng(7)
+    lower, upper = robot.joint_limits
+    step, inner = 0.02 * robot.max_joint_velocity, draw_free(solver, 400)
+    row = np.arange(len(inner))
+    joint = rng.choice(np.flatnonzero(np.isfinite(upper - lower)), len(inner))
+    above, excess = rng.random(len(inner)) < 0.5, rng.uniform(0.0, 0.05, len(inner))
+    seeds = inner.copy()
+    seeds[row, joint] = np.where(above, upper[joint] + excess, lower[joint] - excess)
+    seeds = seeds[~self_collides(solver.collision, seeds)]
+    low, high = np.minimum(lower, seeds), np.maximum(upper, seeds)
+    ends = np.clip(seeds + rng.uniform(-0.5, 0.5, seeds.shape) * step, low, high)
+    if hold:
+        ends[:, robot.torso] = seeds[:, robot.torso]
+    targets = forward(solver.chain, ends)
+    for allowed in (False, True):
+        found = solver.solve(targets, seeds, step, allow_reconfiguration=allowed, hold_torso=hold)
+        assert found.feasible.mean() > 0.97
+        joints = found.joint_positions
+        assert np.all((joints >= low) & (joints <= high))
+        near = (displacement(robot, seeds, joints) <= step * (1.0 + 1e-9)).all(axis=1)
+        assert near.all() if not allowed else near.mean() > 0.97
+        # What is no nearby solution is within the limits.
+        assert hold or np.all((joints >= lower) & (joints <= upper) | near[:, np.newaxis])
+        if hold:
+            np.testing.assert_array_equal(joints[:, robot.torso], seeds[:, robot.torso])
+    at_rest = solver.solve(forward(solver.chain, seeds), seeds, step, hold_torso=hold)
+    assert at_rest.feasible.all()
+
+
 def test_out_of_reach_keeps_the_seed_and_reports_the_error(tiago):
     joints = draw_free(tiago, 50)
     targets = forward(tiago.chain, joints)
