@@ -19,11 +19,10 @@ from kinfeas.robots.elements import (
     find_mesh,
     numbers_text,
     parse_xml,
-    read_xml,
     set_origin,
 )
 from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf
-from kinfeas.robots.urdf_file import read_shape, urdf_of
+from kinfeas.robots.urdf_file import read_robot_xml, read_shapes, urdf_of
 
 FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".off")
 MAX_MESH_BYTES = 200_000_000
@@ -94,7 +93,7 @@ def _text(robot: Any) -> str:
 
 def read_robot_element(path: Path) -> Element:
     """Return the element <robot> of a URDF."""
-    robot = read_xml(path, "robot")
+    robot = read_robot_xml(path)
     if any("xacro}" in element.tag for element in robot.xml.iter()):
         raise robot.error("this is xacro; convert it first: xacro FILE > FILE.urdf")
     return robot
@@ -127,8 +126,8 @@ def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
 
 def _shapes(link: Element, tag: str, folder: Path) -> Iterable[Shape]:
     for element in link.children(tag):
-        if own := read_shape(element):
-            yield own
+        if own := read_shapes(element):
+            yield from own
             continue
         mesh = element.need("geometry").need("mesh")
         pose = element.origin()
