@@ -215,5 +215,10 @@ def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:
     """Return the positions of the joints that move the fingers."""
     if hand.gripper is None:
         return {}
-    leaders = {urdf.followed(urdf.joints[finger])[0].name for finger in hand.gripper.fingers}
-    return dict.fromkeys(sorted(leaders), round((hand.gripper.closed + hand.gripper.open) / 2.0, 4))
+    closed, opened = hand.gripper.positions("close"), hand.gripper.positions("open")
+    leaders = {}
+    for finger in hand.gripper.fingers:
+        leader, scale, offset = urdf.followed(urdf.joints[finger])
+        middle = (closed[finger] + opened[finger]) / 2.0
+        leaders[leader.name] = round((middle - offset) / scale, 4) + 0.0
+    return dict(sorted(leaders.items()))

@@ -193,3 +193,32 @@ def test_meshes_are_found(rover, tmp_path, monkeypatch, name, where):
     monkeypatch.chdir(tmp_path)
     for urdf in (rover, rover.relative_to(tmp_path)):
         assert mesh_of(name.format(tmp_path), urdf).samefile(tmp_path / where)
+
+
+@pytest.mark.parametrize(("package", "variable", "root"), [
+    ("rover", None, None),  # a clone's folder has another name than its package
+    ("ws/src/clone", "ROS_PACKAGE_PATH", "ws/src"),
+    ("ws/src/group/clone", "ROS_PACKAGE_PATH", "ws"),
+    ("ws/src/moon", "ROS_PACKAGE_PATH", "ws/src"),
+    ("ws/install/share/moon", "AMENT_PREFIX_PATH", "ws/install"),
+])  # fmt: skip
+def test_packages_are_found_by_their_names(rover, tmp_path, monkeypatch, package, variable, root):
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    part = tmp_path / package / "part.stl"
+    part.parent.mkdir(parents=True, exist_ok=True)
+    part.touch()
+    if not package.endswith("moon"):
+        (part.parent / "package.xml").write_text("<package><name> moon </name></package>")
+    if variable:
+        with pytest.raises(KinfeasError, match=variable):
+            mesh_of("package://moon/part.stl", rover)
+        monkeypatch.setenv(variable, f"/none:{tmp_path / root}")
+    assert mesh_of("package://moon/part.stl", rover) == part
+
+
+def test_a_pointer_of_git_lfs_is_an_error(rover):
+    part = rover.parent / "part.stl"
+    part.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(KinfeasError, match=r"<mesh>.*part\.stl.*git lfs pull"):
+        mesh_of("part.stl", rover)
