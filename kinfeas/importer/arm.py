@@ -76,7 +76,32 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
 
 
+def ends_of_arms(urdf: Urdf, source: str) -> frozenset[str]:
+    """Return the links whose shapes decide where the hands of several arms are; none for one arm.
+
+    Errors as of `find_arm`, which needs the shapes.
+    """
+    hands = _hands(urdf, source)
+    if len(set(hands.values())) == 1:
+        return frozenset()
+    lasts = [urdf.joints[name] for name in hands]
+    return frozenset[str]().union(
+        *(urdf.below(last.name) | urdf.rigid[last.parent] for last in lasts)
+    )
+
+
 def _find_hand(urdf: Urdf, source: str) -> str:
+    hands = list(dict.fromkeys(_hands(urdf, source).values()))
+    if len(hands) > 1:
+        raise KinfeasError(
+            f"{source}: there are several arms: choose the link that IK places, such as "
+            f"{' or '.join(hands)}"
+        )
+    return hands[0]
+
+
+def _hands(urdf: Urdf, source: str) -> dict[str, str]:
+    """Return the hand of each of the longest chains of moving joints, by its last joint."""
     ways = {link: [j for j in urdf.path_to(link) if j.moves] for link in urdf.links}
     longest = max(map(len, ways.values()))
     if longest < _MIN_JOINTS:
@@ -87,13 +112,7 @@ def _find_hand(urdf: Urdf, source: str) -> str:
             branches.setdefault(urdf.rigid[joint.parent], []).append(joint.parent)
     forks = {body: _last_common(urdf, links) for body, links in branches.items() if len(links) > 1}
     arms = {way[-1].name: way for way in ways.values() if len(way) == longest}
-    hands = list(dict.fromkeys(_hand_of(urdf, way, forks) for way in arms.values()))
-    if len(hands) > 1:
-        raise KinfeasError(
-            f"{source}: there are several arms: choose the link that IK places, such as "
-            f"{' or '.join(hands)}"
-        )
-    return hands[0]
+    return {last: _hand_of(urdf, way, forks) for last, way in arms.items()}
 
 
 def _hand_of(urdf: Urdf, moving: list[Joint], forks: dict[frozenset[str], str]) -> str:

@@ -198,7 +198,7 @@ def test_meshes_are_found(rover, tmp_path, monkeypatch, name, where):
 @pytest.mark.parametrize(("package", "variable", "root"), [
     ("rover", None, None),  # a clone's folder has another name than its package
     ("ws/src/clone", "ROS_PACKAGE_PATH", "ws/src"),
-    ("ws/src/group/clone", "ROS_PACKAGE_PATH", "ws"),
+    ("ws/src/group/clone", "ROS_PACKAGE_PATH", "ws/src"),
     ("ws/src/moon", "ROS_PACKAGE_PATH", "ws/src"),
     ("ws/install/share/moon", "AMENT_PREFIX_PATH", "ws/install"),
 ])  # fmt: skip

@@ -248,13 +248,19 @@ def repair_inertias(robot: Any, where: str) -> None:
     """
     fixed = (joint for joint in robot.findall("joint") if joint.get("type") == "fixed")
     on_fixed = {joint.find("child").get("link") for joint in fixed}
+    without = []
     for link in robot.findall("link"):
         inertia = read_inertia(link)
         repaired = FRAME if inertia is None else inertia
         shaped = any(link.find(tag) is not None for tag in ("visual", "collision"))
         if inertia is None and shaped and link.get("name") not in on_fixed:
-            raise KinfeasError(f"{where}: link {link.get('name')!r} moves and has no <inertial>")
+            without.append(repr(link.get("name")))
         if repaired.mass > 0.0:
             repaired = physical(repaired)
         if repaired is not inertia:
             write_inertia(link, repaired)
+    if without:
+        raise KinfeasError(
+            f"{where}: physics needs an <inertial> with mass in the root and in links that move; "
+            f"link {', '.join(without)} has none"
+        )
