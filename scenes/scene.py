@@ -13,8 +13,9 @@ from kinfeas.config.quantities import Vector
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, compose, make_pose
 from kinfeas.io.files import is_path, reading
+from kinfeas.robots.elements import read_xml
 from kinfeas.robots.urdf import Urdf
-from kinfeas.robots.urdf_file import parse_urdf
+from kinfeas.robots.urdf_file import urdf_of
 from kinfeas.scenes.check import check, check_inertia, check_places
 from kinfeas.scenes.objects import (
     Handle,
@@ -127,7 +128,7 @@ def _find(name_or_path: str) -> Path:
 def _object(spec: ObjectSpec, path: Path, where: str, urdfs: dict[Path, Urdf]) -> SceneObject:
     file = _find_urdf(spec.urdf, path.parent, f"{where}.urdf'")
     if file not in urdfs:
-        urdfs[file] = parse_urdf(file)
+        urdfs[file] = urdf_of(read_xml(file, "robot"))
     urdf = urdfs[file]
     _check_shapes(urdf, file)
     _check_mimics(urdf, file)

@@ -34,7 +34,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     drive: Annotated[
         Literal["differential", "omnidirectional"] | None,
-        typer.Option(help="Drive of the base.  [default: differential, a guess]"),
+        typer.Option(help="Drive of the base.  [default: by its wheels, else differential]"),
     ] = None,
     ee: Annotated[
         str | None,
@@ -45,6 +45,15 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             help="Base link; links above it are left out.  [default: the root, or the link above "
             "joints that model a floor]"
+        ),
+    ] = None,
+    no_meshes: Annotated[bool, typer.Option("--no-meshes", help="Leave meshes out.")] = False,
+    mesh_path: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="OLD=NEW",
+            help="Replace the beginning of mesh addresses, such as package://NAME by a folder; may "
+            "be repeated.",
         ),
     ] = None,
     json: options.JsonPath = None,
@@ -72,8 +81,11 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     for path in (yaml_path, urdf_path):
         if path.exists():
             raise KinfeasError(f"{path}: exists; choose another --out or --name")
+    replacements = dict(_replacement(text) for text in mesh_path or ())
     with progress(f"reading {urdf.name}") as advance:
-        draft = draft_robot(urdf, called, ee, base, drive or "differential", advance)
+        draft = draft_robot(
+            urdf, called, ee, base, drive, advance, meshes=not no_meshes, mesh_paths=replacements
+        )
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml)):
@@ -83,9 +95,18 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     write_json(summary, json)
     print_facts(f"robot {called}", summary)
     print_table("guesses to check", ["key", "value"], guessed(draft.spec, draft.guesses))
+    for doubt in draft.guesses.doubts:
+        typer.echo(f"warning: {doubt}", err=True)
     quoted = shlex.quote(str(yaml_path))
     typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
     write_drawing(lambda: _drawing(draft), picture)
+
+
+def _replacement(text: str) -> tuple[str, str]:
+    old, equals, new = text.partition("=")
+    if not (old and equals and new):
+        raise KinfeasError(f"--mesh-path {text}: must have the form OLD=NEW")
+    return old, new if "://" in new else str(Path(new).absolute())
 
 
 def _drawing(draft: "Draft") -> bytes:
@@ -108,4 +129,7 @@ def _summary(draft: "Draft") -> dict[str, object]:
         "guessed_velocities": list(guesses.speeds),
         "guessed_limits": list(guesses.limits),
         "joints_without_room": list(guesses.stuck),
+        **({"drive_from": guesses.drive} if guesses.drive else {}),
+        **({"no_gripper": guesses.no_gripper} if guesses.no_gripper else {}),
+        "warnings": list(guesses.doubts),
     }

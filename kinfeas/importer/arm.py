@@ -76,7 +76,32 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
 
 
+def ends_of_arms(urdf: Urdf, source: str) -> frozenset[str]:
+    """Return the links whose shapes decide where the hands of several arms are; none for one arm.
+
+    Errors as of `find_arm`, which needs the shapes.
+    """
+    hands = _hands(urdf, source)
+    if len(set(hands.values())) == 1:
+        return frozenset()
+    lasts = [urdf.joints[name] for name in hands]
+    return frozenset[str]().union(
+        *(urdf.below(last.name) | urdf.rigid[last.parent] for last in lasts)
+    )
+
+
 def _find_hand(urdf: Urdf, source: str) -> str:
+    hands = list(dict.fromkeys(_hands(urdf, source).values()))
+    if len(hands) > 1:
+        raise KinfeasError(
+            f"{source}: there are several arms: choose the link that IK places, such as "
+            f"{' or '.join(hands)}"
+        )
+    return hands[0]
+
+
+def _hands(urdf: Urdf, source: str) -> dict[str, str]:
+    """Return the hand of each of the longest chains of moving joints, by its last joint."""
     ways = {link: [j for j in urdf.path_to(link) if j.moves] for link in urdf.links}
     longest = max(map(len, ways.values()))
     if longest < _MIN_JOINTS:
@@ -87,13 +112,7 @@ def _find_hand(urdf: Urdf, source: str) -> str:
             branches.setdefault(urdf.rigid[joint.parent], []).append(joint.parent)
     forks = {body: _last_common(urdf, links) for body, links in branches.items() if len(links) > 1}
     arms = {way[-1].name: way for way in ways.values() if len(way) == longest}
-    hands = list(dict.fromkeys(_hand_of(urdf, way, forks) for way in arms.values()))
-    if len(hands) > 1:
-        raise KinfeasError(
-            f"{source}: there are several arms: choose the link that IK places, such as "
-            f"{' or '.join(hands)}"
-        )
-    return hands[0]
+    return {last: _hand_of(urdf, way, forks) for last, way in arms.items()}
 
 
 def _hand_of(urdf: Urdf, moving: list[Joint], forks: dict[frozenset[str], str]) -> str:
@@ -150,12 +169,13 @@ def _off_axis(urdf: Urdf, joint: Joint) -> Array:
 class Hand:
     """The tool tip (3,), metres, in the hand's frame, and the rotation of the gripper to it, xyzw.
 
-    `gripper` is None unless there are two fingers with the same range of positions.
+    `gripper` is None without two fingers that open and close; `no_gripper` is the reason.
     """
 
     tip: Array
     rotation: Array
     gripper: Gripper | None
+    no_gripper: str = ""
 
 
 def read_hand(urdf: Urdf, arm: Arm) -> Hand:
@@ -183,7 +203,10 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     tip = front - (front @ x) * x + reach * x if several else reach * x
     to_gripper = np.stack([x, y, np.cross(x, y)])
     quaternion = Rotation.from_matrix(to_gripper).as_quat(canonical=True)
-    return Hand(tip, quaternion, _gripper(urdf, fingers, closed, opened))
+    gripper = _gripper(urdf, arm, closed, opened)
+    if isinstance(gripper, str):
+        return Hand(tip, quaternion, None, gripper)
+    return Hand(tip, quaternion, gripper)
 
 
 def _finger_positions(
@@ -192,28 +215,55 @@ def _finger_positions(
     """Return the positions of the joints that move the fingers, closed and open."""
     if not fingers:
         return {}, {}
-    leaders = {urdf.followed(finger)[0] for finger in fingers}
-    low = {joint.name: max(joint.lower, -math.pi) for joint in leaders}
-    high = {joint.name: min(joint.upper, math.pi) for joint in leaders}
+    leaders = list({urdf.followed(finger)[0].name: None for finger in fingers})
+    joints = [urdf.joints[name] for name in leaders]
+    ends = [(max(one.lower, -math.pi), min(one.upper, math.pi)) for one in joints]
 
     def gap(positions: dict[str, float]) -> float:
         poses = urdf.link_poses(positions)
         one, other = (_middle(urdf, arm, finger, poses) for finger in fingers)
         return float(np.linalg.norm(one - other))
 
-    return (low, high) if gap(low) <= gap(high) else (high, low)
+    # Fingers with mirrored limits are closed at the upper limit of one and the lower of the other.
+    mirrored = [ends[0], *(end[::-1] for end in ends[1:])]
+    choices = [
+        [dict(zip(leaders, positions, strict=True)) for positions in zip(*way, strict=True)]
+        for way in (ends, mirrored)
+    ]
+    one, other = max(choices, key=lambda pair: abs(gap(pair[0]) - gap(pair[1])))
+    return (one, other) if gap(one) <= gap(other) else (other, one)
 
 
 def _gripper(
-    urdf: Urdf, fingers: tuple[Joint, ...], closed: dict[str, float], opened: dict[str, float]
-) -> Gripper | None:
-    if not fingers or any(urdf.followed(finger)[1:] != (1.0, 0.0) for finger in fingers):
-        return None
-    shut, wide, effort = {*closed.values()}, {*opened.values()}, min(one.effort for one in fingers)
-    if len(shut) > 1 or len(wide) > 1 or shut == wide or not 0.0 < effort < _MAX_EFFORT:
-        return None
-    first, second = (finger.name for finger in fingers)
-    return Gripper((first, second), shut.pop(), wide.pop(), effort)
+    urdf: Urdf, arm: Arm, closed: dict[str, float], opened: dict[str, float]
+) -> Gripper | str:
+    """Return the gripper, or why there is none."""
+    names = [finger.name for finger in arm.fingers]
+    if len(names) != 2:
+        on = f"{len(names)} finger joints on {arm.hand!r}" + ": " * bool(names) + ", ".join(names)
+        return f"{on}; two are supported, no four-bar linkages"
+
+    def positions(leaders: dict[str, float]) -> tuple[float, float]:
+        first, second = (
+            round(min(max(scale * leaders[leader.name] + offset, one.lower), one.upper), 6)
+            for one in arm.fingers
+            for leader, scale, offset in [urdf.followed(one)]
+        )
+        return first, second
+
+    shut, wide = positions(closed), positions(opened)
+    if still := [name for name, *at in zip(names, shut, wide, strict=True) if at[0] == at[1]]:
+        return f"the limits of {', '.join(still)} leave no stroke"
+    efforts = [one.effort for one in arm.fingers if 0.0 < one.effort < _MAX_EFFORT]
+    if not efforts:
+        return f"{' and '.join(names)} have no effort limit above 0, below {_MAX_EFFORT:g}"
+    same = shut[0] == shut[1] and wide[0] == wide[1]
+    return Gripper(
+        fingers=(names[0], names[1]),
+        closed=shut[0] if same else shut,
+        open=wide[0] if same else wide,
+        effort=min(efforts),
+    )
 
 
 def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> Array:

@@ -1,6 +1,6 @@
 """URDFs of primitives: links and joints of a vendor's URDF with its meshes replaced."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,11 +19,10 @@ from kinfeas.robots.elements import (
     find_mesh,
     numbers_text,
     parse_xml,
-    read_xml,
     set_origin,
 )
 from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf
-from kinfeas.robots.urdf_file import read_shape, urdf_of
+from kinfeas.robots.urdf_file import read_robot_xml, read_shapes, urdf_of
 
 FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".off")
 MAX_MESH_BYTES = 200_000_000
@@ -51,7 +50,11 @@ _PLAY = 0.02  # m, by which wheels may be below the floor, since primitives are 
 
 
 def boxed_urdf(
-    path: Path, base: str | None = None, on_link: Callable[[str], None] | None = None
+    path: Path,
+    base: str | None = None,
+    on_link: Callable[[str], None] | None = None,
+    robot: Element | None = None,
+    fitted: Collection[str] | None = None,
 ) -> str:
     """Return the text of a URDF without meshes; its visual and collision shapes are the same.
 
@@ -63,8 +66,10 @@ def boxed_urdf(
         base: Link that becomes the root, with all that it carries; by default the root, or the link
             behind joints that move bare frames on the floor, as simulators add.
         on_link: Called with the name of each link that is done.
+        robot: Content in place of that of the file.
+        fitted: Links that get shapes; all by default.
     """
-    robot = read_robot_element(path)
+    robot = read_robot_element(path) if robot is None else robot
     urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
     kept = carried(urdf, _first_body(urdf, links) if base is None else base, str(path))
@@ -73,7 +78,9 @@ def boxed_urdf(
     for name in filter(kept.__contains__, links):
         link = Element(links[name].xml, f"{path}: link {name!r}")
         kind = "collision" if urdf.rigid[name] & colliding else "visual"
-        shapes = list(_shapes(link, kind, path.absolute().parent))
+        shapes = []
+        if fitted is None or name in fitted:
+            shapes = list(_shapes(link, kind, path.absolute().parent))
         if len(shapes) > MAX_SHAPES:
             require("trimesh")
             shapes = list(fit_primitives(np.concatenate([_box_triangles(one) for one in shapes])))
@@ -94,7 +101,7 @@ def _text(robot: Any) -> str:
 
 def read_robot_element(path: Path) -> Element:
     """Return the element <robot> of a URDF."""
-    robot = read_xml(path, "robot")
+    robot = read_robot_xml(path)
     if any("xacro}" in element.tag for element in robot.xml.iter()):
         raise robot.error("this is xacro; convert it first: xacro FILE > FILE.urdf")
     return robot
@@ -127,8 +134,8 @@ def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
 
 def _shapes(link: Element, tag: str, folder: Path) -> Iterable[Shape]:
     for element in link.children(tag):
-        if own := read_shape(element):
-            yield own
+        if own := read_shapes(element):
+            yield from own
             continue
         mesh = element.need("geometry").need("mesh")
         pose = element.origin()
@@ -206,9 +213,10 @@ def _load(path: Path, where: str) -> Array:
     import trimesh
 
     try:
-        scene = trimesh.load_scene(path)
+        scene = trimesh.load_scene(path, skip_materials=True)
         metres = trimesh.units.unit_conversion(scene.units or "meters", "meters")
-        return np.asarray(scene.to_mesh().triangles, dtype=np.float64) * metres
+        # Not `to_mesh`, which copies textures and needs Pillow.
+        return np.asarray(scene.triangles, dtype=np.float64).reshape(-1, 3, 3) * metres
     except Exception as error:
         raise KinfeasError(
             f"{where}: {str(path)!r} cannot be read as a mesh: {type(error).__name__}: {error}"

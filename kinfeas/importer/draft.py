@@ -1,7 +1,7 @@
 """Drafts of a robot's YAML and URDF from a vendor's URDF."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,8 +10,9 @@ import numpy as np
 from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.arm import Arm, Hand, find_arm, read_hand
-from kinfeas.importer.boxed import boxed_urdf, on_the_floor, read_robot_element
+from kinfeas.importer.arm import Arm, Hand, ends_of_arms, find_arm, read_hand
+from kinfeas.importer.boxed import boxed_urdf, on_the_floor
+from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.reach import (
     EASY,
     WORTH,
@@ -71,17 +72,16 @@ class Draft:
     robot: Robot
 
 
-MOST_LINKS = 2000
-"""Links of a robot at most: all pairs of them are checked for contact."""
-
-
-def draft_robot(
+def draft_robot(  # noqa: PLR0913 - each option is an argument
     path: Path,
     name: str,
     hand: str | None = None,
     base: str | None = None,
-    drive: Drive = "differential",
+    drive: Drive | None = None,
     on_done: Callable[[float], None] | None = None,
+    *,
+    meshes: bool = True,
+    mesh_paths: Mapping[str, str] | None = None,
 ) -> Draft:
     """Return the draft of a mobile manipulator.
 
@@ -90,22 +90,36 @@ def draft_robot(
         name: Short name of the robot.
         hand: As of `find_arm`.
         base: As of `boxed_urdf`.
-        drive: Drive of the base.
+        drive: Drive of the base; by default read from its wheels.
         on_done: Called with the share of all work, 0-1, that has just been done.
+        meshes: Whether meshes are read.
+        mesh_paths: Beginnings of mesh addresses, and their replacements.
 
     Raises:
         KinfeasError: If the URDF or one of its meshes is invalid, there is no arm or more than one,
             or the arm reaches hardly any goal.
     """
     report, source = on_done or (lambda share: None), str(path)
-    links = len(read_robot_element(path).children("link"))
-    if links > MOST_LINKS:
-        raise KinfeasError(f"{path}: {links} links; at most {MOST_LINKS} are supported")
-    boxed = boxed_urdf(path, base, lambda _: report(_BOXING / links))
-    arm = find_arm(_parsed(boxed, source), hand, source)
-    text, lifted = on_the_floor(boxed, arm, source)
+    description = read_description(path, meshes=meshes, mesh_paths=mesh_paths)
+    links = len(description.children("link"))
+
+    def boxed(fitted: Collection[str] | None = None) -> str:
+        done = (lambda _: report(_BOXING / links)) if fitted is None else None
+        return boxed_urdf(path, base, done, description, fitted)
+
+    # A choice between arms comes before the work: fitting meshes takes most of the time.
+    bare = _parsed(boxed(fitted=()), source)
+    if hand is not None:
+        find_arm(bare, hand, source)
+    elif ends := ends_of_arms(bare, source):
+        find_arm(_parsed(boxed(fitted=ends), source), None, source)
+    whole = boxed()
+    arm = find_arm(_parsed(whole, source), hand, source)
+    text, lifted = on_the_floor(whole, arm, source)
     urdf = _parsed(text, source)
-    spec = stated(name, urdf, arm, read_hand(urdf, arm), drive)
+    fingers = read_hand(urdf, arm)
+    found, why = find_drive(urdf, arm)
+    spec = stated(name, urdf, arm, fingers, drive or found)
     robot = build_robot(spec, urdf, path, source)
     touching = built_to_touch(robot)
     pose_tolerance = _POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None
@@ -129,6 +143,9 @@ def draft_robot(
         stuck=tuple(joint.name for joint in arm.stuck),
         touching=touching,
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
+        drive="" if drive else why,
+        no_gripper=fingers.no_gripper,
+        doubts=doubts(urdf),
     )
     yaml = robot_yaml(spec, guesses)
     read = config.from_mapping(RobotSpec, strict_yaml.parse(yaml, source), source)
@@ -215,5 +232,10 @@ def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:
     """Return the positions of the joints that move the fingers."""
     if hand.gripper is None:
         return {}
-    leaders = {urdf.followed(urdf.joints[finger])[0].name for finger in hand.gripper.fingers}
-    return dict.fromkeys(sorted(leaders), round((hand.gripper.closed + hand.gripper.open) / 2.0, 4))
+    closed, opened = hand.gripper.positions("close"), hand.gripper.positions("open")
+    leaders = {}
+    for finger in hand.gripper.fingers:
+        leader, scale, offset = urdf.followed(urdf.joints[finger])
+        middle = (closed[finger] + opened[finger]) / 2.0
+        leaders[leader.name] = round((middle - offset) / scale, 4) + 0.0
+    return dict(sorted(leaders.items()))

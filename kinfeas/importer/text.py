@@ -26,6 +26,9 @@ class Guesses:
         stuck: Joints on the way to the hand whose limits leave no range of motion.
         touching: Share of configurations in which the ignored pairs of links touch, 0-1.
         slides: Prismatic joints; their positions are metres.
+        drive: What the drive of the base was read from.
+        no_gripper: Why there is no gripper.
+        doubts: Warnings about the URDF.
     """
 
     lifted: float = 0.0
@@ -34,6 +37,9 @@ class Guesses:
     stuck: tuple[str, ...] = ()
     touching: Mapping[tuple[str, str], float] = field(default_factory=dict)
     slides: frozenset[str] = frozenset()
+    drive: str = ""
+    no_gripper: str = ""
+    doubts: tuple[str, ...] = ()
 
     def unit(self, joint: str) -> str:
         """Return the unit of a joint's position."""
@@ -67,7 +73,7 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         _head(spec, guesses),
         [
             "# Guess: the manual has the limits of the base.",
-            *_block("base", vars(spec.base), _BASE_UNITS),
+            *_block("base", vars(spec.base), _BASE_UNITS | {"drive": guesses.drive}),
         ],
         _block("arm", joints, {name: _guessed_units(name, guesses) for name in joints}),
         ["# rad, or m where a joint slides", *_block("home", spec.home)],

@@ -2,9 +2,11 @@
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -143,11 +145,16 @@ def set_origin(element: Any, pose: Array, digits: int | None = None) -> None:
     ElementTree.SubElement(element, "origin", xyz=xyz, rpy=angles)
 
 
+_LFS = b"version https://git-lfs"
+_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")  # of a package.xml
+
+
 def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
     """Return the file of a <mesh>.
 
-    Its `filename` is a path relative to the URDF, a `file://` address or `package://NAME/...`. A
-    package is the nearest folder NAME above the URDF, or beside one of the folders above it.
+    Its `filename` is a path relative to the URDF, a `file://` address or `package://NAME/...`.
+    Packages are those whose package.xml has the name, above the URDF or below ROS_PACKAGE_PATH,
+    `share/NAME` of AMENT_PREFIX_PATH, and folders NAME above the URDF or beside one of these.
     `folder` is the absolute path of the URDF's folder, `formats` are suffixes such as `.stl`.
     """
     name = mesh.text("filename")
@@ -155,13 +162,56 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
         raise mesh.error(f"{name!r} must be of the format {', '.join(formats)}")
     scheme, _, rest = name.rpartition("://")
     if scheme in ("package", "model"):
-        candidates = [above / rest.lstrip("/") for above in (*folder.parents, folder)]
+        package, _, inner = rest.lstrip("/").partition("/")
+        candidates = (found / inner for found in _packages(package, folder))
+        rule = (
+            "; packages are looked up by package.xml above the URDF, ROS_PACKAGE_PATH, "
+            "AMENT_PREFIX_PATH and folders of that name"
+        )
     elif scheme in ("", "file"):
-        candidates = [folder / rest]
+        candidates, rule = iter([folder / rest]), ""
     else:
         raise mesh.error(f"{name!r} must be a path, or begin with file:// or package://")
     for path in candidates:
         with suppress(OSError):  # such as a name that is too long
             if path.is_file() and os.access(path, os.R_OK):
-                return path
-    raise mesh.error(f"there is no {name!r}, from the folder {str(folder)!r}")
+                break
+    else:
+        raise mesh.error(
+            f"there is no {name!r}, from the folder {str(folder)!r}{rule} (`kinfeas robot import` "
+            "has --mesh-path OLD=NEW and --no-meshes)"
+        )
+    with path.open("rb") as file:
+        if file.read(len(_LFS)) == _LFS:
+            raise mesh.error(f"{str(path)!r} is a pointer of Git LFS: run `git lfs pull` there")
+    return path
+
+
+def _packages(name: str, folder: Path) -> Iterator[Path]:
+    """Yield folders that may be the package `name` of a URDF in `folder`."""
+    above = (folder, *folder.parents)
+    for one in above:
+        if _package_name(one / "package.xml") == name:
+            yield one
+    for root in _roots("ROS_PACKAGE_PATH"):
+        yield root / name
+        for depth in ("", "*/", "*/*/"):
+            yield from (
+                p.parent for p in root.glob(f"{depth}package.xml") if _package_name(p) == name
+            )
+    for root in _roots("AMENT_PREFIX_PATH"):
+        yield root / "share" / name
+    for one in (*folder.parents, folder):
+        yield one / name
+
+
+def _roots(variable: str) -> list[Path]:
+    return [Path(text) for text in os.environ.get(variable, "").split(os.pathsep) if text]
+
+
+@cache
+def _package_name(path: Path) -> str | None:
+    with suppress(OSError):
+        if found := _NAME.search(path.read_bytes()):
+            return found[1].decode(errors="replace")
+    return None

@@ -177,7 +177,8 @@ def _gripper(spec: RobotSpec, urdf: Urdf, source: str) -> Gripper | None:
         joint = urdf.joints[name]
         if not joint.moves or name in spec.arm:
             raise KinfeasError(f"{where}: {name!r} must be a moving joint that is not in 'arm'")
-        for key, position in (("closed", spec.gripper.closed), ("open", spec.gripper.open)):
+        closed, opened = (spec.gripper.positions(grip)[name] for grip in ("close", "open"))
+        for key, position in (("closed", closed), ("open", opened)):
             _check_within(position, joint.lower, joint.upper, f"{source}: 'gripper.{key}', {name}")
     return spec.gripper
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from kinfeas.config.quantities import Metres
+from kinfeas.core.backend import Grip
 from kinfeas.core.errors import check_name
 
 Drive = Literal["omnidirectional", "differential"]
@@ -56,22 +57,39 @@ class Gripper:
 
     Attributes:
         fingers: Joint of each finger.
-        closed: Their position when closed, rad or m.
-        open: Their position when open, rad or m.
+        closed: Their position when closed, rad or m; one number, or one for each.
+        open: Their position when open, likewise.
         effort: Effort limit of each, N m or N.
     """
 
     fingers: tuple[str, str]
-    closed: float
-    open: float
+    closed: float | tuple[float, float]
+    open: float | tuple[float, float]
     effort: Effort
 
     def __post_init__(self) -> None:
         """Check that the fingers differ and move."""
         if self.fingers[0] == self.fingers[1]:
             raise ValueError("'fingers' must name two joints")
-        if self.closed == self.open:
-            raise ValueError("'closed' and 'open' must differ")
+        if not all(self._strokes):
+            raise ValueError("'closed' and 'open' must differ, for each finger")
+
+    def positions(self, grip: Grip) -> dict[str, float]:
+        """Return the position of each finger, rad or m, when closed or open."""
+        position = self.closed if grip == "close" else self.open
+        both = position if isinstance(position, tuple) else (position, position)
+        return dict(zip(self.fingers, both, strict=True))
+
+    @property
+    def ratio(self) -> float:
+        """Displacement of the second finger by that of the first; 1 if they move alike."""
+        first, second = self._strokes
+        return second / first
+
+    @property
+    def _strokes(self) -> list[float]:
+        closed, opened = self.positions("close"), self.positions("open")
+        return [opened[finger] - closed[finger] for finger in self.fingers]
 
 
 @dataclass(frozen=True)

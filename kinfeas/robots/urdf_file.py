@@ -1,14 +1,17 @@
 """Reading of URDF files, with checks."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from itertools import chain
 from pathlib import Path
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import FARTHEST
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, compose, make_pose
 from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.urdf import Joint, JointKind, Link, Mimic, Shape, Urdf, descendants
 
@@ -20,10 +23,47 @@ SLACK = 1e-6
 
 _MAX_MASS, _MAX_MOMENT = 1e5, 1e7  # kg and kg m^2
 
+_BASE_JOINTS = ("planar", "floating")
+
 
 def parse_urdf(path: Path) -> Urdf:
-    """Return the links and joints of a URDF file."""
-    return urdf_of(read_xml(path, "robot"))
+    """Return the links and joints of a robot's URDF file."""
+    return urdf_of(read_robot_xml(path))
+
+
+def read_robot_xml(path: Path) -> Element:
+    """Return the element <robot> of a robot's URDF.
+
+    Links above the base are left out: bare frames down to the last planar or floating joint, which
+    stands for the motion of the base.
+    """
+    robot = read_xml(path, "robot")
+    links = {link.get("name"): link for link in robot.xml.findall("link")}
+    on: dict[Any, list[Any]] = defaultdict(list)
+    for joint in robot.xml.findall("joint"):
+        on[_link_of(joint, "parent")].append(joint)
+    children = {_link_of(joint, "child") for joints in on.values() for joint in joints}
+    link = next((name for name in links if name not in children), None)
+    above: list[Any] = []
+    while link in links and len(on[link]) == 1 and not _has_shapes(links[link]):
+        (joint,) = on.pop(link)
+        above += [links[link], joint]
+        if joint.get("type") in _BASE_JOINTS:
+            while above:
+                robot.xml.remove(above.pop())
+        elif joint.get("type") != "fixed":
+            break
+        link = _link_of(joint, "child")
+    return robot
+
+
+def _has_shapes(link: Any) -> bool:
+    return any(link.find(tag) is not None for tag in ("visual", "collision"))
+
+
+def _link_of(joint: Any, tag: str) -> Any:
+    link = joint.find(tag)
+    return None if link is None else link.get("link")
 
 
 def urdf_of(robot: Element) -> Urdf:
@@ -81,10 +121,10 @@ def _check_mimics(joints: Mapping[str, Joint], robot: Element) -> None:
 
 def _link(name: str, element: Element) -> Link:
     # Physics engines read visual shapes from the same file: they are checked here.
-    _shapes(element.children("visual"))
-    collisions = element.children("collision")
-    shapes = tuple(_shapes(collisions))
-    return Link(name, _mass(element), shapes, len(shapes) < len(collisions))
+    for visual in element.children("visual"):
+        read_shapes(visual)
+    shapes = [read_shapes(collision) for collision in element.children("collision")]
+    return Link(name, _mass(element), tuple(chain(*shapes)), not all(shapes))
 
 
 def _mass(link: Element) -> float:
@@ -106,29 +146,35 @@ def read_moments(inertia: Element) -> Array:
     return moments
 
 
-def _shapes(elements: Iterable[Element]) -> list[Shape]:
-    return [shape for shape in map(read_shape, elements) if shape]
+def read_shapes(element: Element) -> tuple[Shape, ...]:
+    """Return the primitives of a <visual> or <collision>; none for a mesh.
 
-
-def read_shape(element: Element) -> Shape | None:
-    """Return the primitive of a <visual> or <collision>, or None if it is a mesh."""
+    A capsule is a cylinder and two spheres.
+    """
     pose, geometry = element.origin(), element.need("geometry")
     if box := geometry.child("box"):
-        return Shape("box", box.positive("size", 3), pose)
-    if cylinder := geometry.child("cylinder"):
-        size = (*cylinder.positive("radius"), *cylinder.positive("length"))
-        return Shape("cylinder", size, pose)
+        return (Shape("box", box.positive("size", 3), pose),)
+    if cylinder := geometry.child("cylinder") or geometry.child("capsule"):
+        (radius,), (length,) = cylinder.positive("radius"), cylinder.positive("length")
+        shapes = [Shape("cylinder", (radius, length), pose)]
+        if cylinder.xml.tag == "capsule":
+            for z in (-length / 2.0, length / 2.0):
+                end = compose(pose, make_pose(np.array([0.0, 0.0, z]), Rotation.identity()))
+                shapes.append(Shape("sphere", (radius,), end))
+        return tuple(shapes)
     if sphere := geometry.child("sphere"):
-        return Shape("sphere", sphere.positive("radius"), pose)
+        return (Shape("sphere", sphere.positive("radius"), pose),)
     if mesh := geometry.child("mesh"):
         mesh.text("filename")
         mesh.vector("scale", 3, (1.0, 1.0, 1.0))
-        return None
-    raise geometry.error("must hold a <box>, <cylinder>, <sphere> or <mesh>")
+        return ()
+    raise geometry.error("must hold a <box>, <cylinder>, <sphere>, <capsule> or <mesh>")
 
 
 def _joint(name: str, element: Element) -> Joint:
     kind = element.text("type")
+    if kind in _BASE_JOINTS:
+        raise element.error(f"type {kind!r} is supported only below a root link without shapes")
     if kind not in get_args(JointKind):
         raise element.error(f"type must be one of {', '.join(get_args(JointKind))}, not {kind!r}")
     fixed = kind == "fixed"
@@ -176,11 +222,12 @@ def _soft_limits(joint: Element, kind: str, lower: float, upper: float) -> tuple
     if safety is None or kind in ("fixed", "continuous"):
         return lower, upper
     soft = safety.number("soft_lower_limit", lower), safety.number("soft_upper_limit", upper)
-    if not lower <= soft[0] <= soft[1] <= upper:
+    low, high = max(soft[0], lower), min(soft[1], upper)  # the tighter of both, as in ROS
+    if low > high:
         raise safety.error(
-            f"soft limits {soft[0]:g} to {soft[1]:g} are not in {lower:g} to {upper:g}"
+            f"soft limits {soft[0]:g} to {soft[1]:g} leave nothing of {lower:g} to {upper:g}"
         )
-    return soft
+    return low, high
 
 
 def _axis(joint: Element) -> tuple[float, float, float]:

@@ -146,24 +146,26 @@ def gripper_type(messages: Messages, gripper: GripperTopics) -> Any:
 
 def gripper_command(messages: Messages, gripper: GripperTopics, grip: Grip) -> Any:
     """Return the message that closes or opens a gripper."""
-    position = gripper.closed if grip == "close" else gripper.open
+    positions = gripper.positions(grip)
     if gripper.kind == "trajectory":
-        return trajectory(messages, dict.fromkeys(gripper.joints, position), gripper.seconds)
+        targets = dict(zip(gripper.joints, positions, strict=True))
+        return trajectory(messages, targets, gripper.seconds)
     message = messages.Pr2GripperCommand()
-    message.position, message.max_effort = position, gripper.max_effort
+    message.position, message.max_effort = positions[0], gripper.max_effort
     return message
 
 
 def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
     """Return the state nearer to a gripper's commanded position; None if it is invalid."""
+    closed, opened = gripper.positions("close"), gripper.positions("open")
     if gripper.kind == "trajectory":
         way = path(message)
-        if way is None or not way.joints:
+        if way is None or not way.joints or way.joints[0] not in gripper.joints:
             return None
-        position = float(way.positions[-1, 0])
+        row, position = gripper.joints.index(way.joints[0]), float(way.positions[-1, 0])
     else:
-        position = message.position
-    nearer = abs(position - gripper.closed) <= abs(position - gripper.open)
+        row, position = 0, message.position
+    nearer = abs(position - closed[row]) <= abs(position - opened[row])
     return "close" if nearer else "open"
 
 

@@ -10,6 +10,7 @@ from annotated_types import Interval
 
 from kinfeas import config
 from kinfeas.config.quantities import Positive
+from kinfeas.core.backend import Grip
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link.scans import OCCUPIED
@@ -72,25 +73,35 @@ class GripperTopics:
     Attributes:
         command: Topic.
         kind: Message: trajectory_msgs/JointTrajectory or, in ROS 1, PR2's Pr2GripperCommand.
-        open: Open position, radians or metres.
-        closed: Closed position.
-        joints: Joints of the trajectory, which all go to the same position.
+        open: Open position, radians or metres; one number, or one for each joint.
+        closed: Closed position, likewise.
+        joints: Joints of the trajectory.
         seconds: Duration of a trajectory.
         max_effort: Force of PR2's command, N; below 0 for no limit.
     """
 
     command: str
     kind: Literal["trajectory", "pr2"]
-    open: float
-    closed: float = 0.0
+    open: float | tuple[float, ...]
+    closed: float | tuple[float, ...] = 0.0
     joints: tuple[str, ...] = ()
     seconds: Positive = 1.0
     max_effort: float = -1.0
 
     def __post_init__(self) -> None:
-        """Check that a trajectory has joints."""
+        """Check that a trajectory has joints, and each joint a position."""
         if self.kind == "trajectory" and not self.joints:
             raise ValueError("'joints' must name at least one joint of a trajectory")
+        many = len(self.joints) if self.kind == "trajectory" else 1
+        for key, position in (("open", self.open), ("closed", self.closed)):
+            if isinstance(position, tuple) and len(position) != many:
+                raise ValueError(f"{key!r} must hold {many} positions, or be a number")
+
+    def positions(self, grip: Grip) -> tuple[float, ...]:
+        """Return the positions of the joints, closed or open; that of PR2's command."""
+        position = self.closed if grip == "close" else self.open
+        many = len(self.joints) if self.kind == "trajectory" else 1
+        return position if isinstance(position, tuple) else (position,) * many
 
 
 @dataclass(frozen=True)

@@ -91,3 +91,36 @@ def test_reads_the_fingers_and_the_tip(changed, changes, closed):
     np.testing.assert_allclose(hand.rotation, [0.0, 0.0, 0.0, 1.0], atol=1e-9)
     assert (hand.gripper.fingers, hand.gripper.effort) == (("l", "r"), 20.0)
     assert (hand.gripper.closed, hand.gripper.open) == (closed, 0.04 - closed)
+
+
+MIRRORED = (
+    '<axis xyz="0 -1 0"/>\n    <limit lower="0" upper="0.04"',
+    ('<axis xyz="0 1 0"/>\n    <limit lower="-0.04" upper="0"'),
+)
+MIMIC = 'effort="20"/></joint>', 'effort="0"/><mimic joint="l" multiplier="-1"/></joint>'
+
+
+@pytest.mark.parametrize("changes", [(MIRRORED,), (MIRRORED, MIMIC)])
+def test_fingers_with_mirrored_limits_are_a_gripper(changed, changes):
+    path = changed(*changes)
+    hand = read_hand(parse_urdf(path), arm_of(path))
+    np.testing.assert_allclose(hand.tip, [0.12, 0.0, 0.0], atol=1e-9)
+    assert hand.gripper.positions("close") == {"l": 0.0, "r": 0.0}
+    assert hand.gripper.positions("open") == {"l": 0.04, "r": -0.04}
+
+
+NO_EFFORT = ('effort="30"', 'effort="0"'), ('effort="20"', 'effort="1e9"')
+
+
+@pytest.mark.parametrize(("changes", "named"), [
+    (WITHOUT_FINGERS, "'palm'"),
+    ((fixed("r"),), "'palm': l"),
+    (NO_EFFORT, "l and r"),
+    ((('name="r" type="prismatic"', 'name="r" type="revolute"'), ('upper="0.04"', 'upper="0"')),
+     "l, r"),
+])  # fmt: skip
+def test_a_hand_without_a_gripper_names_the_reason(changed, changes, named):
+    path = changed(*changes)
+    hand = read_hand(parse_urdf(path), arm_of(path))
+    assert hand.gripper is None
+    assert named in hand.no_gripper

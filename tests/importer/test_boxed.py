@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -88,6 +91,32 @@ def test_broken_meshes_are_errors(changed, corners):
         path.with_name("part.obj").write_text(face)
     with pytest.raises(KinfeasError, match=r"link 'palm'.*<mesh>.*part\.obj"):
         boxed_urdf(path)
+
+
+TEXTURED = {
+    "obj": "mtllib part.mtl\nusemtl wood\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\n"
+    "f 1/1 3/1 2/1\nf 1/1 2/1 4/1\nf 1/1 4/1 3/1\nf 2/1 3/1 4/1\n",
+    "ply": "ply\nformat ascii 1.0\ncomment TextureFile wood.png\nelement vertex 4\n"
+    + "".join(f"property float {name}\n" for name in "xyzst")
+    + "element face 4\nproperty list uchar int vertex_indices\nend_header\n0 0 0 0 0\n1 0 0 0 1\n"
+    "0 1 0 1 0\n0 0 1 1 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n",
+}
+WITHOUT_PILLOW = (
+    "import sys; sys.modules['PIL'] = None\nfrom pathlib import Path\n"
+    "from kinfeas.importer.boxed import boxed_urdf\nprint(boxed_urdf(Path(sys.argv[1])))"
+)
+
+
+@pytest.mark.parametrize("suffix", TEXTURED)
+def test_textures_need_no_pillow(changed, tmp_path, suffix):
+    (tmp_path / f"part.{suffix}").write_text(TEXTURED[suffix])
+    (tmp_path / "part.mtl").write_text("newmtl wood\nmap_Kd wood.png\n")
+    (tmp_path / "wood.png").write_bytes(b"\x89PNG\r\n")
+    path = changed((PALM, f'<mesh filename="part.{suffix}"/>'))
+    command = [sys.executable, "-c", WITHOUT_PILLOW, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "<mesh" not in done.stdout
 
 
 SLIDE = (

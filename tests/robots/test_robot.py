@@ -82,6 +82,14 @@ def test_reads_a_robot(tmp_path):
     assert robot.counterbalanced == {"swing"}
 
 
+def test_each_finger_may_have_its_own_positions(tmp_path):
+    spec = crane() | {"gripper": GRIPPER | {"open": [0.9, -0.3]}}
+    gripper = load_robot(str(write(tmp_path, spec))).gripper
+    assert gripper.positions("close") == {"wave": 0.5, "grip": 0.5}
+    assert gripper.positions("open") == {"wave": 0.9, "grip": -0.3}
+    assert gripper.ratio == pytest.approx(-2.0)
+
+
 def test_arm_limits_are_read_only_arrays(tmp_path):
     robot = read_robot(write(tmp_path, crane()))
     for found, values in (
@@ -137,6 +145,9 @@ ARM = crane()["arm"]
     ({"gripper": GRIPPER | {"fingers": ["wave", "wavy"]}}, "'gripper.fingers'"),
     ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
     ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
+    ({"gripper": GRIPPER | {"open": [0.9, 9.5]}}, "'gripper.open', grip"),
+    ({"gripper": GRIPPER | {"open": [0.9, 0.5]}}, "'gripper'.*'open'"),
+    ({"gripper": GRIPPER | {"open": [0.9]}}, "'gripper.open"),
     ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
 ])  # fmt: skip
 def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):

@@ -71,6 +71,10 @@ def fixed(name, parent, child):
     return f'<joint name="{name}" type="fixed">{links}</joint></robot>'
 
 
+FLOATING = (
+    '<link name="drone"/><joint name="free" type="floating"><parent link="hand"/>'
+    '<child link="drone"/></joint></robot>'
+)
 SOFT = '<safety_controller soft_lower_limit="-0.5" soft_upper_limit="1.5"/></joint>'
 
 
@@ -78,12 +82,41 @@ SOFT = '<safety_controller soft_lower_limit="-0.5" soft_upper_limit="1.5"/></joi
     ('lower="-1" upper="2"', 'lower="-1e16" upper="1e16"', {"lower": -1e16, "upper": 1e16}),
     ('lower="-1" ', "", {"lower": 0.0, "upper": 2.0}),
     ("</joint>", SOFT, {"lower": -1.0, "soft_lower": -0.5, "soft_upper": 1.5}),
+    ("</joint>", SOFT.replace("-0.5", "-2"), {"lower": -1.0, "soft_lower": -1.0}),
+    ("</joint>", SOFT.replace("1.5", "9"), {"upper": 2.0, "soft_upper": 2.0}),
     ('"revolute"', '"continuous"', {"lower": -math.inf, "upper": math.inf, "velocity": 3.0}),
     ('type="revolute"', 'type="fixed"', {"lower": 0.0, "velocity": 0.0, "moves": False}),
 ])  # fmt: skip
 def test_reads_limits(tmp_path, old, new, expected):
     elbow = parse_urdf(write(tmp_path, ARM.replace(old, new))).joints["elbow"]
     assert {key: getattr(elbow, key) for key in expected} == expected
+
+
+def test_a_capsule_is_a_cylinder_with_spheres_at_its_ends(tmp_path):
+    capsule = '<box size="1 2 3"/>', '<capsule radius="0.1" length="0.4"/>'
+    turned = "<collision><geometry><box", '<collision><origin rpy="0 1.5708 0"/><geometry><box'
+    hand = parse_urdf(write(tmp_path, ARM.replace(*turned).replace(*capsule))).links["hand"]
+    assert sorted(shape.kind for shape in hand.shapes) == ["cylinder", "sphere", "sphere"]
+    assert hand.mesh_collisions
+    for axis, reach in ((0, 0.3), (1, 0.1), (2, 0.1)):
+        for direction in (np.eye(3)[axis], -np.eye(3)[axis]):
+            found = max(shape.reach(direction) for shape in hand.shapes)
+            assert found == pytest.approx(reach, abs=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+@pytest.mark.parametrize("above", ["", "fixed"])
+def test_the_joint_between_world_and_base_is_left_out(tmp_path, kind, above):
+    world = f'<link name="world"/>{fixed("m", "world", "odom")[:-8]}<link name="odom"/>'
+    world = world if above else '<link name="odom"/>'
+    free = '<joint name="free" type="{}"><parent link="odom"/><child link="base"/></joint>'
+    text = ARM.replace("</robot>", f"{world}{free.format(kind)}</robot>")
+    urdf = parse_urdf(write(tmp_path, text))
+    assert (urdf.root, list(urdf.links), list(urdf.joints)) == ("base", ["base", "hand"], ["elbow"])
+    box = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+    shaped = text.replace('<link name="odom"/>', f'<link name="odom">{box}</link>')
+    with pytest.raises(KinfeasError, match=f"joint 'free': type '{kind}'"):
+        parse_urdf(write(tmp_path, shaped))
 
 
 def test_mimic_joints_lead_to_the_joint_that_they_follow(tmp_path):
@@ -111,14 +144,16 @@ def test_mimic_joints_lead_to_the_joint_that_they_follow(tmp_path):
     ('xyz="1 2 3"', 'xyz="1 2 1e999"', "joint 'elbow', <origin>: 'xyz'"),
     ('<box size="1 2 3"/>', '<cylinder radius="1"/>', "<cylinder>: the attribute 'length'"),
     ('<box size="1 2 3"/>', "<cone/>", "<geometry>"),
-    ('"revolute"', '"floating"', "joint 'elbow': type"),
+    ('"revolute"', '"ball"', "joint 'elbow': type"),
     ('xyz="0 3 4"', 'xyz="0 0 0"', "axis"),
     ("<limit ", "<limits ", "<limit>"),
     ('upper="2"', 'upper="-2"', "'upper'"),
     ('parent link="base"', 'parent link="bass"', "link 'bass'"),
     ('child link="hand"', 'child link="base"', "'base'"),
     ("</robot>", '<link name="lone"/></robot>', "base, lone"),
-    ("</joint>", SOFT.replace("-0.5", "-2"), "soft limits"),
+    ("</joint>", SOFT.replace("-0.5", "3"), "soft limits"),
+    ('<box size="1 2 3"/>', '<capsule radius="1"/>', "<capsule>: the attribute 'length'"),
+    ("</robot>", FLOATING, "joint 'free': type 'floating'"),
     ("</joint>", '<mimic joint="knee"/></joint>', "<mimic>.*'knee'"),
     ("</joint>", '<mimic joint="elbow"/></joint>', "<mimic>"),
     ("</robot>", fixed("loop", "hand", "base"), "root"),
@@ -158,3 +193,32 @@ def test_meshes_are_found(rover, tmp_path, monkeypatch, name, where):
     monkeypatch.chdir(tmp_path)
     for urdf in (rover, rover.relative_to(tmp_path)):
         assert mesh_of(name.format(tmp_path), urdf).samefile(tmp_path / where)
+
+
+@pytest.mark.parametrize(("package", "variable", "root"), [
+    ("rover", None, None),  # a clone's folder has another name than its package
+    ("ws/src/clone", "ROS_PACKAGE_PATH", "ws/src"),
+    ("ws/src/group/clone", "ROS_PACKAGE_PATH", "ws/src"),
+    ("ws/src/moon", "ROS_PACKAGE_PATH", "ws/src"),
+    ("ws/install/share/moon", "AMENT_PREFIX_PATH", "ws/install"),
+])  # fmt: skip
+def test_packages_are_found_by_their_names(rover, tmp_path, monkeypatch, package, variable, root):
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    part = tmp_path / package / "part.stl"
+    part.parent.mkdir(parents=True, exist_ok=True)
+    part.touch()
+    if not package.endswith("moon"):
+        (part.parent / "package.xml").write_text("<package><name> moon </name></package>")
+    if variable:
+        with pytest.raises(KinfeasError, match=variable):
+            mesh_of("package://moon/part.stl", rover)
+        monkeypatch.setenv(variable, f"/none:{tmp_path / root}")
+    assert mesh_of("package://moon/part.stl", rover) == part
+
+
+def test_a_pointer_of_git_lfs_is_an_error(rover):
+    part = rover.parent / "part.stl"
+    part.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(KinfeasError, match=r"<mesh>.*part\.stl.*git lfs pull"):
+        mesh_of("part.stl", rover)

@@ -186,13 +186,18 @@ class Model:
         inertia[:2] = mass
         forces = base_forces(self.robot, config, mass, float(inertia[2]))
         limits = np.concatenate([forces, strongest])
-        if self.fingers:  # the tendon between them
+        gripper = self.robot.gripper
+        if gripper is not None:  # the tendon between the fingers
             limits = np.append(limits, _FINGER_COUPLING * strongest[-1])
             inertia = np.append(inertia, inertia[-1] / 2.0)
         damping = inertia * np.where(np.arange(len(inertia)) < 3, 1.0 / _BASE_LAG, 4.0 / LAG)
         engine.actuator_gainprm[:, 0] = [*damping[:3], *(damping[3:] / LAG)]
         engine.actuator_biasprm[3:, 1] = -damping[3:] / LAG
         engine.actuator_biasprm[:, 2] = -damping
+        if gripper is not None:  # the tendon's length at all openings
+            first, second = gripper.positions("close").values()
+            length = first - second / gripper.ratio
+            engine.actuator_biasprm[-1, 0] = damping[-1] / LAG * length
         engine.actuator_forcelimited[:] = np.isfinite(limits)
         engine.actuator_forcerange[:] = np.column_stack([-limits, limits])
 

@@ -195,7 +195,7 @@ class Simulations:
         gripper = self.model.robot.gripper
         assert gripper is not None
         self._closing[rows] = grip == "close"
-        self.fingers[rows] = gripper.closed if grip == "close" else gripper.open
+        self.fingers[rows] = list(gripper.positions(grip).values())
         if self.model.grasp is not None and grip == "open":
             self._active[rows, self.model.grasp] = 0.0
 

@@ -145,7 +145,8 @@ def _robot_spec(robot: Robot, urdf: str, servos: Iterable[Servo]) -> Any:
     if robot.gripper is not None:
         # Both fingers open equally far, up to a force: they also close round an object off centre.
         tendon = spec.add_tendon(name="fingers")
-        for finger, share in zip(robot.gripper.fingers, (1.0, -1.0), strict=True):
+        shares = 1.0, -1.0 / robot.gripper.ratio
+        for finger, share in zip(robot.gripper.fingers, shares, strict=True):
             tendon.wrap_joint(finger, share)
         spec.add_actuator(
             name="fingers", target="fingers", trntype=mujoco.mjtTrn.mjTRN_TENDON,

@@ -10,10 +10,10 @@ import numpy as np
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, compose, planar_pose, rotation, wrap
-from kinfeas.robots.elements import Element, find_mesh, numbers_text, read_xml, set_origin
+from kinfeas.robots.elements import Element, find_mesh, numbers_text, set_origin
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Urdf
-from kinfeas.robots.urdf_file import MOMENTS, SLACK, read_moments
+from kinfeas.robots.urdf_file import MOMENTS, SLACK, read_moments, read_robot_xml
 
 PLANAR_JOINTS = ("planar_x_joint", "planar_y_joint", "planar_yaw_joint")
 """Joints of the base: along the world's x and y, then about z."""
@@ -98,7 +98,7 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
     are merged, except the EE frame: a physics step costs by the link. Mimic elements, which
     PyBullet does not support, are removed. Mesh paths are absolute.
     """
-    xml = read_xml(robot.urdf_path, "robot").xml
+    xml = read_robot_xml(robot.urdf_path).xml
     for link in xml.findall("link"):
         where = f"{robot.urdf_path}: link {link.get('name')!r}, <mesh>"
         for mesh in link.iterfind("*/geometry/mesh"):
@@ -248,13 +248,19 @@ def repair_inertias(robot: Any, where: str) -> None:
     """
     fixed = (joint for joint in robot.findall("joint") if joint.get("type") == "fixed")
     on_fixed = {joint.find("child").get("link") for joint in fixed}
+    without = []
     for link in robot.findall("link"):
         inertia = read_inertia(link)
         repaired = FRAME if inertia is None else inertia
         shaped = any(link.find(tag) is not None for tag in ("visual", "collision"))
         if inertia is None and shaped and link.get("name") not in on_fixed:
-            raise KinfeasError(f"{where}: link {link.get('name')!r} moves and has no <inertial>")
+            without.append(repr(link.get("name")))
         if repaired.mass > 0.0:
             repaired = physical(repaired)
         if repaired is not inertia:
             write_inertia(link, repaired)
+    if without:
+        raise KinfeasError(
+            f"{where}: physics needs an <inertial> with mass in the root and in links that move; "
+            f"link {', '.join(without)} has none"
+        )

@@ -8,7 +8,7 @@ from kinfeas.backends.physics.robot import physics_urdf
 from kinfeas.robots.elements import Element, parse_xml, read_xml
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
-from kinfeas.robots.urdf_file import read_shape
+from kinfeas.robots.urdf_file import read_shapes
 from kinfeas.scenes.scene import Scene
 
 ROBOT = ""
@@ -42,11 +42,11 @@ def _shapes(owner: str, urdf: Element) -> Iterator[VisualShape]:
     colours = {one.get("name"): _colour(one) for one in urdf.xml.findall("material")}
     for link in urdf.children("link"):
         for visual in link.children("visual"):
-            shape, material = read_shape(visual), visual.xml.find("material")
+            material = visual.xml.find("material")
             colour = None if material is None else _colour(material)
             if material is not None and colour is None:
                 colour = colours.get(material.get("name"))
-            if shape is not None:
+            for shape in read_shapes(visual):
                 yield VisualShape((owner, link.text("name")), shape, colour or _GREY)
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from kinfeas.backends.physics.robot import finger_followers
 from kinfeas.backends.pybullet.robot_body import RobotBody
 from kinfeas.control.execution import tool_pose
+from kinfeas.core.backend import Grip
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative
 from kinfeas.robots.spec import Gripper
 
@@ -18,7 +19,7 @@ _PADS[:, [0, 2]] = _PAD * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -
 
 
 class GripperDrive:
-    """Two fingers that move alike until one of them is blocked.
+    """Two fingers that open equally far until one of them is blocked.
 
     Attributes:
         fingers: Indices of the links of each finger.
@@ -51,11 +52,11 @@ class GripperDrive:
 
     def open(self) -> None:
         """Start to open."""
-        self._move(self._gripper.open)
+        self._move("open")
 
     def close(self) -> None:
         """Start to close."""
-        self._move(self._gripper.closed)
+        self._move("close")
 
     def relax(self) -> None:
         """Hold each finger where it is, with little effort."""
@@ -84,14 +85,14 @@ class GripperDrive:
         """Command the motors again: PyBullet keeps impulses, which depend on the step time."""
         self._exert(self._effort)
 
-    def _move(self, position: float) -> None:
-        self._targets = dict.fromkeys(self._gripper.fingers, position)
+    def _move(self, grip: Grip) -> None:
+        self._targets = self._gripper.positions(grip)
         self._exert(self._gripper.effort)
 
     def _exert(self, effort: float) -> None:
         self._effort = effort
         self._body.physics.client.changeConstraint(
-            self._gear, gearRatio=-1.0, maxForce=_COUPLING * effort
+            self._gear, gearRatio=-1.0 / self._gripper.ratio, maxForce=_COUPLING * effort
         )
         for name, target in self._targets.items():
             self._motor(name, target)

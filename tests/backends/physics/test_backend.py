@@ -1,11 +1,14 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 
 from kinfeas.backends.physics.visuals import ROBOT
 from kinfeas.core import spatial
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.robots.loading import load_robot
+from kinfeas.robots.loading import load_robot, read_robot
 from tests.backends.conftest import place, stay
 from tests.builders import assert_near, at, twist
 
@@ -115,3 +118,28 @@ def test_one_row_is_reset_while_others_go_on(hsr, scene, opened):
     np.testing.assert_array_equal(after.base_pose[[0, 2]], before.base_pose[[0, 2]])
     np.testing.assert_allclose(after.base_pose[1], places[1], atol=1e-12)
     assert np.all(before.base_pose[:, 0] > places[:, 0])
+
+
+@pytest.mark.parametrize("right", [0.05, -0.05, -0.025])
+def test_each_finger_goes_to_its_own_position(opened, tmp_path, right):
+    scout = Path(__file__).parents[3] / "examples" / "own_robot" / "scout"
+    urdf = scout.with_suffix(".urdf").read_text()
+    if right < 0.0:
+        old = '<axis xyz="0 -1 0"/>\n    <limit lower="0" upper="0.05"'
+        assert old in urdf
+        urdf = urdf.replace(old, f'<axis xyz="0 1 0"/>\n    <limit lower="{right}" upper="0"')
+    spec = yaml.safe_load(scout.with_suffix(".yaml").read_text())
+    spec["gripper"] |= {"closed": [0.0, 0.0], "open": [0.05, right]}
+    spec["fixed_joints"] |= {"right_finger_joint": right / 2.0}
+    (tmp_path / "scout.urdf").write_text(urdf)
+    (tmp_path / "scout.yaml").write_text(yaml.safe_dump(spec, sort_keys=False))
+    world = opened(read_robot(tmp_path / "scout.yaml"))
+    place(world)
+    links = [(ROBOT, name) for name in ("wrist_roll_link", "left_finger_link", "right_finger_link")]
+    for grip, opening in (("open", 1.0), ("close", 0.0)):
+        world.grip(grip, np.arange(1))
+        stay(world, 120)
+        palm, *fingers = world.link_poses(0, links)
+        sideways = [spatial.relative(finger, palm)[1] for finger in fingers]
+        expected = [0.05 * opening, -abs(right) * opening]
+        np.testing.assert_allclose(sideways, expected, atol=1e-3)

@@ -1,6 +1,7 @@
 import re
 import shutil
 import struct
+from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 from xml.etree import ElementTree
@@ -62,6 +63,17 @@ def test_the_urdf_is_the_robot_on_planar_joints(robot, tmp_path):
         np.testing.assert_allclose(
             pose_of(urdf, link, {}), pose_of(robot.urdf, link, still), atol=1e-9
         )
+
+
+def test_the_joint_between_world_and_base_is_left_out(robot, tmp_path):
+    world = (
+        f'<link name="world"/><joint name="free" type="planar"><parent link="world"/>'
+        f'<child link="{robot.urdf.root}"/></joint></robot>'
+    )
+    path = tmp_path / "robot.urdf"
+    path.write_text(robot.urdf_path.read_text().replace("</robot>", world))
+    free = replace(robot, urdf_path=path, urdf=parse_urdf(path))
+    assert physics_urdf(free) == physics_urdf(robot)
 
 
 def pose_of(urdf, link, positions):

@@ -14,7 +14,7 @@ from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros import ros2
 from kinfeas.sim2real.ros.ros1 import ros1_message_classes
 from kinfeas.sim2real.ros.ros2 import ros2_message_classes
-from kinfeas.sim2real.ros.topics import CostmapTopic, ScanTopic, read_topics
+from kinfeas.sim2real.ros.topics import CostmapTopic, GripperTopics, ScanTopic, read_topics
 from tests.sim2real.ros_processes import needs_ros1
 
 REFERENCE = get_typestore(Stores.ROS2_HUMBLE)
@@ -107,10 +107,13 @@ def test_commands_survive_a_round_trip(messages, version, stamp):
     way = ros_messages.path(ros_messages.trajectory(messages, {"a": 0.5, "b": -1.0}, 0.25))
     assert (way.joints, way.times.tolist()) == (("a", "b"), [0.25])
     np.testing.assert_array_equal(way.positions, [[0.5, -1.0]])
-    gripper = read_topics(load_robot("hsr"), version).gripper
-    for grip in ("open", "close"):
-        message = ros_messages.gripper_command(messages, gripper, grip)
-        assert ros_messages.from_gripper(gripper, message) == grip
+    mirrored = GripperTopics("/hand", "trajectory", (0.04, -0.04), joints=("l", "r"))
+    for gripper in (read_topics(load_robot("hsr"), version).gripper, mirrored):
+        for grip in ("open", "close"):
+            message = ros_messages.gripper_command(messages, gripper, grip)
+            assert ros_messages.from_gripper(gripper, message) == grip
+    last = ros_messages.trajectory(messages, {"r": -0.03}, 0.25)
+    assert ros_messages.from_gripper(mirrored, last) == "open"
 
 
 def test_an_invalid_trajectory_is_none(messages):
@@ -275,6 +278,7 @@ def test_controllers_must_have_each_joint_of_the_arm_once(tmp_path, joints, name
 
 @pytest.mark.parametrize(("gripper", "named"), [
     ("kind: trajectory, open: 1", "joints"), ("kind: trajectory, joints: [hand]", "open"),
+    ("kind: trajectory, joints: [hand], open: [1, 2]", "open"),
 ])  # fmt: skip
 def test_grippers_need_joints_and_an_open_position(tmp_path, gripper, named):
     path = tmp_path / "mine.yaml"

@@ -1,0 +1,111 @@
+import pytest
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.importer.arm import find_arm
+from kinfeas.importer.description import doubts, find_drive, read_description
+from kinfeas.importer.draft import draft_robot
+from kinfeas.robots.loading import load_robot
+from kinfeas.robots.urdf_file import parse_urdf
+
+
+def moving(name, parent="base", axis="0 1 0"):
+    return (
+        f'<link name="{name}"/><joint name="{name}_joint" type="continuous">'
+        f'<parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/></joint>'
+    )
+
+
+def wheels(*names, **options):
+    return "".join(moving(name, **options) for name in names)
+
+
+SWERVE = "".join(
+    moving(f"fork_{i}", axis="0 0 1") + moving(f"wheel_{i}", f"fork_{i}") for i in range(3)
+)
+CASTER = moving("caster", axis="0 0 1") + moving("caster_wheel", "caster")
+SPRINGS = "".join(
+    moving(f"spring_{i}", axis="0 0 1").replace("continuous", "revolute").replace(
+        "</joint>", '<limit lower="0" upper="0.01" velocity="1"/></joint>'
+    ).replace("revolute", "prismatic")
+    + moving(f"wheel_{i}", f"spring_{i}")
+    for i in range(2)
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "drive", "named"), [
+    ("", "differential", "guess"),
+    (wheels("wheel_l", "wheel_r"), "differential", "wheel_l_joint, wheel_r_joint"),
+    (wheels("drive_l", "drive_r") + CASTER, "differential", "drive_l_joint, drive_r_joint"),
+    (SPRINGS, "differential", "wheel_0_joint, wheel_1_joint"),
+    (wheels("a", "b", "c", "d"), "differential", "guess"),
+    (wheels("mecanum_a", "b", "c", "d"), "omnidirectional", "mecanum_a"),
+    (SWERVE, "omnidirectional", "fork_0_joint, fork_1_joint, fork_2_joint"),
+    (wheels("a") + wheels("b", axis="0.87 0.5 0") + wheels("c", axis="0.87 -0.5 0"),
+     "omnidirectional", "a_joint, b_joint, c_joint"),
+])  # fmt: skip
+def test_the_drive_is_read_from_names_and_axes_of_wheels(changed, text, drive, named):
+    urdf = parse_urdf(changed(("</robot>", f"{text}</robot>")))
+    found, why = find_drive(urdf, find_arm(urdf, None, "dolly"))
+    assert found == drive
+    assert named in why
+
+
+@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
+def test_shipped_robots_without_wheel_joints_are_guesses_or_right(name):
+    robot = load_robot(name)
+    drive, why = find_drive(robot.urdf, find_arm(robot.urdf, robot.ee_frame, name))
+    assert drive == robot.base.drive or "guess" in why
+
+
+LIGHT = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+
+
+def test_doubts_name_links_without_mass_and_links_in_millimetres(dolly, changed):
+    (light,) = doubts(parse_urdf(dolly))
+    assert all(name in light for name in ("base", "head", "palm", "left", "right"))
+    heavy = changed(
+        ('<link name="base">', f'<link name="base">{LIGHT}'), ('"0.1 0.02 0.02"', '"100 20 20"')
+    )
+    large, light = doubts(parse_urdf(heavy))
+    assert "0.001" in large
+    assert "left, right" in large
+    assert "base" not in light
+
+
+MESH = '<box size="0.04 0.1 0.04"/>', '<mesh filename="package://dolly/palm.stl"/>'
+
+
+def test_meshes_are_left_out_or_found_elsewhere(changed):
+    path = changed(MESH)
+    bare = read_description(path, meshes=False)
+    assert not list(bare.xml.iter("mesh"))
+    assert len(list(bare.xml.iter("box"))) == 3
+    moved = read_description(path, mesh_paths={"package://dolly": "/elsewhere"})
+    assert [mesh.get("filename") for mesh in moved.xml.iter("mesh")] == ["/elsewhere/palm.stl"]
+    with pytest.raises(KinfeasError, match=r"changed\.urdf.*package://doll_"):
+        read_description(path, mesh_paths={"package://doll_": "/elsewhere"})
+
+
+def test_several_arms_are_an_error_before_meshes_are_read(changed):
+    elbow = (
+        "</robot>",
+        (
+            '<link name="a"/><link name="b"/><link name="c"/>'
+            + "".join(
+                f'<joint name="{name}" type="revolute"><parent link="{parent}"/>'
+                f'<child link="{child}"/>'
+                '<limit lower="-1" upper="1" velocity="1"/></joint>'
+                for name, parent, child in (("i", "base", "a"), ("j", "a", "b"), ("k", "b", "c"))
+            )
+            + "</robot>"
+        ),
+    )
+    fingers = [(f'name="{name}" type="prismatic"', f'name="{name}" type="fixed"') for name in "lr"]
+    base = '<box size="0.5 0.4 0.4"/>', '<mesh filename="missing.stl"/>'
+    path = changed(elbow, base, *fingers)
+    with pytest.raises(KinfeasError, match="several arms"):
+        draft_robot(path, "dolly")
+    with pytest.raises(KinfeasError, match="'plam'"):
+        draft_robot(path, "dolly", hand="plam")
+    with pytest.raises(KinfeasError, match=r"missing\.stl"):
+        draft_robot(path, "dolly", hand="c")
