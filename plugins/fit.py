@@ -32,7 +32,7 @@ from kinfeas.core.spatial import (
     wrap,
     yaw,
 )
-from kinfeas.io.demonstrations import Demonstration
+from kinfeas.io.demonstrations import Demonstration, unit_hint
 from kinfeas.plugins.imitation import (
     LONGEST,
     SHORTEST,
@@ -52,6 +52,8 @@ _METRES_PER_RADIAN = 0.2  # so that the index of `imitation` advances in a turn 
 _STILL = 1e-3  # metres, below which a demonstration has no motion to learn
 _MOST_TURN = 3.0  # radians from the mean orientation; at pi the rotation vector jumps
 _FARTHEST = 30.0  # metres from the object
+_STRONG = 0.7  # silhouette from which demonstrations follow two paths
+_APART = 0.1  # of the learned length, the distance from which they do
 _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a thousandth of the path
 
 
@@ -62,9 +64,11 @@ class Fit:
     Attributes:
         model: The motion.
         duration: Mean duration of the demonstrations in seconds.
-        length: Mean length of the EE's path in metres.
+        length: Length of the learned EE path in metres.
         position_residual: Mean distance of each demonstration from the learned path, metres.
         rotation_residual: The same in radians.
+        sides: 0 or 1 for each demonstration if they follow two paths, such as left and right of an
+            obstacle, and the learned one leads between them; otherwise all 0.
     """
 
     model: Model
@@ -72,19 +76,19 @@ class Fit:
     length: float
     position_residual: tuple[float, ...]
     rotation_residual: tuple[float, ...]
+    sides: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class _Path:
     """EE poses, (m, 7), in the frame of the object, and x, y and unwrapped yaw of the base, (m, 3).
 
-    Both are at even steps of the index; an unknown base is NaN. Duration and length in SI units.
+    Both are at even steps of the index; an unknown base is NaN. Duration in seconds.
     """
 
     ee_pose: Array
     base: Array
     duration: float
-    length: float
 
 
 def fit(
@@ -114,10 +118,11 @@ def fit(
     if not SHORTEST <= duration <= LONGEST:
         raise KinfeasError(
             f"the demonstrations take {duration:g} s, where {SHORTEST:g} to {LONGEST:g} s are "
-            "allowed: is their time in seconds?"
+            f"allowed{unit_hint(demonstrations[0].time)}"
         )
     goals = np.stack([path.ee_pose[-1] for path in paths])
     mean_orientation = rotation(np.concatenate([path.ee_pose for path in paths])).mean()
+    features = _features(paths, mean_orientation)
     model = Model(
         format=1,
         kind=kind,
@@ -125,11 +130,13 @@ def fit(
         goal=_plain(make_pose(goals[:, :3].mean(axis=0), rotation(goals).mean())),
         mean_orientation=_plain(canonical(mean_orientation.as_quat())),
         fitted_from=Source(len(paths), command),
-        components=_mixture(_features(paths, mean_orientation), components, seed),
+        components=_mixture(features, components, seed),
     )
-    metres, radians = zip(*(_residual(model, path) for path in paths), strict=True)
-    length = float(np.mean([path.length for path in paths]))
-    return Fit(model, duration, length, metres, radians)
+    learned = learned_path(model).at(np.linspace(0.0, 1.0, _SAMPLES))
+    metres, radians = np.transpose([_residual(learned, path) for path in paths]).tolist()
+    length, turned = (float(step.sum()) for step in distance(learned[:-1], learned[1:]))
+    sides = _sides(features, len(paths), length + _METRES_PER_RADIAN * turned)
+    return Fit(model, duration, length, tuple(metres), tuple(radians), sides)
 
 
 def write_model(model: Model, path: Path) -> None:
@@ -157,7 +164,7 @@ def _sampled(shown: Demonstration, kind: Kind, name: str) -> _Path:
     if np.nanmax(np.abs([sampled[:, :3], base])) > _FARTHEST:
         raise KinfeasError(f"{name}: leads more than {_FARTHEST:g} m from the object")
     duration = float(shown.time[-1] - shown.time[0])
-    return _Path(sampled, base, duration, float(metres.sum()))
+    return _Path(sampled, base, duration)
 
 
 def _planar(base_pose: Array, frame: Array) -> Array:
@@ -206,9 +213,36 @@ def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ..
     )
 
 
-def _residual(model: Model, path: _Path) -> tuple[float, float]:
+def _sides(features: Array, count: int, length: float) -> tuple[int, ...]:
+    """Return the path, 0 or 1, of each of `count` demonstrations; all 0 if they follow the same.
+
+    Two clusters count as two paths if their mean silhouette is that of a strong structure (Kaufman
+    and Rousseeuw, Finding Groups in Data, 1990), which fewer than four demonstrations cannot have,
+    and their means are apart by a share of the `length` of the learned path. Starts may scatter:
+    the part of their offsets that is left at an index does not count.
+    """
+    from sklearn.cluster import AgglomerativeClustering
+    from sklearn.metrics import silhouette_score
+
+    same = (0,) * count
+    if count < 4:
+        return same
+    offset = features[:, 1:7].reshape(count, _SAMPLES, 6) * np.repeat([1.0, _METRES_PER_RADIAN], 3)
+    offset -= offset.mean(axis=0)
+    start = offset[:, :1].copy()
+    left = np.sum(offset * start, axis=(0, 2)) / max(float(np.sum(start**2)), _STILL**2)
+    offset -= np.clip(left, 0.0, 1.0)[:, np.newaxis] * start
+    smooth = offset.reshape(count, 10, -1, 6).mean(axis=2).reshape(count, -1)
+    side = AgglomerativeClustering(2).fit_predict(smooth)
+    apart = offset[side == 1].mean(axis=0) - offset[side == 0].mean(axis=0)
+    far = np.linalg.norm(apart, axis=1).max() > _APART * length
+    if not far or silhouette_score(smooth, side) < _STRONG:
+        return same
+    return tuple(side.tolist())
+
+
+def _residual(learned: Array, path: _Path) -> tuple[float, float]:
     """Return the mean distance of a path from the learned path, in metres and radians."""
-    learned = learned_path(model).at(np.linspace(0.0, 1.0, _SAMPLES))
     metres, radians = distance(learned, path.ee_pose)
     return float(metres.mean()), float(radians.mean())
 

@@ -56,6 +56,16 @@ def fit(
     summary = {**_summary(found), "without_base": bare}
     write_json(summary, json)
     print_facts(f"{kind} model in {out}", summary)
+    if any(found.sides):
+        left, right = (
+            ", ".join(file.name for file, side in zip(files, found.sides, strict=True) if side == i)
+            for i in (0, 1)
+        )
+        typer.echo(
+            "warning: the demonstrations follow two paths, and the model is a path between them; "
+            f"fit each group on its own: {left}; {right}",
+            err=True,
+        )
 
 
 def _summary(found: "Fit") -> dict[str, object]:
@@ -68,4 +78,5 @@ def _summary(found: "Fit") -> dict[str, object]:
         "length_m": found.length,
         "position_residual_m": list(found.position_residual),
         "rotation_residual_rad": list(found.rotation_residual),
+        "sides": list(found.sides),
     }

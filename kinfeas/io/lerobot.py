@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, interpolated
+from kinfeas.core.spatial import Array, continuous, interpolated
 from kinfeas.io.demonstrations import Demonstration, columns
 from kinfeas.io.files import write_folder
 
@@ -39,8 +39,8 @@ def write_lerobot_dataset(
 
     `observation.state` has the poses of the EE and of the base, if that was recorded in all of
     them; `observation.environment_state` has the pose of the object; `action` is the pose of the
-    EE one frame later. Quaternions are xyzw with w >= 0. `task` is the instruction in words,
-    `robot` the type of the robot.
+    EE one frame later. Quaternions are xyzw with w >= 0 in the first frame of an episode and no
+    change of sign within it. `task` is the instruction in words, `robot` the type of the robot.
 
     Raises:
         KinfeasError: If there are no demonstrations, or the folder exists or cannot be written.
@@ -93,8 +93,10 @@ def _frames(shown: Demonstration, state: list[str], fps: int) -> dict[str, Any]:
 
 
 def _at(times: Array, known: Array, poses: Array) -> Any:
-    """Return poses (m, 7) at `times`, interpolated between those (t, 7) at known times."""
-    return interpolated(np.clip(times, known[0], known[-1]), known, poses).astype(np.float32)
+    """Return poses (m, 7) at `times`, interpolated between those (t, 7) at `known` times."""
+    found = interpolated(np.clip(times, known[0], known[-1]), known, poses)
+    found[:, 3:] = continuous(found[:, 3:])
+    return found.astype(np.float32)
 
 
 def _numbered(episodes: list[dict[str, Any]], fps: int) -> list[dict[str, Any]]:

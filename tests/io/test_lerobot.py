@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import distance
+from kinfeas.core.spatial import distance, planar_pose
+from kinfeas.io.demonstrations import Demonstration
 from kinfeas.io.lerobot import write_lerobot_dataset
 from tests.plugins.conftest import door_demonstrations
 
@@ -58,6 +59,30 @@ def test_actions_are_the_poses_of_the_next_frame(shown, folder):
     assert (about["total_episodes"], about["total_frames"]) == (3, len(table))
     rows = parquet.read_table(folder / "meta/episodes/chunk-000/file-000.parquet")
     assert rows["dataset_to_index"].to_pylist() == np.cumsum(np.bincount(episode)).tolist()
+
+
+def test_quaternions_do_not_change_their_sign_within_an_episode(tmp_path):
+    time = np.linspace(0.0, 4.0, 100)
+    # 200 degrees, beginning with qw > 0, and beginning at a half turn.
+    turned = [angle + np.deg2rad(200.0) * time / 4.0 for angle in (0.0, np.pi)]
+    poses = [planar_pose(0.0 * time, 0.0 * time, angle) for angle in turned]
+    shown = [Demonstration(time, pose, pose, pose) for pose in poses]
+    write_lerobot_dataset(shown, tmp_path / "set", "Turn.")
+    table = parquet.read_table(tmp_path / "set/data/chunk-000/file-000.parquet")
+    episode = table["episode_index"].to_numpy()
+    features = {"observation.state": 2, "observation.environment_state": 1, "action": 1}
+    for name, count in features.items():
+        values = np.stack(table[name].to_numpy()).reshape(len(episode), count, 7)
+        step = np.abs(np.diff(values[..., 3:], axis=0)).max(axis=(1, 2))
+        assert step[episode[1:] == episode[:-1]].max() < 0.05
+        assert (values[frames(episode) == 0, :, 6] >= -1e-3).all()
+    state, action = (np.stack(table[key].to_numpy()) for key in ("observation.state", "action"))
+    same = episode[1:] == episode[:-1]
+    np.testing.assert_array_equal(action[:-1][same], state[1:, :7][same])
+
+
+def frames(episode):
+    return np.arange(len(episode)) - np.searchsorted(episode, episode)
 
 
 def test_folders_that_exist_are_kept(shown, folder):

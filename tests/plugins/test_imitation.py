@@ -160,11 +160,44 @@ def test_learns_the_demonstrated_path_and_the_mean_end(kind):
     assert np.abs(path[:, 2]).max() < 1e-6
     assert max(found.position_residual) < 0.004
     assert max(found.rotation_residual) < 0.02
-    assert found.length == pytest.approx(RADIUS * ANGLE, rel=1e-3)
+    assert found.length == pytest.approx(RADIUS * ANGLE, rel=0.02)
     shown = door_demonstrations()
     ends = np.stack([relative(one.ee_pose[-1], one.object_pose[0]) for one in shown])
     mean = make_pose(ends[:, :3].mean(axis=0), Rotation.from_quat(ends[:, 3:]).mean())
     assert max(distance(knots(shown, kind=kind)[-1], mean)) < 1e-7
+
+
+def reaches(seed, count=6, noise=0.01, start=0.0, side=0.0):
+    """Return noisy reaches of 0.8 m; starts scatter by `start` and odd ones bow to -y by `side`."""
+    rng, share = np.random.default_rng(seed), np.linspace(0.0, 1.0, 120)[:, np.newaxis]
+    eased, shown = 10.0 * share**3 - 15.0 * share**4 + 6.0 * share**5, []
+    for number in range(count):
+        begin = np.array([-0.8, 0.0, 0.0]) + rng.uniform(-start, start, 3)
+        way = begin * (1.0 - eased) + noise * rng.normal(size=(120, 3))
+        way[:, 1:2] += side * (-1.0) ** number * np.sin(np.pi * share)
+        ee = make_pose(way, Rotation.from_rotvec(noise * rng.normal(size=(120, 3))))
+        still = np.tile(IDENTITY, (120, 1))
+        shown.append(Demonstration(4.0 * share[:, 0], ee, still * np.nan, still))
+    return shown
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_demonstrations_on_two_sides_of_an_obstacle_are_told_apart(kind):
+    for options in ({}, {"start": 0.05}, {"count": 4, "side": 0.15}):
+        sides = fit(reaches(1, **{"side": 0.25, **options}), kind, components=4).sides
+        assert sides in [(0, 1) * (len(sides) // 2), (1, 0) * (len(sides) // 2)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_scattered_starts_and_noise_are_one_path(kind):
+    for seed, start, noise in [(0, 1.0, 0.01), (1, 1.0, 0.0), (2, 0.3, 0.03), (3, 0.0, 0.02)]:
+        assert not any(fit(reaches(seed, 7, noise, start), kind, components=4).sides)
+    for seed in range(3):
+        assert not any(fit(door_demonstrations(seed=seed), kind).sides)
+
+
+def test_the_length_is_that_of_the_learned_path():
+    assert fit(reaches(0, noise=0.01)).length == pytest.approx(0.8, rel=0.05)
 
 
 def _paused(shown):

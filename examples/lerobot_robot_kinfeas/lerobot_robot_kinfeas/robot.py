@@ -44,7 +44,8 @@ class KinfeasConfig(RobotConfig):
 class Kinfeas(Robot):
     """A simulated robot that advances by one frame with each action.
 
-    Poses are x y z qx qy qz qw in the world frame, with qw >= 0; twists are linear, then angular,
+    Poses are x y z qx qy qz qw in the world frame, with qw >= 0 at first and no change of
+    sign from one observation to the next; twists are linear, then angular,
     along world axes.
     """
 
@@ -101,6 +102,7 @@ class Kinfeas(Robot):
         self._episode = Episode(choice, config.policy, robot, scene)
         self._tool = tool_pose(robot)
         self._target, self._due = self._episode.ee_pose, 0.0
+        self._seen = np.stack([spatial.IDENTITY, spatial.IDENTITY])
         if config.camera:
             import mujoco
 
@@ -121,8 +123,11 @@ class Kinfeas(Robot):
         """Return the state after the last action."""
         episode = self._running()
         tool = spatial.compose(episode.ee_pose, self._tool)
-        pose = np.concatenate([_canonical(tool), _canonical(episode.base_pose)])
-        seen: dict[str, Any] = dict(zip((*EE, *BASE), pose.tolist(), strict=True))
+        poses = np.stack([tool, episode.base_pose])
+        pairs = np.stack([self._seen[:, 3:], poses[:, 3:]], axis=1)  # IDENTITY first: qw >= 0
+        poses[:, 3:] = spatial.continuous(pairs)[:, 1]
+        self._seen = poses
+        seen: dict[str, Any] = dict(zip((*EE, *BASE), poses.ravel().tolist(), strict=True))
         return seen | {name: self._image() for name in self.cameras}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
@@ -157,7 +162,3 @@ class Kinfeas(Robot):
         if self._episode is None:
             raise ConnectionError(f"{self} is not connected")
         return self._episode
-
-
-def _canonical(pose: spatial.Array) -> spatial.Array:
-    return np.concatenate([pose[:3], spatial.canonical(pose[3:])])
