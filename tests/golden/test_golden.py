@@ -12,13 +12,24 @@ from tests.golden.renew import DATA
 
 SLOW = ("rollout_planner", "physics")
 CLOSE = 1e-6
-EPISODES = ("plain", "feasibility_filter", "rollout_planner", "physics")
-OTHER_ROWS = {"ik": 10, **dict.fromkeys(EPISODES, 1)}
-"""Rows of an array that may differ: solutions of other IK restarts, and episodes with them."""
+OTHER_SOLUTIONS = 0.01
+"""Share of IK targets for which another restart may win."""
+OTHER_EPISODES = 0.25
+"""Share of HSR's episodes whose deviations may differ: without vector instructions a fifth does,
+and none of the other robots. Counts and ends differ in one episode at most."""
 
 
 def kind(name):
     return name.split("-")[0]
+
+
+def other_rows(name, values):
+    """Return how many rows of an array may differ."""
+    if kind(name) in ("policy", "obstacle_filter", "training"):
+        return 0
+    if kind(name) == "ik":
+        return OTHER_SOLUTIONS * len(values)
+    return max(1.0, OTHER_EPISODES * len(values) * ("hsr" in name and values.dtype == float))
 
 
 def cases():
@@ -35,7 +46,7 @@ def test_a_figure_is_what_it_was(name):
         assert found[key].shape == values.shape, key
         other = ~np.isclose(found[key], values, rtol=0.0, atol=CLOSE)
         rows = other.reshape(len(values), -1).any(axis=1)
-        assert rows.sum() <= OTHER_ROWS.get(kind(name), 0), f"{key}: other rows: {rows.nonzero()}"
+        assert rows.sum() <= other_rows(name, values), f"{key}: other rows: {rows.nonzero()}"
 
 
 def test_each_figure_is_stored_and_each_file_is_a_figure():
