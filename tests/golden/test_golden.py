@@ -1,25 +1,35 @@
 """The package's numbers as they were: deliberate changes renew a figure with `renew.py`.
 
-Where processor and versions are those that wrote a figure, it must be equal to the last bit.
-Elsewhere last bits differ, and grow: one step of an episode or of a training turns out otherwise,
-and all after it. There IK, observations and actions must be equal to 1e-6, and episodes and
-trainings only similar.
+Processors and libraries differ in the last bits, so figures need to be close, not equal, and where
+the last bits decide, a few rows may differ. `compare.py` compares to the bit on one machine.
 """
 
 import numpy as np
 import pytest
 
 from tests.golden.figures import FIGURES
-from tests.golden.renew import DATA, machine, read
+from tests.golden.renew import DATA
 
-SLOW = ("rollout_planner", "physics", "training")
+SLOW = ("rollout_planner", "physics")
 CLOSE = 1e-6
 OTHER_SOLUTIONS = 0.01
-"""Share of IK targets for which another restart may win where the last bits differ."""
+"""Share of IK targets for which another restart may win."""
+OTHER_EPISODES = 0.25
+"""Share of HSR's episodes whose deviations may differ: without vector instructions a fifth does,
+and none of the other robots. Counts and ends differ in one episode at most."""
 
 
 def kind(name):
     return name.split("-")[0]
+
+
+def other_rows(name, values):
+    """Return how many rows of an array may differ."""
+    if kind(name) in ("policy", "obstacle_filter", "training"):
+        return 0
+    if kind(name) == "ik":
+        return OTHER_SOLUTIONS * len(values)
+    return max(1.0, OTHER_EPISODES * len(values) * ("hsr" in name and values.dtype == float))
 
 
 def cases():
@@ -30,53 +40,13 @@ def cases():
 
 @pytest.mark.parametrize("name", cases())
 def test_a_figure_is_what_it_was(name):
-    stored, writer = read(name)
-    found = FIGURES[name]()
+    stored, found = dict(np.load(DATA / f"{name}.npz")), FIGURES[name]()
     assert found.keys() == stored.keys()
-    if writer == machine():
-        for key, values in stored.items():
-            np.testing.assert_array_equal(found[key], values, err_msg=f"{name}: {key}", strict=True)
-    else:
-        ELSEWHERE[kind(name)](found, stored)
-
-
-def check_ik(found, stored):
-    np.testing.assert_allclose(found["targets"], stored["targets"], atol=CLOSE)
-    for start in ("cold", "warm"):
-        keys = [key for key in stored if key.startswith(start)]
-        off = [np.abs(1.0 * found[key] - stored[key]).reshape(len(stored[key]), -1) for key in keys]
-        other = (np.concatenate(off, axis=1) > CLOSE).any(axis=1)
-        assert other.mean() <= OTHER_SOLUTIONS, f"{start}: other solutions to {other.sum()} targets"
-
-
-def check_close(found, stored):
     for key, values in stored.items():
-        np.testing.assert_allclose(found[key], values, rtol=0.0, atol=CLOSE, err_msg=key)
-
-
-def check_episodes(found, stored):
-    episodes = len(stored["success"])
-    for key in ("success", "reached", "task_done"):
-        if key in stored:
-            assert abs(int(found[key].sum()) - int(stored[key].sum())) <= max(1, episodes // 5), key
-    if episodes >= 20:
-        assert found["steps"].mean() == pytest.approx(stored["steps"].mean(), rel=0.25)
-
-
-def check_training(found, stored):
-    for key in ("first_layer", "layer_sums"):
-        assert np.isfinite(found[key]).all()
-    assert found["steps"] == stored["steps"]
-    assert abs(found["best_success"] - stored["best_success"]) <= 0.5
-
-
-ELSEWHERE = {
-    "ik": check_ik,
-    "policy": check_close,
-    "obstacle_filter": check_close,
-    "training": check_training,
-    **dict.fromkeys(("plain", "feasibility_filter", "rollout_planner", "physics"), check_episodes),
-}
+        assert found[key].shape == values.shape, key
+        other = ~np.isclose(found[key], values, rtol=0.0, atol=CLOSE)
+        rows = other.reshape(len(values), -1).any(axis=1)
+        assert rows.sum() <= other_rows(name, values), f"{key}: other rows: {rows.nonzero()}"
 
 
 def test_each_figure_is_stored_and_each_file_is_a_figure():
