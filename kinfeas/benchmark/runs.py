@@ -18,7 +18,7 @@ from kinfeas.policies import pretrained
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
-from kinfeas.training.config import TrainConfig
+from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import read_settings, with_initial_policy
 
 

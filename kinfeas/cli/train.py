@@ -32,7 +32,8 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     task: Annotated[str | None, options.task_option(default="  [default: ggr]")] = None,
     seed: Annotated[int | None, typer.Option(help="Random seed.  [default: 0]")] = None,
     minutes: Annotated[
-        float | None, typer.Option(help="Training time without evaluations.  [default: 3]")
+        float | None,
+        typer.Option(help="Time; in the analytic world without evaluations.  [default: 3]"),
     ] = None,
     steps: Annotated[
         int | None, typer.Option(help="Environment steps, in place of or beside --minutes.")
@@ -126,9 +127,13 @@ def read_settings(  # noqa: PLR0913 - options of the command
 
     given: dict[str, object] = {"robot": robot, "task": task, "seed": seed, "init": init}
     given |= {"processes": processes, "learner.algorithm": algorithm}
-    given |= options.adapters_of_world(adapters)
+    if adapters is not None:
+        given |= options.adapters_of_world(adapters)
+        given["evaluation_adapters"] = given["world.adapters"]
     changes = [*options.assignments(options.given(given)), *_duration(minutes, steps), *overrides]
-    settings = load_recipe(config, changes, backend=world, robot=options.robot_of(None if robot else init))
+    settings = load_recipe(
+        config, changes, backend=world, robot=options.robot_of(None if robot else init)
+    )
     if settings.world.backend != world:
         raise KinfeasError(f"--world {world}: the recipe is for the world {settings.world.backend}")
     # Before there is a folder, since it raises the errors of unknown names.
@@ -194,15 +199,17 @@ def training_bar() -> Iterator["Report"]:
 
 def describe(now: "Progress") -> str:
     """Return steps, speed, success, best evaluation and remaining time of a run in one line."""
-    if now.evaluating:
-        return f"{now.steps:,} steps, evaluating (not counted as training time)"
-    left = now.seconds * (1.0 - now.share) / max(now.share, 1e-9)
+    if now.evaluating is not None:
+        done, episodes = now.evaluating
+        return f"{now.steps:,} steps, evaluating {done}/{episodes} episodes"
+    left = (now.seconds + now.other_seconds) * (1.0 - now.share) / max(now.share, 1e-9)
     # NaN and -1 mean unknown.
     recent = f"{now.success:.0%}" if now.success >= 0.0 else "-"
     best = f"{now.best:.1%}" if now.best >= 0.0 else "-"
     return (
         f"{now.steps:,} steps, {now.steps / max(now.seconds, 1e-9):,.0f}/s, "
-        f"success {recent}, best score {best}, {as_minutes(left)} left"
+        f"success while learning {recent}, best evaluation {best} (mean of success and "
+        f"within 5 cm), {as_minutes(left)} left"
     )
 
 
@@ -222,10 +229,11 @@ def _show(done: "Progress", folder: Path) -> None:
     best = write_evaluation(folder)
     rows = [
         ["steps", f"{done.steps:,}"],
-        ["time", f"{done.seconds / 60.0:.1f} min"],
+        ["time", f"{(done.seconds + done.other_seconds) / 60.0:.1f} min"],
         ["steps per second of training", f"{done.steps / done.seconds:,.0f}"],
         [
-            f"success of the best checkpoint, {best['episodes']} fresh episodes",
+            f"success of the best checkpoint, {best['episodes']} fresh episodes"
+            + (f", with {', '.join(best['adapters'])}" if best["adapters"] else ""),
             share(*(float(best[key]) for key in ("success", "success_low", "success_high"))),
         ],
         ["steps of the best checkpoint", f"{best['steps']:,}"],
@@ -236,9 +244,12 @@ def _show(done: "Progress", folder: Path) -> None:
     command += ["--policy", str(folder)]
     settings = training_run.read_settings(folder)
     changes = {f"task.{key}": value for key, value in settings.task_parameters.items()}
-    filters, name = settings.world.filters, options.read_robot(settings.robot).name
-    if filters != evaluate.read_settings(name, settings.world.backend).world.filters:
-        changes["world.filters"] = [{"name": one.name, **one.parameters} for one in filters]
+    name = options.read_robot(settings.robot).name
+    usual = evaluate.read_settings(name, settings.world.backend).world
+    plugins = {"filters": settings.world.filters, "adapters": settings.evaluation_adapters}
+    for key, specs in plugins.items():
+        if specs != getattr(usual, key):
+            changes[f"world.{key}"] = [{"name": one.name, **one.parameters} for one in specs]
     for change in options.assignments(changes):
         command += ["--set", change]
     typer.echo(f"evaluate it: {shlex.join(command)}")

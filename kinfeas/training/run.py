@@ -1,6 +1,7 @@
 """A run's folder, settings and progress, read without torch."""
 
 import json
+import math
 import shlex
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,10 +25,13 @@ from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import Network, read_network
 from kinfeas.robots.loading import load_robot
-from kinfeas.training.config import ScheduleConfig, TrainConfig
+from kinfeas.training.config import TrainConfig
 
 SETTINGS = "config.yaml"
 """File with the settings of a run, the first that it writes."""
+
+EVALUATIONS = 0.25
+"""Share of `schedule.minutes` for evaluations with physics."""
 
 _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
@@ -43,13 +47,14 @@ class Progress:
 
     Attributes:
         steps: Environment steps so far.
-        seconds: Wall-clock time so far, over all parts of the run.
+        seconds: Wall-clock time of training so far, over all parts of the run.
+        other_seconds: Wall-clock time of start and evaluations, where `schedule.minutes` has it.
         share: Share of the run that is done, 0-1.
         best: Score of the best checkpoint, the mean of success and of the share of episodes in
             which the EE was never more than 5 cm off, 0-1; -1 before the first one.
         evaluations: Number of evaluations.
         recent: Whether each of the last training episodes was without a failure.
-        evaluating: Whether an evaluation begins now.
+        evaluating: Episodes done and episodes in all of the evaluation that runs now.
         updates: Gradient steps in this process.
         parts: Wall-clock seconds of parts in this process: `step`, of which `update` of the
             networks and `waiting` for the environments; `evaluation` and `checkpoint`.
@@ -62,10 +67,11 @@ class Progress:
     best: float = -1.0
     evaluations: int = 0
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
-    evaluating: bool = False
+    evaluating: tuple[int, int] | None = None
     updates: int = 0
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     cpu: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    other_seconds: float = 0.0
 
     @property
     def success(self) -> float:
@@ -74,7 +80,7 @@ class Progress:
 
     def saved(self) -> dict[str, object]:
         """Return the fields of a checkpoint."""
-        names = ("steps", "seconds", "best", "evaluations")
+        names = ("steps", "seconds", "best", "evaluations", "other_seconds")
         return {**{name: getattr(self, name) for name in names}, "recent": list(self.recent)}
 
 
@@ -87,6 +93,7 @@ class _Saved:
     best: Annotated[float, Interval(ge=-1.0, le=1.0)]
     evaluations: _Tally
     recent: tuple[bool, ...]
+    other_seconds: NotNegative = 0.0
 
 
 def check_new(out: Path) -> None:
@@ -134,6 +141,7 @@ def read_evaluation(out: Path) -> dict[str, Any]:
         "trained_with": config.robot,
         "task": config.task,
         "world": config.world.backend,
+        "adapters": [one.name for one in config.evaluation_adapters],
         "policy": str(out),
         "steps": best.steps,
         **best.fresh_evaluation,
@@ -152,22 +160,37 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
                     f"{last}: a checkpoint of another run: its {key} is {before[key]}, "
                     f"but {last.parents[1] / SETTINGS} has {value}"
                 )
-        entries = {one.name: state["progress"][one.name] for one in fields(_Saved)}
+        known = state["progress"]
+        entries = {one.name: known[one.name] for one in fields(_Saved) if one.name in known}
         saved = configuration.from_mapping(_Saved, entries, str(last / _STATE))
     progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
     # The schedule may have been made longer.
-    progress.share = share_done(config.schedule, progress)
+    progress.share = share_done(config, progress)
     progress.evaluations = min(progress.evaluations, evaluations_due(config, progress))
     return progress
 
 
-def share_done(schedule: ScheduleConfig, progress: Progress) -> float:
+def evaluation_seconds(config: TrainConfig, episodes: int) -> float:
+    """Return the time limit of an evaluation of so many episodes; infinity where there is none.
+
+    With physics, `schedule.minutes` includes start and evaluations.
+    """
+    schedule = config.schedule
+    if schedule.minutes is None or config.world.backend == "analytic":
+        return math.inf
+    planned = schedule.evaluations * schedule.evaluation_episodes + schedule.final_episodes
+    return EVALUATIONS * 60.0 * schedule.minutes * episodes / planned
+
+
+def share_done(config: TrainConfig, progress: Progress) -> float:
     """Return the share of a run's steps, or of its time if that is more, 0-1."""
-    shares = [0.0]
+    shares, schedule = [0.0], config.schedule
     if schedule.steps is not None:
         shares.append(progress.steps / schedule.steps)
     if schedule.minutes is not None:
-        shares.append(progress.seconds / (60.0 * schedule.minutes))
+        last = evaluation_seconds(config, schedule.evaluation_episodes + schedule.final_episodes)
+        limit = 60.0 * schedule.minutes - (last if last < math.inf else 0.0)
+        shares.append((progress.seconds + progress.other_seconds) / limit)
     return min(1.0, max(shares))
 
 

@@ -1,11 +1,14 @@
 """A training run: collect, learn, evaluate, save; and resume after any interruption."""
 
+import math
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +19,11 @@ from numpy.typing import NDArray
 from kinfeas import config as configuration
 from kinfeas.control.observation import surroundings
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.metrics import EpisodeRecords, summarize
+from kinfeas.core.metrics import summarize
+from kinfeas.envs.episodes import worker_pool
 from kinfeas.io.files import alone, find_folder, write_folder, writing
 from kinfeas.io.policy_metadata import read_trained
-from kinfeas.policies.network import copy_network, read_network, write_network
+from kinfeas.policies.network import Network, copy_network, read_network, write_network
 from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import (
@@ -37,6 +41,7 @@ from kinfeas.training.run import (
     Progress,
     check_begun,
     check_new,
+    evaluation_seconds,
     evaluations_due,
     identity,
     initial_policy,
@@ -108,8 +113,10 @@ class _Run:
     """One training run in its folder."""
 
     def __init__(self, config: TrainConfig, out: Path) -> None:
+        self.begun = time.monotonic()
         check_trackers(config)
         self.config, self.out = config, out
+        self.limited = evaluation_seconds(config, 1) < math.inf
         self.env: EpisodesVecEnv = (
             WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)
             if config.processes == 1
@@ -118,6 +125,7 @@ class _Run:
         self.learner = make_learner(config.learner, self.env, config.seed)
         self.progress = Progress()
         self.observation: NDArray[np.float32] | None = None
+        self.evaluated_at = -1
 
     def begin(self) -> None:
         """Take the weights of the initial policy, if there is one."""
@@ -147,12 +155,15 @@ class _Run:
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""
-        with Logs(self.out, self.config, self.progress.steps) as logs, without_denormals():
+        self.begun -= self.progress.seconds + self.progress.other_seconds
+        with (
+            Logs(self.out, self.config, self.progress.steps) as logs,
+            without_denormals(),
+            worker_pool(self.config.processes) if self.limited else nullcontext() as pool,
+        ):
             try:
-                self._loop(logs, report)
-                if report is not None:
-                    report(replace(self.progress, evaluating=True))
-                self._evaluate_best(logs)
+                self._loop(logs, pool, report)
+                self._evaluate_best(logs, pool, report)
             except KeyboardInterrupt:
                 if self.observation is not None:
                     self._save()
@@ -161,23 +172,23 @@ class _Run:
                 self.env.close()
         return self.progress
 
-    def _loop(self, logs: Logs, report: Report | None) -> None:
+    def _loop(self, logs: Logs, pool: Executor | None, report: Report | None) -> None:
         if self.observation is None:
             self._first()
-        evaluator = periodic_evaluator(self.config)
+        evaluator = partial(periodic_evaluator(self.config), pool=pool)
         start = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
         while True:
             # First, so that an interrupted evaluation is repeated.
             if evaluations_due(self.config, self.progress) > self.progress.evaluations:
-                if report is not None:
-                    report(replace(self.progress, evaluating=True))
                 with self._timed("evaluation"):
-                    self._evaluate(evaluator, logs)
+                    self._evaluate(evaluator, logs, report)
+                self._clock()
                 self._save()
                 # Evaluations do not count as training time.
                 start = time.monotonic() - self.progress.seconds
                 saved = self.progress.seconds
+                continue  # an evaluation that counts may have ended the run
             if self.progress.share >= 1.0:
                 break
             with uninterrupted():
@@ -188,7 +199,7 @@ class _Run:
                 self.progress.cpu["learner"] += own
                 self.progress.cpu["environment"] += all_threads - own
                 self.progress.seconds = now = time.monotonic() - start
-                self.progress.share = share_done(self.config.schedule, self.progress)
+                self._clock()
             if now - saved >= self.config.schedule.checkpoint_seconds:
                 self._save()
                 saved = now
@@ -199,6 +210,13 @@ class _Run:
                     report(self.progress)
         if report is not None:
             report(self.progress)
+
+    def _clock(self) -> None:
+        """Bring the share up to date, with start and evaluations where they count."""
+        if self.limited:
+            now = time.monotonic() - self.begun
+            self.progress.other_seconds = max(now - self.progress.seconds, 0.0)
+        self.progress.share = share_done(self.config, self.progress)
 
     def _first(self) -> None:
         """Begin the first episodes, and write what a run needs to be resumed."""
@@ -244,19 +262,24 @@ class _Run:
         progress.steps += self.config.num_envs * self.config.action_repeat
         progress.recent.extend(infos[row]["is_success"] for row in ended)
 
-    def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs) -> None:
+    def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs, report: Report | None) -> None:
         """Evaluate the policy on fixed episodes; keep it as `best` if none was better."""
         self._losses()
+        schedule, due = self.config.schedule, evaluations_due(self.config, self.progress)
         network = network_of(self.learner, self.env)
-        if self.progress.best >= 0.0 and network.equals(read_network(self.out, self.env.robot)):
-            # Still the best one: nothing has been learned since its evaluation.
-            self.progress.evaluations = evaluations_due(self.config, self.progress)
+        left = due * evaluation_seconds(self.config, schedule.evaluation_episodes)
+        left -= self.progress.parts["evaluation"]
+        late = self.progress.best >= 0.0 and left <= 0.0 and self.progress.share < 1.0
+        if late or self._is_evaluated(network):
+            self.progress.evaluations = due
             logs.write(self._row())
             return
-        records = evaluator(network, self.config.schedule.evaluation_episodes)
-        figures = _measured(records)
+        if self.limited and self.progress.share >= 1.0:
+            left = self._left() - evaluation_seconds(self.config, schedule.final_episodes)
+        figures = self._measure(evaluator, network, schedule.evaluation_episodes, left, report)
+        self.evaluated_at = self.progress.steps
         with uninterrupted():
-            self.progress.evaluations = evaluations_due(self.config, self.progress)
+            self.progress.evaluations = due
             score = (figures["success"] + figures["within_5cm"]) / 2.0
             if score >= self.progress.best:
                 self.progress.best = float(score)
@@ -269,14 +292,52 @@ class _Run:
             row = {f"evaluation/{key}": float(value) for key, value in figures.items()}
             logs.write(self._row() | row)
 
-    def _evaluate_best(self, logs: Logs) -> None:
+    def _is_evaluated(self, network: Network) -> bool:
+        """Return whether nothing has been learned since an evaluation, or since the best one."""
+        if self.progress.best < 0.0:
+            return False
+        best = read_network(self.out, self.env.robot)
+        return self.evaluated_at == self.progress.steps or network.equals(best)
+
+    def _left(self) -> float:
+        """Return the seconds to the end of a run whose `minutes` include evaluations."""
+        assert self.config.schedule.minutes is not None
+        return 60.0 * self.config.schedule.minutes - (time.monotonic() - self.begun)
+
+    def _measure(
+        self,
+        evaluator: PeriodicEvaluator,
+        network: Network,
+        episodes: int,
+        seconds: float,
+        report: Report | None,
+    ) -> dict[str, int | float]:
+        """Return the metrics of episodes, and report how many have ended about once a second."""
+        done, reported = 0, -math.inf
+
+        def count(ended: int) -> None:
+            nonlocal done, reported
+            done += ended
+            if report is not None and time.monotonic() - reported >= 1.0:
+                report(replace(self.progress, evaluating=(done, episodes)))
+                reported = time.monotonic()
+
+        count(0)
+        metrics: Mapping[str, Any] = summarize(evaluator(network, episodes, count, seconds))
+        # Not all backends measure all of them.
+        return {key: value for key, value in metrics.items() if value is not None}
+
+    def _evaluate_best(self, logs: Logs, pool: Executor | None, report: Report | None) -> None:
         """Evaluate the best policy on episodes that did not select it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:
             return
-        evaluator = periodic_evaluator(self.config, FRESH_SEED)
-        figures = _measured(evaluator(network, self.config.schedule.final_episodes))
+        evaluator = partial(periodic_evaluator(self.config, FRESH_SEED), pool=pool)
+        left = self._left() if self.limited else math.inf
+        episodes = self.config.schedule.final_episodes
+        figures = self._measure(evaluator, network, episodes, left, report)
+        self._clock()
         updated = replace(trained, fresh_evaluation=figures)
         copy_network(best, updated, self.out / "checkpoints" / "best")
         fresh = {f"fresh/{key}": float(value) for key, value in figures.items()}
@@ -337,9 +398,3 @@ def uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
     if came:
         raise KeyboardInterrupt
-
-
-def _measured(records: EpisodeRecords) -> dict[str, int | float]:
-    """Return the metrics that the backend measures."""
-    metrics: Mapping[str, Any] = summarize(records)
-    return {key: value for key, value in metrics.items() if value is not None}

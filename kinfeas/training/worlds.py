@@ -1,11 +1,13 @@
 """Worlds of a training run: for learning, and for the evaluation of its policies."""
 
+import math
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 
 from kinfeas.core.metrics import EpisodeRecords
-from kinfeas.envs.episodes import evaluate_episodes
+from kinfeas.envs.episodes import OnDone, evaluate_episodes, evaluate_within
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
@@ -21,8 +23,8 @@ FRESH_SEED = 2_000_003
 TRAINING = (1,)
 """Stream of training episodes; evaluations of any seed use other episodes."""
 
-PeriodicEvaluator = Callable[[Network, int], EpisodeRecords]
-"""Returns the records of that many episodes, always the same ones."""
+PeriodicEvaluator = Callable[..., EpisodeRecords]
+"""Returns the records of a number of episodes, always the same ones; see `periodic_evaluator`."""
 
 
 def training_world(config: TrainConfig) -> World:
@@ -35,21 +37,31 @@ def training_world(config: TrainConfig) -> World:
 
 
 def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
-    """Return the evaluation of policies in the world of a run, without its adapters.
+    """Return the evaluation of policies in the world of a run, with its `evaluation_adapters`.
 
     IK searches at least as hard as by default, and episodes end as in `evaluation_world`. Their
-    seed is that of training plus `offset`.
+    seed is that of training plus `offset`. The evaluation takes the policy, the number of episodes,
+    a function for those that have ended, and a time limit with the pool for it.
     """
     world = replace(
         config.world,
         max_failures=evaluation_world(config.world.backend).max_failures,
-        adapters=(),
+        adapters=config.evaluation_adapters,
         ik=config.world.ik.thorough(),
     )
     robot, task = load_robot(config.robot), load_task(config.task, config.task_parameters)
 
-    def evaluated(network: Network, episodes: int) -> EpisodeRecords:
+    def evaluated(
+        network: Network,
+        episodes: int,
+        on_done: OnDone | None = None,
+        seconds: float = math.inf,
+        pool: Executor | None = None,
+    ) -> EpisodeRecords:
         build = partial(World, robot, task, world, config.seed + offset)
-        return evaluate_episodes(build, network, range(episodes), config.processes)
+        if pool is None:
+            return evaluate_episodes(build, network, range(episodes), config.processes, on_done)
+        limits = seconds, pool, config.processes
+        return evaluate_within(*limits, build, network, range(episodes), on_done)
 
     return evaluated

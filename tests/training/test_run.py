@@ -58,7 +58,7 @@ def test_a_run_is_not_written_over_and_suggests_to_resume_it(tmp_path):
     ("{steps: 300, minutes: 20}", 1.0),
 ])  # fmt: skip
 def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
-    assert share_done(tiny(f"schedule={schedule}").schedule, Progress(400, 30.0)) == share
+    assert share_done(tiny(f"schedule={schedule}"), Progress(400, 30.0)) == share
 
 
 @pytest.mark.parametrize(("init", "first"), [("null", 0), ("pretrained", 1)])

@@ -49,16 +49,18 @@ def test_a_training_meets_none_of_the_episodes_of_its_seeds_evaluation(tiny, see
 
 @pytest.mark.parametrize("backend", ["analytic", "pybullet"])
 def test_an_evaluation_keeps_the_tolerances_and_filters_of_its_run(monkeypatch, backend):
+    """Its adapters are the evaluation's, not those for exploration."""
     used = []
     monkeypatch.setattr(worlds, "evaluate_episodes", lambda build, *_: used.append(build.args[2]))
     ik = {"restarts": 2, "pose_tolerance": False, "position_tolerance": 1e-3}
     world = {"backend": backend, "ik": ik, "filters": ["feasibility"], "max_failures": 3}
     world["adapters"] = ["base_noise"]
-    settings = config.from_mapping(TrainConfig, {"robot": "hsr", "world": world}, "world")
+    data = {"robot": "hsr", "world": world, "evaluation_adapters": ["ee_noise"]}
+    settings = config.from_mapping(TrainConfig, data, "world")
     worlds.periodic_evaluator(settings)(None, 3)
     (world,) = used
     assert world.backend == backend
     assert world.ik == IkOptions(**{**ik, "restarts": 24})
     assert [one.name for one in world.filters] == ["feasibility"]
-    assert not world.adapters
+    assert [one.name for one in world.adapters] == ["ee_noise"]
     assert world.max_failures == 99
