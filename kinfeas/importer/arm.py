@@ -1,6 +1,7 @@
 """The arm and the hand of a URDF: joints, fingers, tool tip, gripper axes."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,7 @@ _MIN_JOINTS = 3
 _FIXED_JAW = 1.0 / 3.0
 """Length of a fixed jaw, as a share of the moving one."""
 
+_JAW = re.compile(r"jaw|finger|claw", re.IGNORECASE)
 _OFF_AXIS = 0.01  # m, by which shapes on an axis may be off it
 _NOTHING = 1e-6  # m
 _MAX_EFFORT = 1e4  # N or N m; larger limits stand for none
@@ -43,7 +45,8 @@ class Arm:
         hand: Link that carries the fingers; without fingers the last link.
         joints: Joints from the root to the hand, without fixed and mimic joints.
         stuck: Joints on the way whose limits leave no range of motion.
-        fingers: Joints on the hand whose links have collision shapes.
+        fingers: Joints on the hand whose links have collision shapes; if none have, those that
+            slide.
     """
 
     hand: str
@@ -66,14 +69,17 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     joints = tuple(joint for joint in own if joint.soft_lower < joint.soft_upper)
     if not joints:
         raise KinfeasError(f"{source}: no joint moves between {urdf.root!r} and {hand!r}")
-    fingers = tuple(
-        joint
-        for joint in urdf.joints.values()
-        if joint.moves
-        and joint.parent in urdf.rigid[hand]
-        and any(urdf.links[link].shapes for link in urdf.below(joint.name))
-    )
+    on_hand = _on_hand(urdf, hand)
+    shaped = [
+        one for one in on_hand if any(urdf.links[name].shapes for name in urdf.below(one.name))
+    ]
+    # The frames of fingers without shapes show how far apart these are, if they slide.
+    fingers = tuple(shaped or [joint for joint in on_hand if joint.kind == "prismatic"])
     return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
+
+
+def _on_hand(urdf: Urdf, hand: str) -> list[Joint]:
+    return [one for one in urdf.joints.values() if one.moves and one.parent in urdf.rigid[hand]]
 
 
 def ends_of_arms(urdf: Urdf, source: str) -> frozenset[str]:
@@ -135,7 +141,12 @@ def _last_common(urdf: Urdf, links: list[str]) -> str:
 
 
 def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
-    """Return whether a joint closes on a fixed jaw: its parent has a shape beside its child's."""
+    """Return whether a joint closes on a fixed jaw: its parent has a shape beside its child's.
+
+    Without shapes, the names decide.
+    """
+    if not any(urdf.links[link].shapes for link in urdf.below(joint.name)):
+        return _JAW.search(joint.name + joint.child) is not None
     away = _off_axis(urdf, joint)
     if not away.any():
         return False
@@ -199,7 +210,7 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     if np.linalg.norm(beside) < _NOTHING:
         beside = np.roll(x, 1)
     y = np.abs(_nearest_axis(beside))  # either finger may be the first
-    reach = max((shape.reach(x) for shape in shapes), default=0.0)
+    reach = max((shape.reach(x) for shape in shapes), default=float(front @ x) * several)
     tip = front - (front @ x) * x + reach * x if several else reach * x
     to_gripper = np.stack([x, y, np.cross(x, y)])
     quaternion = Rotation.from_matrix(to_gripper).as_quat(canonical=True)
@@ -240,8 +251,9 @@ def _gripper(
     """Return the gripper, or why there is none."""
     names = [finger.name for finger in arm.fingers]
     if len(names) != 2:
-        on = f"{len(names)} finger joints on {arm.hand!r}" + ": " * bool(names) + ", ".join(names)
-        return f"{on}; two are supported, no four-bar linkages"
+        more = [one.name for one in _on_hand(urdf, arm.hand) if one.name not in names]
+        listed = ", ".join([*names, *(f"{name} without shapes" for name in more)]) or "none"
+        return f"fingers on {arm.hand!r}: {listed}; two are supported, no four-bar linkages"
 
     def positions(leaders: dict[str, float]) -> tuple[float, float]:
         first, second = (
@@ -267,8 +279,10 @@ def _gripper(
 
 
 def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> Array:
-    """Return the mean position of a finger's shapes in the hand's frame, shape (3,)."""
+    """Return the mean position of a finger's shapes, or its own, in the hand's frame, (3,)."""
     shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, poses)
+    if not shapes:
+        return relative(poses[finger.child], poses[arm.hand])[:3]
     middle: Array = np.mean([shape.pose[:3] for shape in shapes], axis=0)
     return middle
 

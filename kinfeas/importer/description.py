@@ -71,7 +71,7 @@ def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
     if not wheels:
         return "differential", "a guess: no wheel has a joint"
     if not fixed:
-        return "omnidirectional", f"wheels that {_listed(filter(None, steering.values()))} steer"
+        return "omnidirectional", f"wheels steered by {_listed(filter(None, steering.values()))}"
     parallel = [abs(axes[fixed[0].name] @ axes[one.name]) > _PARALLEL for one in fixed]
     if not all(parallel):
         return "omnidirectional", f"wheels in several directions: {listed}"

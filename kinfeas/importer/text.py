@@ -73,7 +73,9 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         _head(spec, guesses),
         [
             "# Guess: the manual has the limits of the base.",
-            *_block("base", vars(spec.base), _BASE_UNITS | {"drive": guesses.drive}),
+            *_block(
+                "base", vars(spec.base), _BASE_UNITS | {"drive": " ".join(guesses.drive.split())}
+            ),
         ],
         _block("arm", joints, {name: _guessed_units(name, guesses) for name in joints}),
         ["# rad, or m where a joint slides", *_block("home", spec.home)],

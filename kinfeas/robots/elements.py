@@ -163,13 +163,13 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
     scheme, _, rest = name.rpartition("://")
     if scheme in ("package", "model"):
         package, _, inner = rest.lstrip("/").partition("/")
-        candidates = (found / inner for found in _packages(package, folder))
+        candidates: Iterable[Path] = (found / inner for found in _packages(package, folder))
         rule = (
             "; packages are looked up by package.xml above the URDF, ROS_PACKAGE_PATH, "
             "AMENT_PREFIX_PATH and folders of that name"
         )
     elif scheme in ("", "file"):
-        candidates, rule = iter([folder / rest]), ""
+        candidates, rule = [folder / rest], ""
     else:
         raise mesh.error(f"{name!r} must be a path, or begin with file:// or package://")
     for path in candidates:

@@ -139,6 +139,8 @@ INPUT = {
         ("--base bass", "'base'"),
         ("--name a/b", "--name"),
         ("--picture dolly.jpg", "dolly.jpg"),
+        ("--mesh-path package://dolly", "--mesh-path"),
+        ("--mesh-path package://doll=.", "package://doll"),
     ],
     "robot import none.urdf --out new": [("", "none.urdf")],
 }

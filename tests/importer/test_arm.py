@@ -109,6 +109,23 @@ def test_fingers_with_mirrored_limits_are_a_gripper(changed, changes):
     assert hand.gripper.positions("open") == {"l": 0.04, "r": -0.04}
 
 
+BOX = '<geometry><box size="0.1 0.02 0.02"/></geometry>'
+FINGER = f'<collision><origin xyz="0.05 0 0"/>{BOX}</collision>'
+
+
+def test_fingers_without_shapes_are_a_gripper_if_they_slide(changed):
+    path = changed((FINGER, ""), MIRRORED)
+    hand = read_hand(parse_urdf(path), arm_of(path))
+    np.testing.assert_allclose(hand.tip, [0.02, 0.0, 0.0], atol=1e-9)
+    assert hand.gripper.positions("open") == {"l": 0.04, "r": -0.04}
+
+
+@pytest.mark.parametrize(("name", "hand"), [("jaw", "palm"), ("tip", "tip")])
+def test_without_shapes_a_jaw_is_found_by_its_name(changed, name, hand):
+    path = changed(fixed("r"), (FINGER, ""), ('"left"', f'"{name}"'))
+    assert arm_of(path).hand == hand
+
+
 NO_EFFORT = ('effort="30"', 'effort="0"'), ('effort="20"', 'effort="1e9"')
 
 

@@ -139,12 +139,11 @@ def _corners(engine: Any, geom: int) -> Array | None:
     kind, size = engine.geom_type[geom], engine.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return _UNIT_BOX * size
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+    if kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+        half = size[1] + (size[0] if kind == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0)
         angle = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
         circle = size[0] * np.column_stack([np.cos(angle), np.sin(angle)])
-        return np.vstack(
-            [np.column_stack([circle, np.full(_SIDES, z)]) for z in (-size[1], size[1])]
-        )
+        return np.vstack([np.column_stack([circle, np.full(_SIDES, z)]) for z in (-half, half)])
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = engine.geom_dataid[geom]
         start = engine.mesh_vertadr[mesh]

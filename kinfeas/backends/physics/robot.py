@@ -261,6 +261,6 @@ def repair_inertias(robot: Any, where: str) -> None:
             write_inertia(link, repaired)
     if without:
         raise KinfeasError(
-            f"{where}: physics needs an <inertial> with mass in the root and in links that move; "
-            f"link {', '.join(without)} has none"
+            f"{where}: link {', '.join(without)} has no <inertial>, which the root and links that "
+            "move need with physics"
         )

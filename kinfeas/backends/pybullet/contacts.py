@@ -102,7 +102,11 @@ def _shapes(body: RobotBody) -> tuple[Shape, ...]:
                 corners = _transformed(_UNIT_BOX * size, pose)
             elif kind == client.GEOM_MESH:  # cylinders, too
                 corners = np.array(client.getMeshData(body.body, link, number)[1])
-            else:  # spheres and capsules
+            elif kind == client.GEOM_CAPSULE:
+                pose, (length, radius, _) = np.concatenate([position, orientation]), size
+                around = np.array([2.0 * radius, 2.0 * radius, length + 2.0 * radius])
+                corners = _transformed(_UNIT_BOX * around, pose)
+            else:  # spheres
                 continue
             corners = _transformed(corners, frame)
             found.append(Shape.around(corners))

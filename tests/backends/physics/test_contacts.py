@@ -1,3 +1,6 @@
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.urdf_file import parse_urdf
 from tests.backends.conftest import place, stay
 from tests.builders import twist
 
@@ -61,6 +65,18 @@ def test_all_parts_that_are_near_a_wall_are_measured(scene, opened):
     near = world.obstacle_distances(1.0)
     ends = near.closest_point[near.distance < near.distance.min() + 0.02, 0]
     assert ends.max() - ends.min() > 0.5
+
+
+def test_a_base_of_capsules_has_its_size(scene, opened, tmp_path):
+    scout = Path(__file__).parents[3] / "examples" / "own_robot" / "scout"
+    text = scout.with_suffix(".urdf").read_text()
+    path = tmp_path / "scout.urdf"
+    path.write_text(text.replace('<cylinder radius="0.26"', '<capsule radius="0.26"'))
+    assert path.read_text() != text
+    robot = load_robot(str(scout.with_suffix(".yaml")))
+    world = opened(replace(robot, urdf_path=path, urdf=parse_urdf(path)), scene)
+    place(world, x=WALL + 0.26 + 0.05, yaw=np.pi / 2.0)
+    assert world.obstacle_distances(0.055).distance.min() == pytest.approx(0.05, abs=4e-3)
 
 
 def test_contacts_begin_where_the_distance_ends(world, begin):
