@@ -13,7 +13,7 @@ FRESH = build/$(notdir $(PYTHON))
 WORKERS ?= auto
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-python docs lint layers format clean
+.PHONY: help install demo test test-slow test-python docs reference lint layers format clean
 
 help:  ## Show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -41,6 +41,9 @@ test-python:  ## Run the fast tests with the wheel in a fresh environment of PYT
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site
+
+reference: $(STAMP)  ## Write the generated parts of docs/reference
+	$(BIN)/python docs/reference_pages.py
 
 lint: $(STAMP)  ## Check style, types and layers
 	$(BIN)/ruff check .

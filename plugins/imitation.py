@@ -139,7 +139,14 @@ class GaussianMixture(PathMotion):
 
 @dataclass(frozen=True)
 class Component:
-    """One Gaussian of the mixture."""
+    """One Gaussian of the mixture.
+
+    Attributes:
+        weight: Weight; those of all components add up to 1.
+        mean: Index, EE x y z and EE rotation vector; with a base also its x, y and yaw. Metres and
+            radians.
+        covariance: Rows and columns in the order of the mean; only the first column is used.
+    """
 
     weight: PositiveShare
     mean: tuple[Number, ...]
@@ -158,7 +165,12 @@ class Component:
 
 @dataclass(frozen=True)
 class Source:
-    """Number of demonstrations, and the command that fitted a model to them."""
+    """The origin of a model.
+
+    Attributes:
+        demonstrations: Number of demonstrations.
+        command: Command that fitted it.
+    """
 
     demonstrations: Count
     command: str
@@ -166,9 +178,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Model:
-    """A learned motion, in the frame of the grasped object; the module's docstring has the fields.
+    """A learned motion, in the frame of the grasped object; the module's docstring has an example.
 
-    `format` is the version of the file format.
+    Attributes:
+        format: Version of the file format.
+        kind: Motion generator: whether the index is that of the length or of the time.
+        duration: Duration of the motion, seconds.
+        goal: Final EE pose in the frame of the object, metres, quaternion x y z w.
+        mean_orientation: Quaternion x y z w that rotation vectors are relative to.
+        fitted_from: Origin of the model.
+        components: Gaussians of the mixture.
     """
 
     format: Literal[1]

@@ -53,7 +53,14 @@ class HandleSpec:
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """The YAML file of a scene; the floor has a size along x and y, metres, around the origin."""
+    """The YAML file of a scene.
+
+    Attributes:
+        name: Name of the scene.
+        size: Size of the floor along x and y, around the origin, metres.
+        objects: Objects by name.
+        handles: Handles of objects by name.
+    """
 
     name: str
     size: tuple[Side, Side]

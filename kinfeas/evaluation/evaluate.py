@@ -52,7 +52,12 @@ class EvalConfig:
 
 @dataclass(frozen=True)
 class EvalSettings:
-    """Parameters of the task and settings of the world, from YAML or the command line."""
+    """Settings of an evaluation, from YAML or the command line.
+
+    Attributes:
+        task: Parameters of the task.
+        world: Settings of the world.
+    """
 
     task: dict[str, object] = field(default_factory=dict)
     world: WorldConfig = field(default_factory=evaluation_world)

@@ -43,9 +43,12 @@ STATES = {
 
 @dataclass(frozen=True)
 class Dimension:
-    """Values of one key: choices, or the numbers from `low` to `high`, whole ones if both are.
+    """Values of one key: choices, or the numbers of a range.
 
     Attributes:
+        choices: Values to choose from.
+        low: Lowest number of a range; integers only if both ends are.
+        high: Highest number.
         log: Draw the logarithm of the number evenly.
         when: Choices of other keys, above this one, on which it depends.
     """

@@ -1,4 +1,4 @@
-"""The YAML file of a robot as dataclasses; `robot.Robot` describes the meaning of its keys."""
+"""The YAML file of a robot as dataclasses."""
 
 import math
 from dataclasses import dataclass, field
@@ -26,7 +26,15 @@ GOAL_HEIGHTS = ("ggr", "ggr_restricted")
 
 @dataclass(frozen=True)
 class BaseSpec:
-    """The block `base`: drive type, and limits in m/s, rad/s, m/s^2 and rad/s^2."""
+    """The block `base`.
+
+    Attributes:
+        drive: Whether the base can drive sideways.
+        max_velocity: Limit of the speed, m/s.
+        max_rotation: Limit of the angular speed, rad/s.
+        max_acceleration: Limit of the acceleration, m/s^2.
+        max_rotation_acceleration: Limit of the angular acceleration, rad/s^2.
+    """
 
     drive: Drive
     max_velocity: Velocity
@@ -37,7 +45,12 @@ class BaseSpec:
 
 @dataclass(frozen=True)
 class ArmJointSpec:
-    """A block within `arm`: values in place of the URDF's, m or rad, and per second."""
+    """A block within `arm`.
+
+    Attributes:
+        soft_limits: Limits within those of the URDF, rad or m; the URDF's if null.
+        velocity: Velocity limit, rad/s or m/s; the URDF's if null.
+    """
 
     soft_limits: tuple[float, float] | None = None
     velocity: JointVelocity | None = None
@@ -45,7 +58,12 @@ class ArmJointSpec:
 
 @dataclass(frozen=True)
 class PoseTolerance:
-    """Pose error that still counts as feasible, metres and radians."""
+    """Pose error that still counts as feasible.
+
+    Attributes:
+        position: Position error, metres.
+        rotation: Rotation error, radians.
+    """
 
     position: Annotated[float, Interval(gt=0.0, le=1.0)]
     rotation: Annotated[float, Interval(gt=0.0, le=math.pi)]
@@ -94,7 +112,27 @@ class Gripper:
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """The whole file; `urdf` is relative to it."""
+    """The whole file.
+
+    Attributes:
+        name: Short name, stored in trained policies.
+        urdf: Path of the URDF, relative to this file.
+        ee_frame: EE link: the frame of motions and IK.
+        tool_tip: Position of the tool tip in the EE frame, metres.
+        gripper_rotation: Quaternion x y z w from the common gripper convention (x is the approach,
+            y the finger axis) to the EE frame.
+        base: Drive and limits of the base.
+        arm: Joints of IK from the root to the EE, including a lift.
+        home: Arm configurations by name, rad or m; one is named `home`.
+        goal_heights: Lowest and highest EE goal, metres, for `ggr` (training) and `ggr_restricted`
+            (comfortable).
+        fixed_joints: Positions of other joints, rad or m, by default as close to 0 as possible;
+            required between root and EE.
+        pose_tolerance: Error allowed during motions, for arms with fewer than six joints.
+        ignored_collisions: Pairs of links that may touch; adjacent links always may.
+        gripper: Two fingers; none if null.
+        counterbalanced: Arm joints with spring-compensated load, with physics.
+    """
 
     name: str
     urdf: Path

@@ -138,7 +138,15 @@ class CostmapTopic:
 
 @dataclass(frozen=True)
 class Topics:
-    """All names of a robot; the gripper and the sensors of scans are optional."""
+    """All names of a robot.
+
+    Attributes:
+        base: Command and pose of the base.
+        joints: Commands and positions of the arm.
+        gripper: Command of the gripper, if it has one.
+        scan: Laser scanner, if it has one.
+        costmap: Costmap, if it has one.
+    """
 
     base: BaseTopics
     joints: JointTopics
