@@ -38,7 +38,7 @@ class plugin_note:  # noqa: N801 - used like contextlib.suppress, and faster tha
     def __enter__(self) -> None: ...
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Exception):
+        if isinstance(error, PLUGIN_ERRORS):
             error.add_note(_RAISED_BY + self.plugin)
 
 
@@ -46,6 +46,12 @@ def raised_by(error: BaseException) -> str | None:
     """Return the plugin that raised an exception, by its `plugin_note`; None if there is none."""
     notes = [note for note in getattr(error, "__notes__", ()) if note.startswith(_RAISED_BY)]
     return notes[0].removeprefix(_RAISED_BY) if notes else None
+
+
+def describe(error: BaseException) -> str:
+    """Return an exception in one line, with the plugin that raised it if that is known."""
+    plugin = raised_by(error)
+    return f"{plugin} raised " * (plugin is not None) + f"{type(error).__name__}: {error}"
 
 
 def check_name(name: str) -> None:
