@@ -16,6 +16,8 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from kinfeas.config import PluginSpec
     from kinfeas.io.run_log import About
     from kinfeas.robots.robot import Robot
@@ -98,18 +100,19 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             policy, backend, known, toward, config, adapters=options.read_adapters(adapters),
             dt=1.0 / rate, seconds=seconds, seed=seed, real_time=not no_real_time,
         )  # fmt: skip
-    run_and_report(setup, robot, policy, backend, record, json)
+    raise typer.Exit(run_and_report(setup, robot, policy, backend, record, json))
 
 
-def run_and_report(
+def run_and_report(  # noqa: PLR0913, PLR0917 - see deploy
     setup: "Setup",
     robot: str,
     policy: str,
     backend: str,
     record: Path | None,
     json: Path | None,
-) -> None:
-    """Run, write the record and results, and exit with the code of the run."""
+    more: "Callable[[], dict[str, object]]" = dict,
+) -> int:
+    """Run, write the record and results, with `more` of them; return the code of the run."""
     from kinfeas.io.run_log import About, Recorder
     from kinfeas.sim2real.deploy.runtime import deploy as run
 
@@ -117,18 +120,19 @@ def run_and_report(
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     about = About(
         from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
-        **_drawn_scene(setup),
+        **_drawn_scene(setup), **_settings(setup),
     )  # fmt: skip
     recorder = Recorder(record or _record_path(about), about)
     with recorder:
         outcome = run(setup, recorder)
+    facts = {**asdict(outcome), "code": int(outcome.code), **more(), "record": str(recorder.path)}
     with suppress(OSError):  # of a terminal that was closed
-        _show(outcome, about, recorder.path)
+        _show(outcome, about, facts)
     try:
-        write_json({**asdict(outcome), "record": str(recorder.path)}, json)
+        write_json(facts, json)
     except KinfeasError as error:  # keeps the exit code of the run
         sys.stderr.write(f"--json: {error}\n")
-    raise typer.Exit(int(outcome.code))
+    return int(outcome.code)
 
 
 def check_record(record: Path | None) -> None:
@@ -239,6 +243,20 @@ def _drawn_scene(setup: "Setup") -> dict[str, Any]:
     return drawn
 
 
+def _settings(setup: "Setup") -> dict[str, Any]:
+    """Return adapters, filters, generators, guards and seed of the record."""
+    from kinfeas.config import PluginSpec
+
+    motions = [subgoal.motion for subgoal in setup.task.subgoals]
+    return {
+        "seed": setup.seed,
+        "adapters": setup.adapters,
+        "filters": getattr(setup.execution, "filters", ()),
+        "generators": tuple(PluginSpec(one.generator, one.parameters) for one in motions),
+        "guards": asdict(setup.guards),
+    }
+
+
 def _record_path(about: "About") -> Path:
     """Return a new file in `runs/deploy`."""
     from kinfeas.io.files import writing
@@ -254,12 +272,11 @@ def _record_path(about: "About") -> Path:
     return next((path for path in paths if not path.exists()), paths[0])
 
 
-def _show(outcome: "Outcome", about: "About", record: Path) -> None:
+def _show(outcome: "Outcome", about: "About", facts: dict[str, object]) -> None:
     from kinfeas.sim2real.deploy.rate import peak_memory_mb
 
-    facts = {**asdict(outcome), "code": int(outcome.code), "peak_memory_mb": peak_memory_mb()}
     title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
-    print_facts(title, {**facts, "record": str(record)})
+    print_facts(title, {**facts, "peak_memory_mb": peak_memory_mb()})
     if outcome.code:
         sys.stderr.write(f"stopped: {outcome.reason}\n")
     if outcome.unstopped:

@@ -27,7 +27,7 @@ from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
 from kinfeas.cli.view import view
-from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, raised_by
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, raised_by
 from kinfeas.core.extras import missing_extra
 
 app = typer.Typer(
@@ -58,10 +58,10 @@ def main() -> None:
         if missing := missing_extra(error):
             sys.stderr.write(f"error: {missing}\n")
             sys.exit(2)
-        if (plugin := raised_by(error)) is None:
+        if raised_by(error) is None:
             raise
         traceback.print_exc()  # for the author of the plugin
-        sys.stderr.write(f"error: {plugin} raised {type(error).__name__}: {error}\n")
+        sys.stderr.write(f"error: {describe(error)}\n")
         code = 2
     sys.exit(code if isinstance(code, int) else 0)
 

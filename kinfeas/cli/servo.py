@@ -1,7 +1,9 @@
 """`kinfeas servo`: base and arm follow EE targets that arrive while the robot runs."""
 
 import sys
-from contextlib import closing
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,9 +13,11 @@ import typer
 from kinfeas.cli import options
 from kinfeas.cli.deploy import check_record, make_setup, read_settings, run_and_report
 from kinfeas.cli.output import status
+from kinfeas.core.errors import PLUGIN_ERRORS, describe, plugin_note
 
 if TYPE_CHECKING:
     from kinfeas.sim2real.servo import TargetSource
+    from kinfeas.sim2real.servo.controller import TargetController
 
 GROUP = "kinfeas.target_sources"
 
@@ -49,6 +53,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.config.recipes import default_engine
     from kinfeas.sim2real.deploy.config import ServoConfig
+    from kinfeas.sim2real.deploy.runtime import Code
     from kinfeas.sim2real.servo.controller import ServoTask, TargetController
     from kinfeas.tasks.task import MotionSpec
 
@@ -68,9 +73,39 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
             dt=1.0 / rate, seconds=seconds, seed=0, real_time=True,
         )  # fmt: skip
         setup = replace(setup, filters=(controller, *setup.filters))
-    with closing(targets):
-        targets.start(controller)
-        run_and_report(setup, robot, policy, backend, record, json)
+    name, code = f"target source {source!r}", 0
+    with _watched(name, controller):
+        try:
+            with plugin_note(name):
+                targets.start(controller)
+            code = run_and_report(
+                setup, robot, policy, backend, record, json, controller.statistics
+            )
+        finally:
+            try:
+                targets.close()
+            except PLUGIN_ERRORS as error:
+                sys.stderr.write(f"{name} could not be closed: {describe(error)}\n")
+                code = code or Code.FAULT
+    raise typer.Exit(int(code))
+
+
+@contextmanager
+def _watched(name: str, controller: "TargetController") -> Iterator[None]:
+    """End the run of a controller if a thread that starts meanwhile raises an exception."""
+    others, hook = set(threading.enumerate()), threading.excepthook
+
+    def failed(arguments: threading.ExceptHookArgs) -> None:
+        hook(arguments)
+        if arguments.thread not in others:
+            raised = f"{arguments.exc_type.__name__}: {arguments.exc_value}"
+            controller.fail(f"a thread of {name} raised {raised}")
+
+    threading.excepthook = failed
+    try:
+        yield
+    finally:
+        threading.excepthook = hook
 
 
 def _build_source(name: str, parameters: dict[str, object]) -> "TargetSource":

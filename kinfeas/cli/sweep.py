@@ -1,5 +1,6 @@
 """`kinfeas sweep`: search the keys of a training recipe."""
 
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -65,7 +66,7 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
     write_json(results, folder / "sweep.json")
     write_json(results, json)
     typer.echo(f"best: trial {best['number']}, score {best['score']:.3f}")
-    typer.echo(f"train it: kinfeas train --config {folder / BEST}")
+    typer.echo(f"train it: kinfeas train --config {shlex.quote(str(folder / BEST))}")
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """`kinfeas view`: a scene or a recorded run as a table, a picture or an interactive page."""
 
+from json import dumps, loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,7 @@ from kinfeas.cli.output import print_facts, write_drawing, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.io.run_log import Record
+    from kinfeas.io.run_log import About, Record
     from kinfeas.scenes.scene import Scene
 
 
@@ -74,6 +75,7 @@ def _run_facts(run: "Record") -> dict[str, object]:
         "policy": about.policy,
         "backend": about.backend,
         "started": about.started,
+        **loads(dumps(_settings(about)), parse_constant=str),
         "seconds": float(run.time[-1] - run.time[0]),
         "steps": int((periods > 0.5 * about.dt).sum()),  # the end is no step
         "control_period_s": about.dt,
@@ -81,6 +83,17 @@ def _run_facts(run: "Record") -> dict[str, object]:
         "top_speed_m_s": float((run.base_twist[:, :2] ** 2).sum(axis=1).max() ** 0.5),
         "longest_period_s": float(max(periods, default=0.0)),
         "events": events,
+    }
+
+
+def _settings(about: "About") -> dict[str, object]:
+    """Return how a run was made, as in YAML."""
+    return {
+        "seed": about.seed,
+        "adapters": [{"name": one.name, **one.parameters} for one in about.adapters],
+        "filters": [{"name": one.name, **one.parameters} for one in about.filters],
+        "generators": [{"name": one.name, **one.parameters} for one in about.generators],
+        "guards": about.guards,
     }
 
 

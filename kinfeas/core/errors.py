@@ -48,6 +48,12 @@ def raised_by(error: BaseException) -> str | None:
     return notes[0].removeprefix(_RAISED_BY) if notes else None
 
 
+def describe(error: BaseException) -> str:
+    """Return an exception in one line, with the plugin that raised it if that is known."""
+    plugin = raised_by(error)
+    return f"{plugin} raised " * (plugin is not None) + f"{type(error).__name__}: {error}"
+
+
 def check_name(name: str) -> None:
     """Raise ValueError if the name of a robot or task does not fit into tables and file names."""
     if not name.strip() or "/" in name or not name.isprintable():

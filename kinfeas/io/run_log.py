@@ -46,6 +46,11 @@ class About:
         scene: Scene of the task by name or absolute path; empty for the floor alone.
         objects: World poses of the objects moved at the start of the episode, by name.
         solids: Solids at the start, as in `Solids.table`.
+        seed: Seed of the run; None if unknown, as in old records.
+        adapters: Adapters around the backend, the first one innermost.
+        filters: Command filters in order.
+        generators: Motion generator of each sub-goal.
+        guards: Limits by name, as in `kinfeas.sim2real.deploy.config.Guards`.
     """
 
     robot: str
@@ -58,6 +63,11 @@ class About:
     scene: str = ""
     objects: dict[str, tuple[float, ...]] = field(default_factory=dict)
     solids: tuple[Annotated[tuple[float, ...], Len(11, 11)], ...] = ()
+    seed: int | None = None
+    adapters: tuple[config.PluginSpec, ...] = ()
+    filters: tuple[config.PluginSpec, ...] = ()
+    generators: tuple[config.PluginSpec, ...] = ()
+    guards: dict[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +138,7 @@ class Recorder:
             self._file: TextIO = path.open("x", encoding="utf-8", newline="", buffering=1)
             try:
                 header = _line(_names(about.joints))
-                self._file.write(f"# {_FORMAT} {json.dumps(asdict(about))}\n{header}")
+                self._file.write(f"# {_FORMAT} {json.dumps(asdict(about), default=str)}\n{header}")
             except OSError:
                 self._end()
                 raise

@@ -11,7 +11,7 @@ from kinfeas.control.loop import Loop
 from kinfeas.control.motion_sequence import subgoal_ends
 from kinfeas.core import registry, spatial
 from kinfeas.core.backend import build_backend
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.policy import CommandFilter, Policy
 from kinfeas.core.solids import Solids
@@ -74,7 +74,9 @@ def warm_up(
     loop.set_policy(policy)
     loop.start(Start(spatial.IDENTITY[np.newaxis], joints, targets, _WARM_UP_SOLIDS), [rng])
     for _ in range(_WARM_UP_STEPS):
-        loop.step(policy.act(loop.policy_input))
+        with plugin_note(f"policy {type(policy).__name__}"):
+            action = policy.act(loop.policy_input)
+        loop.step(action)
 
 
 def _check_reach(solver: IkSolver, goals: Array) -> None:

@@ -19,7 +19,7 @@ from kinfeas.control.loop import Loop
 from kinfeas.control.observation import SCAN_TERMS
 from kinfeas.core.backend import Backend, RealTimeBackend, SupportsScan
 from kinfeas.core.checks import check_array
-from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, plugin_note
+from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, describe, plugin_note
 from kinfeas.core.policy import CommandFilter, Policy
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import IDENTITY, Array
@@ -65,7 +65,7 @@ class Outcome:
         seconds: Duration.
         failures: Control periods without an IK solution.
         timing: Statistics of the control periods.
-        time_scale: Mean share of the planned motion that the steps carried out.
+        time_scale: Mean speed of the EE motion, as a share of the planned one.
         unclosed: Why the backend could not be closed; empty if it could.
         task_done: Whether the task's objects are at their goal; None if there are none.
     """
@@ -246,7 +246,7 @@ class _Run:
         except PLUGIN_ERRORS as error:  # a mistake in the code of a plugin, or in ours
             self.guarded.stop()
             _log.exception("the run ends")
-            code, reason = Code.FAULT, f"{type(error).__name__}: {error}"
+            code, reason = Code.FAULT, describe(error)
         finally:
             self.guarded.stop()
             if watchdog is not None and self.guarded.unstopped:
@@ -270,7 +270,7 @@ class _Run:
     def run(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
         """Step until the end; return its code and reason."""
         setup, loop = self.setup, self.loop
-        shape = (1, loop.action_size)
+        shape, named = (1, loop.action_size), plugin_note(f"policy {type(setup.policy).__name__}")
         # Half a period, since none ends to the microsecond.
         while self.seconds() + 0.5 * setup.dt < setup.seconds:
             if (caught := signals.caught) is not None:
@@ -279,7 +279,9 @@ class _Run:
                 return Code(128 + caught), by
             if watchdog is not None and not watchdog.beat():
                 raise Fault("the watchdog has stopped the base, or has died or stalled")
-            goal, action = loop.sequence.goal[0], setup.policy.act(loop.policy_input)
+            goal = loop.sequence.goal[0]
+            with named:
+                action = setup.policy.act(loop.policy_input)
             # Before a filter can replace it.
             check_array(action, shape, "the policy's action", error=Fault)
             if loop.target_stream is not None:
@@ -287,7 +289,8 @@ class _Run:
             step = loop.step(action)
             feasible, subgoal = bool(step.feasible[0]), int(step.subgoal[0])
             self.steps, self.failures = self.steps + 1, self.failures + (not feasible)
-            before, self.time_scale = self.time_scale, float(step.time_scale[0])
+            before = self.time_scale
+            self.time_scale = loop.execution.time_scale * float(step.time_scale[0])
             self.scales += self.time_scale
             after = int(loop.sequence.subgoal[0])
             event = f"time scale {self.time_scale:g}" if self.time_scale != before else ""

@@ -128,6 +128,10 @@ class TargetController:
         counts = dict(zip(RULES, self._inbox.counts.sum(axis=0).tolist(), strict=True))
         return counts | self._others
 
+    def statistics(self) -> dict[str, object]:
+        """Return the counts, and the longest time for which all messages were ignored."""
+        return {"messages": self.counts, "longest_ignored": self.longest_ignored}
+
     def fail(self, reason: str) -> None:
         """Let the next period raise Fault with a reason, from any thread."""
         self._failure = reason

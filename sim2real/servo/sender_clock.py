@@ -1,4 +1,4 @@
-"""When messages were sent, by our clock, in spite of queues, wrong stamps and clocks that are set."""
+"""When messages were sent, by our clock, despite queues, wrong stamps and clocks that are set."""
 
 import math
 

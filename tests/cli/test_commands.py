@@ -1,6 +1,7 @@
 import json
 import re
 import shutil
+import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from kinfeas.cli import options
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import compose, relative
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration, write_demonstration
+from kinfeas.io.run_log import read_record
 from kinfeas.plugins.imitation import GaussianMixture, Imitation
 from kinfeas.robots.loading import load_robot, read_robot
 from tests.cli.conftest import check_one_line
@@ -83,7 +85,10 @@ SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"
 
 @pytest.fixture
 def record(kinfeas, tmp_path):
-    words = ("--robot", "hsr", "--backend", "analytic", "--goal", "1", "0", "0.8")
+    words = ("--robot", "hsr", "--backend", "analytic", "--goal", "1", "0", "0.8", "--seed", "5")
+    (tmp_path / "noise.yaml").write_text("adapters: [{name: base_noise, linear: 0.05}]")
+    words += ("--adapters", "noise.yaml", "--filters", "time_scaling")
+    words += ("--set", "generator.gain=0.5", "--set", "guards.max_distance=3")
     kinfeas("deploy", "pretrained", *words, "--no-real-time", "--seconds", "0.2",
             "--record", "run.csv")  # fmt: skip
     return tmp_path / "run.csv"
@@ -107,6 +112,10 @@ def test_replay_of_a_run(kinfeas, record, tmp_path):
     facts = json.loads((tmp_path / "run.json").read_text())
     assert facts["events"][0]["event"] == "start"
     assert (facts["seconds"], facts["steps"]) == (pytest.approx(0.2), 10)
+    assert (facts["seed"], facts["guards"]["max_distance"]) == (5, 3.0)
+    assert facts["adapters"] == [{"name": "base_noise", "linear": 0.05}]
+    assert facts["filters"] == [{"name": "time_scaling"}]
+    assert facts["generators"] == [{"name": "linear", "gain": 0.5}]
     kinfeas("dataset", "run.csv", "--kind", "csv", "--out", "shown", code=0)
     assert len(read_demonstration(tmp_path / "shown" / "001.csv").time) == 11
     record.write_bytes(record.read_bytes()[:-300])
@@ -145,14 +154,18 @@ def test_existing_files_are_kept(robot, tmp_path):
 EXAMPLE = Path(__file__).parents[2] / "examples" / "target_source.py"
 
 
+RELAXED = (
+    "--set", "guards.max_age=5", "--set", "guards.max_period=5", "--set", "guards.max_clock_skew=5",
+)  # fmt: skip
+"""Guards of time for a busy machine."""
+
+
 def test_the_ee_follows_a_source_of_the_working_directory(kinfeas, tmp_path):
     pytest.importorskip("mujoco")
     shutil.copy(EXAMPLE, tmp_path / "circles.py")
-    relaxed = [f"guards.{name}=5" for name in ("max_age", "max_period", "max_clock_skew")]
-    settings = [word for one in relaxed for word in ("--set", one)]
     kinfeas(
         "servo", "--robot", "pr2", "--backend", "mujoco", "--source", "circles:Circle",
-        "--seconds", "2", "--record", "run.csv", "--json", "run.json", *settings, code=0,
+        "--seconds", "2", "--record", "run.csv", "--json", "run.json", *RELAXED, code=0,
     )  # fmt: skip
     found = json.loads((tmp_path / "run.json").read_text())
     assert (found["failures"], found["time_scale"]) == (0, 1.0)
@@ -166,6 +179,50 @@ def test_the_ee_follows_a_source_of_the_working_directory(kinfeas, tmp_path):
     kinfeas("dataset", "shown", "run.csv", "--out", "set", code=0)
     about = json.loads((tmp_path / "set/meta/info.json").read_text())
     assert about["total_episodes"] == 2
+
+
+SOURCE = """
+import sys, threading
+class Source:
+    def __init__(self, fails: str):
+        self.fails = fails
+    def start(self, controller):
+        if self.fails == "start":
+            sys.exit(0)
+        threading.Thread(target=self.send, args=(controller,)).start()
+    def send(self, controller):
+        controller.set_twist([0.0] * 5)
+        while not controller.running:
+            pass
+        if self.fails == "thread":
+            raise LookupError("no tracker")
+    def close(self):
+        if self.fails == "close":
+            raise OSError("still open")
+"""
+
+
+@pytest.mark.parametrize(("fails", "code", "error"), [
+    ("start", 2, "raised SystemExit"),
+    ("thread", 3, "raised LookupError: no tracker"),
+    ("close", 3, "still open"),
+])  # fmt: skip
+def test_a_target_source_that_fails_ends_the_run_and_is_named(
+    kinfeas, tmp_path, monkeypatch, fails, code, error
+):
+    monkeypatch.setattr("threading.excepthook", lambda arguments: None)
+    (tmp_path / "broken.py").write_text(SOURCE)
+    monkeypatch.delitem(sys.modules, "broken", raising=False)
+    done = kinfeas(
+        "servo", "--robot", "hsr", "--backend", "analytic", "--source", "broken:Source",
+        "--set", f"source.fails={fails}", "--seconds", "0.5", "--record", "run.csv", *RELAXED,
+        "--json", "run.json", code=code,
+    )  # fmt: skip
+    assert "target source 'broken:Source'" in done.err
+    assert error in done.err
+    if fails != "start":
+        assert not read_record(tmp_path / "run.csv").base_twist[-1].any()
+        assert "messages" in json.loads((tmp_path / "run.json").read_text())
 
 
 def test_output_files_are_checked_in_advance(tmp_path):

@@ -1,12 +1,19 @@
+import json
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.run_log import About, Moment, Recorder, read_record
 
 JOINTS = ("shoulder", "elbow, the left")
-ABOUT = About("pr2", "door", "pretrained", "analytic", 0.02, JOINTS, "2026-01-02T03:04:05+00:00")
+ABOUT = About(
+    "pr2", "door", "pretrained", "analytic", 0.02, JOINTS, "2026-01-02T03:04:05+00:00", seed=3,
+    adapters=(PluginSpec("latency", {"seconds": 0.1}),), filters=(PluginSpec("feasibility"),),
+    generators=(PluginSpec("linear", {"gain": 1.0}),), guards={"max_age": 0.2, "max_tilt": None},
+)  # fmt: skip
 
 
 def pose(rng):
@@ -47,6 +54,18 @@ def test_round_trip(path):
     for name in ("base_pose", "joint_positions", "desired", "goal", "base_twist", "joint_targets"):
         expected = np.stack([getattr(one, name) for one in moments])
         np.testing.assert_allclose(getattr(record, name), expected, rtol=1e-8)
+
+
+def test_records_without_settings_are_readable(path):
+    write(path, [moment(0)])
+    head, *lines = path.read_text().splitlines(keepends=True)
+    mark, _, about = head.partition("{")
+    known = json.loads("{" + about)
+    for name in ("seed", "adapters", "filters", "generators", "guards"):
+        del known[name]
+    path.write_text(f"{mark}{json.dumps(known)}\n" + "".join(lines))
+    about = read_record(path).about
+    assert (about.robot, about.seed, about.adapters, about.guards) == ("pr2", None, (), {})
 
 
 def test_an_empty_run_leaves_no_file(path):

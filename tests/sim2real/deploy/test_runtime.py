@@ -11,6 +11,7 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.loop import Loop
@@ -276,7 +277,8 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reaso
 @pytest.mark.parametrize(("driver", "named"), [
     (Drive(action=(np.nan, 0.0, 0.0)), "not finite"),
     (Drive(action=(0.0, 0.0)), "shape"),
-    (Drive(at=5, do=lambda: 1 / 0), "ZeroDivisionError"),
+    (Drive(at=5, do=lambda: 1 / 0), "policy Drive raised ZeroDivisionError"),
+    (Drive(at=5, do=lambda: sys.exit(0)), "policy Drive raised SystemExit"),
 ])  # fmt: skip
 @pytest.mark.parametrize("filters", [(), (FeasibilityFilter(),)])
 def test_a_policy_that_fails_stops_the_robot(run, time, driver, named, filters):
@@ -287,6 +289,33 @@ def test_a_policy_that_fails_stops_the_robot(run, time, driver, named, filters):
     assert named in outcome.reason
     assert record.event[-1] == outcome.reason
     assert not robot.commands[-1][1].any()
+
+
+class Failing:
+    """A command filter that ends the process at its tenth call."""
+
+    def reset(self, loop, rows):
+        self.left = 10
+
+    def __call__(self, command, policy_input):
+        self.left -= 1
+        return command if self.left else sys.exit(0)
+
+
+def test_a_filter_that_exits_stops_the_robot_and_is_named(run, time):
+    robot = RealTimeRobot(time)
+    outcome, _ = run(robot, Drive(), filters=(Failing(),))
+    assert outcome.code is Code.FAULT
+    assert "command filter Failing" in outcome.reason
+    assert not robot.commands[-1][1].any()
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_the_time_scale_is_that_of_the_motion_as_carried_out(run, scale):
+    execution = ExecutionConfig(time_scale=scale)
+    outcome, record = run(AnalyticBackend(), Drive(), seconds=0.4, execution=execution)
+    assert outcome.time_scale == pytest.approx(scale)
+    assert (f"time scale {scale:g}" in record.event) is (scale != 1.0)
 
 
 def test_ik_failures_in_a_row_end_a_run(run):

@@ -7,6 +7,7 @@ import pytest
 from kinfeas.control.loop import Loop
 from kinfeas.control.targets import TargetRules
 from kinfeas.core import registry, spatial
+from kinfeas.core.errors import Fault
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
@@ -125,7 +126,8 @@ def test_malformed_messages_from_many_threads_have_no_effect(solver):
         step(clock, loop)
     np.testing.assert_array_equal(loop.desired, begun)
     assert controller.counts["accepted"] == 0
-    assert controller.counts["invalid"] == 2 * 6 * len(MALFORMED)
+    assert controller.counts["invalid"] == 2 * 5 * len(MALFORMED)
+    assert controller.counts["frame"] == 2 * len(MALFORMED)
 
 
 def test_chunks_without_poses_or_with_too_many_and_long_quaternions_are_invalid(solver):
@@ -174,6 +176,44 @@ def test_messages_that_waited_in_a_queue_through_a_silence_are_late(solver):
             step(clock, loop)
         clock.passes(2.5)
     assert (controller.counts["accepted"], controller.counts["late"]) == (10, 10)
-    controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], stamp=3.0)  # another sender's clock
+
+
+UP = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
+
+
+def test_messages_are_counted_by_the_reason_why_they_are_ignored(solver):
+    controller, clock, loop = begin(solver)
+    for stamp in (0.0, 0.02, 0.02, 0.01, -0.5, 1e6):
+        controller.set_twist(UP, stamp=clock.monotonic + stamp)
+    controller.set_twist(UP, frame="nowhere")
+    controller.set_twist([math.nan] * 6)
+    controller.set_target(np.array([9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
     step(clock, loop)
-    assert controller.counts["accepted"] == 11
+    expected = {"accepted": 2, "repeated": 2, "late": 1, "ahead": 1, "frame": 1, "invalid": 1}
+    assert controller.counts == {**expected, "jump": 1, "dropped": 0}
+    for _ in range(1000):
+        controller.set_twist(UP)
+    step(clock, loop)
+    counts = controller.counts
+    assert counts["dropped"] > 0
+    assert sum(counts.values()) == 1009
+
+
+def test_messages_that_are_ignored_for_long_are_reported_until_they_are_accepted(solver, caplog):
+    controller, clock, loop = begin(solver)
+    for count, behind in ((10, 0.0), (200, 0.3), (10, 0.0)):
+        for _ in range(count):
+            controller.set_twist(UP, stamp=clock.monotonic - behind)
+            step(clock, loop)
+    assert controller.longest_ignored == pytest.approx(200 * DT, abs=2 * DT)
+    ignored, accepted = (record.getMessage() for record in caplog.records)
+    assert "late" in ignored
+    assert "accepted again" in accepted
+
+
+def test_a_failure_ends_the_run(solver):
+    controller, clock, loop = begin(solver)
+    step(clock, loop)
+    controller.fail("the tracker is gone")
+    with pytest.raises(Fault, match="the tracker is gone"):
+        step(clock, loop)
