@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import (
     IDENTITY,
@@ -23,8 +24,12 @@ from kinfeas.plugins.limits import norm, slowed
 Frame = Literal["object", "goal", "world"]
 """What a path moves with: the target as the grasped object, the target as its end, nothing."""
 
+_END_SECONDS = 1.0
+"""Longest rest of a path that counts as its end, if it is within the tolerances of a goal, too."""
+
 _FINEST = 0.05  # seconds from knot to knot, if the path is not too long for that
 _MOST_SEGMENTS = 20_000
+_ROUNDING = 1e-9
 
 
 class PosePath:
@@ -76,7 +81,8 @@ class PathMotion:
     b^2)` of the errors in position and orientation. The twist is that of the path less `gain` times
     the errors. Where it would exceed a limit, EE and phase slow down together. So from any start
     the EE first comes to the beginning of the path, then moves along it and ends at its end
-    exactly. The state holds the phase.
+    exactly. The state holds the phase. A motion is finished when at most 1 s, 0.025 m and
+    12 degrees of its path are left.
 
     Attributes:
         path: In the frame of the target, or in the world.
@@ -97,6 +103,18 @@ class PathMotion:
     rotation_scale: float = 0.3
     max_velocity: float = 0.1
     max_angular_velocity: float = 0.1
+    _end: float = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Find the phase from which on the rest of the path counts as its end."""
+        parts = self.path.segments
+        limits = (GOAL_METRES, norm(parts[:, :3])), (GOAL_RADIANS, norm(parts[:, 3:]))
+        seconds = np.full(len(parts), self.duration / len(parts))
+        beyond = [
+            int(np.sum(np.cumsum(each[::-1]) > most))
+            for most, each in (*limits, (_END_SECONDS, seconds))
+        ]
+        self._end = max(beyond) / len(parts) - _ROUNDING
 
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
@@ -107,6 +125,11 @@ class PathMotion:
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
         return compose(self._frame(target_pose), self.path.knots[-1])
+
+    def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
+        """Return whether the motions are at the end of the path, shape (n,)."""
+        finished: NDArray[np.bool_] = state["phase"] >= self._end
+        return finished
 
     def twist(
         self, state: State, ee_pose: Array, target_pose: Array, dt: Array

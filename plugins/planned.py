@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Positive
+from kinfeas.core.metrics import GOAL_METRES
 from kinfeas.core.motion import State, WholeBodyPath, merged, of_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, continuous, distance, integrate, twist_between
@@ -77,6 +78,14 @@ class SmoothPath:
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the targets, shape (n, 7)."""
         return np.array(target_pose, dtype=np.float64)
+
+    def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
+        """Return whether at most 0.025 m of the paths are left, shape (n,)."""
+        share = np.empty((len(target_pose), 1))
+        now = self._share(state, state["time"])
+        shares_ahead(state["points"], now, np.array([GOAL_METRES]), share)
+        finished: NDArray[np.bool_] = share[:, 0] >= 1.0
+        return finished
 
     def twist(
         self, state: State, ee_pose: Array, target_pose: Array, dt: Array

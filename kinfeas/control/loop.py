@@ -206,8 +206,8 @@ class Loop:
     def step(self, action: Array) -> Step:
         """Advance all robots by one control period.
 
-        A sub-goal ends on a feasible step that brings the EE to its end; the next sub-goal begins
-        at the desired pose, after the dwell time.
+        A sub-goal ends on a feasible step that brings the EE to its end, with a path of its own at
+        the end of that; the next sub-goal begins at the desired pose, after the dwell time.
 
         Args:
             action: Action terms, clipped to [-1, 1], shape (n, a).
@@ -230,7 +230,8 @@ class Loop:
         self._measure(state)
         collision = self.obstacles.collisions(state) if self.finds_collisions else None
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
-        arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
+        near = (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
+        arrived = sequence.ended(arm.feasible & near)
         if self.target_stream is not None:
             arrived = np.zeros_like(arrived)
         step = Step(

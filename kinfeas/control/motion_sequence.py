@@ -219,6 +219,16 @@ class MotionSequence:
             return poses
         return spatial.compose(poses, self._ee_in_tool[self.subgoal][:, np.newaxis])
 
+    def ended(self, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which of the rows that are near their goal are at the end of their motion, (n,).
+
+        Motions along a path of their own also have to be at the end of it.
+        """
+        ended, targets = near.copy(), self._target
+        for one in self._motions.of(np.flatnonzero(near)):
+            ended[one.rows] = one.generator.finished(one.state, targets[one.rows])
+        return ended
+
     def copied(self) -> "MotionSequence":
         """Return a copy that moves on its own; they share arrays, which are never written into."""
         twin = copy.copy(self)
@@ -239,7 +249,7 @@ class MotionSequence:
             twin.desired, twin._motions.states = plan.desired, plan.states
             poses.append(plan.desired[rows])
             metres, radians = spatial.distance(poses[-1], goal)
-            there = (metres <= GRASP_METRES) & (radians <= GOAL_RADIANS)
+            there = twin.ended((metres <= GRASP_METRES) & (radians <= GOAL_RADIANS))
             steps = np.where((steps == 0) & there, len(poses), steps)
         steps[steps == 0] = len(poses)
         return [np.stack([pose[i] for pose in poses[:k]]) for i, k in enumerate(steps.tolist())]

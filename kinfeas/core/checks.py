@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, plugin_note
@@ -11,6 +12,7 @@ from kinfeas.core.motion import (
     WAYPOINTS,
     AvoidsSolids,
     Demonstrated,
+    FollowsPath,
     FollowsWholeBodyPath,
     LooksAhead,
     MotionGenerator,
@@ -85,9 +87,9 @@ class ConformanceError(KinfeasError):
 class CheckedMotion:
     """A motion generator that checks another one's return values.
 
-    Shapes, types and finiteness are checked at the first call of each method after a start, or at
-    `every_step`. States keep the layout of the first one, so that rows can be exchanged. Exceptions
-    of the generator get a note with its `name`, by default its class.
+    Goals and twists are checked at each call; states and other values at the first call of each
+    method after a start, or at `every_step`. States keep the layout of the first one, so that rows
+    can be exchanged. Exceptions of the generator get a note with its `name`, by default its class.
 
     Attributes:
         demonstrated: Whether the generator has demonstrated base poses.
@@ -103,6 +105,7 @@ class CheckedMotion:
     ) -> None:
         self.generator = generator
         # Once, since protocols are checked by looking up each of their members.
+        self._finished = generator.finished if isinstance(generator, FollowsPath) else None
         self._ahead = generator.ahead if isinstance(generator, LooksAhead) else None
         self._base_pose = generator.base_pose if isinstance(generator, Demonstrated) else None
         self._follower = generator if isinstance(generator, FollowsWholeBodyPath) else None
@@ -129,9 +132,20 @@ class CheckedMotion:
         """Return the world poses at which the motions end, shape (n, 7)."""
         with plugin_note(self.subject):
             goal = self.generator.goal_pose(state, target_pose)
-        if self._due("goal_pose"):
-            self._check_array("goal_pose", goal, (len(target_pose), 7))
+        self._check_array("goal_pose", goal, (len(target_pose), 7))
         return goal
+
+    def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
+        """Return whether the motions are at the end of their paths, shape (n,); true without."""
+        n = len(target_pose)
+        if self._finished is None:
+            return np.ones(n, dtype=np.bool_)
+        with plugin_note(self.subject):
+            finished = self._finished(state, target_pose)
+        fits = isinstance(finished, np.ndarray) and finished.shape == (n,)
+        if not fits or finished.dtype != np.bool_:
+            raise self.error(f"must return booleans of shape ({n},) from finished")
+        return finished
 
     def twist(
         self, state: State, ee_pose: Array, target_pose: Array, dt: Array
@@ -139,12 +153,12 @@ class CheckedMotion:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         with plugin_note(self.subject):
             answer = self.generator.twist(state, ee_pose, target_pose, dt)
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise self.error("must return a pair from twist: the twist and the next state")
+        self._check_array("twist", answer[0], (len(ee_pose), 6))
         if self._due("twist"):
             if self._layout is None and len(ee_pose):  # resumed without a start
                 self._layout = _layout(state)
-            if not isinstance(answer, tuple) or len(answer) != 2:
-                raise self.error("must return a pair from twist: the twist and the next state")
-            self._check_array("twist", answer[0], (len(ee_pose), 6))
             self._check_state("twist", answer[1], len(ee_pose))
         return answer
 

@@ -55,6 +55,24 @@ class MotionGenerator(Protocol):
 
 
 @runtime_checkable
+class FollowsPath(Protocol):
+    """A motion generator whose motions have a path or timing of their own.
+
+    They end at the end of the path, near `goal_pose`. A motion of any other generator ends as soon
+    as it is near `goal_pose`.
+    """
+
+    def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
+        """Return whether the motions are at the end of their paths, shape (n,).
+
+        Args:
+            state: State of n motions.
+            target_pose: Current poses of the targets, shape (n, 7).
+        """
+        ...
+
+
+@runtime_checkable
 class Demonstrated(Protocol):
     """A motion generator with a demonstrated motion of the base."""
 

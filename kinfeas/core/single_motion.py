@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ParamSpec, Protocol, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import MotionGenerator, State
@@ -51,7 +51,8 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
             def goal_pose(self, state, target_pose): ...  # -> (7,)
             def twist(self, state, ee_pose, target_pose, dt): ...  # -> (6,), dict
 
-    Optional: `base_pose(self, state, target_pose)` returns the demonstrated base pose, (7,). The
+    Optional: `finished(self, state, target_pose)` returns whether the motion is at the end of a
+    path of its own, and `base_pose(self, state, target_pose)` the demonstrated base pose, (7,). The
     class gets its own copy of every array and may write into it. Numbers in the state become
     float64. Each row costs a Python call; write generators for large batches with arrays.
     """
@@ -65,8 +66,10 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
 
     members = {name: getattr(single, name) for name in ("__doc__", "__module__", "__qualname__")}
     members |= {"__init__": __init__, "__signature__": inspect.signature(single)}
-    if callable(getattr(single, "base_pose", None)):
-        members["base_pose"] = _base_pose
+    for optional in (_finished, _base_pose):
+        name = optional.__name__.removeprefix("_")
+        if callable(getattr(single, name, None)):
+            members[name] = optional
     made = type(single.__name__, (RowByRow,), members)
     return cast("Callable[Parameters, MotionGenerator]", made)
 
@@ -115,6 +118,13 @@ def _stacked(states: list[Mapping[str, ArrayLike]]) -> State:
         key: np.stack([np.asarray(state[key], dtype=np.float64) for state in states])
         for key in (states[0] if states else ())
     }
+
+
+def _finished(self: RowByRow, state: State, target_pose: Array) -> NDArray[np.bool_]:
+    """Return whether the motions are at the end of their paths, shape (n,)."""
+    finished = cast("Any", self.single).finished
+    answers = [finished(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
+    return np.array(answers) if answers else np.zeros(0, dtype=np.bool_)
 
 
 def _base_pose(self: RowByRow, state: State, target_pose: Array) -> Array:

@@ -127,7 +127,8 @@ def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]
         metres, radians = spatial.distance(sequence.desired, sequence.goal)
         left -= 1
         # A motion that does not arrive must not stop the others.
-        ends = ((metres <= GOAL_METRES) & (radians <= GOAL_RADIANS)) | (left <= 0)
+        near = (metres <= GOAL_METRES) & (radians <= GOAL_RADIANS)
+        ends = sequence.ended(near) | (left <= 0)
         finished |= ends & sequence.last
         left[ends] = _PERIODS
         sequence.advance(ends)

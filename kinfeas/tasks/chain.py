@@ -1,6 +1,6 @@
 """Tasks from YAML: chains of sub-goals at places that are drawn anew for each episode."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated
@@ -16,7 +16,6 @@ from kinfeas.core.spatial import Array, compose, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides
-from kinfeas.robots.robot import Robot
 from kinfeas.scenes.objects import free_joints, moving_joint
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.scenes.solids import furniture_solids
@@ -77,7 +76,7 @@ class ChainSubgoal(Subgoal):
     """One motion of a chain, and its target.
 
     Attributes:
-        place: Name of a place.
+        place: Name of a place, or of a handle of the scene.
         offset: From there to the motion's target, along the place's own axes, metres.
     """
 
@@ -163,7 +162,7 @@ class ChainTask:
     Attributes:
         name: Task name.
         subgoals: The motions, at least one.
-        places: Their targets, by name.
+        places: Their targets, by name, beside the handles of the scene.
         start: Start of the base.
         scene: Objects, in worlds that have them.
         clutter: Largest number of random solids on the floor. The furniture is solid then, too;
@@ -172,19 +171,24 @@ class ChainTask:
 
     name: str
     subgoals: tuple[ChainSubgoal, ...]
-    places: dict[str, Place]
+    places: dict[str, Place] = field(default_factory=dict)
     start: BaseStart = field(default_factory=BaseStart)
     scene: TaskScene | None = None
     clutter: Annotated[int, Interval(ge=0, le=MOST_SOLIDS)] | None = None
 
     def __post_init__(self) -> None:
-        """Check the name, and the places of sub-goals and objects."""
+        """Check the name, the scene, and the places of sub-goals and objects."""
         check_name(self.name)
         if not self.subgoals:
             raise ValueError("'subgoals' must have at least one entry")
+        places = {*self.places}
+        if self.scene is not None:
+            scene = _scene(self.scene.name)
+            check_scene(self.scene, scene)
+            places |= scene.handles.keys()
         for number, subgoal in enumerate(self.subgoals):
-            if subgoal.place not in self.places:
-                known = no_such(subgoal.place, self.places)
+            if subgoal.place not in places:
+                known = no_such(subgoal.place, places)
                 raise ValueError(
                     f"'subgoals.{number}.place': unknown place {subgoal.place!r}{known}"
                 )
@@ -193,7 +197,7 @@ class ChainTask:
 
     def check_used(self, place: str, key: str) -> None:
         """Raise ValueError about `key` if no sub-goal has the place."""
-        used = {subgoal.place for subgoal in self.subgoals}
+        used = {subgoal.place for subgoal in self.subgoals} & self.places.keys()
         if place not in used:
             raise ValueError(f"{key!r}: no sub-goal has the place {place!r}{no_such(place, used)}")
 
@@ -201,6 +205,7 @@ class ChainTask:
         """Return one random episode, its arrays without a leading axis."""
         for _ in range(_ROUNDS):
             places = {name: place.draw(rng) for name, place in self.places.items()}
+            places |= self._handle_poses(places)
             targets = np.stack(
                 [_shifted(places[subgoal.place], subgoal.offset) for subgoal in self.subgoals]
             )
@@ -258,10 +263,57 @@ class ChainTask:
             subgoal.place: _shifted(target, tuple(-x for x in subgoal.offset))
             for subgoal, target in zip(self.subgoals, targets, strict=True)
         }
+        return self._moved(self.scene, places)
+
+    def _handle_poses(self, places: Mapping[str, Array]) -> dict[str, Array]:
+        """Return the world poses, shape (7,), of the handles that are places of sub-goals."""
+        names = {subgoal.place for subgoal in self.subgoals} - places.keys()
+        if self.scene is None or not names:
+            return {}
+        scene = _scene(self.scene.name).with_poses(self._moved(self.scene, places))
+        return {name: scene.handle_pose(name) for name in names}
+
+    @staticmethod
+    def _moved(scene: TaskScene, places: Mapping[str, Array]) -> dict[str, Array]:
         return {
             name: _shifted(places[move.place], move.offset, move.turn)
-            for name, move in self.scene.moves.items()
+            for name, move in scene.moves.items()
         }
+
+
+def check_scene(wanted: TaskScene, scene: Scene) -> None:
+    """Raise ValueError if objects, links or joints of a task are missing or do not fit."""
+    objects = scene.objects
+
+    def need(key: str, word: str, names: Collection[str], what: str) -> None:
+        if word not in names:
+            raise ValueError(f"'scene.{key}': no {what} {word!r}{no_such(word, names)}")
+
+    for moved in wanted.moves:
+        need(f"moves.{moved}", moved, objects, "object")
+    if (grasped := wanted.grasped_object) is not None:
+        need("grasped_object.object", grasped.object, objects, "object")
+        one = objects[grasped.object]
+        need("grasped_object.link", grasped.link, one.urdf.links, "link")
+        if one.fixed and moving_joint(one.urdf, grasped.link) is None:
+            raise ValueError(
+                f"'scene.grasped_object': link {grasped.link!r} of the fixed object "
+                f"{grasped.object!r} is below no moving joint"
+            )
+    success = wanted.success
+    need("success.object", success.object, objects, "object")
+    if success.parent is not None:
+        others = [other for other in objects if other != success.object]
+        need("success.parent", success.parent, others, "other object")
+    if success.joint is not None:
+        joints = free_joints(objects[success.object].urdf)
+        need("success.joint", success.joint, joints, "moving joint")
+        low, high, at = joints[success.joint].lower, joints[success.joint].upper, success.threshold
+        if not (low < at if at < 0.0 else at < high):
+            raise ValueError(
+                f"'scene.success.threshold' must be between the limits of joint "
+                f"{success.joint!r}, {low:g} and {high:g}, not {at:g}"
+            )
 
 
 @lru_cache(maxsize=16)
@@ -276,43 +328,3 @@ def _draw(number: float | tuple[float, float], rng: np.random.Generator) -> floa
 def _shifted(place: Array, offset: Iterable[float], turn: float = 0.0) -> Array:
     """Return the pose `offset` away from `place` along its axes and turned about its z, (7,)."""
     return compose(place, make_pose(np.array([*offset]), Rotation.from_rotvec([0.0, 0.0, turn])))
-
-
-def check_task(name: str, wanted: TaskScene, scene: Scene, robot: Robot) -> None:
-    """Raise if objects, links, joints or the gripper of a task are missing or do not fit."""
-    where, objects = f"task {name!r}: 'scene", scene.objects
-
-    def need(key: str, word: str, names: Collection[str], what: str) -> None:
-        if word not in names:
-            raise KinfeasError(f"{where}.{key}': no {what} {word!r}{no_such(word, names)}")
-
-    for moved in wanted.moves:
-        need(f"moves.{moved}", moved, objects, "object")
-    if (grasped := wanted.grasped_object) is not None:
-        need("grasped_object.object", grasped.object, objects, "object")
-        one = objects[grasped.object]
-        need("grasped_object.link", grasped.link, one.urdf.links, "link")
-        if one.fixed and moving_joint(one.urdf, grasped.link) is None:
-            raise KinfeasError(
-                f"{where}.grasped_object': link {grasped.link!r} of the fixed object "
-                f"{grasped.object!r} is below no moving joint"
-            )
-        if robot.gripper is None:
-            raise KinfeasError(
-                f"task {name!r} grasps an object, and robot {robot.name!r} has no gripper: its "
-                "YAML lacks 'gripper'"
-            )
-    success = wanted.success
-    need("success.object", success.object, objects, "object")
-    if success.parent is not None:
-        others = [other for other in objects if other != success.object]
-        need("success.parent", success.parent, others, "other object")
-    if success.joint is not None:
-        joints = free_joints(objects[success.object].urdf)
-        need("success.joint", success.joint, joints, "moving joint")
-        low, high, at = joints[success.joint].lower, joints[success.joint].upper, success.threshold
-        if not (low < at if at < 0.0 else at < high):
-            raise KinfeasError(
-                f"{where}.success.threshold' must be between the limits of joint "
-                f"{success.joint!r}, {low:g} and {high:g}, not {at:g}"
-            )

@@ -5,8 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.core.checks import CheckedMotion
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, distance, integrate
 from kinfeas.testing.trial import Trial
@@ -27,7 +29,8 @@ RULES = {
     "velocity": "the speed is within its limit",
     "angular_velocity": "the angular speed is within its limit",
     "goal": "the goal is constant while the target is",
-    "arrival": "every motion reaches its goal in time",
+    "end": "motions that have ended stay at their goal",
+    "arrival": "every motion reaches its goal in time, and ends",
 }
 """Descriptions of the rules."""
 
@@ -83,14 +86,17 @@ def run_trial(probe: Probe, on_step: Callable[[], None] | None = None) -> None:
     """
     ee_pose, targets = probe.trial.poses()
     state, steps_seen = _check_start(probe, ee_pose, targets), []
+    goal, ended = probe.motion.goal_pose(state, targets), np.zeros(len(targets), dtype=np.bool_)
     steps = probe.trial.steps
     full = set((np.geomspace(1, steps, _FULL_CHECKS).astype(int) - 1).tolist())
     for step in range(steps):
         if step in full:
             steps_seen.append(_check_step(probe, state, ee_pose, targets))
             _check_restart(probe, steps_seen, targets)
+        ended |= probe.motion.finished(state, targets) & _within(1.0, ee_pose, goal)
         twist, state = probe.twist(state, ee_pose, targets)
         ee_pose = integrate(ee_pose, twist, probe.trial.dt)
+        _check_end(probe, ended & ~_within(2.0, ee_pose, goal))
         if on_step is not None:
             on_step()
     _check_arrival(probe, ee_pose, targets, (steps_seen[0].state, state))
@@ -180,6 +186,23 @@ def _check_restart(probe: Probe, seen: list[_Step], targets: Array) -> None:
     )
 
 
+def _within(tolerances: float, ee_pose: Array, goal: Array) -> NDArray[np.bool_]:
+    """Return whether EEs are within some times the tolerances of success of their goals, (n,)."""
+    metres, radians = distance(ee_pose, goal)
+    within: NDArray[np.bool_] = metres <= tolerances * GOAL_METRES
+    return within & (radians <= tolerances * GOAL_RADIANS)
+
+
+def _check_end(probe: Probe, left: NDArray[np.bool_]) -> None:
+    """Check that no motion has left its goal after its end, shape (n,)."""
+    probe.require(
+        not left.any(),
+        "end",
+        f"leaves its goal_pose again after its end (motion {int(np.argmax(left))}); a motion along "
+        "a path of its own needs the method finished, which must be true at the end of it only",
+    )
+
+
 def _check_arrival(
     probe: Probe, ee_pose: Array, targets: Array, states: tuple[State, State]
 ) -> None:
@@ -197,6 +220,12 @@ def _check_arrival(
         f"ends {metres[row]:.3f} m and {np.rad2deg(radians[row]):.1f} degrees from its goal_pose "
         f"after {probe.trial.duration:g} s (motion {row}); at most {_ARRIVED_METRES} m and "
         f"{_ARRIVED_DEGREES:g} degrees are allowed",
+    )
+    going = ~probe.motion.finished(states[1], targets)
+    probe.require(
+        not going.any(),
+        "arrival",
+        f"has not finished after {probe.trial.duration:g} s (motion {int(np.argmax(going))})",
     )
 
 

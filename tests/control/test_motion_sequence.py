@@ -8,6 +8,7 @@ from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
+from kinfeas.plugins.waypoints import Waypoints
 from tests.builders import random_poses
 
 
@@ -229,3 +230,30 @@ def test_randomness_differs_between_rows_and_subgoals(robot):
     first = sequence.goal
     sequence.advance(np.ones(2, dtype=bool))
     assert len(np.unique(np.concatenate([first, sequence.goal])[:, 0])) == 4
+
+
+def test_the_rest_of_a_closed_path_is_looked_at_to_its_end_and_resumes_there(robot, tmp_path):
+    angle = np.linspace(0.0, 2.0 * np.pi, 17)
+    rows = [[0.1 * np.cos(a) - 0.1, 0.1 * np.sin(a), 0, 0, 0, 0, 1] for a in angle]
+    file = tmp_path / "circle.yaml"
+    file.write_text(f"poses: {np.array(rows).tolist()}")
+    circle = [SubgoalMotion(Waypoints(file=str(file)))] * 2
+    sequence = MotionSequence(circle, IkSolver(robot), HORIZON)
+    there = random_poses(2)
+    sequence.start(there, np.stack([there, there], axis=1), rngs(range(2)))
+    near = np.ones(2, dtype=bool)
+    for row, ahead in enumerate(sequence.to_the_end(np.arange(2))):
+        assert np.linalg.norm(ahead[:, :3] - there[row, :3], axis=1).max() > 0.19
+    assert not sequence.ended(near).any()
+    again, ends = MotionSequence(circle, IkSolver(robot), HORIZON), []
+    for step in range(200):
+        if step == 50:
+            again.restore(sequence.snapshot())
+        for one in (sequence, again) if step >= 50 else (sequence,):
+            one.move(one.plan(HORIZON))
+        ends.append(sequence.ended(near))
+        if step >= 50:
+            np.testing.assert_array_equal(again.ended(near), ends[-1])
+    assert not ends[40].any()
+    assert ends[-1].all()
+    assert not sequence.ended(~near).any()

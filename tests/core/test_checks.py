@@ -113,7 +113,7 @@ def test_answers_are_checked_after_each_start_or_at_every_step():
     motion = CheckedMotion(generator)
     state = start(motion)
     motion.twist(state, POSES, POSES, DT)
-    generator.answers["twist"] = (ZERO * np.nan, STATE)
+    generator.answers["twist"] = (ZERO, {"clock": ZERO})
     motion.twist(state, POSES, POSES, DT)
     start(motion)
     with pytest.raises(ConformanceError):
@@ -121,8 +121,20 @@ def test_answers_are_checked_after_each_start_or_at_every_step():
     generator.answers["twist"] = (ZERO, STATE)
     strict = CheckedMotion(generator, every_step=True)
     strict.twist(start(strict), POSES, POSES, DT)
-    generator.answers |= {"twist": (ZERO * np.nan, STATE), "goal": POSES * np.nan}
+    generator.answers["twist"] = (ZERO, {"clock": ZERO})
     with pytest.raises(ConformanceError):
         strict.twist(state, POSES, POSES, DT)
-    with pytest.raises(ConformanceError):
-        strict.goal_pose(state, POSES)
+
+
+def test_poses_and_twists_that_are_not_finite_name_the_generator_at_each_step():
+    generator = Answers()
+    motion = CheckedMotion(generator, "mine")
+    state = start(motion)
+    motion.twist(state, POSES, POSES, DT)
+    generator.answers |= {"twist": (ZERO * np.nan, STATE), "goal": POSES * np.nan}
+    for method in (
+        lambda: motion.twist(state, POSES, POSES, DT),
+        lambda: motion.goal_pose(state, POSES),
+    ):
+        with pytest.raises(ConformanceError, match="generator mine"):
+            method()

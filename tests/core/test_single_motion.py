@@ -46,6 +46,21 @@ def test_each_row_is_the_single_motion(n):
     assert np.array_equal(after["steps"], np.ones(n))
 
 
+def test_a_motion_with_an_end_of_its_own_says_row_by_row_when_it_is_there():
+    class Timed(Approach):
+        def finished(self, state, target_pose):
+            return state["steps"] >= 2
+
+    generator = batched(Timed)()
+    start, target = random_poses(3, 0), random_poses(3, 1)
+    state = generator.start(start, target, rngs(3))
+    finished = generator.finished({**state, "steps": np.array([0.0, 2.0, 1.0])}, target)
+    assert finished.dtype == np.bool_
+    assert finished.tolist() == [False, True, False]
+    assert generator.finished({}, np.zeros((0, 7))).shape == (0,)
+    assert not hasattr(Batched(), "finished")
+
+
 class Straight:
     """Needs no state: the target is an input of each call."""
 

@@ -171,3 +171,35 @@ def test_waypoints_are_those_of_the_world(robot, solver, task):
     for row in range(2):
         missed = found[row][:, np.newaxis] - np.array(seen)[:, row]
         assert np.all(np.abs(missed).max(axis=2).min(axis=1) == 0.0)
+
+
+CIRCLE = [
+    [r * (np.cos(a) - 1.0), r * np.sin(a)] for r, a in ((0.15, a / 4 * np.pi) for a in range(9))
+]
+DETOUR = [[-0.3, 0.0], [-0.01, 0.0], [-0.3, 0.3], [0.0, 0.0]]
+
+
+@pytest.mark.parametrize(("generator", "path", "farthest"), [
+    ("waypoints", CIRCLE, 0.3), ("waypoints", DETOUR, 0.4), ("replay", CIRCLE, 0.3),
+])  # fmt: skip
+def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator, path, farthest):
+    prefix = "ee_" if generator == "replay" else ""
+    names = [prefix + name for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    rows = [f"{5.0 * i},{x},{y},0,0,0,0,1" for i, (x, y) in enumerate(path)]
+    (tmp_path / "path.csv").write_text("\n".join([",".join(["time", *names]), *rows]) + "\n")
+    (tmp_path / "task.yaml").write_text(
+        "name: wipe\nstart: {square: 0.5}\nplaces: {spot: {position: [1.0, 0.0, 0.8]}}\n"
+        "subgoals:\n- {place: spot}\n- {place: spot, motion: {generator: "
+        f"{generator}, parameters: {{file: path.csv}}}}}}\n"
+    )
+    chosen, policy = prepare("pretrained", "hsr", str(tmp_path / "task.yaml"), episodes=2, seed=1)
+    world = World(chosen.robot, chosen.task, chosen.world, chosen.seed)
+    together = record_episodes(world, policy, 2)
+    alone = record_episodes(world, policy, 1, first=1)[0]
+    np.testing.assert_array_equal(together[1].desired, alone.desired)
+    for one in together:
+        away = spatial.distance(one.desired, np.broadcast_to(one.goal, one.desired.shape))[0]
+        arrival = int(np.argmax(away < 0.03))
+        assert one.reached
+        assert away[arrival:].max() == pytest.approx(farthest, abs=0.03)
+        assert away[-1] < 0.03

@@ -115,3 +115,10 @@ def files(tmp_path_factory):
     write_demonstration(SHOWN, folder / "shown.csv")
     waypoints = write_waypoints(folder / "waypoints.csv")
     return {"shown": str(folder / "shown.csv"), "waypoints": waypoints}
+
+
+def circle(poses=33, radius=0.15):
+    """Return the waypoints of a circle that begins and ends at the target."""
+    angle = np.linspace(0.0, 2.0 * np.pi, poses)
+    x, y = radius * (np.cos(angle) - 1.0), radius * np.sin(angle)
+    return np.stack([x, y, *0.0 * np.stack([x] * 4), np.ones(poses)], axis=1)

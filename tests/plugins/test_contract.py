@@ -7,10 +7,22 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import FollowsPath
 from kinfeas.core.spatial import IDENTITY, compose, integrate, make_pose, relative
+from kinfeas.io.demonstrations import Demonstration, write_demonstration
 from kinfeas.testing import check_motion_generator
-from tests.builders import assert_near
-from tests.plugins.conftest import DT, SHOWN, WAYPOINTS, apart, run, speeds, starts_and_targets
+from tests.builders import assert_near, rngs
+from tests.plugins.conftest import (
+    DT,
+    SHOWN,
+    WAYPOINTS,
+    apart,
+    circle,
+    run,
+    speeds,
+    starts_and_targets,
+    write_waypoints,
+)
 
 GROUP = "kinfeas.motion_generators"
 TARGET_FRAMES = ("goal", "object")
@@ -121,6 +133,49 @@ def test_moves_with_its_target_or_stays_in_the_world(generator, case):
         start = integrate(start, twist, DT)
     metres, radians = apart(start, generator.goal_pose(state, now))
     assert max(metres.max(), radians.max()) < 1e-6
+
+
+OWN_PATH = ("planned", "imitation", "gaussian_mixture", "waypoints", "replay")
+
+
+def test_motions_with_a_path_of_their_own_are_finished_at_its_end_for_good(generator, case):
+    assert isinstance(generator, FollowsPath) == (case.name in OWN_PATH)
+    if case.name not in OWN_PATH:
+        return
+    start, target = starts_and_targets(6, 3)
+    start[0] = generator.goal_pose(generator.start(start, target, [None] * 6), target)[0]
+    seen = []
+
+    def finished(i, state, poses):
+        seen.append(generator.finished(state, target))
+        near = apart(poses, generator.goal_pose(state, target))
+        assert np.all(~seen[-1] | (case.name == "gaussian_mixture") | (near[0] < 0.05))
+        return state
+
+    run(generator, start, target, 130.0, on_step=finished)
+    assert np.all(np.diff(np.array(seen, dtype=int), axis=0) >= 0)
+    assert np.all(seen[-1])
+    assert not seen[0][1:].any()
+
+
+@pytest.mark.parametrize("name", ["waypoints", "replay", "spline"])
+def test_a_closed_path_passes_the_check_and_is_not_finished_where_it_begins(name, tmp_path):
+    given = {}
+    if name == "waypoints":
+        given["file"] = write_waypoints(tmp_path / "circle.csv", circle())
+    elif name == "replay":
+        time = np.linspace(0.0, 12.0, 33)
+        given["file"] = str(tmp_path / "circle.csv")
+        here = np.tile(IDENTITY, (33, 1))
+        write_demonstration(Demonstration(time, circle(), here, here), tmp_path / "circle.csv")
+    generator = registry.build(GROUP, name, given)
+    check_motion_generator(generator)
+    target = starts_and_targets(1, 1)[1]
+    state = generator.start(target, target, rngs(1))
+    assert not generator.finished(state, target)[0]
+    poses, _, state = run(generator, target, target, 40.0, state=state)
+    assert generator.finished(state, target)[0]
+    assert apart(poses[:, 0], target)[0].max() > 0.1
 
 
 ENDS = {"waypoints": WAYPOINTS[-1], "replay": SHOWN.ee_pose[-1]}

@@ -32,6 +32,9 @@ def write(tmp_path):
     return make
 
 
+FIXED = {"object": "pick_table", "link": "table"}
+
+
 def approach(targets):
     """Return the approach axes of the gripper in the world, (n, 3)."""
     return rotation(targets).as_matrix()[:, :, 0]
@@ -99,15 +102,18 @@ def test_parameters_change_their_own_entries_only():
 
 def test_files_are_found_beside_the_task_from_any_folder(write, tmp_path, monkeypatch):
     motion = "motion: {generator: waypoints, parameters: {file: way.yaml}}"
-    scene = "scene: {name: kitchen.yaml, success: {object: box, joint: lid}}"
+    scene = "scene: {name: kitchen.yaml, success: {object: chest, joint: slide, threshold: 0.1}}"
     path = write(f"subgoals: [{{place: cup, {motion}}}]", scene)
     (tmp_path / "way.yaml").touch()
     (tmp_path / "elsewhere").mkdir()
+    for name in ("kitchen.yaml", "other.yaml"):
+        text = "objects: {chest: {urdf: shelf_with_drawer.urdf, position: [2, 0, 0]}}"
+        (tmp_path / "elsewhere" / name).write_text(f"name: kitchen\nsize: [9, 9]\n{text}")
     monkeypatch.chdir(tmp_path / "elsewhere")
     task = read_chain(path)
     assert task.subgoals[0].motion.parameters == {"file": str(tmp_path / "way.yaml")}
     assert task.scene.name == "kitchen.yaml"  # not there: searched in the current folder
-    assert read_chain(path, {"scene": {"name": "way.yaml"}}).scene.name == "way.yaml"
+    assert read_chain(path, {"scene": {"name": "other.yaml"}}).scene.name == "other.yaml"
 
 
 @pytest.mark.parametrize(("line", "key"), [
@@ -119,8 +125,9 @@ def test_files_are_found_beside_the_task_from_any_folder(write, tmp_path, monkey
     ("places: {cup: {position: [1, 2, 3]}, cp: {position: [1, 2, 3]}}", r"places\.cp"),
     ("colour: red", "colour"),
     ("scene: {name: room, success: {object: box}}", "parent"),
+    ("scene: {name: rom, success: {object: box, parent: door_base}}", "rom.*'room'"),
     (
-        "scene: {name: a, success: {object: b, parent: a}, moves: {b: {place: tea}}}",
+        "scene: {name: room, success: {object: box, parent: walls}, moves: {box: {place: tea}}}",
         r"scene\.moves\.b\.place",
     ),
 ])  # fmt: skip
@@ -172,3 +179,45 @@ def test_a_file_extends_another(write, tmp_path):
     (tmp_path / "more.yaml").write_text("extends: task.yaml\nname: more\nstart: {square: 0.5}\n")
     more = read_chain(tmp_path / "more.yaml")
     assert more == replace(base, name="more", start=replace(base.start, square=0.5))
+
+
+@pytest.mark.parametrize(("name", "changes", "key"), [
+    ("door", {"success": {"object": "x"}}, "success.object"),
+    ("door", {"success": {"joint": "x"}}, "success.joint"),
+    ("door", {"success": {"threshold": 2.0}}, "success.threshold"),
+    ("door", {"success": {"threshold": -1.0}}, "success.threshold"),
+    ("door", {"grasped_object": {"object": "x"}}, "grasped_object.object"),
+    ("door", {"grasped_object": {"link": "x"}}, "grasped_object.link"),
+    ("pick_place", {"success": {"parent": "tabel"}}, "success.parent"),
+    ("pick_place", {"success": {"parent": "box"}}, "success.parent"),
+    ("pick_place", {"moves": {"bax": {"place": "table"}}}, "moves.bax"),
+    ("pick_place", {"grasped_object": FIXED}, "grasped_object"),
+])  # fmt: skip
+def test_a_task_needs_the_objects_of_its_scene(name, changes, key):
+    with pytest.raises(KinfeasError, match=f"'scene.{key}'"):
+        load_task(name, {"scene": changes})
+
+
+def test_a_handle_of_the_scene_is_a_place(write, sample):
+    scene = "scene: {name: room, success: {object: door_shelf, joint: hinge, threshold: 1}}"
+    task = read_chain(write("places: {}", "subgoals: [{place: door, frame: tip}]", scene))
+    np.testing.assert_allclose(
+        sample(task, 2).target_poses[:, 0], sample(door(), 2).target_poses[:, 0]
+    )
+    with pytest.raises(KinfeasError, match=r"subgoals\.0\.place.*'doro'.*door.*drawer"):
+        read_chain(write("places: {}", "subgoals: [{place: doro}]", scene))
+
+
+def test_a_handle_moves_with_its_object(write, sample, uniform):
+    scene = "scene: {name: room, success: {object: drawer_shelf, joint: slide, threshold: 0.1}, "
+    scene += "moves: {drawer_shelf: {place: cup, turn: 3.141592653589793}}}"
+    places = "places: {cup: {position: [[1, 2], 0, 0.445]}}"
+    subgoals = "subgoals: [{place: drawer}, {place: cup}]"
+    drawn = sample(read_chain(write(places, subgoals, scene)), 50).target_poses
+    assert uniform(drawn[:, 1, 0], 1.0, 2.0)
+    away = drawn[:, 0, :3] - drawn[:, 1, :3]
+    np.testing.assert_allclose(away, np.tile([-0.19, -0.015, 0.08], (50, 1)), atol=1e-3)
+    with pytest.raises(KinfeasError, match=r"scene\.moves\.drawer_shelf\.place"):
+        read_chain(
+            write("places: {}", "subgoals: [{place: drawer}]", scene.replace("cup", "drawer"))
+        )

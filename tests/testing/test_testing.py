@@ -106,6 +106,32 @@ def leave(twist, state):
     return twist, state
 
 
+def with_finished(finished):
+    class Changed(Good):
+        def finished(self, state, target_pose):
+            return finished(state["time"])
+
+    return Changed
+
+
+class Circle(Good):
+    """Goes to the goal, then once around a circle that begins and ends there."""
+
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, after = super().twist(state, ee_pose, target_pose, dt)
+        turn = 2.0 * np.pi * np.clip((state["time"] - 80.0) / 20.0, 0.0, 1.0)
+        around = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+        begun = (turn > 0.0) & (turn < 2.0 * np.pi)
+        twist[begun, :3] = 0.08 * around[begun]
+        twist[begun, 3:] = 0.0
+        return twist, after
+
+
+class FinishedCircle(Circle):
+    def finished(self, state, target_pose):
+        return state["time"] >= 100.0
+
+
 TooFast = after_twist(lambda twist, state: (twist * [2, 2, 2, 1, 1, 1], state))
 TurnsTooFast = after_twist(lambda twist, state: (twist * [1, 1, 1, 2, 2, 2], state))
 TwistOfWrongShape = after_twist(lambda twist, state: (twist[:, :3], state))
@@ -132,7 +158,11 @@ BAD = {
     "too fast": ("velocity", TooFast),
     "turns too fast": ("angular_velocity", TurnsTooFast),
     "never arrives": ("arrival", after_twist(lambda twist, state: (twist * 0.01, state))),
-    "leaves again": ("arrival", after_twist(leave)),
+    "leaves again": ("end", after_twist(leave)),
+    "circle without an end": ("end", Circle),
+    "never finished": ("arrival", with_finished(lambda time: time < 0.0)),
+    "finished as numbers": ("form", with_finished(lambda time: time)),
+    "finished for all": ("form", with_finished(lambda time: True)),
 }
 
 
@@ -179,3 +209,9 @@ def test_examine_reports_exceptions(error):
     form = examine(Raises())[0]
     assert form.broken.startswith(f"motion generator Raises raises {type(error).__name__}")
     assert "test_testing.py, line" in form.broken
+
+
+def test_a_motion_that_passes_its_goal_says_when_it_is_finished():
+    check_motion_generator(FinishedCircle())
+    findings = examine(Circle())
+    assert [one.rule for one in findings if one.broken] == ["end"]

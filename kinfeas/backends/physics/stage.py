@@ -11,7 +11,7 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.tasks.chain import ChainTask, check_task
+from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import StreamTask, Subgoal, Task
 
 _DRAWS = 1000
@@ -93,10 +93,13 @@ class Stage:
         backend.furniture = 0
         if self._chain and self.scene and self._chain.clutter is not None:
             backend.furniture = self._chain.solids_of(self.scene).places
-        if self._known and self.scene:
-            check_task(self.name, self._known, self.scene, backend.robot)
-            if grasped := self._known.grasped_object:
-                backend.handle(grasped.object, grasped.link, rigid=not grasped.revolute)
+        if self._known and (grasped := self._known.grasped_object):
+            if backend.robot.gripper is None:
+                raise KinfeasError(
+                    f"task {self.name!r} grasps an object, and robot {backend.robot.name!r} has no "
+                    "gripper: its YAML lacks 'gripper'"
+                )
+            backend.handle(grasped.object, grasped.link, rigid=not grasped.revolute)
 
     @property
     def name(self) -> str:
