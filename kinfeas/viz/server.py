@@ -17,7 +17,6 @@ from io import StringIO
 from ipaddress import ip_address
 from typing import Any
 from unittest.mock import patch
-from urllib.parse import urlsplit
 
 import numpy as np
 import viser
@@ -60,12 +59,12 @@ class Access:
         Origin; under a domain name that it points here, they have that name as Host. It can link
         to the page, but a query would make viser's client run another server's messages.
         """
-        host = request.headers.get("Host", "").lower()
-        origin = request.headers.get("Origin")  # none in programs, and if one opens the page
+        host = ",".join(request.headers.get_all("Host")).lower()
+        origins = request.headers.get_all("Origin")  # none in programs, and if one opens the page
         path, _, query = request.path.partition("?")
         return (
             self._is_here(re.sub(r":\d+$", "", host))
-            and (origin is None or urlsplit(origin).netloc.lower() == host)
+            and all(origin.lower() in {f"http://{host}", f"https://{host}"} for origin in origins)
             and secrets.compare_digest(ascii(path.strip("/")), ascii(self._token))
             and query in {"", f"websocket=ws://{host}/{self._token}"}  # viser adds the second
         )
