@@ -183,7 +183,6 @@ def _show_episode(
     from kinfeas.envs.world import World
     from kinfeas.evaluation.recording import record_episodes
     from kinfeas.viz.episodes import EpisodeFilm, episodes_figure
-    from kinfeas.viz.pages import episode_html, physics_html
     from kinfeas.viz.physics_film import make_film
     from kinfeas.viz.style import png
 
@@ -194,7 +193,10 @@ def _show_episode(
             with status(f"episode {number}"):
                 physics_film = make_film(world, policy, number)
             _write_film(physics_film, video)
-            write_drawing(lambda: physics_html(physics_film).encode(), replay)
+            if replay is not None:
+                from kinfeas.viz.pages import physics_html
+
+                write_drawing(lambda: physics_html(physics_film).encode(), replay)
             recording = physics_film.recording
             if recording.solids is None:
                 _write_film(physics_film, picture)
@@ -204,7 +206,10 @@ def _show_episode(
                 (recording,) = record_episodes(world, policy, 1, first=number)
             film = EpisodeFilm(recording, f"{robot.name}, {chosen.task.name}", robot)
             _write_film(film, video)
-            write_drawing(lambda: episode_html(recording, robot).encode(), replay)
+            if replay is not None:
+                from kinfeas.viz.pages import episode_html
+
+                write_drawing(lambda: episode_html(recording, robot).encode(), replay)
     finally:
         world.close()
     write_drawing(lambda: png(episodes_figure(robot, [recording]), dpi=110), picture)

@@ -54,12 +54,14 @@ def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | 
     if picture is None and html is None:
         return
     from kinfeas.viz.episodes import as_recording, record_figure, scene_of
-    from kinfeas.viz.pages import episode_html
     from kinfeas.viz.style import png
 
     write_drawing(lambda: png(record_figure(run, robot), dpi=110), picture)
-    shown = as_recording(run, robot)
-    write_drawing(lambda: episode_html(shown, robot, scene_of(run), run.time).encode(), html)
+    if html is not None:
+        from kinfeas.viz.pages import episode_html
+
+        shown = as_recording(run, robot)
+        write_drawing(lambda: episode_html(shown, robot, scene_of(run), run.time).encode(), html)
 
 
 def _run_facts(run: "Record") -> dict[str, object]:
@@ -102,7 +104,6 @@ def _view_scene(
 ) -> None:
     from kinfeas.scenes.scene import read_scene
     from kinfeas.viz.figures import scene_figure
-    from kinfeas.viz.pages import scene_html
     from kinfeas.viz.style import png
 
     scene = read_scene(name, overrides)
@@ -110,7 +111,10 @@ def _view_scene(
     write_json(facts, json)
     print_facts(f"scene {scene.name}", facts)
     write_drawing(lambda: png(scene_figure(scene), dpi=110), picture)
-    write_drawing(lambda: scene_html(scene).encode(), html)
+    if html is not None:
+        from kinfeas.viz.pages import scene_html
+
+        write_drawing(lambda: scene_html(scene).encode(), html)
 
 
 def _scene_facts(scene: "Scene") -> dict[str, object]:

@@ -325,3 +325,19 @@ def build_backend(name: str, parameters: Mapping[str, object], **offered: object
         raise KinfeasError(f"backend {name!r}: the run sets the parameter {key!r}")
     backend: Backend = registry.build("kinfeas.backends", name, {**given, **parameters})
     return backend
+
+
+def build_simulator(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
+    """Return a simulated backend, for programs without guards; otherwise as `build_backend`.
+
+    Raises:
+        KinfeasError: Also if the backend moves a robot in real time; its class is not called.
+    """
+    factory = registry.load("kinfeas.backends", name)
+    real_time = isinstance(factory, type) and issubclass(factory, RealTimeBackend)
+    if not real_time:
+        backend = build_backend(name, parameters, **offered)
+        if not isinstance(backend, RealTimeBackend):
+            return backend
+        backend.close()
+    raise KinfeasError(f"backend {name!r} is for deployment; only simulators are possible here")

@@ -15,9 +15,8 @@ from kinfeas.control.adapters import chain, execution_of, with_adapters
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Step
-from kinfeas.core.backend import NeedsAbility, RealTimeBackend, build_backend
+from kinfeas.core.backend import NeedsAbility, build_simulator
 from kinfeas.core.checks import check_array
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import episode_rng, stacked
@@ -133,10 +132,7 @@ class World:
         """
         self.robot, self.config, self.seed = robot, config, seed
         self.solver = IkSolver(robot, config.ik)
-        self.backend = build_backend(config.backend, config.backend_parameters, robot=robot)
-        if isinstance(self.backend, RealTimeBackend):  # episodes have no guards
-            self.backend.close()
-            raise KinfeasError(f"backend {config.backend!r} is for deployment, not for episodes")
+        self.backend = build_simulator(config.backend, config.backend_parameters, robot=robot)
         self.task = task
         if isinstance(self.backend, SupportsTaskScenes):
             self.task = self.backend.stage(task)

@@ -14,10 +14,17 @@ from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.film import result
-from kinfeas.viz.server import serving
-from kinfeas.viz.shapes import link_poses, robot_parts, scene_solids, solid_shapes
+from kinfeas.viz.server import PageServer, serving
+from kinfeas.viz.shapes import (
+    corners,
+    link_poses,
+    robot_parts,
+    scene_solids,
+    solid_shapes,
+    surrounds,
+)
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
-from kinfeas.viz.viewer import draw, draw_floor, draw_scene, place, rgb
+from kinfeas.viz.viewer import aim, draw, draw_floor, draw_scene, place, rgb
 
 if TYPE_CHECKING:
     from kinfeas.viz.physics_film import PhysicsFilm
@@ -36,9 +43,10 @@ def scene_html(scene: Scene) -> str:
         for name, one in scene.objects.items()
         for joint in free_joints(one.urdf).values()
     }
-    with serving(scene.name) as server:
-        server.initial_camera.position = np.array([0.5, -0.8, 0.6]) * max(scene.size)
-        server.initial_camera.look_at = np.zeros(3)
+    with serving(f"kinfeas: {scene.name}") as server:
+        around = {name for name, one in scene.objects.items() if surrounds(scene, one)}
+        content = [solid for name, solid in scene_solids(scene) if name not in around]
+        aim(server, corners(content) if content else np.array([[*scene.size, 0.0], [0.0] * 3]))
         draw_floor(server, scene.size, 1.0)
         drawn = draw_scene(server, scene)
         film = server.get_scene_serializer()
@@ -51,8 +59,7 @@ def scene_html(scene: Scene) -> str:
             for one, (_, solid) in zip(drawn, moved, strict=True):
                 place(one, solid.shape.pose)
             film.insert_sleep(1.0 / _SCENE_RATE)
-        html: str = film.as_html()
-        return html
+        return server.titled(film.as_html())
 
 
 def episode_html(
@@ -67,7 +74,7 @@ def episode_html(
         return link_poses(robot, recording.base_pose[moment], recording.joint_positions[moment])
 
     shapes = [(link, shape, (BODY, ARM)[arm]) for link, shape, arm in robot_parts(robot)]
-    with serving(robot.name) as server:
+    with serving(f"kinfeas: {robot.name}") as server:
         if scene is not None:
             draw_scene(server, scene)
         return _play(server, recording, recording.times if times is None else times, shapes, poses)
@@ -80,7 +87,7 @@ def physics_html(film: "PhysicsFilm") -> str:
     def poses(moment: int) -> Mapping[Any, Array]:
         return dict(zip(film.links, film.moments[moment], strict=True))
 
-    with serving(film.title) as server:
+    with serving(f"kinfeas: {film.title}") as server:
         return _play(server, film.recording, film.recording.times, shapes, poses)
 
 
@@ -93,7 +100,7 @@ def moments(times: Array) -> NDArray[np.intp]:
 
 
 def _play(
-    server: Any,
+    server: PageServer,
     recording: Recording,
     times: Array,
     shapes: Iterable[tuple[Any, Shape, str | tuple[float, ...]]],
@@ -119,8 +126,7 @@ def _play(
             place(frame, now[key])
         label.visible = moment == shown[-1]
         film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
-    html: str = film.as_html()
-    return html
+    return server.titled(film.as_html())
 
 
 def _draw_paths(server: Any, recording: Recording) -> None:

@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +16,15 @@ from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.io.demonstrations import Demonstration, write_demonstration
+from kinfeas.io.files import writing
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.sim2real.servo.choice import DT, NONE, Choice
+from kinfeas.viz.server import PageServer
 from kinfeas.viz.shapes import corners, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
-from kinfeas.viz.viewer import DrawnRobot, draw_floor, draw_scene, rgb
+from kinfeas.viz.viewer import DrawnRobot, draw_floor, draw_scene, place, rgb
 
 if TYPE_CHECKING:
     from kinfeas.sim2real.servo.simulation import Episode
@@ -30,6 +33,8 @@ _STEPS_PER_FRAME = 2
 _FRAMES_PER_PLOT = 6
 _TRAIL = 500  # frames that paths and plots show
 _SECOND = "#e3d5c0", GOAL  # colours of the second robot
+_BESIDE = np.array([0.0, 1.6, 0.0])  # m, where the second robot is drawn
+_HELP = "**Drag the arrows and rings at the gripper**: base and arm follow."
 _NO_PLOTS = "<style>@media (max-width: 36em) {.uplot-container {display: none}}</style>"
 """Hides plots where the controls lie below the picture, as on phones."""
 _LOW = 0.5  # m, height of the parts that make the footprint of a base
@@ -62,11 +67,17 @@ class _Trail:
 
 
 class _Shown:
-    """A robot in the page with its paths and footprint."""
+    """A robot in the page with its paths and footprint, all below the node `root`."""
 
-    def __init__(self, server: Any, name: str, robot: Robot, episode: "Episode", second: bool):
+    def __init__(
+        self, server: Any, name: str, robot: Robot, policy: str, episode: "Episode", second: bool
+    ) -> None:
         colours = _SECOND if second else (BODY, ARM)
-        self._episode, self.failures = episode, 0
+        self._episode, self._failures, self._name = episode, 0, f"{robot.name}, {policy}"
+        self.root = server.scene.add_frame(name, show_axes=False)
+        self._target = server.scene.add_frame(
+            f"{name}/target", axes_length=0.2, axes_radius=0.008, visible=second
+        )
         self._robot = DrawnRobot(server, f"{name}/robot", robot, colours)
         starts = {BASE: episode.base_pose, DESIRED: episode.ee_pose, EE: episode.ee_pose}
         self._base, self._desired, self._ee = (
@@ -78,6 +89,7 @@ class _Shown:
             f"{name}/footprint", np.stack([outline, np.roll(outline, -1, axis=0)], axis=1),
             rgb(colours[1] if second else BASE), thickness=3.0, thickness_units="screen",
         )  # fmt: skip
+        server.scene.add_label(f"{name}/footprint/label", self._name)
         self.times: deque[float] = deque(maxlen=_TRAIL)
         self.deviations: deque[float] = deque(maxlen=_TRAIL)
         self.speeds: deque[Array] = deque(maxlen=_TRAIL)
@@ -86,11 +98,20 @@ class _Shown:
     def note(self) -> None:
         """Note whether the last step of the episode failed."""
         self._failed |= not self._episode.feasible
-        self.failures += not self._episode.feasible
+        self._failures += not self._episode.feasible
 
-    def draw(self) -> None:
-        """Show the state of the episode."""
+    def report(self) -> str:
+        """Return how the arm keeps up, in words."""
+        scale = float(self._episode.loop.time_scale[0])
+        reached = "the arm reached every pose"
+        if self._failures:
+            reached = f"{self._failures} poses were out of the arm's reach"
+        return f"**{self._name}**: {reached}" + (f", slowed to {scale:.0%}" * (scale < 1.0))
+
+    def draw(self, target: Array) -> None:
+        """Show the state of the episode, and the target of a robot that stands beside it."""
         episode = self._episode
+        place(self._target, target)
         self._robot.move(episode.base_pose, episode.joint_positions)
         self._outline.position = [*episode.base_pose[:2], 0.01]
         self._outline.wxyz = np.roll(episode.base_pose[3:], 1)
@@ -117,7 +138,7 @@ class PlayPage:
         frames: Number of frames that were sent.
     """
 
-    def __init__(self, server: Any, choice: Choice, folder: Path) -> None:
+    def __init__(self, server: PageServer, choice: Choice, folder: Path) -> None:
         """Draw robot and scene of a choice; `start` adds what moves them.
 
         Demonstrations are written to `folder`.
@@ -128,8 +149,11 @@ class PlayPage:
         self._shown: list[_Shown] = []
         self._plots: list[Any] = []
         self._samples: list[tuple[float, Array, Array]] | None = None
+        self._recording = False
         self._held, self._paused, self.frames = False, False, 0
-        server.gui.configure_theme(control_layout="floating", show_logo=False)
+        server.gui.configure_theme(
+            control_layout="floating", show_logo=False, show_share_button=False
+        )
         server.initial_camera.position = np.array([1.9, -2.1, 1.9])
         server.initial_camera.look_at = np.array([0.2, 0.0, 0.7])
         server.on_client_connect(_make_room)
@@ -152,7 +176,7 @@ class PlayPage:
         return np.concatenate([self.handle.position, np.roll(self.handle.wxyz, -1)])
 
     def start(self) -> None:
-        """Build the episodes of the choice."""
+        """Build the episodes of the choice; raise KinfeasError if that is impossible."""
         self._build(self.choice)
         self._first.remove()
 
@@ -179,33 +203,49 @@ class PlayPage:
             self._sample()
         with self.server.atomic():
             for shown in self._shown:
-                shown.draw()
+                shown.draw(target)
             if self.frames % _FRAMES_PER_PLOT == 0:
                 self._draw_plots()
         self.frames += 1
 
     def close(self) -> None:
-        """End all episodes."""
+        """Save the recording and end all episodes; raise KinfeasError if it cannot be saved."""
         for one in self._episodes:
             one.close()
         self._episodes = []
+        if self._samples:
+            self._write(self._samples)
 
     def record(self) -> None:
-        """Begin a recording, or end it and write the demonstration."""
-        if self._samples is None:
-            self._samples, self._record.label = [], "Stop and save"
-            self._status.content = "recording"
+        """Begin a recording, or end and save it."""
+        if self._samples is not None:
+            self.save()
             return
-        samples, self._samples, self._record.label = self._samples, None, "Record"
-        self._folder.mkdir(parents=True, exist_ok=True)
-        numbers = (self._folder / f"{number:03}.csv" for number in range(1, 10_000))
-        path = next(path for path in numbers if not path.exists())
+        self._samples, self._recording = [], True
+        self._record.label, self._message.content = "Stop and save", "Recording."
+
+    def save(self) -> None:
+        """End the recording and write the demonstration; keep it if that is impossible."""
+        if self._samples is None:
+            return
+        self._recording = False
         try:
-            write_demonstration(self._demonstration(samples), path)
+            saved = self._write(self._samples)
         except KinfeasError as error:
-            self._status.content = f"**{error}**"
+            self._record.label = "Save again"
+            self._message.content = f"**The recording is not saved yet**: {error}"
         else:
-            self._status.content = f"saved {path}"
+            self._samples, self._record.label, self._message.content = None, "Record", saved
+
+    def _write(self, samples: list[tuple[float, Array, Array]]) -> str:
+        if len(samples) < 2:
+            return "Nothing moved, so nothing is saved."
+        with writing(self._folder):
+            self._folder.mkdir(parents=True, exist_ok=True)
+        numbers = (self._folder / f"{number:03}.csv" for number in count(1))
+        path = next(path for path in numbers if not path.exists())
+        write_demonstration(self._demonstration(samples), path)
+        return f"Saved {path}."
 
     def _demonstration(self, samples: list[tuple[float, Array, Array]]) -> Demonstration:
         """Return the motion of the tool tip; the object's frame is its last pose."""
@@ -217,7 +257,7 @@ class PlayPage:
     def _sample(self) -> None:
         from kinfeas.control.execution import tool_pose
 
-        if self._samples is not None:
+        if self._recording and self._samples is not None:
             episode = self._episodes[0]
             tool = spatial.compose(episode.ee_pose, tool_pose(self._robot))
             self._samples.append((episode.seconds, tool, episode.base_pose.copy()))
@@ -225,7 +265,8 @@ class PlayPage:
     def _add_controls(self) -> None:
         gui, choice = self.server.gui, self.choice
         gui.add_html(_NO_PLOTS)
-        self._status = gui.add_markdown("loading")
+        gui.add_markdown(_HELP)
+        self._status, self._message = gui.add_markdown("Loading."), gui.add_markdown("")
         pause = gui.add_button("Pause")
         reset = gui.add_button("Reset")
         self._record = gui.add_button("Record")
@@ -246,25 +287,31 @@ class PlayPage:
             "scene": [NONE, "room"],
         }
         inputs, boxes = {}, {}
-        with gui.add_folder("Choice", expand_by_default=False):
+        with gui.add_folder("Settings", expand_by_default=False):
             for key, known in options.items():
                 value = getattr(choice, key)
                 names = list(dict.fromkeys([*known, value]))
                 label = key.replace("_", " ")
                 inputs[key] = gui.add_dropdown(label, names, initial_value=value)
+            self._beside = gui.add_checkbox("side by side", True)
+            gui.add_markdown("Command filters:")
             for name in dict.fromkeys([*choice.filters, *registry.names("kinfeas.filters")]):
                 boxes[name] = gui.add_checkbox(name, name in choice.filters)
 
         def change() -> None:
             filters = tuple(sorted((n for n, box in boxes.items() if box.value), key=_order))
             chosen = {key: one.value for key, one in inputs.items()}
-            self._build(Choice(**chosen, filters=filters))
+            try:
+                self._build(Choice(**chosen, filters=filters))
+            except (KinfeasError, ImportError) as error:
+                self._message.content = f"**{error}**"
 
+        self._beside.on_update(lambda _: self._tasks.put(self._arrange))
         for one in (*inputs.values(), *boxes.values()):
             one.on_update(lambda _: self._tasks.put(change))
 
     def _build(self, choice: Choice) -> None:
-        """Replace the episodes; keep them if those of the choice cannot be built."""
+        """Save the recording and replace the episodes; keep all if new ones cannot be built."""
         from kinfeas.sim2real.servo.simulation import Episode  # after the first picture
 
         if self._episodes and choice == self.choice:
@@ -276,20 +323,24 @@ class PlayPage:
             for policy in (choice.policy, choice.second_policy):
                 if policy != NONE:
                     fresh.append(Episode(choice, policy, robot, scene))
-        except (KinfeasError, ImportError) as error:
+        except BaseException:
             for one in fresh:
                 one.close()
-            self._status.content = f"**{error}**"
-            return
-        self.close()
+            raise
+        self._message.content = ""
+        self.save()
+        for one in self._episodes:
+            one.close()
         if choice.scene != self.choice.scene:
             for drawn in self._scene:
                 drawn.remove()
             self._scene = self._draw_scene(choice.scene)
         self._episodes, self.choice, self._robot = fresh, choice, robot
+        self.server.rename(f"kinfeas: {robot.name}")
         self._show()
 
     def _reset(self) -> None:
+        self.save()
         for one in self._episodes:
             one.restart()
         self._show()
@@ -299,17 +350,23 @@ class PlayPage:
         for number in range(2):
             with suppress(KeyError):
                 self.server.scene.remove_by_name(f"/robots/{number}")
-        self._samples, self._record.label, self._status.content = None, "Record", ""
+        policies = (self.choice.policy, self.choice.second_policy)
         self._shown = [
-            _Shown(self.server, f"/robots/{number}", self._robot, episode, second=number > 0)
-            for number, episode in enumerate(self._episodes)
+            _Shown(self.server, f"/robots/{number}", self._robot, policy, episode, number > 0)
+            for number, (policy, episode) in enumerate(zip(policies, self._episodes, strict=False))
         ]
+        self._arrange()
         pose = self._episodes[0].ee_pose
         self.handle.position, self.handle.wxyz = pose[:3], np.roll(pose[3:], 1)
         self.handle.visible = True
         for shown in self._shown:
-            shown.draw()
+            shown.draw(pose)
         self._add_plots()
+
+    def _arrange(self) -> None:
+        """Draw the second robot beside the first, or where it is."""
+        for shown in self._shown[1:]:
+            shown.root.position = _BESIDE * self._beside.value
 
     def _draw_scene(self, name: str) -> list[Any]:
         scene = None if name == NONE else read_scene(name)
@@ -347,10 +404,9 @@ class PlayPage:
         times = np.array(first.times)
         self._plots[0].data = (times, *(np.array(one.deviations) for one in self._shown))
         self._plots[1].data = (times, *np.ascontiguousarray(np.array(first.speeds).T))
-        if self._samples is None and not self._status.content.startswith(("saved", "**")):
-            scale = float(self._episodes[0].loop.time_scale[0])
-            failed = ", ".join(str(one.failures) for one in self._shown)
-            self._status.content = f"infeasible steps: {failed}; time scale {scale:g}"
+        status = "\n\n".join(shown.report() for shown in self._shown)
+        if status != self._status.content:
+            self._status.content = status
 
 
 def _make_room(client: Any) -> None:
@@ -375,8 +431,8 @@ def _footprint(robot: Robot) -> Array:
     return np.column_stack([outline, np.zeros(len(outline))])
 
 
-def play(server: Any, choice: Choice, folder: Path) -> None:
-    """Fill a page and run it until Ctrl-C."""
+def play(server: PageServer, choice: Choice, folder: Path) -> None:
+    """Fill a page and run it until Ctrl-C; raise KinfeasError if its choice cannot be built."""
     page = PlayPage(server, choice, folder)
     try:
         page.start()

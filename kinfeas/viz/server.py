@@ -1,20 +1,208 @@
-"""The server of a page; quick to import, so that browsers load the page meanwhile."""
+"""The server of a page, which answers that page alone.
 
+viser accepts websockets from every web site, sets any attribute of a control to any value, can
+publish the page through a tunnel, and searches for a free port without end.
+"""
+
+import errno
+import os
+import re
+import secrets
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
+from html import escape
+from http import HTTPStatus
 from io import StringIO
+from ipaddress import ip_address
 from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import viser
+import websockets.asyncio.server
+
+from kinfeas.config.quantities import FARTHEST
+from kinfeas.core.errors import KinfeasError
+
+_LOCAL = ("localhost", "127.0.0.1", "[::1]")
+_PORTS = 100  # tried from the asked one on
+_TITLE = "<title>Viser</title>"
+
+
+class Access:
+    """A bound address, and which requests to it come from its own page.
+
+    Attributes:
+        listener: Listening socket.
+        url: Address of the page; beyond this computer its path is a random token.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        """Listen at the port, or at the next free one; errors are those of `serving`."""
+        self.listener = _listen(host, port)
+        address, port = self.listener.getsockname()[:2]
+        bound = ip_address(address)
+        self._token = "" if bound.is_loopback else secrets.token_urlsafe(16)
+        self._any_address = bound.is_unspecified
+        shown = _own_address() if self._any_address else host
+        names = {*_LOCAL, _bracketed(host), _bracketed(address), _bracketed(shown)}
+        if self._any_address:
+            names |= {socket.gethostname(), f"{socket.gethostname()}.local"}
+        self._names = {name.lower() for name in names}
+        self.url = f"http://{_bracketed(shown)}:{port}/{self._token}".rstrip("/")
+
+    def allows(self, request: Any) -> bool:
+        """Return whether a request, also for a websocket, is one of the page or its reader.
+
+        A web site in the same browser reaches this address, too. Its websockets have its own
+        Origin; under a domain name that it points here, they have that name as Host. It can link
+        to the page, but a query would make viser's client run another server's messages.
+        """
+        host = ",".join(request.headers.get_all("Host")).lower()
+        origins = request.headers.get_all("Origin")  # none in programs, and if one opens the page
+        path, _, query = request.path.partition("?")
+        return (
+            self._is_here(re.sub(r":\d+$", "", host))
+            and all(origin.lower() in {f"http://{host}", f"https://{host}"} for origin in origins)
+            and secrets.compare_digest(ascii(path.strip("/")), ascii(self._token))
+            and query in {"", f"websocket=ws://{host}/{self._token}"}  # viser adds the second
+        )
+
+    def _is_here(self, name: str) -> bool:
+        if name in self._names:
+            return True
+        try:
+            ip_address(name.strip("[]"))
+        except ValueError:
+            return False
+        return self._any_address  # an address is no name that points elsewhere next time
+
+
+class PageServer(viser.ViserServer):
+    """A viser server that answers only its own page, and takes only what that page offers.
+
+    Attributes:
+        url: Address of the page.
+        title: Title of the window.
+    """
+
+    def __init__(self, title: str, host: str, port: int) -> None:
+        """Serve from now on; errors are those of `serving`."""
+        self.title, self._access, self._open = title, Access(host, port), False
+        self.url, serve = self._access.url, websockets.asyncio.server.serve
+        guarded = False
+
+        def serve_guarded(handler: Any, *_: Any, process_request: Any, **options: Any) -> Any:
+            nonlocal guarded
+            guarded = True
+
+            def respond(connection: Any, request: Any) -> Any:
+                return self._respond(process_request, connection, request)
+
+            listener = self._access.listener
+            return serve(handler, sock=listener, process_request=respond, **options)
+
+        # The constructor starts the server, and has no arguments for these two.
+        with patch.object(websockets.asyncio.server, "serve", serve_guarded):
+            super().__init__(host, port, title, verbose=False)
+        if not guarded:
+            raise RuntimeError("this version of viser serves in another way than 1.1.1")
+        receive = self._websock_server._handle_incoming_message
+
+        async def receive_offered(client_id: Any, message: Any) -> None:
+            if self._offers(message):
+                await receive(client_id, message)
+
+        setattr(self._websock_server, receive.__name__, receive_offered)
+        self._open = True
+
+    def rename(self, title: str) -> None:
+        """Change the title of the panel, and of windows opened from now on."""
+        self.title = title
+        self.gui.set_panel_label(title)
+
+    def titled(self, html: str) -> str:
+        """Return a page of viser with our title."""
+        return html.replace(_TITLE, f"<title>{escape(self.title)}</title>", 1)
+
+    def _respond(self, process_request: Any, connection: Any, request: Any) -> Any:
+        """Return the response to a request; None lets a websocket begin."""
+        if not (self._open and self._access.allows(request)):
+            text = "This page opens only at the address that kinfeas printed.\n"
+            return connection.respond(HTTPStatus.FORBIDDEN, text)
+        request.path = "/"
+        request.headers.pop("Accept-Encoding", None)  # for plain text with a title
+        response = process_request(connection, request)
+        if response is not None:
+            response.body = self.titled(response.body.decode()).encode()
+            del response.headers["Content-Length"]
+            response.headers["Content-Length"] = str(len(response.body))
+            response.headers["X-Frame-Options"] = "DENY"
+        return response
+
+    def _offers(self, message: Any) -> bool:
+        """Return whether a message is one of our controls: a click, a choice, a dragged handle."""
+        kind = type(message).__name__
+        if kind == "TransformControlsUpdateMessage":
+            position, wxyz = np.array(message.position, float), np.array(message.wxyz, float)
+            shaped = position.shape == (3,) and wxyz.shape == (4,)
+            unit = np.abs(np.linalg.norm(wxyz) - 1.0) < 1e-3
+            return bool(shaped and np.all(np.abs(position) < FARTHEST) and unit)
+        if kind != "GuiUpdateMessage":
+            return kind in {"TransformControlsDragStartMessage", "TransformControlsDragEndMessage"}
+        control: Any = self.gui._gui_input_handle_from_uuid.get(message.uuid)
+        if control is None or list(message.updates) != ["value"]:
+            return False
+        value = message.updates["value"]
+        if isinstance(control, viser.GuiDropdownHandle):
+            return value in control.options
+        return isinstance(value, bool) and isinstance(control.value, bool)
 
 
 @contextmanager
-def serving(title: str, host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
-    """Yield a viser server, by default at a free port."""
-    import viser
+def serving(title: str, host: str = "127.0.0.1", port: int = 0) -> Iterator[PageServer]:
+    """Yield the server of a page, by default at a free port.
 
+    Raises:
+        KinfeasError: If the host is not an address of this computer, or no port is free.
+    """
     with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
-        server = viser.ViserServer(host, port, title, verbose=False)
+        server = PageServer(title, host, port)
     try:
         yield server
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        family, *_, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+    except (OSError, UnicodeError) as error:
+        raise KinfeasError(f"host {host!r}: {getattr(error, 'strerror', error)}") from error
+    ports = range(port, min(port + _PORTS, 2**16))
+    for candidate in ports:
+        try:
+            return socket.create_server((address[0], candidate, *address[2:]), family=family)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                reason = os.strerror(error.errno or 0)
+                raise KinfeasError(f"host {host!r}, port {candidate}: {reason}") from error
+    raise KinfeasError(f"port {port} is in use, and so are all others up to {ports[-1]}")
+
+
+def _own_address() -> str:
+    """Return the address of this computer in its network."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # for documentation; nothing is sent
+        except OSError:
+            return "localhost"
+        return str(probe.getsockname()[0])
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

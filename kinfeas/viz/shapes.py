@@ -4,16 +4,19 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kinfeas.backends.physics.visuals import GREY, urdf_visuals
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
+from kinfeas.robots.elements import read_xml
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
-from kinfeas.scenes.objects import SceneObject, moving_joint
+from kinfeas.scenes.objects import SceneObject
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.style import ARM, BODY
 
@@ -28,8 +31,6 @@ LOW, HIGH, HIGHEST = "#d8c7a6", "#9fa9b580", 1.2
 
 _STICK = 0.03  # m, width of lines in place of links without shapes
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-_WOODS = ("#d3ad7a", "#c4503f", "#a2866a", "#c2a988", "#b3bcc4", "#aab692")
-_WALL, _LEAF, _HANDLE = "#ffffff", "#ecd5ab", "#434951"
 
 
 class Part(NamedTuple):
@@ -87,20 +88,30 @@ def link_poses(robot: Robot, base_pose: Array, joint_positions: Array) -> dict[s
 
 
 def scene_solids(scene: Scene) -> Iterator[tuple[str, Solid]]:
-    """Yield the shapes of a scene in the world with the name of their object.
+    """Yield the visible shapes of a scene in the world with the name of their object.
 
-    Links that a joint moves are lighter than the body, and links with a handle are dark.
+    Links without visible primitives show those of their collision geometry.
     """
-    urdfs = [one.urdf_path for one in scene.objects.values() if not surrounds(scene, one)]
-    urdfs = list(dict.fromkeys(urdfs))
-    held = {(handle.object, handle.link) for handle in scene.handles.values()}
     for name, one in scene.objects.items():
-        body = _WALL
-        if not surrounds(scene, one):
-            body = _WOODS[urdfs.index(one.urdf_path) % len(_WOODS)]
-        for link, shape in one.shapes():
-            moved = _LEAF if moving_joint(one.urdf, link) else body
-            yield name, Solid(shape, _HANDLE if (name, link) in held else moved)
+        poses, visuals = one.link_poses(), _visuals(one.urdf_path)
+        for link in one.urdf.links.values():
+            grey = [Solid(shape, _hex(GREY)) for shape in link.shapes]
+            for shape, colour in visuals.get(link.name, grey):
+                pose = compose(poses[link.name], shape.pose)
+                yield name, Solid(replace(shape, pose=pose), colour)
+
+
+@lru_cache(maxsize=32)
+def _visuals(path: Path) -> dict[str, list[Solid]]:
+    """Return the visible shapes of a URDF in the frames of their links, by link."""
+    visuals: dict[str, list[Solid]] = {}
+    for one in urdf_visuals("", read_xml(path, "robot")):
+        visuals.setdefault(one.link[1], []).append(Solid(one.shape, _hex(one.colour)))
+    return visuals
+
+
+def _hex(colour: tuple[float, ...]) -> str:
+    return "#" + bytes(round(255.0 * share) for share in colour).hex()
 
 
 def solid_shapes(solids: Solids | None) -> dict[int, Solid]:

@@ -13,6 +13,7 @@ from kinfeas.viz.shapes import link_poses, robot_parts, scene_solids
 from kinfeas.viz.style import ARM, BODY
 
 _FLOOR, _LINES = (245, 246, 248), (205, 210, 217)  # colours
+_VIEW = np.array([0.9, -1.3, 0.9])  # from what is shown to the camera, as shares of its radius
 _STILL = 1e-4  # m, and of a quaternion
 
 
@@ -32,6 +33,14 @@ def draw_scene(server: Any, scene: Scene) -> list[Any]:
         draw(server, f"/{name}/{number}", solid.shape, solid.colour)
         for number, (name, solid) in enumerate(scene_solids(scene))
     ]
+
+
+def aim(server: Any, points: Array) -> None:
+    """Put the camera of a page where it shows all points, shape (k, 3), in metres."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, radius = (low + high) / 2.0, max(0.5, float(np.linalg.norm(high - low)) / 2.0)
+    server.initial_camera.position = middle + radius * _VIEW
+    server.initial_camera.look_at = middle
 
 
 def draw(server: Any, name: str, shape: Shape, colour: str | tuple[float, ...]) -> Any:

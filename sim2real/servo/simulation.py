@@ -9,7 +9,7 @@ from kinfeas.config.recipes import load_section
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop
 from kinfeas.core import spatial
-from kinfeas.core.backend import build_backend
+from kinfeas.core.backend import build_simulator
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, stacked
 from kinfeas.kinematics.ik import IkSolver
@@ -39,7 +39,11 @@ class Episode:
     """
 
     def __init__(self, choice: Choice, policy: str, robot: Robot, scene: Scene | None) -> None:
-        """Build the parts of a choice with one of its policies."""
+        """Build the parts of a choice with one of its policies.
+
+        Raises:
+            KinfeasError: If a part cannot be built, or the backend is no simulator.
+        """
         config = load_section(ServoConfig, "servo", robot.name)
         self.follows = choice.generator == "servo"
         rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
@@ -53,7 +57,7 @@ class Episode:
         self._solver, self._policy = IkSolver(robot, config.ik), load_policy(policy, robot)
         filters = in_threads(build_filters([PluginSpec(name) for name in choice.filters]))
         self._threads = [one for one in filters if isinstance(one, PlannerThread)]
-        self.backend = build_backend(choice.backend, config.backend, robot=robot, scene=scene)
+        self.backend = build_simulator(choice.backend, config.backend, robot=robot, scene=scene)
         self.loop = Loop(
             self._solver, build_subgoals(self._task.subgoals), self.backend, DT, config,
             (self.controller, *filters),

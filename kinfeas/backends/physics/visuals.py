@@ -17,7 +17,8 @@ ROBOT = ""
 LinkName = tuple[str, str]
 """Name of an object, or `ROBOT`, and of a link."""
 
-_GREY = (0.7, 0.7, 0.7)
+GREY = (0.7, 0.7, 0.7)
+"""Colour of shapes without a material."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +33,14 @@ class VisualShape:
 def visual_shapes(robot: Robot, scene: Scene | None) -> list[VisualShape]:
     """Return the visible primitives of robot and scene; meshes are left out."""
     urdf, _ = physics_urdf(robot)
-    shapes = list(_shapes(ROBOT, parse_xml(urdf, "robot", str(robot.urdf_path))))
+    shapes = list(urdf_visuals(ROBOT, parse_xml(urdf, "robot", str(robot.urdf_path))))
     for name, one in scene.objects.items() if scene else ():
-        shapes += _shapes(name, read_xml(one.urdf_path, "robot"))
+        shapes += urdf_visuals(name, read_xml(one.urdf_path, "robot"))
     return shapes
 
 
-def _shapes(owner: str, urdf: Element) -> Iterator[VisualShape]:
+def urdf_visuals(owner: str, urdf: Element) -> Iterator[VisualShape]:
+    """Yield the visible primitives of a URDF, whose object is named `owner`."""
     colours = {one.get("name"): _colour(one) for one in urdf.xml.findall("material")}
     for link in urdf.children("link"):
         for visual in link.children("visual"):
@@ -47,7 +49,7 @@ def _shapes(owner: str, urdf: Element) -> Iterator[VisualShape]:
             if material is not None and colour is None:
                 colour = colours.get(material.get("name"))
             for shape in read_shapes(visual):
-                yield VisualShape((owner, link.text("name")), shape, colour or _GREY)
+                yield VisualShape((owner, link.text("name")), shape, colour or GREY)
 
 
 def _colour(material: Any) -> tuple[float, float, float] | None:
