@@ -11,7 +11,8 @@ from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import Arm, Hand, find_arm, read_hand
-from kinfeas.importer.boxed import boxed_urdf, on_the_floor, read_robot_element
+from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor, read_robot_element
+from kinfeas.importer.contacts import only_fitted
 from kinfeas.importer.reach import (
     EASY,
     WORTH,
@@ -20,6 +21,10 @@ from kinfeas.importer.reach import (
     comfortable,
     free_share,
     freedom,
+    limited,
+    overload_shares,
+    overloads_at,
+    touching,
     useful_heights,
     with_pairs,
 )
@@ -101,15 +106,22 @@ def draft_robot(
     links = len(read_robot_element(path).children("link"))
     if links > MOST_LINKS:
         raise KinfeasError(f"{path}: {links} links; at most {MOST_LINKS} are supported")
-    boxed = boxed_urdf(path, base, lambda _: report(_BOXING / links))
+    originals: dict[str, list[Part]] = {}
+    boxed = boxed_urdf(path, base, lambda _: report(_BOXING / links), originals)
     arm = find_arm(_parsed(boxed, source), hand, source)
     text, lifted = on_the_floor(boxed, arm, source)
     urdf = _parsed(text, source)
     spec = stated(name, urdf, arm, read_hand(urdf, arm), drive)
     robot = build_robot(spec, urdf, path, source)
-    touching = built_to_touch(robot)
+    shares = touching(robot)
+    ignored = built_to_touch(robot, shares)
+    checked = {pair: share for pair, share in shares.items() if pair not in ignored}
+    false = only_fitted(robot, originals, checked)
+    ignored |= false
     pose_tolerance = _POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None
-    robot = replace(with_pairs(robot, touching), pose_tolerance=pose_tolerance)
+    robot = replace(with_pairs(robot, ignored), pose_tolerance=pose_tolerance)
+    if overloads := overload_shares(robot):
+        robot = limited(robot)
     home = comfortable(robot)
     report(_TOUCHING)
     heights = useful_heights(robot, lambda share: report(_REACHING * share))
@@ -119,7 +131,8 @@ def draft_robot(
         home={"home": tuple(home.tolist())},
         goal_heights={"ggr": ggr, "ggr_restricted": restricted},
         pose_tolerance=pose_tolerance,
-        ignored_collisions=tuple(touching),
+        ignored_collisions=tuple(ignored),
+        max_gravity_load=robot.max_gravity_load,
     )
     names = [joint.name for joint in arm.joints]
     guesses = Guesses(
@@ -127,7 +140,10 @@ def draft_robot(
         speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
         stuck=tuple(joint.name for joint in arm.stuck),
-        touching=touching,
+        touching=ignored,
+        contacts={pair: share for pair, share in checked.items() if pair not in false},
+        overloads=overloads,
+        overloaded_at_home=overloads_at(robot, home),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
     )
     yaml = robot_yaml(spec, guesses)

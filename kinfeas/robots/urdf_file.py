@@ -84,16 +84,18 @@ def _link(name: str, element: Element) -> Link:
     _shapes(element.children("visual"))
     collisions = element.children("collision")
     shapes = tuple(_shapes(collisions))
-    return Link(name, _mass(element), shapes, len(shapes) < len(collisions))
+    mass, centre = _mass(element)
+    return Link(name, mass, shapes, len(shapes) < len(collisions), centre)
 
 
-def _mass(link: Element) -> float:
+def _mass(link: Element) -> tuple[float, Array]:
+    """Return the mass of a link and its centre, shape (3,)."""
     inertial = link.child("inertial")
     if inertial is None:
-        return 0.0
-    inertial.origin()
+        return 0.0, np.zeros(3)
     read_moments(inertial.need("inertia"))
-    return inertial.need("mass").number("value", limit=_MAX_MASS, minimum=0.0)
+    mass = inertial.need("mass").number("value", limit=_MAX_MASS, minimum=0.0)
+    return mass, inertial.origin()[:3]
 
 
 def read_moments(inertia: Element) -> Array:
