@@ -73,9 +73,7 @@ def sampled(robot: Robot) -> Array:
 def touching(robot: Robot) -> dict[tuple[str, str], float]:
     """Return the share of configurations, 0-1, in which each checked pair of links touches."""
     joints = sampled(robot)
-    return {
-        pair: float(self_collides(alone, joints).mean()) for pair, alone in pair_models(robot)
-    }
+    return {pair: float(self_collides(alone, joints).mean()) for pair, alone in pair_models(robot)}
 
 
 def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]]:
@@ -87,14 +85,17 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
         shapes[min(named[a], named[b]), max(named[a], named[b])].append(row)
     for pair, rows in shapes.items():
         used, places = np.unique(model.pairs[rows], return_inverse=True)
-        yield pair, model._replace(
-            body=model.body[used],
-            kind=model.kind[used],
-            size=model.size[used],
-            radius=model.radius[used],
-            rotation=model.rotation[used],
-            offset=model.offset[used],
-            pairs=places.reshape(-1, 2).astype(np.uintp),
+        yield (
+            pair,
+            model._replace(
+                body=model.body[used],
+                kind=model.kind[used],
+                size=model.size[used],
+                radius=model.radius[used],
+                rotation=model.rotation[used],
+                offset=model.offset[used],
+                pairs=places.reshape(-1, 2).astype(np.uintp),
+            ),
         )
 
 

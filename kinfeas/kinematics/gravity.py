@@ -87,9 +87,7 @@ def overloaded(model: GravityModel, joint_positions: Array) -> NDArray[np.bool_]
 @kernel
 def _torque_batch(model, joint_positions, out):
     joints = len(model.tree.variable)
-    scratch = _Placed(
-        np.empty((joints, 3)), np.empty((joints, 3, 3)), np.empty((joints, 3))
-    )
+    scratch = _Placed(np.empty((joints, 3)), np.empty((joints, 3, 3)), np.empty((joints, 3)))
     for i in range(len(joint_positions)):
         _write_torques(model, joint_positions[i], scratch, out[i])
 
@@ -98,10 +96,10 @@ def _torque_batch(model, joint_positions, out):
 def overloads(model: GravityModel, q, scratch: CollisionScratch):
     """Return whether a gravity torque exceeds its limit at the arm joints `q`, shape (v,)."""
     _write_torques(model, q, scratch, scratch.torque)
+    beyond = False
     for j in range(len(q)):
-        if abs(scratch.torque[j]) > model.limit[j]:
-            return True
-    return False
+        beyond |= abs(scratch.torque[j]) > model.limit[j]
+    return beyond
 
 
 @inlined

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinfeas.core.solids import Solids
 from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.gravity import build_gravity_model, gravity_torques, overloaded
@@ -73,15 +74,21 @@ def test_solutions_can_be_held(weak_tiago):
     assert found.feasible.any()
 
 
-def test_starts_postures_and_motions_can_be_held(weak_tiago):
-    solver = IkSolver(weak_tiago)
-    planner, task = WholeBodyPlanner(solver), load_task("ggr")
+def test_starts_and_proposed_postures_can_be_held(weak_tiago):
+    solver, task = IkSolver(weak_tiago), load_task("ggr")
     assert not overloaded(solver.gravity, Postures(solver).joints).any()
-    for episode in range(4):
+    for episode in range(8):
         start = sample_start(task, solver, episode_rng(1, episode))
         assert solver.admissible(start.joint_positions)
-        path = planner.plan(
-            start.base_pose, start.joint_positions, start.target_poses[0], start.solids
-        )
+
+
+@pytest.mark.slow
+def test_planned_motions_can_be_held(weak_tiago):
+    solver, task = IkSolver(weak_tiago), load_task("ggr")
+    planner = WholeBodyPlanner(solver)
+    for episode in range(4):
+        start = sample_start(task, solver, episode_rng(1, episode))
+        given = start.base_pose, start.joint_positions, start.target_poses[0]
+        path = planner.plan(*given, Solids.empty(1))
         assert path is not None
         assert solver.admissible(path.robot[:, 3:]).all()

@@ -18,7 +18,8 @@ ARM = """
   <link name="base"/>
   <link name="hand">
     <inertial>
-      <origin xyz="0 0.1 0.2"/><mass value="0.5"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>
+      <origin xyz="0 0.1 0.2"/><mass value="0.5"/>
+      <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>
     </inertial>
     <collision><geometry><box size="1 2 3"/></geometry></collision>
     <collision><origin xyz="0 0 1"/><geometry><mesh filename="hand.stl"/></geometry></collision>
