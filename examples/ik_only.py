@@ -9,7 +9,6 @@ from kinfeas.core import spatial
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
-from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
@@ -25,7 +24,7 @@ def main() -> None:
     robot = load_robot(given.robot)
     solver = IkSolver(robot)
     joints = spread_configurations(robot, given.poses)
-    joints = joints[~self_collides(solver.collision, joints)]
+    joints = joints[solver.admissible(joints)]
     poses, seeds = forward(solver.chain, joints), joints[::-1].copy()
     solver.solve(poses[:1], seeds[:1])  # compiles the kernels or loads them from the cache
     began = time.perf_counter()

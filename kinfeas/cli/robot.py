@@ -69,7 +69,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.core.errors import check_name
     from kinfeas.importer.draft import draft_robot
-    from kinfeas.importer.text import guessed
+    from kinfeas.importer.text import guessed, warnings
     from kinfeas.io.files import write_file, writing
 
     called = urdf.stem if name is None else name
@@ -95,8 +95,8 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     write_json(summary, json)
     print_facts(f"robot {called}", summary)
     print_table("guesses to check", ["key", "value"], guessed(draft.spec, draft.guesses))
-    for doubt in draft.guesses.doubts:
-        typer.echo(f"warning: {doubt}", err=True)
+    for warning in (*draft.guesses.doubts, *warnings(draft.spec, draft.guesses, draft.free)):
+        typer.echo(f"warning: {warning}", err=True)
     quoted = shlex.quote(str(yaml_path))
     typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
     write_drawing(lambda: _drawing(draft), picture)
@@ -123,6 +123,8 @@ def _summary(draft: "Draft") -> dict[str, object]:
     return {
         **to_mapping(draft.spec),
         "free_of_self_collision": draft.free,
+        "overloaded": dict(guesses.overloads),
+        "overloaded_at_home": list(guesses.overloaded_at_home),
         "heights_m": draft.heights.at.tolist(),
         "reachable": draft.heights.share.tolist(),
         "root_above_floor_m": guesses.lifted,

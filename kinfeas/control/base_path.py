@@ -13,7 +13,6 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, distance, integrate, relative, twist_between, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
-from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.robots.robot import joint_displacement
 
@@ -228,7 +227,7 @@ class BasePathPlanner:
         arm = self._reached(before.joints + way / 2.0, halfway, base, seconds / 4.0, solids)
         passable = arm.feasible
         for share in (0.25, 0.75):
-            passable &= ~self_collides(self.solver.collision, before.joints + share * way)
+            passable &= self.solver.admissible(before.joints + share * way)
         return passable
 
     def _commands(

@@ -1,6 +1,7 @@
 """URDFs of primitives: links and joints of a vendor's URDF with its meshes replaced."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -23,6 +24,9 @@ from kinfeas.robots.elements import (
 )
 from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf
 from kinfeas.robots.urdf_file import read_robot_xml, read_shapes, urdf_of
+
+Part = Shape | Array
+"""A primitive, or the triangles of a mesh, shape (t, 3, 3), metres."""
 
 FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".off")
 MAX_MESH_BYTES = 200_000_000
@@ -55,6 +59,7 @@ def boxed_urdf(
     on_link: Callable[[str], None] | None = None,
     robot: Element | None = None,
     fitted: Collection[str] | None = None,
+    originals: dict[str, list[Part]] | None = None,
 ) -> str:
     """Return the text of a URDF without meshes; its visual and collision shapes are the same.
 
@@ -68,6 +73,7 @@ def boxed_urdf(
         on_link: Called with the name of each link that is done.
         robot: Content in place of that of the file.
         fitted: Links that get shapes; all by default.
+        originals: Receives the parts of links that primitives replace, in the links' frames.
     """
     robot = read_robot_element(path) if robot is None else robot
     urdf = urdf_of(robot)
@@ -78,9 +84,14 @@ def boxed_urdf(
     for name in filter(kept.__contains__, links):
         link = Element(links[name].xml, f"{path}: link {name!r}")
         kind = "collision" if urdf.rigid[name] & colliding else "visual"
-        shapes = []
+        parts = []
         if fitted is None or name in fitted:
-            shapes = list(_shapes(link, kind, path.absolute().parent))
+            parts = list(_parts(link, kind, path.absolute().parent))
+        shapes = [shape for _, primitives in parts for shape in primitives]
+        if originals is not None and (
+            len(shapes) > MAX_SHAPES or not all(isinstance(part, Shape) for part, _ in parts)
+        ):
+            originals[name] = [part for part, _ in parts]
         if len(shapes) > MAX_SHAPES:
             require("trimesh")
             shapes = list(fit_primitives(np.concatenate([_box_triangles(one) for one in shapes])))
@@ -132,15 +143,18 @@ def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
     return frozenset({link}).union(*(urdf.below(joint.name) for joint in urdf.on[link]))
 
 
-def _shapes(link: Element, tag: str, folder: Path) -> Iterable[Shape]:
+def _parts(link: Element, tag: str, folder: Path) -> Iterable[tuple[Part, list[Shape]]]:
+    """Yield each part of a link and the primitives that replace it."""
     for element in link.children(tag):
         if own := read_shapes(element):
-            yield from own
+            for shape in own:
+                yield shape, [shape]
             continue
-        mesh = element.need("geometry").need("mesh")
         pose = element.origin()
-        for shape in fit_primitives(read_triangles(mesh, folder)):
-            yield Shape(shape.kind, shape.size, compose(pose, shape.pose))
+        triangles = read_triangles(element.need("geometry").need("mesh"), folder)
+        fitted = [replace(s, pose=compose(pose, s.pose)) for s in fit_primitives(triangles)]
+        corners = rotation(pose).apply(triangles.reshape(-1, 3)) + pose[:3]
+        yield corners.reshape(-1, 3, 3), fitted
 
 
 def _link(name: str, inertial: Any, shapes: Iterable[Shape], colour: str) -> ElementTree.Element:

@@ -11,7 +11,8 @@ from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import Arm, Hand, ends_of_arms, find_arm, read_hand
-from kinfeas.importer.boxed import boxed_urdf, on_the_floor
+from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
+from kinfeas.importer.contacts import only_fitted
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.reach import (
     EASY,
@@ -21,6 +22,10 @@ from kinfeas.importer.reach import (
     comfortable,
     free_share,
     freedom,
+    limited,
+    overload_shares,
+    overloads_at,
+    touching,
     useful_heights,
     with_pairs,
 )
@@ -102,10 +107,14 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     report, source = on_done or (lambda share: None), str(path)
     description = read_description(path, meshes=meshes, mesh_paths=mesh_paths)
     links = len(description.children("link"))
+    originals: dict[str, list[Part]] = {}
 
     def boxed(fitted: Collection[str] | None = None) -> str:
-        done = (lambda _: report(_BOXING / links)) if fitted is None else None
-        return boxed_urdf(path, base, done, description, fitted)
+        if fitted is not None:
+            return boxed_urdf(path, base, None, description, fitted)
+        return boxed_urdf(
+            path, base, lambda _: report(_BOXING / links), description, originals=originals
+        )
 
     # A choice between arms comes before the work: fitting meshes takes most of the time.
     bare = _parsed(boxed(fitted=()), source)
@@ -121,9 +130,15 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     found, why = find_drive(urdf, arm)
     spec = stated(name, urdf, arm, fingers, drive or found)
     robot = build_robot(spec, urdf, path, source)
-    touching = built_to_touch(robot)
+    shares = touching(robot)
+    ignored = built_to_touch(robot, shares)
+    checked = {pair: share for pair, share in shares.items() if pair not in ignored}
+    false = only_fitted(robot, originals, checked)
+    ignored |= false
     pose_tolerance = _POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None
-    robot = replace(with_pairs(robot, touching), pose_tolerance=pose_tolerance)
+    robot = replace(with_pairs(robot, ignored), pose_tolerance=pose_tolerance)
+    if overloads := overload_shares(robot):
+        robot = limited(robot)
     home = comfortable(robot)
     report(_TOUCHING)
     heights = useful_heights(robot, lambda share: report(_REACHING * share))
@@ -133,7 +148,8 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         home={"home": tuple(home.tolist())},
         goal_heights={"ggr": ggr, "ggr_restricted": restricted},
         pose_tolerance=pose_tolerance,
-        ignored_collisions=tuple(touching),
+        ignored_collisions=tuple(ignored),
+        max_gravity_load=robot.max_gravity_load,
     )
     names = [joint.name for joint in arm.joints]
     guesses = Guesses(
@@ -141,7 +157,10 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
         stuck=tuple(joint.name for joint in arm.stuck),
-        touching=touching,
+        touching=ignored,
+        contacts={pair: share for pair, share in checked.items() if pair not in false},
+        overloads=overloads,
+        overloaded_at_home=overloads_at(robot, home),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
         drive="" if drive else why,
         no_gripper=fingers.no_gripper,

@@ -1,17 +1,24 @@
 """Properties of a robot from sampled configurations: links that may touch, home, goal heights."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, make_pose, rotation
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
+from kinfeas.kinematics.gravity import build_gravity_model, overloaded
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.reachability import at_goals, reachable
-from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
+from kinfeas.kinematics.self_collision import (
+    CollisionModel,
+    build_collision_model,
+    checked_links,
+    self_collides,
+)
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Urdf
 
@@ -20,6 +27,12 @@ OFTEN, ALWAYS = 1.0 / 3.0, 0.95
 
 _NEAR = 2
 """Revolute joints between near neighbours at most: primitives around their meshes overlap."""
+
+LOAD = 0.9
+"""Largest gravity torque as a fraction of the effort limit; motors also accelerate the arm."""
+
+_HELD = 0.02
+"""Fraction of configurations that can be held below which effort limits are placeholders."""
 
 WORTH, EASY = 0.8, 0.98
 """Share of reachable goals at heights worth learning, and at comfortable ones."""
@@ -52,33 +65,49 @@ class Heights:
         return (float(low), float(high)) if low < high else None
 
 
-def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
-    """Return the pairs of links that touch by design, or since their shapes are too large.
+def sampled(robot: Robot) -> Array:
+    """Return the configurations of which a draft's shares are, spread over the limits, (n, j)."""
+    return spread_configurations(robot, _CONFIGURATIONS)
 
-    These are links that slide in one another, near neighbours that touch often, and others that
-    touch always. Each pair has the share of configurations in which it touches, 0-1.
-    """
-    model, joints = build_collision_model(robot), spread_configurations(robot, _CONFIGURATIONS)
+
+def touching(robot: Robot) -> dict[tuple[str, str], float]:
+    """Return the share of configurations, 0-1, in which each checked pair of links touches."""
+    joints = sampled(robot)
+    return {pair: float(self_collides(alone, joints).mean()) for pair, alone in pair_models(robot)}
+
+
+def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]]:
+    """Yield each checked pair of links with a collision model that checks it alone."""
+    model = build_collision_model(robot)
     named = [link.name for link in robot.urdf.links.values() for _ in link.shapes]
     shapes: dict[tuple[str, str], list[int]] = {pair: [] for pair in checked_links(robot)}
     for row, (a, b) in enumerate(model.pairs):
         shapes[min(named[a], named[b]), max(named[a], named[b])].append(row)
-    found = {}
     for pair, rows in shapes.items():
         used, places = np.unique(model.pairs[rows], return_inverse=True)
-        alone = model._replace(
-            body=model.body[used],
-            kind=model.kind[used],
-            size=model.size[used],
-            radius=model.radius[used],
-            rotation=model.rotation[used],
-            offset=model.offset[used],
-            pairs=places.reshape(-1, 2).astype(np.uintp),
+        yield (
+            pair,
+            model._replace(
+                body=model.body[used],
+                kind=model.kind[used],
+                size=model.size[used],
+                radius=model.radius[used],
+                rotation=model.rotation[used],
+                offset=model.offset[used],
+                pairs=places.reshape(-1, 2).astype(np.uintp),
+            ),
         )
-        share = float(self_collides(alone, joints).mean())
-        if share > _allowed(robot, *pair):
-            found[pair] = share
-    return found
+
+
+def built_to_touch(
+    robot: Robot, shares: Mapping[tuple[str, str], float]
+) -> dict[tuple[str, str], float]:
+    """Return the pairs of links that touch by design, or since their shapes are too large.
+
+    These are links that slide in one another, near neighbours that touch often, and others that
+    touch always. `shares` are those of `touching`.
+    """
+    return {pair: share for pair, share in shares.items() if share > _allowed(robot, *pair)}
 
 
 def _allowed(robot: Robot, one: str, other: str) -> float:
@@ -107,20 +136,51 @@ def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
 
 def free_share(robot: Robot) -> float:
     """Return the share of configurations without self-collision, 0-1."""
-    joints = spread_configurations(robot, _CONFIGURATIONS)
-    return float(1.0 - self_collides(build_collision_model(robot), joints).mean())
+    return float(1.0 - self_collides(build_collision_model(robot), sampled(robot)).mean())
+
+
+def overload_shares(robot: Robot) -> dict[str, float]:
+    """Return the joints whose effort limit gravity exceeds, and in which share of configurations.
+
+    Shares are 0-1.
+    """
+    shares = _overloaded(robot, sampled(robot)).mean(axis=0).tolist()
+    return {joint.name: share for joint, share in zip(robot.arm, shares, strict=True) if share}
+
+
+def overloads_at(robot: Robot, joints: Array) -> tuple[str, ...]:
+    """Return the joints whose effort limit gravity exceeds in a configuration (j,)."""
+    beyond = _overloaded(robot, joints)
+    return tuple(joint.name for joint, over in zip(robot.arm, beyond, strict=True) if over)
+
+
+def _overloaded(robot: Robot, joints: Array) -> NDArray[np.bool_]:
+    return overloaded(build_gravity_model(replace(robot, max_gravity_load=1.0)), joints)
+
+
+def limited(robot: Robot) -> Robot:
+    """Return the robot with a `max_gravity_load`, unless it can hold hardly any configuration."""
+    held = replace(robot, max_gravity_load=LOAD)
+    return held if _admissible(held, sampled(held)).mean() >= _HELD else robot
+
+
+def _admissible(robot: Robot, joints: Array) -> NDArray[np.bool_]:
+    """Return which configurations (n, j) are free of self-collision and can be held, shape (n,)."""
+    beyond = overloaded(build_gravity_model(robot), joints).any(axis=1)
+    return ~(self_collides(build_collision_model(robot), joints) | beyond)
 
 
 def comfortable(robot: Robot) -> Array:
     """Return the configuration with the highest dexterity, shape (j,).
 
-    The candidates are free of self-collision, with the hand in front of the base at medium height.
+    The candidates are free of self-collision and can be held, with the hand in front of the base at
+    medium height.
     Dexterity is the least singular value of the Jacobian, without those that are always zero, less
     near joint limits (Yoshikawa 1985; Tsai 1986).
     """
     lower, upper = robot.finite_joint_limits
     joints = np.clip(spread_configurations(robot, _CONFIGURATIONS).round(2), lower, upper)
-    free = joints[~self_collides(build_collision_model(robot), joints)]
+    free = joints[_admissible(robot, joints)]
     if not len(free):
         raise KinfeasError(f"{robot.name}: self-collision in all of {len(joints)} configurations")
     ee = forward(build_chain(robot), free)[:, :3]

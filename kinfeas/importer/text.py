@@ -7,6 +7,9 @@ from typing import Any
 from kinfeas.config.strict_yaml import to_line
 from kinfeas.robots.spec import RobotSpec
 
+_FREE = 0.5
+"""Share of configurations free of self-collision below which a warning says so."""
+
 _BASE_UNITS = {
     "max_velocity": "m/s",
     "max_rotation": "rad/s",
@@ -25,6 +28,9 @@ class Guesses:
         limits: Arm joints of more than two turns that are not continuous.
         stuck: Joints on the way to the hand whose limits leave no range of motion.
         touching: Share of configurations in which the ignored pairs of links touch, 0-1.
+        contacts: The same of the pairs that are checked.
+        overloads: Share of configurations in which gravity exceeds a joint's effort limit, 0-1.
+        overloaded_at_home: Joints whose effort limit gravity exceeds at home.
         slides: Prismatic joints; their positions are metres.
         drive: What the drive of the base was read from.
         no_gripper: Why there is no gripper.
@@ -36,6 +42,9 @@ class Guesses:
     limits: tuple[str, ...] = ()
     stuck: tuple[str, ...] = ()
     touching: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    contacts: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    overloads: Mapping[str, float] = field(default_factory=dict)
+    overloaded_at_home: tuple[str, ...] = ()
     slides: frozenset[str] = frozenset()
     drive: str = ""
     no_gripper: str = ""
@@ -60,7 +69,34 @@ def guessed(spec: RobotSpec, guesses: Guesses) -> list[list[str]]:
         found["pose_tolerance"] = vars(spec.pose_tolerance), "m, rad"
     if spec.ignored_collisions:
         found["ignored_collisions"] = len(spec.ignored_collisions), "pairs of links"
+    if spec.max_gravity_load is not None:
+        found["max_gravity_load"] = spec.max_gravity_load, "of the effort limits"
     return [[key, f"{to_line(value)} {unit}".strip()] for key, (value, unit) in found.items()]
+
+
+def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
+    """Return what limits the postures of a draft; `free` is as of `Draft`."""
+    found = []
+    if free < _FREE:
+        often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
+        pairs = ", ".join(f"{one} and {other} in {share:.0%}" for (one, other), share in often)
+        found.append(
+            f"{free:.0%} of random postures are free of self-collision; most often touch {pairs}"
+        )
+    if guesses.overloads:
+        home = ", ".join(guesses.overloaded_at_home)
+        rule = f"IK leaves them out (max_gravity_load: {spec.max_gravity_load})"
+        if spec.max_gravity_load is None:
+            rule = "IK does not leave them out, since hardly any others are free"
+        found.append(
+            f"gravity exceeds the effort limit in random postures, {_overloads(guesses)}"
+            f"{f', and at home ({home})' if home else ''}; {rule}"
+        )
+    return found
+
+
+def _overloads(guesses: Guesses) -> str:
+    return ", ".join(f"{joint} in {share:.0%}" for joint, share in guesses.overloads.items())
 
 
 def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
@@ -100,6 +136,9 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         pairs = [f"  - {to_line(p)}  # {guesses.touching[p]:.0%}" for p in spec.ignored_collisions]
         about = "# Guess: links that touch by design or by too large shapes, and how often they do."
         blocks.append([about, "ignored_collisions:", *pairs])
+    if spec.max_gravity_load is not None:
+        load = f"max_gravity_load: {spec.max_gravity_load}  # of the effort limit, guess"
+        blocks.append([f"# Gravity exceeds effort limits: {_overloads(guesses)}.", load])
     return "\n\n".join("\n".join(block) for block in blocks) + "\n"
 
 

@@ -14,8 +14,9 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import Chain, build_chain, forward, jacobian
+from kinfeas.kinematics.gravity import build_gravity_model, overloaded
 from kinfeas.kinematics.search import AIM, Problem, library_features, solve_batch
-from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
+from kinfeas.kinematics.self_collision import build_collision_model, self_collides
 from kinfeas.kinematics.solids import solid_arrays
 from kinfeas.robots.robot import Robot
 
@@ -35,7 +36,8 @@ class IkOptions:
         library: Number of configurations to restart from, spread over the joint limits.
         restarts: Largest number of restarts, from those with the EE nearest to the target.
         candidates: Number of solutions of which the one nearest to the seed is taken.
-        self_collision: Whether solutions in self-collision are rejected.
+        self_collision: Whether solutions in self-collision are rejected. Those that motors cannot
+            hold always are.
         pose_tolerance: Whether the robot's pose tolerance counts as feasible.
         position_tolerance: Position error of an exact solution, metres.
         rotation_tolerance: Rotation error of an exact solution, radians.
@@ -102,14 +104,25 @@ class IkSolver:
         self.robot = robot
         self.chain = build_chain(robot)
         self.collision = build_collision_model(robot)
-        self._problem = _make_problem(robot, options, self.chain, self.collision)
+        self.gravity = build_gravity_model(robot)
+        self._problem = _make_problem(self)
 
     @cached_property
     def _held_torso(self) -> Problem:
         torso = self.robot.torso
         if torso is None:
             raise KinfeasError(f"the arm of robot {self.robot.name!r} has no torso to hold")
-        return _make_problem(self.robot, self.options, self.chain, self.collision, torso)
+        return _make_problem(self, torso)
+
+    def admissible(self, joint_positions: Array) -> NDArray[np.bool_]:
+        """Return which postures (..., v) are free of self-collision and can be held, shape (...).
+
+        Motors hold any posture unless the robot has a `max_gravity_load`.
+        """
+        admissible = ~self_collides(self.collision, joint_positions)
+        if self._problem.check_gravity:
+            admissible &= ~overloaded(self.gravity, joint_positions).any(axis=-1)
+        return admissible
 
     def solve(
         self,
@@ -206,9 +219,8 @@ def _checked(name: str, values: Array, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _make_problem(
-    robot: Robot, options: IkOptions, chain: Chain, collision: CollisionModel, held: int = -1
-) -> Problem:
+def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
+    robot, options, chain = solver.robot, solver.options, solver.chain
     # Copies, since kernels are compiled again for read-only arrays.
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
@@ -222,13 +234,16 @@ def _make_problem(
     if held >= 0:
         library[:, held] = middle[held]
     if options.self_collision:
-        library = library[~self_collides(collision, library)]
+        library = library[~self_collides(solver.collision, library)]
+    library = library[~overloaded(solver.gravity, library).any(axis=1)]
     ee_pose = forward(chain, library)
     return Problem(
         chain=chain,
         descent=Descent(*aim, weight, options.max_iterations),
-        collision=collision,
-        check_collision=options.self_collision and len(collision.pairs) > 0,
+        collision=solver.collision,
+        check_collision=options.self_collision and len(solver.collision.pairs) > 0,
+        gravity=solver.gravity,
+        check_gravity=bool(np.isfinite(solver.gravity.limit).any()),
         lower=lower,
         upper=upper,
         velocity=velocity,

@@ -12,7 +12,6 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.free_space import connected, footprint
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
-from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.kinematics.solids import base_collides, in_base
 from kinfeas.robots.robot import Robot
 
@@ -85,12 +84,12 @@ def reachable(
 
 
 class Postures:
-    """Arm configurations without self-collision that propose base poses."""
+    """Admissible arm configurations that propose base poses."""
 
     def __init__(self, solver: IkSolver) -> None:
         joints = spread_configurations(solver.robot, _POSTURES, _POSTURE_SEED)
         self.solver = solver
-        self.joints = joints[~self_collides(solver.collision, joints)]
+        self.joints = joints[solver.admissible(joints)]
         self.ee_pose = forward(solver.chain, self.joints)
         self.turns = rotation(self.ee_pose).as_matrix()
         self.footprint = footprint(solver.collision)

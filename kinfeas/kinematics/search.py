@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
 from kinfeas.kinematics.forward import Chain, place_chain
+from kinfeas.kinematics.gravity import GravityModel, overloads
 from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel, square, write_matrix
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
@@ -40,6 +41,8 @@ class Problem(NamedTuple):
         descent: Options of a descent.
         collision: Self-collision model.
         check_collision: Whether self-collision is checked.
+        gravity: Gravity model.
+        check_gravity: Whether gravity torques are checked.
         lower: Joint limits, shape (v,); -inf for continuous joints.
         upper: Same, +inf for continuous joints.
         velocity: Joint velocity limits, shape (v,).
@@ -63,6 +66,8 @@ class Problem(NamedTuple):
     descent: Descent
     collision: CollisionModel
     check_collision: bool
+    gravity: GravityModel
+    check_gravity: bool
     lower: Array
     upper: Array
     velocity: Array
@@ -311,7 +316,9 @@ def _close_enough(problem, metres, radians):
 
 @inlined
 def _free(problem, q, touching, around):
-    return not _collides(problem.collision, problem.check_collision, q, touching, *around)
+    if _collides(problem.collision, problem.check_collision, q, touching, *around):
+        return False
+    return not (problem.check_gravity and overloads(problem.gravity, q, touching))
 
 
 @inner
@@ -337,7 +344,7 @@ def _grow(size, clearance, out):
 
 @inlined
 def _improves(problem, metres, radians, error, q, touching, around):
-    """Return whether an attempt is the closest so far and free of collisions."""
+    """Return whether an attempt is the closest so far, free of collisions and can be held."""
     closer = _cost(problem, metres, radians) < _cost(problem, error[0], error[1])
     return closer and _free(problem, q, touching, around)
 

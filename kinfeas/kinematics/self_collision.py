@@ -56,6 +56,7 @@ class CollisionScratch(NamedTuple):
     position: Array
     simplex: Array
     solid: Array
+    torque: Array
 
 
 def build_collision_model(robot: Robot) -> CollisionModel:
@@ -125,6 +126,7 @@ def make_collision_scratch(model):
         np.empty((shapes, 3)),
         np.empty((SCRATCH_ROWS, 3)),
         np.empty((5, 3)),
+        np.empty(model.variables),
     )
     for s in range(shapes):
         if model.body[s] < 0:
@@ -162,14 +164,14 @@ def touches_itself(model: CollisionModel, q, scratch: CollisionScratch):
 @inlined
 def place_shapes(model, q, scratch):
     """Write orientation and centre of the shapes that the arm moves, in the base frame."""
-    _place_bodies(model.tree, q, scratch)
+    place_bodies(model.tree, q, scratch)
     for s in range(len(model.body)):
         if model.body[s] >= 0:
             _place_shape(model, s, scratch)
 
 
 @inlined
-def _place_bodies(tree, q, scratch):
+def place_bodies(tree, q, scratch):
     """Write orientation and origin of every joint's body in the base frame."""
     motion, bodies, origins = scratch.motion, scratch.bodies, scratch.origins
     place_joints(tree, q, motion)

@@ -24,7 +24,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.kernels import kernel
 from kinfeas.kinematics.reachability import Postures, at_goals
-from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes, self_collides
+from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
 from kinfeas.kinematics.solids import base_collides, collides, in_base
 from kinfeas.robots.robot import joint_displacement
 
@@ -219,7 +219,9 @@ class WholeBodyPlanner:
     def _with_arm(
         self, base: Array, arms: tuple[Array, Array, Array], solids: Solids
     ) -> tuple[WholeBodyPath, int]:
-        """Return the motion along base poses, (k, 3), and how many of its poses touch something.
+        """Return the motion along base poses, (k, 3), and the number of poses that are not free.
+
+        Those touch something or are not admissible.
 
         `arms` are the configurations at the start, at rest and at the end.
         """
@@ -232,7 +234,7 @@ class WholeBodyPlanner:
 
         def touching(arm: Array, rows: NDArray[np.bool_]) -> int:
             touches = collides(model, arm, pose[rows], among.of(np.flatnonzero(rows))).any(axis=1)
-            return int(np.sum(self_collides(model, arm) | touches))
+            return int(np.sum(~self.solver.admissible(arm) | touches))
 
         first, total = s <= s[-1] / 2.0, 0
         arm = np.empty((len(base), len(begin)))

@@ -77,6 +77,7 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Ro
         ignored_collisions=_pairs(spec, urdf, f"{source}: 'ignored_collisions'"),
         gripper=_gripper(spec, urdf, source),
         counterbalanced=_counterbalanced(spec, source),
+        max_gravity_load=spec.max_gravity_load,
     )
 
 

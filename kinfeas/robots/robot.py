@@ -63,6 +63,8 @@ class Robot:
         ignored_collisions: Pairs of links that may touch, besides adjacent ones.
         gripper: Finger joints and their positions; None without a gripper.
         counterbalanced: Arm joints whose gravity load is carried by springs.
+        max_gravity_load: Largest gravity torque of a posture, as a fraction of each arm joint's
+            effort limit; None if any posture can be held.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Robot:
     ignored_collisions: frozenset[frozenset[str]]
     gripper: Gripper | None
     counterbalanced: frozenset[str]
+    max_gravity_load: float | None
 
     @cached_property
     def torso(self) -> int | None:

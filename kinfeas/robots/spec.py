@@ -19,6 +19,7 @@ MAX_JOINT_VELOCITY = 1000.0
 Velocity = Annotated[float, Interval(gt=0.0, le=100.0)]
 JointVelocity = Annotated[float, Interval(gt=0.0, le=MAX_JOINT_VELOCITY)]
 Acceleration = Annotated[float, Interval(gt=0.0, le=1e4)]
+GravityLoad = Annotated[float, Interval(gt=0.0, le=1.0)]
 Effort = Annotated[float, Interval(gt=0.0, le=1e5)]
 
 GOAL_HEIGHTS = ("ggr", "ggr_restricted")
@@ -148,6 +149,7 @@ class RobotSpec:
     ignored_collisions: tuple[tuple[str, str], ...] = ()
     gripper: Gripper | None = None
     counterbalanced: tuple[str, ...] = ()
+    max_gravity_load: GravityLoad | None = None
 
     def __post_init__(self) -> None:
         """Check everything that does not need the URDF."""

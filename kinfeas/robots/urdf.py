@@ -44,13 +44,15 @@ class Shape:
 class Link:
     """A rigid body with a mass in kg (0 for a frame without inertia) and collision primitives.
 
-    `mesh_collisions` is whether it also has collision meshes, which are not read.
+    `mesh_collisions` is whether it also has collision meshes, which are not read; `centre` is the
+    centre of mass in the link's frame, shape (3,), metres.
     """
 
     name: str
     mass: float
     shapes: tuple[Shape, ...]
     mesh_collisions: bool
+    centre: Array
 
 
 @dataclass(frozen=True)

@@ -124,16 +124,18 @@ def _link(name: str, element: Element) -> Link:
     for visual in element.children("visual"):
         read_shapes(visual)
     shapes = [read_shapes(collision) for collision in element.children("collision")]
-    return Link(name, _mass(element), tuple(chain(*shapes)), not all(shapes))
+    mass, centre = _mass(element)
+    return Link(name, mass, tuple(chain(*shapes)), not all(shapes), centre)
 
 
-def _mass(link: Element) -> float:
+def _mass(link: Element) -> tuple[float, Array]:
+    """Return the mass of a link and its centre, shape (3,)."""
     inertial = link.child("inertial")
     if inertial is None:
-        return 0.0
-    inertial.origin()
+        return 0.0, np.zeros(3)
     read_moments(inertial.need("inertia"))
-    return inertial.need("mass").number("value", limit=_MAX_MASS, minimum=0.0)
+    mass = inertial.need("mass").number("value", limit=_MAX_MASS, minimum=0.0)
+    return mass, inertial.origin()[:3]
 
 
 def read_moments(inertia: Element) -> Array:

@@ -211,7 +211,7 @@ def random_arm(
 ) -> Array:
     """Return arm joints drawn uniformly within the limits, shape (j,), tool tip above the floor.
 
-    They are free of self-collision, and `accept` allows their EE pose in the base frame, shape
+    They are admissible for `IkSolver`, and `accept` allows their EE pose in the base frame, shape
     (n, 7); with `either` one of the two is enough.
     """
     robot = solver.robot
@@ -223,12 +223,12 @@ def random_arm(
         good = compose(ee, np.broadcast_to(tip, ee.shape))[:, 2] > 0.0
         wanted = np.ones(_DRAWS, dtype=np.bool_) if accept is None else accept(ee)
         for row in np.flatnonzero(good if either else good & wanted):
-            if (either and wanted[row]) or not self_collides(solver.collision, joints[row]):
+            if (either and wanted[row]) or solver.admissible(joints[row]):
                 return joints[row]
     raise KinfeasError(
         f"robot {robot.name!r}: {_DRAWS * _ROUNDS} draws have no arm configuration without "
         "self-collision and with the EE in the task's range; check joint limits, ignored "
-        f"collisions and goal heights{_culprits(robot)}"
+        f"collisions, goal heights and max_gravity_load{_culprits(robot)}"
     )
 
 

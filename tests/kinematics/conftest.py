@@ -60,6 +60,17 @@ class Pinocchio:
                 result += np.outer(column, self.drive(joint.name)[1])
         return result
 
+    def gravity_torques(self, joint_positions: Array) -> Array:
+        """Return the generalized gravity forces of the arm's variables, shape (v,)."""
+        self.place(joint_positions)
+        whole = pinocchio.computeGeneralizedGravity(self.model, self.data, self.q)
+        result = np.zeros(len(self.robot.arm))
+        for joint in self.robot.urdf.joints.values():
+            if joint.moves:
+                force = whole[self.model.joints[self.model.getJointId(joint.name)].idx_v]
+                result += force * self.drive(joint.name)[1]
+        return result
+
     def drive(self, name: str) -> tuple[float, Array]:
         """Return a joint's position at zero variables and its derivatives by them, shape (v,)."""
         names = [joint.name for joint in self.robot.arm]

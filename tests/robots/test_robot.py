@@ -68,6 +68,7 @@ def test_reads_a_robot(tmp_path):
         "ignored_collisions": [["mast", "hook"], ["hook", "mast"]],
         "gripper": GRIPPER,
         "counterbalanced": ["swing"],
+        "max_gravity_load": 0.8,
     }
     robot = load_robot(str(write(tmp_path, spec)))
     assert (robot.name, robot.ee_frame, robot.base.frame) == ("crane", "hook", "floor")
@@ -79,7 +80,7 @@ def test_reads_a_robot(tmp_path):
     assert (robot.pose_tolerance.position, robot.pose_tolerance.rotation) == (0.1, 0.2)
     assert robot.ignored_collisions == {frozenset(("mast", "hook"))}
     assert (robot.gripper.fingers, robot.gripper.open) == (("wave", "grip"), 0.9)
-    assert robot.counterbalanced == {"swing"}
+    assert (robot.counterbalanced, robot.max_gravity_load) == ({"swing"}, 0.8)
 
 
 def test_each_finger_may_have_its_own_positions(tmp_path):
@@ -149,6 +150,7 @@ ARM = crane()["arm"]
     ({"gripper": GRIPPER | {"open": [0.9, 0.5]}}, "'gripper'.*'open'"),
     ({"gripper": GRIPPER | {"open": [0.9]}}, "'gripper.open"),
     ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
+    ({"max_gravity_load": 1.5}, "'max_gravity_load'.*1"),
 ])  # fmt: skip
 def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
     with pytest.raises(KinfeasError, match=f"^{tmp_path}.*{where}"):

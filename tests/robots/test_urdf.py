@@ -18,7 +18,8 @@ ARM = """
   <link name="base"/>
   <link name="hand">
     <inertial>
-      <mass value="0.5"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>
+      <origin xyz="0 0.1 0.2"/><mass value="0.5"/>
+      <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>
     </inertial>
     <collision><geometry><box size="1 2 3"/></geometry></collision>
     <collision><origin xyz="0 0 1"/><geometry><mesh filename="hand.stl"/></geometry></collision>
@@ -59,6 +60,7 @@ def test_reads_links_and_joints(tmp_path):
     assert (urdf.name, urdf.root, list(urdf.links)) == ("arm", "base", ["base", "hand"])
     hand, elbow = urdf.links["hand"], urdf.joints["elbow"]
     assert (hand.mass, hand.mesh_collisions, len(hand.shapes)) == (0.5, True, 1)
+    np.testing.assert_array_equal(hand.centre, [0.0, 0.1, 0.2])
     assert (hand.shapes[0].kind, hand.shapes[0].size) == ("box", (1.0, 2.0, 3.0))
     assert (elbow.parent, elbow.child, elbow.axis) == ("base", "hand", (0.0, 0.6, 0.8))
     np.testing.assert_allclose(elbow.origin, [1, 2, 3, 0, 0, 0.5**0.5, 0.5**0.5])

@@ -1,0 +1,94 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinfeas.core.solids import Solids
+from kinfeas.core.start import episode_rng
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.gravity import build_gravity_model, gravity_torques, overloaded
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.reachability import Postures
+from kinfeas.kinematics.whole_body import WholeBodyPlanner
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.task import sample_start
+from tests.kinematics.conftest import Pinocchio, draw
+
+
+@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr", "odd_robot"])
+def test_gravity_torques_are_those_of_pinocchio(name, odd_robot):
+    robot = odd_robot if name == "odd_robot" else load_robot(name)
+    joints, judge = draw(robot, 100), Pinocchio(robot)
+    torques = gravity_torques(build_gravity_model(robot), joints)
+    expected = [judge.gravity_torques(positions) for positions in joints]
+    assert np.abs(expected).max() > 1.0
+    np.testing.assert_allclose(torques, expected, atol=1e-9)
+
+
+def weak(robot, joint, fraction):
+    """Return a robot that can hold only so many configurations, since one joint is weak."""
+    model, j = build_gravity_model(robot), [one.name for one in robot.arm].index(joint)
+    torque = np.quantile(np.abs(gravity_torques(model, draw(robot, 500))[:, j]), fraction)
+    joints = robot.urdf.joints | {joint: replace(robot.urdf.joints[joint], effort=2.0 * torque)}
+    return replace(robot, urdf=replace(robot.urdf, joints=joints), max_gravity_load=0.5)
+
+
+@pytest.fixture(scope="module")
+def weak_tiago():
+    return weak(load_robot("tiago"), "arm_2_joint", 0.6)
+
+
+def test_limits_are_those_of_motors(weak_tiago):
+    names = [joint.name for joint in weak_tiago.arm]
+    limit = dict(zip(names, build_gravity_model(weak_tiago).limit, strict=True))
+    efforts = {name: weak_tiago.urdf.joints[name].effort for name in names}
+    assert limit == {name: 0.5 * effort for name, effort in efforts.items()}
+    joints = weak_tiago.urdf.joints
+    for effort in (0.0, np.inf):  # none is given
+        changed = joints | {"arm_2_joint": replace(joints["arm_2_joint"], effort=effort)}
+        other = replace(weak_tiago, urdf=replace(weak_tiago.urdf, joints=changed))
+        assert build_gravity_model(other).limit[names.index("arm_2_joint")] == np.inf
+    sprung = replace(weak_tiago, counterbalanced=frozenset(names))
+    for other in (sprung, replace(weak_tiago, max_gravity_load=None)):
+        assert np.all(build_gravity_model(other).limit == np.inf)
+
+
+def test_solutions_can_be_held(weak_tiago):
+    solver, strong = IkSolver(weak_tiago), IkSolver(replace(weak_tiago, max_gravity_load=None))
+    joints = draw(weak_tiago, 600)
+    beyond = overloaded(solver.gravity, joints).any(axis=1)
+    held = solver.admissible(joints)
+    assert not np.any(held & beyond)
+    np.testing.assert_array_equal(strong.admissible(joints) & ~beyond, held)
+    targets, seeds = forward(solver.chain, joints[held]), joints[~held][: held.sum()]
+    targets = targets[: len(seeds)]
+    found, free = solver.solve(targets, seeds), strong.solve(targets, seeds)
+    assert found.feasible.mean() > 0.9
+    assert not overloaded(solver.gravity, found.joint_positions[found.feasible]).any()
+    assert overloaded(solver.gravity, free.joint_positions[free.feasible]).any()
+    # The search also goes on where the seed itself would be a solution.
+    here = joints[strong.admissible(joints) & beyond][:100]
+    found = solver.solve(forward(solver.chain, here), here, np.full(here.shape[1], 0.1))
+    assert not overloaded(solver.gravity, found.joint_positions[found.feasible]).any()
+    assert found.feasible.any()
+
+
+def test_starts_and_proposed_postures_can_be_held(weak_tiago):
+    solver, task = IkSolver(weak_tiago), load_task("ggr")
+    assert not overloaded(solver.gravity, Postures(solver).joints).any()
+    for episode in range(8):
+        start = sample_start(task, solver, episode_rng(1, episode))
+        assert solver.admissible(start.joint_positions)
+
+
+@pytest.mark.slow
+def test_planned_motions_can_be_held(weak_tiago):
+    solver, task = IkSolver(weak_tiago), load_task("ggr")
+    planner = WholeBodyPlanner(solver)
+    for episode in range(4):
+        start = sample_start(task, solver, episode_rng(1, episode))
+        given = start.base_pose, start.joint_positions, start.target_poses[0]
+        path = planner.plan(*given, Solids.empty(1))
+        assert path is not None
+        assert solver.admissible(path.robot[:, 3:]).all()
