@@ -141,7 +141,7 @@ def evaluate_within(  # noqa: PLR0913, PLR0917 - an evaluation and its limits
 def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of processes that end silently on Ctrl-C, and with this process.
 
-    An exception in the block terminates them at once.
+    At the end of the block they end at once, also after an exception.
     """
     pool = ProcessPoolExecutor(
         processes,
@@ -152,12 +152,15 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     with workers_alive(processes):
         try:
             yield pool
-        except BaseException:
-            for worker in list((pool._processes or {}).values()):
-                worker.terminate()
-            raise
         finally:
-            pool.shutdown(cancel_futures=True)
+            terminate(pool)
+
+
+def terminate(pool: ProcessPoolExecutor) -> None:
+    """End the processes of a pool at once; work in progress is lost."""
+    for worker in list((pool._processes or {}).values()):
+        worker.terminate()
+    pool.shutdown(cancel_futures=True)
 
 
 @contextmanager

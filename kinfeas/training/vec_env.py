@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from kinfeas.control import observation
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.episodes import workers_alive
+from kinfeas.envs.episodes import terminate, workers_alive
 from kinfeas.envs.world import World
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
@@ -179,18 +179,23 @@ class ProcessVecEnv(EpisodesVecEnv):
         """Start the processes and build their worlds."""
         parts = np.array_split(np.arange(config.num_envs), config.processes)
         context = multiprocessing.get_context("spawn")
-        workers = [
+        self._pools = [
             ProcessPoolExecutor(1, context, begin_batch, (config, len(part), SHARE * i))
             for i, part in enumerate(parts)
         ]
         sizes = [len(part) for part in parts]
         terms = config.observation, config.action
-        super().__init__(load_robot(config.robot), terms, sizes, workers, call_batch)
+        super().__init__(load_robot(config.robot), terms, sizes, self._pools, call_batch)
         try:
             self._ask("number")
         except KinfeasError:
             self.close()
             raise
+
+    def close(self) -> None:
+        """End the processes at once; a step in progress is lost."""
+        for pool in self._pools:
+            terminate(pool)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the numbers of the next episodes, a number a process."""
