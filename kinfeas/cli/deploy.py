@@ -5,6 +5,7 @@ import sys
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -253,7 +254,7 @@ def _settings(setup: "Setup") -> dict[str, Any]:
         "adapters": setup.adapters,
         "filters": getattr(setup.execution, "filters", ()),
         "generators": tuple(PluginSpec(one.generator, one.parameters) for one in motions),
-        "guards": asdict(setup.guards),
+        "guards": {k: None if v == inf else v for k, v in asdict(setup.guards).items()},
     }
 
 

@@ -50,7 +50,7 @@ class About:
         adapters: Adapters around the backend, the first one innermost.
         filters: Command filters in order.
         generators: Motion generator of each sub-goal.
-        guards: Limits by name, as in `kinfeas.sim2real.deploy.config.Guards`.
+        guards: Limits by name, as in `kinfeas.sim2real.deploy.config.Guards`; null for none.
     """
 
     robot: str
