@@ -116,7 +116,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     max_velocity: Annotated[float, typer.Option(min=0.0, help="Speed limit, m/s.")] = 0.1,
     max_angular_velocity: Annotated[float, typer.Option(min=0.0, help="The same in rad/s.")] = 0.1,
     seed: options.Seed = 0,
-    robot: Annotated[str, typer.Option(help="Robot of a policy.")] = "pr2",
+    robot: Annotated[str | None, typer.Option(help="Robot of a policy; policies need one.")] = None,
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:
@@ -133,6 +133,9 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     if name in registry.names("kinfeas.policies") or ":" in name:
         if overrides or picture is not None:
             raise KinfeasError(f"policy {name!r} has no settings and no picture")
+        if robot is None:
+            robots = ", ".join(registry.names("kinfeas.robots"))
+            raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a YAML file")
         _check_policy(name, robot)
         write_json({"policy": name, "robot": robot, "passed": True}, json)
         return

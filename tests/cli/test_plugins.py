@@ -52,6 +52,7 @@ def test_check_of_a_policy(kinfeas, tmp_path):
     kinfeas("plugins", "check", "follow_ee", "--robot", "hsr", "--json", "a.json", code=0)
     assert json.loads((tmp_path / "a.json").read_text())["passed"] is True
     check_one_line(kinfeas("plugins", "check", "follow_ee", "--set", "gain=1"), "follow_ee")
+    check_one_line(kinfeas("plugins", "check", "follow_ee"), "--robot")
 
 
 def test_check_of_a_generator_that_breaks_rules(kinfeas, tmp_path):
