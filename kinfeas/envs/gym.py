@@ -54,7 +54,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         Args:
             robot: Name or YAML file of the robot.
             task: Entry-point name or YAML file of the task.
-            world: Settings of the world; those of `learning_world` by default.
+            world: `WorldConfig`, by default that of `learning_world`.
             task_parameters: Keyword parameters of the task, or changes to its file.
             backend: Backend of the default settings.
             render_mode: `human` (a window of the simulation), `rgb_array` or None.
