@@ -132,7 +132,11 @@ class RobotSpec:
         pose_tolerance: Error allowed during motions, for arms with fewer than six joints.
         ignored_collisions: Pairs of links that may touch; adjacent links always may.
         gripper: Two fingers; none if null.
-        counterbalanced: Arm joints with spring-compensated load, with physics.
+        counterbalanced: Arm joints with spring-compensated load: with physics, and for
+            `max_gravity_load`.
+        max_gravity_load: Largest gravity torque of a posture as a fraction of the effort limits in
+            the URDF; IK, `ceiling` and the planners leave other postures out. Not checked if null,
+            nor for joints without an effort limit.
     """
 
     name: str
