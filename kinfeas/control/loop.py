@@ -213,7 +213,7 @@ class Loop:
             action: Action terms, clipped to [-1, 1], shape (n, a).
         """
         sequence, before = self.sequence, self.joint_command
-        command, time_scale, torso = split_action(action.clip(-1.0, 1.0), self.action_terms)
+        command, time_scale, torso = split_action(action, self.action_terms)
         self.period = period = self._begin_period(torso)
         if time_scale is not None:
             self.slow_down(time_scale)

@@ -172,12 +172,13 @@ def action_size(robot: Robot, terms: Sequence[str] = ACTION) -> int:
 def split_action(action: Array, terms: Sequence[str]) -> tuple[Array, Array | None, Array | None]:
     """Return base commands, shape (n, c), time scales and torso velocities, shape (n,).
 
-    The last two are None unless they are terms.
+    Actions are clipped to [-1, 1]. The last two are None unless they are terms.
     """
+    action = action.clip(-1.0, 1.0)
     if len(terms) == 1:
         return action, None, None
     size = action.shape[1] - len(terms) + 1
-    others = dict(zip(terms[1:], np.clip(action[:, size:].T, -1.0, 1.0), strict=True))
+    others = dict(zip(terms[1:], action[:, size:].T, strict=True))
     scale = others.get("time_scale")
     if scale is not None:
         scale = SLOWEST + (1.0 - SLOWEST) * (scale + 1.0) / 2

@@ -15,6 +15,7 @@ from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.loop import Loop
+from kinfeas.control.observation import OBSERVATION
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
@@ -152,19 +153,28 @@ def test_reaches_the_goal_and_reports_task_success(run, trained, done, end):
 
 
 class Bold:
-    """A policy whose actions exceed their range."""
+    """A policy whose actions exceed their range, and which observes the last ones."""
 
-    def __init__(self, policy):
-        self.policy = policy
+    observation_terms = (*OBSERVATION, "previous_command")
+
+    def __init__(self, network):
+        self.network = network
 
     def act(self, policy_input):
-        return 3.0 * self.policy.act(policy_input)
+        size = self.network.biases[-1].size
+        observation, previous = np.split(policy_input.observation, [-size], axis=1)
+        return 3.0 * self.network(observation) + 0.1 * previous
 
 
-@pytest.mark.parametrize("drive", [lambda policy: policy, Bold], ids=["within", "beyond"])
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
-def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, drive):
-    settings = ["task={distance: [1.0, 1.2]}", "world.filters=[{name: feasibility}]"]
+@pytest.mark.parametrize(
+    ("name", "filters", "drive"),
+    [
+        *((name, "[feasibility]", lambda network: network) for name in ("pr2", "tiago", "hsr")),
+        ("hsr", "[]", Bold),
+    ],
+)
+def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, filters, drive):
+    settings = ["task={distance: [1.0, 1.2]}", f"world.filters={filters}"]
     config, policy = prepare(pretrained.NAME, name, "ggr", seed=3, overrides=settings)
     # Accelerations that the policy does not reach, since evaluations have no limits.
     base = replace(config.robot.base, max_acceleration=99.0, max_rotation_acceleration=99.0)
