@@ -191,7 +191,7 @@ def _listen(host: str, port: int) -> socket.socket:
             if error.errno != errno.EADDRINUSE:
                 reason = os.strerror(error.errno or 0)
                 raise KinfeasError(f"host {host!r}, port {candidate}: {reason}") from error
-    raise KinfeasError(f"port {port} is in use, and so are all others up to {ports[-1]}")
+    raise KinfeasError(f"no port from {port} to {ports[-1]} is free")
 
 
 def _own_address() -> str:

@@ -9,7 +9,6 @@ from kinfeas.envs.world import World, evaluation_world
 from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
 from kinfeas.viz.film import count_pictures, result, write_film
-from kinfeas.viz.pages import physics_html
 from kinfeas.viz.physics_film import make_film
 
 
@@ -32,6 +31,8 @@ def test_a_film_has_the_episode(film):
     assert np.abs(recording.ee_pose[0] - recording.desired[0]).max() < 0.01
     assert not result(recording)[1]
     pytest.importorskip("viser")
+    from kinfeas.viz.pages import physics_html
+
     assert 'src="http' not in physics_html(film)
 
 

@@ -236,7 +236,7 @@ def test_the_next_free_port_is_taken_but_none_above_the_last(server):
             pass
 
 
-@pytest.mark.parametrize("host", ["192.0.2.1", "no..host", "no.such.host.invalid"])
+@pytest.mark.parametrize("host", ["203.0.113.7", "no..host", "no.such.host.invalid"])
 def test_hosts_of_other_computers_are_errors(host):
     with pytest.raises(KinfeasError, match=host), serving("kinfeas play", host):
         pass
