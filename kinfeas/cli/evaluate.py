@@ -204,7 +204,7 @@ def _show_episode(
                 (recording,) = record_episodes(world, policy, 1, first=number)
             film = EpisodeFilm(recording, f"{robot.name}, {chosen.task.name}", robot)
             _write_film(film, video)
-            write_drawing(lambda: episode_html(recording, robot).encode(), replay)
+            write_drawing(lambda: episode_html(recording, robot, recording.scene).encode(), replay)
     finally:
         world.close()
     write_drawing(lambda: png(episodes_figure(robot, [recording]), dpi=110), picture)
