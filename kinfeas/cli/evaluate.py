@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -209,7 +210,8 @@ def _show_episode(
             if replay is not None:
                 from kinfeas.viz.pages import episode_html
 
-                write_drawing(lambda: episode_html(recording, robot).encode(), replay)
+                page = partial(episode_html, recording, robot, recording.scene)
+                write_drawing(lambda: page().encode(), replay)
     finally:
         world.close()
     write_drawing(lambda: png(episodes_figure(robot, [recording]), dpi=110), picture)

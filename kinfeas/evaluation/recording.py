@@ -13,6 +13,8 @@ from kinfeas.core.spatial import Array
 from kinfeas.envs.episodes import Watch, run_episodes
 from kinfeas.envs.world import Transition, World
 from kinfeas.kinematics.forward import forward
+from kinfeas.scenes.scene import Scene
+from kinfeas.tasks.chain import ChainTask
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,7 @@ class Recording:
         dt: Seconds between moments.
         task_done: Whether the objects met the success condition; None without one.
         solids: Solids at the start, one row; None without any.
+        scene: Furniture at the start; None without any, or if it is among the solids.
     """
 
     episode: int
@@ -44,6 +47,7 @@ class Recording:
     dt: float
     task_done: bool | None = None
     solids: Solids | None = None
+    scene: Scene | None = None
 
     @property
     def goal(self) -> Array:
@@ -86,7 +90,10 @@ class _Kept:
         ee = spatial.compose(start.base_pose, forward(world.solver.chain, start.joint_positions))
         self.moments = [(start.base_pose, start.joint_positions, ee, ee, True)]
         self.goals: dict[int, Array] = {}
-        self.solids = start.solids
+        self.solids, task = start.solids, world.task
+        self.scene: Scene | None = None
+        if isinstance(task, ChainTask) and start.solids is None:
+            self.scene = task.scene_with(start.target_poses)
         self.reached = False
 
     def add(self, world: World, transition: Transition, row: int) -> None:
@@ -103,5 +110,5 @@ class _Kept:
         goals = np.array(list(self.goals.values()))
         return Recording(
             self.episode, base, joints, desired, ee, feasible, goals, self.reached, self.dt,
-            task_done, self.solids,
+            task_done, self.solids, self.scene,
         )  # fmt: skip

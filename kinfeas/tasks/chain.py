@@ -243,9 +243,14 @@ class ChainTask:
 
         Objects that the gripper moves are left out.
         """
+        scene = self.scene_with(targets)
+        return Solids.empty(1) if scene is None else self.solids_of(scene)
+
+    def scene_with(self, targets: Array) -> Scene | None:
+        """Return the scene of the episode with the `targets`, shape (sub-goals, 7), if any."""
         if self.scene is None:
-            return Solids.empty(1)
-        return self.solids_of(_scene(self.scene.name).with_poses(self.object_poses(targets)))
+            return None
+        return _scene(self.scene.name).with_poses(self.object_poses(targets))
 
     def solids_of(self, scene: Scene) -> Solids:
         """Return the furniture of a scene as one row of solids, without grasped links."""

@@ -1,7 +1,7 @@
 """Pictures and films of recorded episodes, drawn by matplotlib: robot, paths, failures, goals."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from textwrap import fill
 from typing import Any
 
@@ -44,7 +44,6 @@ def episodes_figure(
     robot: Robot,
     recordings: Sequence[Recording],
     titles: Sequence[str] | None = None,
-    scene: Scene | None = None,
 ) -> Figure:
     """Return a picture with a column for each episode: from the side, and from above."""
     count = len(recordings)
@@ -57,7 +56,7 @@ def episodes_figure(
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
         grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
         for column, (recording, title) in enumerate(zip(recordings, titles, strict=True)):
-            furniture = [] if scene is None else _furniture_near(scene, recording)
+            furniture = _furniture_near(recording)
             side = drawing.add_axes(figure, grid[0, column], side_heading(recording), _ELEVATION)
             _draw_side(side, robot, recording, [one for object_ in furniture for one in object_])
             side.set_title(title)
@@ -79,7 +78,8 @@ def record_figure(record: Record, robot: Robot) -> Figure:
     seconds = record.time[-1] - record.time[0]
     end = record.event[-1] or "the record breaks off"
     title = fill(f"{robot.name}, {record.about.task}, {seconds:.0f} s: {end}", 50)
-    return episodes_figure(robot, [as_recording(record, robot)], [title], scene_of(record))
+    recording = replace(as_recording(record, robot), scene=scene_of(record))
+    return episodes_figure(robot, [recording], [title])
 
 
 def as_recording(record: Record, robot: Robot) -> Recording:
@@ -178,8 +178,9 @@ class EpisodeFilm(SolidsFilm):
     robot: Robot
 
     def solids(self, moment: int) -> list[shapes.Solid]:
-        """Return the robot at a moment."""
-        return robot_at(self.robot, self.recording, moment)
+        """Return the robot at a moment, and the furniture."""
+        furniture = [one for object_ in _furniture_near(self.recording) for one in object_]
+        return [*robot_at(self.robot, self.recording, moment), *furniture]
 
 
 def robot_at(
@@ -190,8 +191,11 @@ def robot_at(
     return shapes.robot_solids(robot, pose, joints, colours)
 
 
-def _furniture_near(scene: Scene, recording: Recording) -> list[list[shapes.Solid]]:
+def _furniture_near(recording: Recording) -> list[list[shapes.Solid]]:
     """Return the solids of each object near the paths."""
+    scene = recording.scene
+    if scene is None:
+        return []
     paths = np.concatenate([recording.base_pose[:, :2], recording.ee_pose[:, :2]])
     low, high = paths.min(axis=0) - _NEAR, paths.max(axis=0) + _NEAR
     near: dict[str, list[shapes.Solid]] = {
