@@ -28,7 +28,7 @@ OFTEN, ALWAYS = 1.0 / 3.0, 0.95
 _NEAR = 2
 """Revolute joints between near neighbours at most: primitives around their meshes overlap."""
 
-LOAD = 0.9
+LOAD = 0.7
 """Largest gravity torque as a fraction of the effort limit; motors also accelerate the arm."""
 
 _HELD = 0.02
