@@ -205,11 +205,11 @@ def describe(now: "Progress") -> str:
     left = (now.seconds + now.other_seconds) * (1.0 - now.share) / max(now.share, 1e-9)
     # NaN and -1 mean unknown.
     recent = f"{now.success:.0%}" if now.success >= 0.0 else "-"
-    best = f"{now.best:.1%}" if now.best >= 0.0 else "-"
+    best = f", best evaluation {now.best:.1%} (mean of success and within 5 cm)"
     return (
         f"{now.steps:,} steps, {now.steps / max(now.seconds, 1e-9):,.0f}/s, "
-        f"success while learning {recent}, best evaluation {best} (mean of success and "
-        f"within 5 cm), {as_minutes(left)} left"
+        f"success while learning {recent}{best if now.best >= 0.0 else ''}, "
+        f"{as_minutes(left)} left"
     )
 
 
