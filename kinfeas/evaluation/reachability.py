@@ -94,9 +94,9 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
                 found[still_open] = reachable(solver, *given).reached
         all_reached = np.all([found.all(axis=1) for found in reached], axis=0)
         convergence.append(float(all_reached.mean()))
-    found = _limits(groups, reached, drawn) if limits else ()
+    counts = _limits(groups, reached, drawn) if limits else ()
     share = wilson(int(all_reached.sum()), episodes)
-    return Reachability(all_reached, share, tuple(convergence), found)
+    return Reachability(all_reached, share, tuple(convergence), counts)
 
 
 def _limits(

@@ -43,7 +43,7 @@ def test_episodes_are_drawn_from_the_side_and_from_above(hsr, recordings):
 
 
 def test_furniture_is_drawn_where_the_episode_puts_it(hsr):
-    task = registry.build("kinfeas.tasks", "pick_place", {"clutter": None})
+    task = registry.build("kinfeas.tasks", "pick_place", {})
     world = World(hsr, task, WorldConfig(max_seconds=3.0), seed=1)
     (one,) = record_episodes(world, load_policy("follow_ee", hsr), 1)
     table = one.scene.objects["place_table"].pose
