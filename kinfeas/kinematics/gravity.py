@@ -20,42 +20,48 @@ class GravityModel(NamedTuple):
 
     Attributes:
         tree: All m joints that the arm drives, mimic joints included, as in `CollisionModel`.
-        mass: Of the body of each joint, shape (m,), kg.
-        moment: The same times its centre, in its frame, shape (m, 3), kg m.
-        carried: Mass of all bodies from each joint on, shape (m,), kg.
-        limit: Largest gravity torque of each arm joint, shape (v,), N m or N; inf for none.
+        load: A row for each joint, shape (m, 6), one array since each costs a call of a kernel:
+            mass of its body, kg; the same times its centre, in its frame, three numbers, kg m; mass
+            of all bodies from it on, kg; largest gravity torque, N m or N, inf for none.
+        variables: Number of the arm's joints.
     """
 
     tree: Tree
-    mass: Array
-    moment: Array
-    carried: Array
-    limit: Array
+    load: Array
+    variables: int
+
+    @property
+    def limited(self) -> bool:
+        """Whether a joint has a largest gravity torque."""
+        return bool(np.isfinite(self.load[:, _LIMIT]).any())
+
+
+_MASS, _CARRIED, _LIMIT = 0, 4, 5
 
 
 def build_gravity_model(robot: Robot) -> GravityModel:
     """Return the gravity model of `robot`, with all other joints at `robot.fixed_joints`.
 
-    Joints have a limit if the robot has a `max_gravity_load`, they have an effort limit, which is
-    not 0, in the URDF, and are not counterbalanced.
+    Arm joints have a limit if the robot has a `max_gravity_load`, they have an effort limit, which
+    is not 0, in the URDF, and are not counterbalanced.
     """
     tree, mounts = build_tree(robot)
-    mass, moment = np.zeros(len(tree.variable)), np.zeros((len(tree.variable), 3))
+    load = np.zeros((len(tree.variable), 6))
+    load[:, _LIMIT] = np.inf
     for name, mount in mounts.items():
         if mount.joint >= 0:
             link = robot.urdf.links[name]
-            mass[mount.joint] += link.mass
-            moment[mount.joint] += link.mass * (mount.offset + mount.rotation @ link.centre)
-    carried = mass.copy()
-    for i in range(len(mass) - 1, -1, -1):
+            centre = mount.offset + mount.rotation @ link.centre
+            load[mount.joint, :_CARRIED] += link.mass * np.array([1.0, *centre])
+    load[:, _CARRIED] = load[:, _MASS]
+    for i in range(len(load) - 1, -1, -1):
         if tree.parent[i] >= 0:
-            carried[tree.parent[i]] += carried[i]
-    limit = np.full(len(robot.arm), np.inf)
-    for j, joint in enumerate(robot.arm):
-        effort = robot.urdf.joints[joint.name].effort
-        if robot.max_gravity_load and effort and joint.name not in robot.counterbalanced:
-            limit[j] = robot.max_gravity_load * effort
-    return GravityModel(tree, mass, moment, carried, limit)
+            load[tree.parent[i], _CARRIED] += load[i, _CARRIED]
+    for arm_joint in robot.arm:
+        joint = robot.urdf.joints[arm_joint.name]
+        if robot.max_gravity_load and joint.effort and joint.name not in robot.counterbalanced:
+            load[mounts[joint.child].joint, _LIMIT] = robot.max_gravity_load * joint.effort
+    return GravityModel(tree, load, len(robot.arm))
 
 
 class _Placed(NamedTuple):
@@ -72,54 +78,59 @@ def gravity_torques(model: GravityModel, joint_positions: Array) -> Array:
     They are the generalized forces of the arm joints, those of joints that mimic them included, at
     positions (..., v), radians or metres, with the base level.
     """
-    flat, leading = flattened(len(model.limit), joint_positions)
+    flat, leading = flattened(model.variables, joint_positions)
     torque = np.empty_like(flat)
-    _torque_batch(model, flat, torque)
-    return torque.reshape(*leading, len(model.limit))
+    _torque_batch(model.tree, model.load, flat, torque)
+    return torque.reshape(*leading, model.variables)
 
 
 def overloaded(model: GravityModel, joint_positions: Array) -> NDArray[np.bool_]:
     """Return which gravity torques exceed their limits at positions (..., v), shape (..., v)."""
-    beyond: NDArray[np.bool_] = np.abs(gravity_torques(model, joint_positions)) > model.limit
+    limit = np.full(model.variables, np.inf)
+    np.minimum.at(limit, model.tree.variable, model.load[:, _LIMIT])
+    beyond: NDArray[np.bool_] = np.abs(gravity_torques(model, joint_positions)) > limit
     return beyond
 
 
 @kernel
-def _torque_batch(model, joint_positions, out):
-    joints = len(model.tree.variable)
+def _torque_batch(tree, load, joint_positions, out):
+    joints = len(tree.variable)
     scratch = _Placed(np.empty((joints, 3)), np.empty((joints, 3, 3)), np.empty((joints, 3)))
     for i in range(len(joint_positions)):
-        _write_torques(model, joint_positions[i], scratch, out[i])
+        _write_torques(tree, load, joint_positions[i], scratch, out[i])
 
 
 @inner
-def overloads(model: GravityModel, q, scratch: CollisionScratch):
-    """Return whether a gravity torque exceeds its limit at the arm joints `q`, shape (v,)."""
-    _write_torques(model, q, scratch, scratch.torque)
+def overloads(tree: Tree, load, q, scratch: CollisionScratch):
+    """Return whether a gravity torque exceeds its limit at the arm joints `q`, shape (v,).
+
+    Tree and load are those of a `GravityModel`.
+    """
+    _write_torques(tree, load, q, scratch, scratch.torque)
     beyond = False
-    for j in range(len(q)):
-        beyond |= abs(scratch.torque[j]) > model.limit[j]
+    for i in range(len(load)):
+        beyond |= abs(scratch.torque[tree.variable[i]]) > load[i, _LIMIT]
     return beyond
 
 
 @inlined
-def _write_torques(model, q, scratch, out):
+def _write_torques(tree, load, q, scratch, out):
     """Write the gravity torques of the arm joints, shape (v,): derivatives of the energy."""
-    tree, bodies, origins = model.tree, scratch.bodies, scratch.origins
+    bodies, origins = scratch.bodies, scratch.origins
     place_bodies(tree, q, scratch)
     moment = scratch.motion  # x and y; bodies are placed, their joints' motions are not needed
-    for i in range(len(tree.variable)):
+    for i in range(len(load)):
         for r in range(2):
-            moment[i, r] = model.mass[i] * origins[i, r]
+            moment[i, r] = load[i, _MASS] * origins[i, r]
             for k in range(3):
-                moment[i, r] += bodies[i, r, k] * model.moment[i, k]
+                moment[i, r] += bodies[i, r, k] * load[i, 1 + k]
     for j in range(len(out)):
         out[j] = 0.0
-    for i in range(len(tree.variable) - 1, -1, -1):
-        force = model.carried[i] * bodies[i, 2, 2]
+    for i in range(len(load) - 1, -1, -1):
+        carried = load[i, _CARRIED]
+        force = carried * bodies[i, 2, 2]
         if not tree.prismatic[i]:
-            x = moment[i, 0] - model.carried[i] * origins[i, 0]
-            y = moment[i, 1] - model.carried[i] * origins[i, 1]
+            x, y = moment[i, 0] - carried * origins[i, 0], moment[i, 1] - carried * origins[i, 1]
             force = bodies[i, 0, 2] * y - bodies[i, 1, 2] * x
         out[tree.variable[i]] += GRAVITY * tree.multiplier[i] * force
         if tree.parent[i] >= 0:

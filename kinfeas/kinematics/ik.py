@@ -120,7 +120,7 @@ class IkSolver:
         Motors hold any posture unless the robot has a `max_gravity_load`.
         """
         admissible = ~self_collides(self.collision, joint_positions)
-        if self._problem.check_gravity:
+        if self.gravity.limited:
             admissible &= ~overloaded(self.gravity, joint_positions).any(axis=-1)
         return admissible
 
@@ -242,8 +242,7 @@ def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
         descent=Descent(*aim, weight, options.max_iterations),
         collision=solver.collision,
         check_collision=options.self_collision and len(solver.collision.pairs) > 0,
-        gravity=solver.gravity,
-        check_gravity=bool(np.isfinite(solver.gravity.limit).any()),
+        load=solver.gravity.load if solver.gravity.limited else np.empty((0, 6)),
         lower=lower,
         upper=upper,
         velocity=velocity,

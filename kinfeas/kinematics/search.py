@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
 from kinfeas.kinematics.forward import Chain, place_chain
-from kinfeas.kinematics.gravity import GravityModel, overloads
+from kinfeas.kinematics.gravity import overloads
 from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel, square, write_matrix
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
@@ -41,8 +41,7 @@ class Problem(NamedTuple):
         descent: Options of a descent.
         collision: Self-collision model.
         check_collision: Whether self-collision is checked.
-        gravity: Gravity model.
-        check_gravity: Whether gravity torques are checked.
+        load: Of a `GravityModel`, shape (m, 6); (0, 6) if any posture can be held.
         lower: Joint limits, shape (v,); -inf for continuous joints.
         upper: Same, +inf for continuous joints.
         velocity: Joint velocity limits, shape (v,).
@@ -66,8 +65,7 @@ class Problem(NamedTuple):
     descent: Descent
     collision: CollisionModel
     check_collision: bool
-    gravity: GravityModel
-    check_gravity: bool
+    load: Array
     lower: Array
     upper: Array
     velocity: Array
@@ -318,7 +316,9 @@ def _close_enough(problem, metres, radians):
 def _free(problem, q, touching, around):
     if _collides(problem.collision, problem.check_collision, q, touching, *around):
         return False
-    return not (problem.check_gravity and overloads(problem.gravity, q, touching))
+    return len(problem.load) == 0 or not overloads(
+        problem.collision.tree, problem.load, q, touching
+    )
 
 
 @inner

@@ -41,17 +41,22 @@ def weak_tiago():
 
 def test_limits_are_those_of_motors(weak_tiago):
     names = [joint.name for joint in weak_tiago.arm]
-    limit = dict(zip(names, build_gravity_model(weak_tiago).limit, strict=True))
-    efforts = {name: weak_tiago.urdf.joints[name].effort for name in names}
-    assert limit == {name: 0.5 * effort for name, effort in efforts.items()}
-    joints = weak_tiago.urdf.joints
+    model, drawn = build_gravity_model(weak_tiago), draw(weak_tiago, 300)
+    joints = dict(weak_tiago.urdf.joints)
+    torques, beyond = np.abs(gravity_torques(model, drawn)), overloaded(model, drawn)
+    efforts = np.array([joints[name].effort for name in names])
+    np.testing.assert_array_equal(beyond, torques > 0.5 * efforts)
+    assert 0.3 < beyond.any(axis=1).mean() < 0.5
     for effort in (0.0, np.inf):  # none is given
-        changed = joints | {"arm_2_joint": replace(joints["arm_2_joint"], effort=effort)}
-        other = replace(weak_tiago, urdf=replace(weak_tiago.urdf, joints=changed))
-        assert build_gravity_model(other).limit[names.index("arm_2_joint")] == np.inf
+        joints["arm_2_joint"] = replace(joints["arm_2_joint"], effort=effort)
+        other = replace(weak_tiago, urdf=replace(weak_tiago.urdf, joints=joints))
+        assert not overloaded(build_gravity_model(other), drawn)[
+            :, names.index("arm_2_joint")
+        ].any()
     sprung = replace(weak_tiago, counterbalanced=frozenset(names))
     for other in (sprung, replace(weak_tiago, max_gravity_load=None)):
-        assert np.all(build_gravity_model(other).limit == np.inf)
+        assert not build_gravity_model(other).limited
+        assert not overloaded(build_gravity_model(other), drawn).any()
 
 
 def test_solutions_can_be_held(weak_tiago):
@@ -91,4 +96,6 @@ def test_planned_motions_can_be_held(weak_tiago):
         given = start.base_pose, start.joint_positions, start.target_poses[0]
         path = planner.plan(*given, Solids.empty(1))
         assert path is not None
-        assert solver.admissible(path.robot[:, 3:]).all()
+        held = solver.admissible(path.robot[:, 3:])
+        assert held[-1]
+        assert held.mean() > 0.9  # of tries that all fail, the planner returns the best
