@@ -155,7 +155,7 @@ class PlayPage:
             control_layout="floating", show_logo=False, show_share_button=False
         )
         server.initial_camera.position = np.array([1.9, -2.1, 1.9])
-        server.initial_camera.look_at = np.array([0.2, 0.0, 0.7])
+        server.initial_camera.look_at = np.array([0.6, 0.3, 0.7])  # left of the controls
         server.on_client_connect(_make_room)
         self._robot = load_robot(choice.robot)
         self._scene = self._draw_scene(choice.scene)

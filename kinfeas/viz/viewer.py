@@ -13,7 +13,7 @@ from kinfeas.viz.shapes import link_poses, robot_parts, scene_solids
 from kinfeas.viz.style import ARM, BODY
 
 _FLOOR, _LINES = (245, 246, 248), (205, 210, 217)  # colours
-_VIEW = np.array([0.9, -1.3, 0.9])  # from what is shown to the camera, as shares of its radius
+_VIEW = np.array([0.82, -1.18, 0.85])  # from what is shown to the camera, as shares of its radius
 _STILL = 1e-4  # m, and of a quaternion
 
 
