@@ -1,8 +1,9 @@
 """Drafts of a robot's YAML and URDF from a vendor's URDF."""
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -107,22 +108,15 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     report, source = on_done or (lambda share: None), str(path)
     description = read_description(path, meshes=meshes, mesh_paths=mesh_paths)
     links = len(description.children("link"))
-    originals: dict[str, list[Part]] = {}
-
-    def boxed(fitted: Collection[str] | None = None) -> str:
-        if fitted is not None:
-            return boxed_urdf(path, base, None, description, fitted)
-        return boxed_urdf(
-            path, base, lambda _: report(_BOXING / links), description, originals=originals
-        )
-
+    write = partial(boxed_urdf, path, base, robot=description)
     # A choice between arms comes before the work: fitting meshes takes most of the time.
-    bare = _parsed(boxed(fitted=()), source)
+    bare = _parsed(write(fitted=()), source)
     if hand is not None:
         find_arm(bare, hand, source)
     elif ends := ends_of_arms(bare, source):
-        find_arm(_parsed(boxed(fitted=ends), source), None, source)
-    whole = boxed()
+        find_arm(_parsed(write(fitted=ends), source), None, source)
+    originals: dict[str, list[Part]] = {}
+    whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
     arm = find_arm(_parsed(whole, source), hand, source)
     text, lifted = on_the_floor(whole, arm, source)
     urdf = _parsed(text, source)
