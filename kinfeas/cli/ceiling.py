@@ -22,20 +22,18 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Compute the share of reachable goals. It is an upper bound for every policy.
 
     The goals are those of kinfeas evaluate with the same seed. All sub-goals of an episode count as
-    one; the table names what keeps sub-goals out of reach. Settings: ik.KEY, such as ik.self_collision=false, and task.KEY, the task's parameters.
+    one. Settings: ik.KEY, such as ik.self_collision=false, and task.KEY, the task's parameters.
 
     Example: kinfeas ceiling --robot pr2 --task door --path --episodes 100
     """
     from kinfeas.config import from_mapping
     from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
-    from kinfeas.kinematics.reachability import LIMITS, STAGES
+    from kinfeas.kinematics.reachability import STAGES
 
     config = from_mapping(ReachabilityConfig, {}, "settings", overrides or ())
     known, drawn_by = options.read_robot(robot), options.read_task(task, config.task)
     with progress(f"{episodes} goals") as advance:
-        found = measure_reachability(
-            known, drawn_by, episodes, seed, config.ik, advance, path=path, limits=True
-        )
+        found = measure_reachability(known, drawn_by, episodes, seed, config.ik, advance, path=path)
     summary = {
         "robot": known.name,
         "task": drawn_by.name,
@@ -47,7 +45,6 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
         "ceiling_high": found.share.high,
         "base_poses": list(STAGES),
         "convergence": list(found.convergence),
-        "out_of_reach": list(found.limits),
     }
     write_json(summary, json)
     what = f"{drawn_by.name}{', path included' if path else ''}"
@@ -55,8 +52,4 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     stages = zip(STAGES, found.convergence, strict=True)
     rows = [[f"found with {count} base poses a goal", share(value)] for count, value in stages]
     rows.append(["reachable", share(found.share.value, found.share.low, found.share.high)])
-    for number, limits in enumerate(found.limits, 1):
-        for limit, count in sorted(limits.items()):
-            what = f"sub-goal {number} out of reach, {limit}: {LIMITS[limit]}"
-            rows.append([what, share(count / episodes)])
     print_table(title, ["", " share (95 % interval)"], rows)

@@ -1,6 +1,5 @@
 """Reachability of the goals and paths of a task: the upper bound (ceiling) of success."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -16,13 +15,7 @@ from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng, stacked
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.kinematics.reachability import (
-    STAGES,
-    Reachability,
-    at_goals,
-    limits_of,
-    reachable,
-)
+from kinfeas.kinematics.reachability import STAGES, Reachability, at_goals, reachable
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals, sample_start
 
@@ -55,7 +48,6 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     on_done: OnDone | None = None,
     *,
     path: bool = False,
-    limits: bool = False,
 ) -> Reachability:
     """Return for each episode whether some base pose reaches the goals of all sub-goals.
 
@@ -63,8 +55,7 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     Among solids, base and arm are free of those that stand, and a disc within the base can be
     driven from the start to the base pose. The episodes are those of an evaluation. With `path`,
     some base poses must also reach all waypoints: each its own, and base motions between them are
-    not checked. `on_done` is called with the share of all work, 0-1, that has just been done. With
-    `limits`, what keeps sub-goals out of reach is looked for, too.
+    not checked. `on_done` is called with the share of all work, 0-1, that has just been done.
     """
     if isinstance(task, StreamTask):
         raise KinfeasError(f"task {task.name!r} has no ceiling: its targets move")
@@ -94,32 +85,7 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
                 found[still_open] = reachable(solver, *given).reached
         all_reached = np.all([found.all(axis=1) for found in reached], axis=0)
         convergence.append(float(all_reached.mean()))
-    found = _limits(groups, reached, drawn) if limits else ()
-    share = wilson(int(all_reached.sum()), episodes)
-    return Reachability(all_reached, share, tuple(convergence), found)
-
-
-def _limits(
-    groups: list[tuple[IkSolver, Array, int]],
-    reached: list[NDArray[np.bool_]],
-    drawn: tuple[tuple[SubgoalMotion, ...], Start, list[np.random.Generator]],
-) -> tuple[dict[str, int], ...]:
-    """Return the numbers of episodes in which each sub-goal is out of reach, by the limit.
-
-    The first pose that is out of reach counts: the goal, then those on the way.
-    """
-    counts: tuple[Counter[str], ...] = tuple(Counter() for _ in drawn[0])
-    missed_before = np.zeros((len(drawn[2]), len(counts)), dtype=np.bool_)
-    for (solver, poses, _), found in zip(groups, reached, strict=True):
-        each = found.reshape(*missed_before.shape, -1)
-        episodes, numbers = np.nonzero(~each.all(axis=2) & ~missed_before)
-        missed_before[episodes, numbers] = True
-        if episodes.size:
-            first = numbers * each.shape[2] + np.argmin(each[episodes, numbers], axis=1)
-            named = limits_of(solver, poses[episodes, first], drawn[1].of(episodes))
-            for number, limit in zip(numbers.tolist(), named, strict=True):
-                counts[number][limit] += 1
-    return tuple(dict(count) for count in counts)
+    return Reachability(all_reached, wilson(int(all_reached.sum()), episodes), tuple(convergence))
 
 
 def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:

@@ -19,17 +19,6 @@ from kinfeas.robots.robot import Robot
 STAGES = (4, 16, 64, 256, 1024)
 """Base poses tried around a goal by the end of each stage."""
 
-LIMITS = {
-    "height": "above or below the heights of the EE",
-    "orientation": "no arm configuration has this height and tilt",
-    "self-collision": "arm configurations touch the robot",
-    "solids": "solids are in the way of base or arm",
-}
-"""What keeps a goal out of reach."""
-
-_LIFTED = (256,)
-"""Base poses that are tried without a limit."""
-
 _POSTURES, _POSTURE_SEED = 8192, 3
 
 
@@ -41,14 +30,11 @@ class Reachability:
         reached: Whether a base pose was found for each goal, shape (n,).
         share: Share of reached goals with its Wilson interval.
         convergence: Share reached by the end of each stage.
-        limits: For each sub-goal the numbers of goals out of reach, by `LIMITS`; empty if they were
-            not looked for.
     """
 
     reached: NDArray[np.bool_]
     share: Proportion
     convergence: tuple[float, ...]
-    limits: tuple[dict[str, int], ...] = ()
 
 
 def at_goals(robot: Robot, ik: IkOptions) -> IkOptions:
@@ -96,26 +82,6 @@ def reachable(
                 on_done(1.0 / (len(still_open) * len(stages)))
         convergence.append(float(reached.mean()))
     return Reachability(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
-
-
-def limits_of(solver: IkSolver, goals: Array, start: Start | None = None) -> list[str]:
-    """Return what keeps goals that are out of reach there, one of `LIMITS` each, (n, 7) -> n.
-
-    It is the first of solids and self-collision without which a goal is reached; the arguments are
-    those of `reachable`.
-    """
-    heights = Postures(solver).ee_pose[:, 2]
-    z, slack = goals[:, 2], solver.options.position_tolerance
-    beyond = (z < heights.min() - slack) | (z > heights.max() + slack)
-    limits = np.where(beyond, "height", "orientation")
-    lifted = [("self-collision", IkSolver(solver.robot, replace(solver.options, self_collision=False)))]
-    if start is not None and start.solids is not None:
-        lifted.insert(0, ("solids", solver))
-    for name, without in lifted:
-        rows = np.flatnonzero(limits == "orientation")
-        if rows.size:
-            limits[rows[reachable(without, goals[rows], _LIFTED).reached]] = name
-    return [str(limit) for limit in limits]
 
 
 class Postures:

@@ -1,15 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from kinfeas import config
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.solids import Solids
-from kinfeas.core.start import Start
 from kinfeas.evaluation.reachability import measure_reachability
-from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.kinematics.reachability import limits_of
+from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
@@ -47,28 +42,6 @@ def test_every_sub_goal_counts():
         found = measure_reachability(robot, reach(*heights), 2, 0)
         assert found.reached.tolist() == [False, False]
         assert found.convergence == (0.0,) * 5
-
-
-def test_limits_name_the_sub_goal_and_what_keeps_it_out_of_reach():
-    robot = load_robot("hsr")
-    task = reach(0.7, 3.0)
-    limits = measure_reachability(robot, task, 2, 0, limits=True).limits
-    assert limits == ({}, {"height": 2})
-    under = replace(task.places["at 3.0"], position=(1.0, 0.0, 0.1), rpy=(0.0, -1.57, 0.0))
-    turned = replace(task, places={**task.places, "at 3.0": under})
-    for path in (False, True):
-        limits = measure_reachability(robot, turned, 2, 0, path=path, limits=True).limits
-        assert limits[1] == {"orientation": 2}
-    assert measure_reachability(robot, task, 2, 0).limits == ()
-
-
-def test_solids_and_the_robot_itself_are_told_apart():
-    robot = load_robot("pr2")
-    solver = IkSolver(robot)
-    goal = np.array([[0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0]])
-    box = Solids.from_table(np.array([[0.0, 0.0, 0, 0.5, 0.5, 0.7, 0.9, 0, 0, 0, 0]]))
-    start = Start(np.array([[-2.0, 0, 0, 0, 0, 0, 1]]), robot.home["home"][np.newaxis], goal, box)
-    assert limits_of(solver, goal, start) == ["solids"]
 
 
 def test_paths_are_harder_than_goals():
