@@ -21,7 +21,6 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.sim2real.servo.choice import DT, NONE, Choice
-from kinfeas.viz.server import PageServer
 from kinfeas.viz.shapes import corners, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
 from kinfeas.viz.viewer import DrawnRobot, draw_floor, draw_scene, place, rgb
@@ -138,7 +137,7 @@ class PlayPage:
         frames: Number of frames that were sent.
     """
 
-    def __init__(self, server: PageServer, choice: Choice, folder: Path) -> None:
+    def __init__(self, server: Any, choice: Choice, folder: Path) -> None:
         """Draw robot and scene of a choice; `start` adds what moves them.
 
         Demonstrations are written to `folder`.
@@ -431,7 +430,7 @@ def _footprint(robot: Robot) -> Array:
     return np.column_stack([outline, np.zeros(len(outline))])
 
 
-def play(server: PageServer, choice: Choice, folder: Path) -> None:
+def play(server: Any, choice: Choice, folder: Path) -> None:
     """Fill a page and run it until Ctrl-C; raise KinfeasError if its choice cannot be built."""
     page = PlayPage(server, choice, folder)
     try:

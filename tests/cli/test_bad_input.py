@@ -180,3 +180,17 @@ def test_bad_input_is_one_line_and_writes_nothing(kinfeas, files, line, named):
     check_one_line(done, named)
     assert done.out == ""
     assert files() == before
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("--host 203.0.113.7", "203.0.113.7"),
+        ("--host no..host", "no..host"),
+        ("--backend ros2", "'ros2'"),
+        ("follow_me", "'follow_me'"),
+    ],
+)
+def test_pages_end_with_one_line(kinfeas, line, named):
+    pytest.importorskip("viser")
+    check_one_line(kinfeas("play", "--port", "0", *line.split()), named)

@@ -7,9 +7,8 @@ from kinfeas.plugins.linear import Linear
 from kinfeas.scenes.scene import read_scene
 from kinfeas.testing.trial import Trial, sample_motions
 from kinfeas.viz.figures import scene_figure
-from kinfeas.viz.pages import episode_html, scene_html
 from kinfeas.viz.plots import learning_curve, motion_figure, read_metrics
-from kinfeas.viz.shapes import corners, robot_solids
+from kinfeas.viz.shapes import corners, robot_solids, scene_solids
 from kinfeas.viz.style import ARM, BODY, png
 
 
@@ -51,8 +50,41 @@ def test_a_scene_has_its_objects_and_the_paths_of_its_handles():
     assert ends == {tuple(np.round(room.handle_pose(name)[:3], 6)) for name in room.handles}
 
 
+def test_furniture_has_the_colours_of_its_urdf_or_is_grey(tmp_path):
+    box = '<geometry><box size="0.1 0.1 0.1"/></geometry>'
+    red = f'<visual>{box}<material name=""><color rgba="1 0 0 1"/></material></visual>'
+    for name, visual in (("red", red), ("bare", "")):
+        link = f'<link name="a">{visual}<collision>{box}</collision></link>'
+        (tmp_path / f"{name}.urdf").write_text(f'<robot name="a">{link}</robot>')
+    red, bare = (f"{{urdf: {name}.urdf, position: [{x}, 0, 0.05]}}" for x, name in
+                 enumerate(("red", "bare")))  # fmt: skip
+    scene = f"{{name: a, size: [4, 4], objects: {{red: {red}, bare: {bare}}}}}"
+    (tmp_path / "scene.yaml").write_text(scene)
+    solids = dict(scene_solids(read_scene(str(tmp_path / "scene.yaml"))))
+    assert solids["red"].colour == "#ff0000"
+    assert len({solids["bare"].colour[i : i + 2] for i in (1, 3, 5)}) == 1
+
+
+def test_the_camera_of_a_page_shows_all_points_from_near():
+    pytest.importorskip("viser")
+    from kinfeas.viz.server import serving
+    from kinfeas.viz.viewer import aim
+
+    points = np.array([[5.0, 5.0, 0.0], [6.0, 5.5, 1.2], [5.5, 6.0, 0.3]])
+    with serving("a page") as server:
+        aim(server, points)
+        camera = server.initial_camera
+        forward, rays = camera.look_at - camera.position, points - camera.position
+    forward, distance = forward / np.linalg.norm(forward), np.linalg.norm(rays, axis=1)
+    assert np.degrees(np.arccos((rays @ forward) / distance)).max() < 37.5
+    assert distance.max() < 3.0
+
+
 def test_pages_are_self_contained(hsr, recordings):
     pytest.importorskip("viser")
+    from kinfeas.viz.pages import episode_html, scene_html
+
     for html in (scene_html(read_scene("room")), episode_html(recordings[0], hsr)):
         assert html.lstrip().lower().startswith("<!doctype html")
+        assert "<title>kinfeas: " in html
         assert not any(place in html for place in ('src="http', "src='http", 'href="http'))
