@@ -49,9 +49,9 @@ def install(revision, folder):
 
 def changes(old, new):
     """Return the names of the arrays that differ in the last bit, or are in one file only."""
-    arrays = [dict(np.load(path)) if path.exists() else {} for path in (old, new)]
-    before, after = arrays
-    same = {key for key in before.keys() & after.keys() if np.array_equal(before[key], after[key])}
+    before, after = (dict(np.load(path)) if path.exists() else {} for path in (old, new))
+    both = before.keys() & after.keys()
+    same = {key for key in both if np.array_equal(before[key], after[key])}
     return sorted((before.keys() | after.keys()) - same)
 
 
