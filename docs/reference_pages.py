@@ -175,8 +175,8 @@ def _bounds(bounds: object) -> str:
     if not isinstance(bounds, Interval):
         return ""
     # Larger bounds catch mistakes only.
-    limits: tuple[tuple[str, Any], ...]
-    limits = ((">", bounds.gt), (">=", bounds.ge), ("<", bounds.lt), ("<=", bounds.le))
+    names = {">": "gt", ">=": "ge", "<": "lt", "<=": "le"}
+    limits: list[tuple[str, Any]] = [(sign, getattr(bounds, name)) for sign, name in names.items()]
     kept = [f"{sign} {limit:g}" for sign, limit in limits if limit is not None and abs(limit) < 1e4]
     return f" ({', '.join(kept)})" if kept else ""
 

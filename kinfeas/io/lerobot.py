@@ -39,7 +39,7 @@ def write_lerobot_dataset(
 
     `observation.state` has the poses of the EE and of the base, if that was recorded in all of
     them; `observation.environment_state` has the pose of the object; `action` is the pose of the
-    EE one frame later. Quaternions are xyzw with w >= 0 in the first frame of an episode and no
+    EE one frame later. Quaternions are xyzw with w >= 0 in the first state of an episode and no
     change of sign within it. `task` is the instruction in words, `robot` the type of the robot.
 
     Raises:
