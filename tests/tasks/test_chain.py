@@ -128,7 +128,7 @@ def test_files_are_found_beside_the_task_from_any_folder(write, tmp_path, monkey
     ("scene: {name: rom, success: {object: box, parent: door_base}}", "rom.*'room'"),
     (
         "scene: {name: room, success: {object: box, parent: walls}, moves: {box: {place: tea}}}",
-        r"scene\.moves\.b\.place",
+        r"scene\.moves\.box\.place",
     ),
 ])  # fmt: skip
 def test_wrong_files_raise(write, line, key):
