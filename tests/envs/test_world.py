@@ -233,12 +233,18 @@ class RealRobot(AnalyticBackend):
         type(self).closed = True
 
 
-def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch):
+def make_real():
+    return RealRobot()
+
+
+@pytest.mark.parametrize(("factory", "built"), [(RealRobot, False), (make_real, True)])
+def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch, factory, built):
     monkeypatch.setattr(registry, "_REGISTERED", [])
-    registry.register("kinfeas.backends", "real", RealRobot)
+    monkeypatch.setattr(RealRobot, "closed", False)
+    registry.register("kinfeas.backends", "real", factory)
     with pytest.raises(KinfeasError, match="real"):
         make(hsr, world=WorldConfig(backend="real"))
-    assert RealRobot.closed
+    assert RealRobot.closed == built
 
 
 def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):
