@@ -101,7 +101,7 @@ def _find_hand(urdf: Urdf, source: str) -> str:
     if len(hands) > 1:
         raise KinfeasError(
             f"{source}: there are several arms: choose the link that IK places, such as "
-            f"{' or '.join(hands)}"
+            f"--ee {' or '.join(hands)}"
         )
     return hands[0]
 

@@ -46,7 +46,7 @@ def load_policy(name: str, robot: Robot) -> Policy:
     path = pretrained.folder(robot.name, name)
     if name and path.is_dir():
         return read_network(path, robot)
-    if path.is_file():
+    if path.suffix == ".onnx" or path.is_file():
         return read_policy_file(path, robot)
     module, _, attribute = name.partition(":")
     if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):

@@ -191,7 +191,8 @@ def _listen(host: str, port: int) -> socket.socket:
             if error.errno != errno.EADDRINUSE:
                 reason = os.strerror(error.errno or 0)
                 raise KinfeasError(f"host {host!r}, port {candidate}: {reason}") from error
-    raise KinfeasError(f"no port from {port} to {ports[-1]} is free")
+    last = "" if len(ports) == 1 else f" to {ports[-1]}"
+    raise KinfeasError(f"host {host!r}, port {port}{last}: {os.strerror(errno.EADDRINUSE)}")
 
 
 def _own_address() -> str:
