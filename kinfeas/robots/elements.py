@@ -147,6 +147,7 @@ def set_origin(element: Any, pose: Array, digits: int | None = None) -> None:
 
 _LFS = b"version https://git-lfs"
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")  # of a package.xml
+_MAX_PACKAGE_BYTES = 1_000_000  # of which the name is read
 
 
 def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
@@ -212,6 +213,8 @@ def _roots(variable: str) -> list[Path]:
 @cache
 def _package_name(path: Path) -> str | None:
     with suppress(OSError):
-        if found := _NAME.search(path.read_bytes()):
-            return found[1].decode(errors="replace")
+        if path.is_file():
+            with path.open("rb") as file:
+                found = _NAME.search(file.read(_MAX_PACKAGE_BYTES))
+            return found[1].decode(errors="replace") if found else None
     return None

@@ -186,7 +186,10 @@ def _listen(host: str, port: int) -> socket.socket:
     ports = range(port, min(port + _PORTS, 2**16))
     for candidate in ports:
         try:
-            return socket.create_server((address[0], candidate, *address[2:]), family=family)
+            return socket.create_server(
+                (address[0], candidate, *address[2:]), family=family,
+                dualstack_ipv6=family == socket.AF_INET6 and socket.has_dualstack_ipv6(),
+            )  # fmt: skip
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 reason = os.strerror(error.errno or 0)

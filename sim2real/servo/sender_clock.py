@@ -27,6 +27,7 @@ class SenderClock:
         self._tolerance = tolerance
         self._offset, self._newest = math.inf, -math.inf
         self._count, self._began, self._delay, self._least = 0, 0.0, 0.0, 0.0
+        self._no_queue = False
 
     def sent(self, stamp: float, arrival: float) -> float | None:
         """Return when a message was sent, seconds of our clock and at most `arrival`.
@@ -53,10 +54,11 @@ class SenderClock:
 
     def _agreed(self, stamp: float, arrival: float, late: float) -> bool:
         """Return whether messages in doubt, this being the last, agree on another offset."""
-        delay = arrival - stamp
-        if self._count == 0 or not abs(delay - self._delay) <= self._tolerance:
+        delay, no_queue = arrival - stamp, late < 0.0 or stamp < self._newest
+        agrees = abs(delay - self._delay) <= self._tolerance and no_queue == self._no_queue
+        if self._count == 0 or not agrees:
             self._count, self._began, self._delay, self._least = 0, arrival, delay, delay
+            self._no_queue = no_queue
         self._count, self._least = self._count + 1, min(self._least, delay)
-        no_queue = late < 0.0 or stamp < self._newest
         seconds = _SECONDS if no_queue else max(_PATIENCE, _FACTOR * late)
         return self._count >= _MESSAGES and arrival - self._began >= seconds

@@ -18,6 +18,10 @@ OTHER_EPISODES = 0.25
 """Share of HSR's episodes whose deviations may differ: without vector instructions a fifth does,
 and none of the other robots. Counts and ends differ in one episode at most."""
 
+OTHER_CONTACTS = {"physics-pr2": 0.01, "physics-tiago": 0.25, "physics-hsr": 0.01}
+"""Share by which values of episodes in physics may differ: contacts amplify the last bits. On other
+processors TIAGo's first grasp ends 9 % earlier, with 18 % less deviation."""
+
 
 def kind(name):
     return name.split("-")[0]
@@ -25,7 +29,7 @@ def kind(name):
 
 def other_rows(name, values):
     """Return how many rows of an array may differ."""
-    if kind(name) in ("policy", "obstacle_filter", "training"):
+    if kind(name) in ("policy", "obstacle_filter", "training", "physics"):
         return 0
     if kind(name) == "ik":
         return OTHER_SOLUTIONS * len(values)
@@ -44,7 +48,8 @@ def test_a_figure_is_what_it_was(name):
     assert found.keys() == stored.keys()
     for key, values in stored.items():
         assert found[key].shape == values.shape, key
-        other = ~np.isclose(found[key], values, rtol=0.0, atol=CLOSE)
+        share = OTHER_CONTACTS.get(name, 0.0)
+        other = ~np.isclose(found[key], values, rtol=share, atol=CLOSE)
         rows = other.reshape(len(values), -1).any(axis=1)
         assert rows.sum() <= other_rows(name, values), f"{key}: other rows: {rows.nonzero()}"
 

@@ -219,6 +219,12 @@ def test_packages_are_found_by_their_names(rover, tmp_path, monkeypatch, package
     assert mesh_of("package://moon/part.stl", rover) == part
 
 
+def test_a_package_file_without_end_is_ignored(rover):
+    (rover.parent / "package.xml").symlink_to("/dev/zero")
+    with pytest.raises(KinfeasError, match="moon"):
+        mesh_of("package://moon/part.stl", rover)
+
+
 def test_a_pointer_of_git_lfs_is_an_error(rover):
     part = rover.parent / "part.stl"
     part.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")

@@ -191,6 +191,12 @@ def test_other_computers_need_the_token_of_the_address(join):
             join(f"{local}/{token}", host="evil.example")
 
 
+@pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="needs IPv6")
+def test_any_address_of_ipv6_also_serves_the_printed_one():
+    with serving("kinfeas play", "::") as server:
+        assert "<title>kinfeas play</title>" in get(server.url)
+
+
 def test_values_off_the_lists_change_nothing(server, join, make_page, tmp_path, monkeypatch):
     page, shared = make_page(), []
     monkeypatch.setattr(server, "request_share_url", lambda: shared.append(True))

@@ -29,6 +29,21 @@ class Stream:
         return np.array(fresh)
 
 
+def in_doubt(stream, tolerance, count, late, overtaken):
+    """Return how many of the next late messages are fresh, with one from before the queue."""
+    stream.clock, fresh = SenderClock(tolerance), 0
+    stream.run(50)
+    last = stream.now - EVERY
+    stream.now += late
+    for number in range(count):
+        stamps = [stream.now - late] + [last - EVERY] * (number == overtaken)
+        for stamp in stamps:
+            sent = stream.clock.sent(stamp, stream.now)
+            fresh += sent is not None and stream.now - sent <= tolerance
+        stream.now += EVERY
+    return fresh
+
+
 @pytest.mark.parametrize("ahead", [0.0, 1.7e9, -900.0])
 @pytest.mark.parametrize("overtaken", [0, 1, 4, 10])
 def test_messages_of_a_queue_are_late_also_behind_older_ones(ahead, overtaken):
@@ -41,6 +56,12 @@ def test_messages_of_a_queue_are_late_also_behind_older_ones(ahead, overtaken):
         stream.now += EVERY
     assert not stream.run(250, late=stream.now - last - EVERY).any()
     assert stream.run(50).all()
+
+
+@pytest.mark.parametrize("overtaken", [0, 10, 30, 45])
+@pytest.mark.parametrize("tolerance", [0.1, 0.5, 1.0])
+def test_one_old_message_does_not_decide_about_a_queue(tolerance, overtaken):
+    assert not in_doubt(Stream(), tolerance, 400, 5.0, overtaken)
 
 
 @given(
