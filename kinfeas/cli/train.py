@@ -223,13 +223,19 @@ def write_evaluation(folder: Path) -> dict[str, Any]:
 
 
 def _show(done: "Progress", folder: Path) -> None:
+    from kinfeas.config.recipes import recipes
+    from kinfeas.control.adapters import FOLDER, read_sim2real
     from kinfeas.evaluation import evaluate
     from kinfeas.training import run as training_run
 
     best = write_evaluation(folder)
     rows = [
         ["steps", f"{done.steps:,}"],
-        ["time", f"{(done.seconds + done.other_seconds) / 60.0:.1f} min"],
+        ["time of training", f"{done.seconds / 60.0:.1f} min"],
+        [
+            "time of evaluations during training",
+            f"{done.parts.get('evaluation', 0.0) / 60.0:.1f} min",
+        ],
         ["steps per second of training", f"{done.steps / done.seconds:,.0f}"],
         [
             f"success of the best checkpoint, {best['episodes']} fresh episodes"
@@ -247,6 +253,11 @@ def _show(done: "Progress", folder: Path) -> None:
     name = options.read_robot(settings.robot).name
     usual = evaluate.read_settings(name, settings.world.backend).world
     plugins = {"filters": settings.world.filters, "adapters": settings.evaluation_adapters}
+    for recipe in recipes(FOLDER):
+        if read_sim2real(recipe).adapters == plugins["adapters"] != ():
+            command += ["--adapters", recipe.partition("/")[2]]
+            del plugins["adapters"]
+            break
     for key, specs in plugins.items():
         if specs != getattr(usual, key):
             changes[f"world.{key}"] = [{"name": one.name, **one.parameters} for one in specs]
