@@ -17,8 +17,14 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = ("kinfeas", "plugins", "scenes", "sim2real", "configs")
 DATA = (".yaml", ".urdf", ".txt", ".json", ".safetensors", ".typed")
 
-MESH = """<robot name="mesh"><link name="base"><collision><geometry><mesh filename="a.stl"/>
-</geometry></collision></link></robot>"""
+MESH_SHAPE = '<collision><geometry><mesh filename="a.stl"/></geometry></collision>'
+ARM = "".join(
+    f'<link name="l{i}">{MESH_SHAPE}</link><joint name="j{i}" type="revolute">'
+    f'<parent link="{f"l{i - 1}" if i else "base"}"/><child link="l{i}"/><origin xyz="0 0 0.3"/>'
+    '<axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="1" effort="9"/></joint>'
+    for i in range(4)
+)
+MESH = f'<robot name="mesh"><link name="base">{MESH_SHAPE}</link>{ARM}</robot>'
 
 LOAD_ALL = """
 import importlib.util, sys
