@@ -2,8 +2,8 @@
 
     python studies/speed.py --robot hsr
 
-IK is timed beside Pinocchio and PyBullet. Figures are the best of several repeats on one core. The
-policy has random weights. Training uses the robot's recipe on all cores for half a minute.
+IK is timed beside Pinocchio and PyBullet. Figures are the best of several repeats on one core.
+Training uses the robot's recipe on all cores for half a minute.
 `time_to_level.py` trains whole recipes.
 """
 
@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import ik_peers as peers
@@ -23,7 +22,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.recipes import load_section
-from kinfeas.control import drive, observation
 from kinfeas.core import registry, spatial
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
@@ -31,8 +29,9 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.policies import pretrained
 from kinfeas.policies.baselines.following import FollowBase, FollowEe
-from kinfeas.policies.network import Network
+from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.rate import peak_memory_mb
@@ -60,7 +59,6 @@ class Figure:
     text: str
     value: float | None
     unit: str
-    key: str = ""
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ def measure_speed(
         "inverse kinematics": lambda: measure_ik(known, effort),
         "environment": lambda: measure_environments(known, effort),
         "rooms": lambda: measure_rooms(robot, effort),
-        "action": lambda: measure_action(known, random_network(known), effort),
+        "action": lambda: measure_action(known, effort),
         "training": lambda: measure_training(robot, effort),
     }
     figures: list[Figure] = []
@@ -110,7 +108,7 @@ def measure_speed(
         if on_part is not None:
             on_part(name)
         figures += measure()
-    return [*figures, Figure("peak memory", peak_memory_mb(), "MB", "peak_rss_mb")]
+    return [*figures, Figure("peak memory", peak_memory_mb(), "MB")]
 
 
 def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
@@ -123,14 +121,11 @@ def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
         for kind, targets in (("warm", warm), ("cold", cold)):
             free = time_ours(robot, targets, self_collision=False, repeats=effort.repeats)
             full = time_ours(robot, targets, self_collision=True, repeats=effort.repeats)
-            free_key, key = ("", "ik_cold") if kind == "cold" else ("ik_warm", "")
-            yield from _figures(f"IK {kind}, self-collision off", free, free_key)
-            yield from _figures(f"IK {kind}", full, key)
+            yield from _figures(f"IK {kind}, self-collision off", free)
+            yield from _figures(f"IK {kind}", full)
             for name, peer in others.items():
-                # PyBullet solves next to no cold target, so its time there has no key.
-                key = "" if (name, kind) == ("PyBullet", "cold") else f"{name.lower()}_{kind}"
                 timing = None if peer is None else time_peer(robot, peer, targets)
-                yield from _figures(f"{name} {kind}", timing, key)
+                yield from _figures(f"{name} {kind}", timing)
 
 
 def measure_environments(robot: Robot, effort: Effort) -> Iterator[Figure]:
@@ -140,7 +135,7 @@ def measure_environments(robot: Robot, effort: Effort) -> Iterator[Figure]:
             world = World(robot, registry.build("kinfeas.tasks", "ggr", {}), WorldConfig(), seed=0)
             rate = environment_rate(world, FollowEe(robot.base), batch, steps, effort.repeats)
             text = f"environment, batch {batch}"
-            yield Figure(text, rate, "steps/s", f"env_steps_per_s_{batch}")
+            yield Figure(text, rate, "steps/s")
 
 
 def measure_rooms(robot: str, effort: Effort) -> Iterator[Figure]:
@@ -155,7 +150,7 @@ def measure_rooms(robot: str, effort: Effort) -> Iterator[Figure]:
         batch = recipe.num_envs
         rate = environment_rate(training_world(recipe), policy, batch, ROOM_STEPS, effort.repeats)
     text = f"environment among 32 solids, batch {batch}"
-    yield Figure(text, rate, "steps/s", "room_steps_per_s")
+    yield Figure(text, rate, "steps/s")
 
 
 def environment_rate(
@@ -173,8 +168,9 @@ def environment_rate(
     return max(rates)
 
 
-def measure_action(robot: Robot, network: Network, effort: Effort) -> Iterator[Figure]:
-    """Yield the time of a policy from one observation to its action."""
+def measure_action(robot: Robot, effort: Effort) -> Iterator[Figure]:
+    """Yield the time of the packaged policy from one observation to its action."""
+    network = read_network(pretrained.find(robot.name), robot)
     seen = np.random.default_rng(0).normal(size=(1, len(network.scale)))
 
     def act() -> None:
@@ -184,7 +180,7 @@ def measure_action(robot: Robot, network: Network, effort: Effort) -> Iterator[F
     act()
     with one_core():
         seconds = best_of(effort.repeats, act)
-    yield Figure("action of a policy", seconds / effort.targets * 1e6, "us", "action_us")
+    yield Figure("action of a policy", seconds / effort.targets * 1e6, "us")
 
 
 def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
@@ -205,26 +201,12 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
         )
         progress = train(recipe, Path(folder) / "run")
     steps, seconds = progress.steps, progress.parts["step"]
-    yield Figure("training", steps / progress.seconds, "steps/s", "train_steps_per_s")
-    yield Figure("updates", progress.updates / progress.seconds, "updates/s", "updates_per_s")
+    yield Figure("training", steps / progress.seconds, "steps/s")
+    yield Figure("updates", progress.updates / progress.seconds, "updates/s")
     for part, text in (("update", "updates"), ("waiting", "waiting for environments")):
-        yield Figure(f"share of {text}", progress.parts[part] / seconds, "", f"{part}_share")
+        yield Figure(f"share of {text}", progress.parts[part] / seconds, "")
     for part, used in progress.cpu.items():
-        yield Figure(f"CPU time of {part} a step", used / steps * 1e6, "us", f"{part}_cpu_us")
-
-
-def random_network(robot: Robot, width: int = 256) -> Network:
-    """Return an untrained network of two hidden layers for a robot."""
-    rng = np.random.default_rng(0)
-    sizes = (observation.size(robot), width, width, drive.command_size(robot.base))
-    return Network(
-        scale=observation.scale(robot).astype(np.float32),
-        weights=tuple(
-            rng.normal(0.0, (2.0 / rows) ** 0.5, (rows, columns)).astype(np.float32)
-            for rows, columns in pairwise(sizes)
-        ),
-        biases=tuple(np.zeros(columns, dtype=np.float32) for columns in sizes[1:]),
-    )
+        yield Figure(f"CPU time of {part} a step", used / steps * 1e6, "us")
 
 
 def cold_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
@@ -302,11 +284,10 @@ def one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def _figures(text: str, timing: IkTiming | None, key: str) -> Iterator[Figure]:
-    yield Figure(text, timing.microseconds if timing else None, "us", f"{key}_us" if key else "")
+def _figures(text: str, timing: IkTiming | None) -> Iterator[Figure]:
+    yield Figure(text, timing.microseconds if timing else None, "us")
     if timing is not None:
-        solved_key = "ik_cold_solved" if key == "ik_cold" else ""
-        yield Figure(f"{text}, solved", timing.solved, "", solved_key)
+        yield Figure(f"{text}, solved", timing.solved, "")
 
 
 def _drive(world: World, policy: Policy, steps: int) -> None:

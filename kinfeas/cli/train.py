@@ -253,11 +253,12 @@ def _show(done: "Progress", folder: Path) -> None:
     name = options.read_robot(settings.robot).name
     usual = evaluate.read_settings(name, settings.world.backend).world
     plugins = {"filters": settings.world.filters, "adapters": settings.evaluation_adapters}
-    for recipe in recipes(FOLDER):
-        if read_sim2real(recipe).adapters == plugins["adapters"] != ():
-            command += ["--adapters", recipe.partition("/")[2]]
-            del plugins["adapters"]
-            break
+    shipped = [
+        name for name in recipes(FOLDER) if read_sim2real(name).adapters == plugins["adapters"]
+    ]
+    if plugins["adapters"] and shipped:
+        command += ["--adapters", shipped[0].partition("/")[2]]
+        del plugins["adapters"]
     for key, specs in plugins.items():
         if specs != getattr(usual, key):
             changes[f"world.{key}"] = [{"name": one.name, **one.parameters} for one in specs]
