@@ -54,7 +54,7 @@ FOLDER = ROOT / "examples" / "own_robot"
 
 @pytest.fixture(scope="module")
 def solver():
-    return IkSolver(load_robot(str(FOLDER / "scout.yaml")))
+    return IkSolver(load_robot(FOLDER))
 
 
 def test_ik_inverts_forward_kinematics(solver):
@@ -70,5 +70,5 @@ def test_ik_inverts_forward_kinematics(solver):
 
 
 def test_topics_fit_the_robot(solver):
-    topics = read_topics(solver.robot, 2, str(FOLDER / "scout_topics.yaml"))
+    topics = read_topics(solver.robot, 2)
     assert len(topics.joints.controllers) == 2

@@ -159,7 +159,7 @@ def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
         if isinstance(known, StreamTask):
             raise KinfeasError(f"'tasks': {task} has no ceiling, since its targets move")
         build_subgoals(known.subgoals)
-    for robot in robots:
+    for robot in benchmark.robots:
         for settings in (
             benchmark.settings,
             *((*benchmark.settings, *row.settings) for row in benchmark.rows),

@@ -151,7 +151,7 @@ def read_settings(
     from kinfeas.config.recipes import section
     from kinfeas.sim2real.deploy.config import Guards
 
-    data, source = section(name, robot.name)
+    data, source = section(name, robot.folder)
     if guards is not None:
         config.load(Guards, guards)  # so that errors name this file
         data["guards"] = {**data.get("guards", {}), **strict_yaml.read(guards)}

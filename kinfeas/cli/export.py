@@ -48,14 +48,15 @@ def export(
 
 def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolicy", float]:
     """Write a policy as an ONNX file; return it and its largest deviation from the policy."""
-    from kinfeas.policies import pretrained
+    from kinfeas.policies.loading import trained_folder
 
-    if not pretrained.is_shipped(policy) and not Path(policy or "-").is_dir():
-        raise KinfeasError(f"POLICY must be a run, a checkpoint or pretrained, not {policy!r}")
     known = options.read_robot(robot or options.robot_of(policy))
+    folder = trained_folder(policy, known)
+    if not policy or not folder.is_dir():
+        raise KinfeasError(f"POLICY must be a run, a checkpoint or pretrained, not {policy!r}")
     from kinfeas.sim2real.export import export as run
 
-    return run(pretrained.folder(known.name, policy), known, out)
+    return run(folder, known, out)
 
 
 def _check(path: Path, robot: str | None, json: Path | None) -> None:

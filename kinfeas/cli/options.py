@@ -83,7 +83,7 @@ def episodes_option(text: str) -> Any:
 
 def robot_option(default: str = "") -> Any:
     """Return an option for a robot; the text on its default is added to the help."""
-    text = f"Robot: pr2, tiago, hsr, or a YAML file.{default}"
+    text = f"Robot: pr2, tiago, hsr, or a folder.{default}"
     return typer.Option(help=text, autocompletion=names_of("robots"))
 
 
@@ -213,7 +213,7 @@ def robot_of(policy: str | None) -> str:
         return DEFAULT_ROBOT
     trained = read_trained(path) if path.is_dir() else read_policy_file(path, None).metadata
     robot = trained.trained_with
-    if is_path(robot) and not Path(robot).is_file():
+    if is_path(robot) and not Path(robot).exists():
         raise KinfeasError(f"{policy}: its robot {robot} does not exist; use --robot")
     return robot
 

@@ -53,7 +53,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     config: Annotated[
         str | None,
         typer.Option(
-            help="Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
+            help="Recipe: a YAML file, or a name such as train_rooms or paper/pr2.  "
             "[default: that of the robot]"
         ),
     ] = None,
@@ -64,7 +64,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
 
-    Recipes are sections of configs/robots: train, with --world pybullet or mujoco train_physics,
+    Recipes are sections of the robot: train, with --world pybullet or mujoco train_physics,
     with --init as well finetune_physics. Settings: every key of the recipe, such as
     learner.batch_size=256.
 
@@ -154,7 +154,7 @@ def _duration(minutes: float | None, steps: int | None) -> list[str]:
 
 def default_folder(settings: "TrainConfig") -> Path:
     """Return `runs/ROBOT-TASK-SEED`, with its engine appended for a run with physics."""
-    robot, task = Path(settings.robot).stem, Path(settings.task).stem
+    robot, task = options.read_robot(settings.robot).name, Path(settings.task).stem
     backend = settings.world.backend
     suffix = "" if backend == "analytic" else f"-{backend}"
     return Path("runs") / f"{robot}-{task}-{settings.seed}{suffix}"

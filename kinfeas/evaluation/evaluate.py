@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 
 from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.control.adapters import execution_of, with_adapters
@@ -63,7 +64,7 @@ class EvalSettings:
     world: WorldConfig = field(default_factory=evaluation_world)
 
 
-def read_settings(robot: str, backend: str, overrides: Sequence[str] = ()) -> EvalSettings:
+def read_settings(robot: str | Path, backend: str, overrides: Sequence[str] = ()) -> EvalSettings:
     """Return the settings in which the policies of a robot are evaluated.
 
     `overrides` are assignments such as `world.dt=0.05`.
@@ -90,7 +91,7 @@ def prepare(  # noqa: PLR0913 - the options of the command
         KinfeasError: If a name is unknown or a setting is wrong.
     """
     model = load_robot(robot)
-    settings = read_settings(model.name, backend, overrides)
+    settings = read_settings(model.folder, backend, overrides)
     # They raise their errors early.
     with_adapters(build_backend("analytic", {}), settings.world.adapters, model)
     build_filters(settings.world.filters)

@@ -17,7 +17,7 @@ _MIN_JOINTS = 3
 """Joints of an arm; a branch nearer to the base is no hand."""
 
 _FIXED_JAW = 1.0 / 3.0
-"""Length of a fixed jaw, as a share of the moving one."""
+"""Length of a fixed jaw, as a fraction of the moving one."""
 
 _JAW = re.compile(r"jaw|finger|claw", re.IGNORECASE)
 _OFF_AXIS = 0.01  # m, by which shapes on an axis may be off it

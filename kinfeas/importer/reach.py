@@ -1,4 +1,4 @@
-"""Properties of a robot from sampled configurations: links that may touch, home, goal heights."""
+"""Properties of a robot from sampled configurations: links that may touch, home, reach."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Urdf
 
 OFTEN, ALWAYS = 1.0 / 3.0, 0.95
-"""Share of configurations in which near neighbours, and any two links, touch by design."""
+"""Fraction of configurations in which near neighbours, and any two links, touch by design."""
 
 _NEAR = 2
 """Revolute joints between near neighbours at most: primitives around their meshes overlap."""
@@ -33,9 +33,6 @@ LOAD = 0.7
 
 _HELD = 0.02
 """Fraction of configurations that can be held below which effort limits are placeholders."""
-
-WORTH, EASY = 0.8, 0.98
-"""Share of reachable goals at heights worth learning, and at comfortable ones."""
 
 _PARALLEL = 0.999  # cosine of the angle between two axes
 _CONFIGURATIONS, _FEW = 4096, 64
@@ -48,14 +45,14 @@ _STIFF = 1e-3  # singular values below count as zero
 
 @dataclass(frozen=True)
 class Heights:
-    """Ascending heights in metres, and the shares of reachable goals there, 0-1, shape (h,)."""
+    """Ascending heights in metres, and the fractions of reachable goals there, 0-1, shape (h,)."""
 
     at: Array
-    share: Array
+    fraction: Array
 
     def band(self, least: float) -> tuple[float, float] | None:
-        """Return the largest range of heights with a share of at least `least`, or None."""
-        good = np.concatenate([[False], self.share >= least, [False]])
+        """Return the largest range of heights with a fraction of at least `least`, or None."""
+        good = np.concatenate([[False], self.fraction >= least, [False]])
         edges = np.flatnonzero(good[1:] != good[:-1])
         starts, ends = edges[::2], edges[1::2] - 1
         if not len(starts):
@@ -66,12 +63,12 @@ class Heights:
 
 
 def sampled(robot: Robot) -> Array:
-    """Return the configurations of which a draft's shares are, spread over the limits, (n, j)."""
+    """Return configurations spread over the limits, shape (n, j), for fractions of a draft."""
     return spread_configurations(robot, _CONFIGURATIONS)
 
 
 def touching(robot: Robot) -> dict[tuple[str, str], float]:
-    """Return the share of configurations, 0-1, in which each checked pair of links touches."""
+    """Return the fraction of configurations, 0-1, in which each checked pair of links touches."""
     joints = sampled(robot)
     return {pair: float(self_collides(alone, joints).mean()) for pair, alone in pair_models(robot)}
 
@@ -100,18 +97,20 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
 
 
 def built_to_touch(
-    robot: Robot, shares: Mapping[tuple[str, str], float]
+    robot: Robot, fractions: Mapping[tuple[str, str], float]
 ) -> dict[tuple[str, str], float]:
     """Return the pairs of links that touch by design, or since their shapes are too large.
 
     These are links that slide in one another, near neighbours that touch often, and others that
-    touch always. `shares` are those of `touching`.
+    touch always. `fractions` are those of `touching`.
     """
-    return {pair: share for pair, share in shares.items() if share > _allowed(robot, *pair)}
+    return {
+        pair: fraction for pair, fraction in fractions.items() if fraction > _allowed(robot, *pair)
+    }
 
 
 def _allowed(robot: Robot, one: str, other: str) -> float:
-    """Return the share of configurations in which two links may touch and are still checked."""
+    """Return the fraction of configurations in which two links may touch and are still checked."""
     urdf, arm = robot.urdf, {joint.name for joint in robot.arm}
     apart = {*urdf.path_to(one)} ^ {*urdf.path_to(other)}
     between = [joint for joint in apart if urdf.followed(joint)[0].name in arm]
@@ -134,18 +133,22 @@ def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
     return replace(robot, ignored_collisions=robot.ignored_collisions | more)
 
 
-def free_share(robot: Robot) -> float:
-    """Return the share of configurations without self-collision, 0-1."""
+def free_fraction(robot: Robot) -> float:
+    """Return the fraction of configurations without self-collision, 0-1."""
     return float(1.0 - self_collides(build_collision_model(robot), sampled(robot)).mean())
 
 
-def overload_shares(robot: Robot) -> dict[str, float]:
-    """Return the joints whose effort limit gravity exceeds, and in which share of configurations.
+def overload_fractions(robot: Robot) -> dict[str, float]:
+    """Return the joints whose effort limit gravity exceeds in some configurations.
 
-    Shares are 0-1.
+    The values are the fractions of configurations, 0-1.
     """
-    shares = _overloaded(robot, sampled(robot)).mean(axis=0).tolist()
-    return {joint.name: share for joint, share in zip(robot.arm, shares, strict=True) if share}
+    fractions = _overloaded(robot, sampled(robot)).mean(axis=0).tolist()
+    return {
+        joint.name: fraction
+        for joint, fraction in zip(robot.arm, fractions, strict=True)
+        if fraction
+    }
 
 
 def overloads_at(robot: Robot, joints: Array) -> tuple[str, ...]:
@@ -207,11 +210,11 @@ def _singular_values(robot: Robot, joints: Array) -> Array:
 
 
 def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None) -> Heights:
-    """Return the share of reachable goals by height, from the floor up.
+    """Return the fraction of reachable goals by height, from the floor up.
 
     Goals have random orientations. IK decides, from up to 256 base poses around each goal; a pose
     tolerance of the robot does not count beyond the tolerances of success. `on_done` is called with
-    the share of all work, 0-1, that has just been done.
+    the fraction of all work, 0-1, that has just been done.
     """
     solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(0)
     ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]
@@ -221,11 +224,11 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
             "allowed; lengths in a URDF are metres"
         )
     at = np.arange(_STEP, max(highest, 2.0 * _STEP) + _STEP, _STEP)
-    shares = []
+    fractions = []
     for height in at:
         turn = Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (_GOALS, 3)))
         goals = make_pose(np.tile([0.0, 0.0, height], (_GOALS, 1)), turn)
-        shares.append(reachable(solver, goals, _STAGES).share.value)
+        fractions.append(reachable(solver, goals, _STAGES).share.value)
         if on_done is not None:
             on_done(1.0 / len(at))
-    return Heights(at.round(3), np.array(shares))
+    return Heights(at.round(3), np.array(fractions))

@@ -8,7 +8,7 @@ from kinfeas.config.strict_yaml import to_line
 from kinfeas.robots.spec import RobotSpec
 
 _FREE = 0.5
-"""Share of configurations free of self-collision below which a warning says so."""
+"""Fraction of configurations free of self-collision below which a warning says so."""
 
 _BASE_UNITS = {
     "max_velocity": "m/s",
@@ -27,9 +27,9 @@ class Guesses:
         speeds: Arm joints without a velocity limit.
         limits: Arm joints of more than two turns that are not continuous.
         stuck: Joints on the way to the hand whose limits leave no range of motion.
-        touching: Share of configurations in which the ignored pairs of links touch, 0-1.
+        touching: Fraction of configurations in which the ignored pairs of links touch, 0-1.
         contacts: The same of the pairs that are checked.
-        overloads: Share of configurations in which gravity exceeds a joint's effort limit, 0-1.
+        overloads: Fraction of configurations in which gravity exceeds a joint's effort limit, 0-1.
         overloaded_at_home: Joints whose effort limit gravity exceeds at home.
         slides: Prismatic joints; their positions are metres.
         drive: What the drive of the base was read from.
@@ -79,7 +79,9 @@ def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
     found = []
     if free < _FREE:
         often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
-        pairs = ", ".join(f"{one} and {other} in {share:.0%}" for (one, other), share in often)
+        pairs = ", ".join(
+            f"{one} and {other} in {fraction:.0%}" for (one, other), fraction in often
+        )
         found.append(
             f"{free:.0%} of random postures are free of self-collision; most often touch {pairs}"
         )
@@ -96,7 +98,7 @@ def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
 
 
 def _overloads(guesses: Guesses) -> str:
-    return ", ".join(f"{joint} in {share:.0%}" for joint, share in guesses.overloads.items())
+    return ", ".join(f"{joint} in {fraction:.0%}" for joint, fraction in guesses.overloads.items())
 
 
 def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
@@ -125,8 +127,8 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         title = [] if spec.gripper is None else ["# The gripper is half open."]
         why = {name: _fixed(name, spec, guesses) for name in spec.fixed_joints}
         blocks.append([*title, *_block("fixed_joints", spec.fixed_joints, why)])
-    heights = _block("goal_heights", spec.goal_heights, dict.fromkeys(spec.goal_heights, "m"))
-    blocks.append(["# Heights of reachable goals of any orientation.", *heights])
+    reach = f"reach: {to_line(vars(spec.reach))}"
+    blocks.append(["# Heights at which most goals are reachable, in any orientation, m.", reach])
     if spec.pose_tolerance is not None:
         tolerance = _block(
             "pose_tolerance", vars(spec.pose_tolerance), {"position": "m", "rotation": "rad"}
@@ -146,10 +148,10 @@ def _head(spec: RobotSpec, guesses: Guesses) -> list[str]:
     lifted = f"# A root on the floor was added to the URDF, {guesses.lifted:g} m below its own."
     return [
         f"# {spec.name}, drafted from its URDF. Check all guesses.",
+        "# The shapes in robot.urdf are primitives.",
         "# docs/reference/formats.md describes the keys.",
         f"name: {to_line(spec.name)}",
         *([lifted] if guesses.lifted else []),
-        f"urdf: {to_line(str(spec.urdf))}  # its shapes are primitives",
         f"ee_frame: {to_line(spec.ee_frame)}",
         f"tool_tip: {to_line(spec.tool_tip)}  # m, guess",
         f"gripper_rotation: {to_line(spec.gripper_rotation)}  # x y z w, guess",

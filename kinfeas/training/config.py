@@ -20,7 +20,6 @@ from kinfeas.config.quantities import (
 from kinfeas.config.recipes import merged, read_recipe, section
 from kinfeas.control.observation import ACTION, OBSERVATION, check_names
 from kinfeas.envs.world import WorldConfig
-from kinfeas.robots.loading import load_robot
 
 
 @dataclass(frozen=True)
@@ -160,26 +159,26 @@ def load_recipe(
 
     Args:
         name: Recipe as in `read_recipe`; None for the robot's own. Keys that it lacks are those of
-            the robot's own recipe, unless it extends the recipe of a robot.
+            the section of the robot that it names, by default of `train`, or in worlds with physics
+            of `train_physics`, or of `finetune_physics` with `init`.
         overrides: Assignments, as in `from_mapping`.
-        backend: World of the robot's recipe; those with physics have another one, also with `init`.
+        backend: World of the training.
         robot: Robot where neither the overrides nor the recipe name one.
 
     Raises:
         KinfeasError: If there is no such recipe or robot, or a key or value is wrong.
     """
-    kind = "train" if backend == "analytic" else "train_physics"
-    data, complete = ({}, False) if name is None else read_recipe(name, kind)
-    source, changes = name or "", assigned(overrides)
+    data, name_of_section = ({}, None) if name is None else read_recipe(name)
+    changes = assigned(overrides)
     data = {"robot": robot, **data}
-    chosen = changes.get("robot", data["robot"])
-    if not complete and isinstance(chosen, str):
-        if kind != "train" and (changes.get("init") or data.get("init")):
-            kind = "finetune_physics"
-        base, own = section(kind, load_robot(chosen).name)
-        if kind != "train":
+    robot_name, source = changes.get("robot", data["robot"]), name or ""
+    if isinstance(robot_name, str):
+        physical = "finetune_physics" if changes.get("init", data.get("init")) else "train_physics"
+        kind = name_of_section or ("train" if backend == "analytic" else physical)
+        base, origin = section(kind, robot_name)
+        if backend != "analytic" and "backend" in base.get("world", {}):
             base = merged(base, {"world": {"backend": backend}})
-        if backend == "mujoco":  # steps a batch on all cores; only a world in this process is saved
-            base = {**base, "processes": 1}
-        data, source = merged(base, data), source or own
+            # MuJoCo steps a batch on all cores, and only a world in this process is saved.
+            base |= {"processes": 1} if backend == "mujoco" else {}
+        data, source = merged(base, data), source or origin
     return from_mapping(TrainConfig, data, source, overrides)

@@ -247,7 +247,7 @@ def spawn(
     """
     around = read_scene(scene) if scene is not None else None
     engine = engine or default_engine()
-    parameters = evaluation_world(engine, robot.name).backend_parameters
+    parameters = evaluation_world(engine, robot.folder).backend_parameters
     backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=around)
     if not isinstance(backend, PhysicsBackend):
         raise KinfeasError(f"backend {engine!r} has no physics")

@@ -100,7 +100,7 @@ def test_initial_policy_gives_robot_and_network(tmp_path):
     recipe = read_settings("hsr")
     learner = replace(recipe.learner, net_arch=(8, 8))
     assert settings == replace(recipe, init=str(tmp_path), learner=learner)
-    for other in ({"config": "train/pr2"}, {"robot": "pr2"}):
+    for other in ({"config": "paper/pr2"}, {"robot": "pr2"}):
         with pytest.raises(KinfeasError, match=r"'hsr'.*'pr2'"):
             read_settings(init=str(tmp_path), **other)
 

@@ -21,7 +21,7 @@ from kinfeas.envs.world import World, evaluation_world
 from kinfeas.evaluation.evaluate import prepare, run
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.policies import pretrained
+from kinfeas.policies.loading import trained_folder
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.export import export
@@ -39,7 +39,7 @@ SEED = 1
 def episodes(robot, task, count, *settings, backend="analytic"):
     """Return the records of episodes of the pretrained policy."""
     given = {"episodes": count, "seed": SEED, "overrides": settings}
-    chosen, policy = prepare(pretrained.NAME, robot, task, backend, **given)
+    chosen, policy = prepare("pretrained", robot, task, backend, **given)
     return _records(run(chosen, policy))
 
 
@@ -89,7 +89,7 @@ def policy(robot, count=8, steps=5):
     The actions are those of the network and those of its ONNX export in onnxruntime.
     """
     known = load_robot(robot)
-    folder = pretrained.find(robot)
+    folder = trained_folder("pretrained", known)
     network, observations = read_network(folder, known), []
     for task in TASKS:
         world = World(known, load_task(task, {}), evaluation_world(), SEED)

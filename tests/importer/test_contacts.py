@@ -35,7 +35,7 @@ def test_pairs_are_false_contacts_if_their_meshes_never_touch(changed, parts, fa
     urdf = parse_urdf(path.with_name("boxed.urdf"))
     arm = find_arm(urdf, None, "dolly")
     spec = stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
-    robot = build_robot(spec, urdf, path, "dolly")
+    robot = build_robot(spec, urdf, path, path)
     shares, pair = touching(robot), ("lower", "palm")  # the folded arm brings the palm into lower
     assert shares[pair] > RELEVANT
     found = only_fitted(robot, originals, shares)

@@ -11,7 +11,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.elements import Element, find_mesh
 from kinfeas.robots.urdf_file import parse_urdf
 
-SHIPPED = {name: getattr(robots, name)().with_suffix(".urdf") for name in ("pr2", "tiago", "hsr")}
+SHIPPED = {name: getattr(robots, name)() / "robot.urdf" for name in ("pr2", "tiago", "hsr")}
 
 ARM = """
 <robot name="arm">

@@ -33,7 +33,7 @@ def test_targets_keep_their_speed_and_heights(name):
     made = world(name, seconds=20.0)
     made.start(range(8))
     inbox = made.loop.target_stream.inbox
-    low, high = made.robot.goal_heights["ggr_restricted"]
+    low, high = made.robot.reach.comfortable
     offset = 0.1 if name == "chunks" else 0.0
     for _ in range(150):
         before = inbox.target

@@ -94,7 +94,7 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     centre and the proportions of the places from which it reaches most of them, and both are of
     the size at which they hold the most such places and the fewest others.
     """
-    low, high = robot.goal_heights["ggr"]
+    low, high = robot.reach.low, robot.reach.high
     solver = IkSolver(robot, IkOptions(candidates=1, restarts=8))
     scouts = _Targets(solver, _SCOUTS, 0.0, np.pi)
     bearing = _best_bearing(scouts)
@@ -105,7 +105,7 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     if np.isnan(shapes).all():
         raise KinfeasError(
             f"geometric_modulation finds no place from which the arm of robot {robot.name!r} "
-            f"reaches its goal_heights of ggr, {low:g} to {high:g} m"
+            f"has its reach, {low:g} to {high:g} m"
         )
     return ReachEllipses(heights, pitches, _filled(shapes), bearing)
 
@@ -123,7 +123,7 @@ class _Targets:
     def __init__(self, solver: IkSolver, count: int, bearing: float, cone: float) -> None:
         robot = solver.robot
         share = spread(count, 6)
-        low, high = robot.goal_heights["ggr"]
+        low, high = robot.reach.low, robot.reach.high
         ee = forward(solver.chain, spread_configurations(robot, 4096))
         reach = float(np.hypot(ee[:, 0], ee[:, 1]).max())
         self.height = low - 0.2 + share[:, 0] * (high - low + 0.4)

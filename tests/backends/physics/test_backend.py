@@ -8,7 +8,7 @@ from kinfeas.backends.physics.visuals import ROBOT
 from kinfeas.core import spatial
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.robots.loading import load_robot, read_robot
+from kinfeas.robots.loading import load_robot
 from tests.backends.conftest import place, stay
 from tests.builders import assert_near, at, twist
 
@@ -122,18 +122,18 @@ def test_one_row_is_reset_while_others_go_on(hsr, scene, opened):
 
 @pytest.mark.parametrize("right", [0.05, -0.05, -0.025])
 def test_each_finger_goes_to_its_own_position(opened, tmp_path, right):
-    scout = Path(__file__).parents[3] / "examples" / "own_robot" / "scout"
-    urdf = scout.with_suffix(".urdf").read_text()
+    scout = Path(__file__).parents[3] / "examples" / "own_robot"
+    urdf = (scout / "robot.urdf").read_text()
     if right < 0.0:
         old = '<axis xyz="0 -1 0"/>\n    <limit lower="0" upper="0.05"'
         assert old in urdf
         urdf = urdf.replace(old, f'<axis xyz="0 1 0"/>\n    <limit lower="{right}" upper="0"')
-    spec = yaml.safe_load(scout.with_suffix(".yaml").read_text())
+    spec = yaml.safe_load((scout / "robot.yaml").read_text())
     spec["gripper"] |= {"closed": [0.0, 0.0], "open": [0.05, right]}
     spec["fixed_joints"] |= {"right_finger_joint": right / 2.0}
-    (tmp_path / "scout.urdf").write_text(urdf)
-    (tmp_path / "scout.yaml").write_text(yaml.safe_dump(spec, sort_keys=False))
-    world = opened(read_robot(tmp_path / "scout.yaml"))
+    (tmp_path / "robot.urdf").write_text(urdf)
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(spec, sort_keys=False))
+    world = opened(load_robot(tmp_path))
     place(world)
     links = [(ROBOT, name) for name in ("wrist_roll_link", "left_finger_link", "right_finger_link")]
     for grip, opening in (("open", 1.0), ("close", 0.0)):

@@ -68,12 +68,12 @@ def test_all_parts_that_are_near_a_wall_are_measured(scene, opened):
 
 
 def test_a_base_of_capsules_has_its_size(scene, opened, tmp_path):
-    scout = Path(__file__).parents[3] / "examples" / "own_robot" / "scout"
-    text = scout.with_suffix(".urdf").read_text()
-    path = tmp_path / "scout.urdf"
+    scout = Path(__file__).parents[3] / "examples" / "own_robot"
+    text = (scout / "robot.urdf").read_text()
+    path = tmp_path / "robot.urdf"
     path.write_text(text.replace('<cylinder radius="0.26"', '<capsule radius="0.26"'))
     assert path.read_text() != text
-    robot = load_robot(str(scout.with_suffix(".yaml")))
+    robot = load_robot(scout)
     world = opened(replace(robot, urdf_path=path, urdf=parse_urdf(path)), scene)
     place(world, x=WALL + 0.26 + 0.05, yaw=np.pi / 2.0)
     assert world.obstacle_distances(0.055).distance.min() == pytest.approx(0.05, abs=4e-3)

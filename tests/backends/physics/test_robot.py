@@ -27,7 +27,7 @@ from kinfeas.backends.physics.robot import (
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose
 from kinfeas.robots.elements import read_xml
-from kinfeas.robots.loading import load_robot, read_robot
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf_file import parse_urdf
 from tests.backends.conftest import place, stay
 
@@ -153,13 +153,13 @@ def own_robot(folder, kind, mesh):
     for name in ("rover/urdf", "rover/meshes"):
         (folder / name).mkdir(parents=True)
     (folder / "rover" / "meshes" / "part.stl").write_bytes(STL)
-    text, urdf = (EXAMPLE / "scout.urdf").read_text(), folder / "rover" / "urdf" / "scout.urdf"
+    text, urdf = (EXAMPLE / "robot.urdf").read_text(), folder / "rover" / "urdf" / "robot.urdf"
     start = text.index(f"<{kind}>", text.index('<link name="mast_link">'))
     end = text.index(f"</{kind}>", start)
     text = f'{text[:start]}<{kind}><geometry><mesh filename="{mesh}"/></geometry>{text[end:]}'
     urdf.write_text(text)
-    urdf.with_suffix(".yaml").write_text((EXAMPLE / "scout.yaml").read_text())
-    return load_robot(str(urdf.with_suffix(".yaml")))
+    urdf.with_suffix(".yaml").write_text((EXAMPLE / "robot.yaml").read_text())
+    return load_robot(urdf.parent)
 
 
 @pytest.mark.parametrize(
@@ -174,10 +174,10 @@ def test_meshes_are_loaded(tmp_path, kind, mesh, capfd, opened):
 
 
 def test_a_robot_without_collision_shapes_stands_among_obstacles(opened, scene, tmp_path):
-    text = (EXAMPLE / "scout.urdf").read_text()
-    (tmp_path / "scout.urdf").write_text(re.sub("<collision>.*?</collision>", "", text, flags=re.S))
-    shutil.copy(EXAMPLE / "scout.yaml", tmp_path)
-    world = opened(read_robot(tmp_path / "scout.yaml"), scene)
+    text = (EXAMPLE / "robot.urdf").read_text()
+    (tmp_path / "robot.urdf").write_text(re.sub("<collision>.*?</collision>", "", text, flags=re.S))
+    shutil.copy(EXAMPLE / "robot.yaml", tmp_path)
+    world = opened(load_robot(tmp_path), scene)
     place(world, scene=scene)
     stay(world, 3)
     assert world.obstacle_distances(1.0).distance.size == 0
