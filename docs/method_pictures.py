@@ -267,7 +267,7 @@ def earned() -> Figure:
         low, high = robot.reach.low, robot.reach.high
         place = -6.0 - 5.0 * ROBOTS.index(name)
         ceiling.plot([low, high], [place, place], color=colour, lw=4, solid_capstyle="butt")
-    ceiling.text(0.1, -24.5, "bars: goal heights of the task ggr", fontsize=8.5, color="#5a626d")
+    ceiling.text(0.1, -24.5, "bars: reach of the robot", fontsize=8.5, color="#5a626d")
     ceiling.set(xlabel="height of the goal (m)", ylabel="reachable goals, %",
                 ylim=(-26, 104))  # fmt: skip
     ceiling.set_yticks([0, 25, 50, 75, 100])

@@ -228,7 +228,7 @@ def random_arm(
     raise KinfeasError(
         f"robot {robot.name!r}: {_DRAWS * _ROUNDS} draws have no arm configuration without "
         "self-collision and with the EE in the task's range; check joint limits, ignored "
-        f"collisions, goal heights and max_gravity_load{_culprits(robot)}"
+        f"collisions, heights and max_gravity_load{_culprits(robot)}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Settings of a training run: the schema of the sections `train` of `configs/robots`."""
+"""Settings of a training run: the schema of the sections `train`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
