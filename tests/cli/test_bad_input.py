@@ -101,12 +101,12 @@ INPUT = {
     ],
     "deploy --goal 0.9 0.1 0.8": [
         (f"{TIAGO / 'policies' / 'pretrained'} --robot pr2", "'tiago'"),
-        (f"follow_ee --robot {SCOUT} --backend ros2", "backend.topics"),
+        (f"follow_ee --robot {SCOUT} --backend ros1", "backend.topics"),
     ],
     "simulate --robot hsr": [
         ("--backend analytic", "'analytic'"),
         ("--task door --scene room", "--scene"),
-        ("--topics pr3", "'pr3'"),
+        ("--topics pr3", "pr3"),
         ("--scene office.yaml", "'desk'"),
     ],
     "view": [
