@@ -37,17 +37,17 @@ class ShapeGroup:
         self._group.registerObjects(self._objects)
         self._group.setup()
 
-    def place(self, rotations: Array, positions: Array) -> None:
+    def position(self, rotations: Array, positions: Array) -> None:
         """Move the k shapes to orientations (k, 3, 3) and positions (k, 3)."""
-        for solid, turn, place in zip(self._objects, rotations, positions, strict=True):
-            solid.setTransform(self._fcl.Transform(turn, place))
+        for solid, orientation, position in zip(self._objects, rotations, positions, strict=True):
+            solid.setTransform(self._fcl.Transform(orientation, position))
         self._group.update()
 
     def touches(self, other: "ShapeGroup") -> bool:
         """Return whether any shape touches one of the `other` group."""
-        found = self._fcl.CollisionData()
-        self._group.collide(other._group, found, self._fcl.defaultCollisionCallback)
-        return bool(found.result.is_collision)
+        data = self._fcl.CollisionData()
+        self._group.collide(other._group, data, self._fcl.defaultCollisionCallback)
+        return bool(data.result.is_collision)
 
 
 def _solid(fcl: Any, shape: Shape, less: float) -> Any:
@@ -91,7 +91,7 @@ def check(
         handles: World poses (7,) with x along the approach, by name.
     """
     check_places(source, size, objects)
-    shapes = [shape for one in objects.values() for _, shape in one.shapes()]
+    shapes = [shape for scene_object in objects.values() for _, shape in scene_object.shapes()]
     scene = ShapeGroup(shapes)
     for name, pose in handles.items():
         _check_handle(f"{source}: handle {name!r} cannot be reached", size, scene, pose)
@@ -101,26 +101,26 @@ def check_places(
     source: str, size: tuple[float, float], objects: Mapping[str, SceneObject]
 ) -> None:
     """Check that all objects are on the floor and do not overlap; arguments and errors as above."""
-    for name, one in objects.items():
-        _check_floor(f"{source}: object {name!r}", size, one)
+    for name, scene_object in objects.items():
+        _check_floor(f"{source}: object {name!r}", size, scene_object)
     _check_overlaps(source, objects)
 
 
-def _check_floor(where: str, size: tuple[float, float], one: SceneObject) -> None:
-    if np.any(np.abs(one.pose[:2]) > np.array(size) / 2.0):
-        x, y = one.pose[:2]
+def _check_floor(where: str, size: tuple[float, float], scene_object: SceneObject) -> None:
+    if np.any(np.abs(scene_object.pose[:2]) > np.array(size) / 2.0):
+        x, y = scene_object.pose[:2]
         raise KinfeasError(
             f"{where} is at ({x:g}, {y:g}), off the floor of {size[0]:g} x {size[1]:g} m"
         )
-    sunk = max((shape.reach(_DOWN) for _, shape in one.shapes()), default=0.0)
+    sunk = max((shape.reach(_DOWN) for _, shape in scene_object.shapes()), default=0.0)
     if sunk > OVERLAP:
         raise KinfeasError(f"{where} is {sunk:.3g} m below the floor")
 
 
 def _check_overlaps(source: str, objects: Mapping[str, SceneObject]) -> None:
     solids = {
-        name: ShapeGroup((shape for _, shape in one.shapes()), OVERLAP)
-        for name, one in objects.items()
+        name: ShapeGroup((shape for _, shape in scene_object.shapes()), OVERLAP)
+        for name, scene_object in objects.items()
     }
     for a, b in combinations(objects, 2):
         if solids[a].touches(solids[b]):

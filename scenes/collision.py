@@ -20,7 +20,7 @@ class SceneCollision:
 
     def __init__(self, scene: Scene) -> None:
         self.shapes = ShapeGroup(
-            shape for one in scene.objects.values() for _, shape in one.shapes()
+            shape for scene_object in scene.objects.values() for _, shape in scene_object.shapes()
         )
 
 
@@ -37,8 +37,8 @@ def robot_touches(
     """
     model, scratch, shapes = _parts(robot)
     touches_itself(model, joint_positions, scratch)  # writes the poses of the shapes
-    turn = rotation(base_pose).as_matrix()
-    shapes.place(turn @ scratch.rotation, scratch.position @ turn.T + base_pose[:3])
+    orientation = rotation(base_pose).as_matrix()
+    shapes.place(orientation @ scratch.rotation, scratch.position @ orientation.T + base_pose[:3])
     return shapes.touches(collision.shapes)
 
 

@@ -71,10 +71,12 @@ class Scene:
             positions: Positions in rad or m, by the names of objects and joints.
         """
         moved = {}
-        for name, given in positions.items():
-            found = self._object(name)
-            _check_joints(found.urdf, given, f"scene {self.name}: object {name!r}")
-            moved[name] = replace(found, joint_positions={**found.joint_positions, **given})
+        for name, joints in positions.items():
+            scene_object = self._object(name)
+            _check_joints(scene_object.urdf, joints, f"scene {self.name}: object {name!r}")
+            moved[name] = replace(
+                scene_object, joint_positions={**scene_object.joint_positions, **joints}
+            )
         return replace(self, objects={**self.objects, **moved})
 
     def check_places(self, source: str) -> None:
@@ -120,8 +122,8 @@ def _find(name_or_path: str) -> Path:
     if is_path(name_or_path):
         return Path(name_or_path)
     if name_or_path not in _SHIPPED:
-        known = no_such(name_or_path, _SHIPPED)
-        raise KinfeasError(f"unknown scene {name_or_path!r}{known}, or the path of a YAML file")
+        hint = no_such(name_or_path, _SHIPPED)
+        raise KinfeasError(f"unknown scene {name_or_path!r}{hint}, or the path of a YAML file")
     return _FOLDER / f"{name_or_path}.yaml"
 
 
@@ -169,9 +171,9 @@ def _check_mimics(urdf: Urdf, file: Path) -> None:
             )
 
 
-def _check_joints(urdf: Urdf, given: Mapping[str, float], where: str) -> None:
+def _check_joints(urdf: Urdf, positions: Mapping[str, float], where: str) -> None:
     joints = free_joints(urdf)
-    for name, position in given.items():
+    for name, position in positions.items():
         joint = _of(joints, name, f"{where}: there is no moving joint")
         if not joint.lower <= position <= joint.upper:
             raise KinfeasError(
@@ -186,10 +188,10 @@ def _handle(spec: HandleSpec, objects: Mapping[str, SceneObject], where: str) ->
     return Handle(spec.object, spec.link, pose, moving_joint(urdf, spec.link))
 
 
-def _of(known: Mapping[str, T], name: str, complaint: str) -> T:
-    if name not in known:
-        raise KinfeasError(f"{complaint} {name!r}{no_such(name, known)}")
-    return known[name]
+def _of(entries: Mapping[str, T], name: str, complaint: str) -> T:
+    if name not in entries:
+        raise KinfeasError(f"{complaint} {name!r}{no_such(name, entries)}")
+    return entries[name]
 
 
 def _pose(position: Vector, rpy: Vector) -> Array:

@@ -19,21 +19,23 @@ def furniture_solids(scene: Scene, grasped: tuple[str, str] | None = None) -> So
     turn.
     """
     lines = []
-    for name, one in scene.objects.items():
-        moved = _moved_with(one, grasped[1]) if grasped and grasped[0] == name else frozenset()
-        if one.fixed:
-            lines += [_line(shape) for link, shape in one.shapes() if link not in moved]
+    for name, scene_object in scene.objects.items():
+        moved = (
+            _moved_with(scene_object, grasped[1]) if grasped and grasped[0] == name else frozenset()
+        )
+        if scene_object.fixed:
+            lines += [_line(shape) for link, shape in scene_object.shapes() if link not in moved]
     solids = Solids.empty(1, len(lines))
-    for place, (pose, size, cylinder) in enumerate(lines):
-        solids.pose[0, place], solids.size[0, place] = pose, size
-        solids.cylinder[0, place] = cylinder
+    for index, (pose, size, cylinder) in enumerate(lines):
+        solids.pose[0, index], solids.size[0, index] = pose, size
+        solids.cylinder[0, index] = cylinder
     return solids
 
 
-def _moved_with(one: SceneObject, link: str) -> frozenset[str]:
+def _moved_with(scene_object: SceneObject, link: str) -> frozenset[str]:
     """Return the links that the nearest moving joint above a link carries."""
-    joint = moving_joint(one.urdf, link)
-    return frozenset() if joint is None else one.urdf.below(joint)
+    joint = moving_joint(scene_object.urdf, link)
+    return frozenset() if joint is None else scene_object.urdf.below(joint)
 
 
 def _line(shape: Shape) -> tuple[list[float], list[float], bool]:
@@ -41,9 +43,12 @@ def _line(shape: Shape) -> tuple[list[float], list[float], bool]:
     high, low = (np.array([shape.reach(side) for side in sign * np.eye(3)]) for sign in (1, -1))
     heights = [-low[2], high[2]]
     half, heading = (high + low)[:2] / 2.0, 0.0
-    turn = rotation(shape.pose).as_matrix()
-    upright = abs(turn[2, 2]) >= _UPRIGHT
+    matrix = rotation(shape.pose).as_matrix()
+    upright = abs(matrix[2, 2]) >= _UPRIGHT
     if shape.kind == "box" and upright:  # also upside down
-        half, heading = np.array(shape.size[:2]) / 2.0, float(np.arctan2(turn[1, 0], turn[0, 0]))
+        half, heading = (
+            np.array(shape.size[:2]) / 2.0,
+            float(np.arctan2(matrix[1, 0], matrix[0, 0])),
+        )
     cylinder = shape.kind == "sphere" or (shape.kind == "cylinder" and upright)
     return [*shape.pose[:2], heading], [*half, *heights], cylinder

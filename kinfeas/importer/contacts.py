@@ -62,7 +62,7 @@ def only_fitted(
         rows = np.flatnonzero(self_collides(alone, joints))
         some = joints[rows[:: -(-len(rows) // _COMPARED)]]
         parts = list(product(*(placed(link, some) for link in pair)))
-        return any(_touch(one, other, i) for i in range(len(some)) for one, other in parts)
+        return any(_touch(first, second, i) for i in range(len(some)) for first, second in parts)
 
     return {
         pair: suspected[pair]
@@ -71,13 +71,13 @@ def only_fitted(
     }
 
 
-def _touch(one: tuple[Any, Array], other: tuple[Any, Array], i: int) -> bool:
+def _touch(first: tuple[Any, Array], second: tuple[Any, Array], i: int) -> bool:
     """Return whether two solids for FCL touch at their poses number `i`."""
     import fcl
 
-    for solid, poses in (one, other):
+    for solid, poses in (first, second):
         solid.setTransform(fcl.Transform(rotation(poses[i]).as_matrix(), poses[i, :3]))
-    return bool(fcl.collide(one[0], other[0], fcl.CollisionRequest(), fcl.CollisionResult()))
+    return bool(fcl.collide(first[0], second[0], fcl.CollisionRequest(), fcl.CollisionResult()))
 
 
 def _solid(part: Part) -> tuple[Any, Array]:

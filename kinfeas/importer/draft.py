@@ -118,8 +118,8 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     text, lifted = on_the_floor(whole, arm, source)
     urdf = _parsed(text, source)
     fingers = read_hand(urdf, arm)
-    found, why = find_drive(urdf, arm)
-    spec = stated(name, urdf, arm, fingers, drive or found)
+    wheel_drive, why = find_drive(urdf, arm)
+    spec = stated(name, urdf, arm, fingers, drive or wheel_drive)
     robot = build_robot(spec, urdf, path, path)
     fractions = touching(robot)
     ignored = built_to_touch(robot, fractions)
@@ -227,9 +227,9 @@ def _fixed(urdf: Urdf, arm: Arm) -> dict[str, float]:
     leaders = [urdf.followed(joint)[0] for joint in urdf.path_to(arm.hand) if joint.moves]
     moving = [joint.name for joint in arm.joints]
     return {
-        one.name: min(max(0.0, one.soft_lower), one.soft_upper)
-        for one in leaders
-        if one.name not in moving
+        leader.name: min(max(0.0, leader.soft_lower), leader.soft_upper)
+        for leader in leaders
+        if leader.name not in moving
     }
 
 

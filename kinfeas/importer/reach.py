@@ -81,7 +81,7 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
     for row, (a, b) in enumerate(model.pairs):
         shapes[min(named[a], named[b]), max(named[a], named[b])].append(row)
     for pair, rows in shapes.items():
-        used, places = np.unique(model.pairs[rows], return_inverse=True)
+        used, indices = np.unique(model.pairs[rows], return_inverse=True)
         yield (
             pair,
             model._replace(
@@ -91,7 +91,7 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
                 radius=model.radius[used],
                 rotation=model.rotation[used],
                 offset=model.offset[used],
-                pairs=places.reshape(-1, 2).astype(np.uintp),
+                pairs=indices.reshape(-1, 2).astype(np.uintp),
             ),
         )
 
@@ -109,10 +109,10 @@ def built_to_touch(
     }
 
 
-def _allowed(robot: Robot, one: str, other: str) -> float:
+def _allowed(robot: Robot, first: str, second: str) -> float:
     """Return the fraction of configurations in which two links may touch and are still checked."""
     urdf, arm = robot.urdf, {joint.name for joint in robot.arm}
-    apart = {*urdf.path_to(one)} ^ {*urdf.path_to(other)}
+    apart = {*urdf.path_to(first)} ^ {*urdf.path_to(second)}
     between = [joint for joint in apart if urdf.followed(joint)[0].name in arm]
     turning = sum(joint.kind != "prismatic" for joint in between)
     if turning == 0 and _in_line(urdf, between):
@@ -124,7 +124,7 @@ def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
     """Return whether prismatic joints have parallel axes, as the parts of a telescope have."""
     poses = urdf.link_poses({})
     along = [rotation(poses[joint.child]).apply(joint.axis) for joint in slides]
-    return all(abs(float(along[0] @ other)) > _PARALLEL for other in along)
+    return all(abs(float(along[0] @ axis)) > _PARALLEL for axis in along)
 
 
 def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
@@ -188,8 +188,8 @@ def comfortable(robot: Robot) -> Array:
         raise KinfeasError(f"{robot.name}: self-collision in all of {len(joints)} configurations")
     ee = forward(build_chain(robot), free)[:, :3]
     low, high = np.quantile(ee[:, 2], [0.25, 0.75])
-    wanted = (ee[:, 0] > 0.0) & (ee[:, 2] >= low) & (ee[:, 2] <= high)
-    among = free[wanted] if wanted.any() else free
+    in_front = (ee[:, 0] > 0.0) & (ee[:, 2] >= low) & (ee[:, 2] <= high)
+    among = free[in_front] if in_front.any() else free
     least = _singular_values(robot, among)[:, freedom(robot) - 1]
     room = 4.0 * (among - lower) * (upper - among) / (upper - lower) ** 2
     best: Array = among[np.argmax(least * room[:, ~robot.continuous].min(axis=1, initial=1.0))]
@@ -198,8 +198,8 @@ def comfortable(robot: Robot) -> Array:
 
 def freedom(robot: Robot) -> int:
     """Return the degrees of freedom of the hand, 1-6; parallel prismatic joints count once."""
-    ways = _singular_values(robot, spread_configurations(robot, _FEW)) > _STIFF
-    return int(ways.sum(axis=1).max())
+    directions = _singular_values(robot, spread_configurations(robot, _FEW)) > _STIFF
+    return int(directions.sum(axis=1).max())
 
 
 def _singular_values(robot: Robot, joints: Array) -> Array:
@@ -226,8 +226,8 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
     at = np.arange(_STEP, max(highest, 2.0 * _STEP) + _STEP, _STEP)
     fractions = []
     for height in at:
-        turn = Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (_GOALS, 3)))
-        goals = make_pose(np.tile([0.0, 0.0, height], (_GOALS, 1)), turn)
+        orientation = Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (_GOALS, 3)))
+        goals = make_pose(np.tile([0.0, 0.0, height], (_GOALS, 1)), orientation)
         fractions.append(reachable(solver, goals, _STAGES).share.value)
         if on_done is not None:
             on_done(1.0 / len(at))

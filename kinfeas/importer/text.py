@@ -57,32 +57,32 @@ class Guesses:
 
 def guessed(spec: RobotSpec, guesses: Guesses) -> list[list[str]]:
     """Return key and value, with its unit, of each guess in the YAML file."""
-    found: dict[str, tuple[object, str]] = {
+    entries: dict[str, tuple[object, str]] = {
         f"base.{key}": (value, _BASE_UNITS.get(key, "")) for key, value in vars(spec.base).items()
     }
-    found |= {"tool_tip": (spec.tool_tip, "m"), "gripper_rotation": (spec.gripper_rotation, "")}
+    entries |= {"tool_tip": (spec.tool_tip, "m"), "gripper_rotation": (spec.gripper_rotation, "")}
     for name in guesses.limits:
-        found[f"arm.{name}.soft_limits"] = spec.arm[name].soft_limits, guesses.unit(name)
+        entries[f"arm.{name}.soft_limits"] = spec.arm[name].soft_limits, guesses.unit(name)
     for name in guesses.speeds:
-        found[f"arm.{name}.velocity"] = spec.arm[name].velocity, f"{guesses.unit(name)}/s"
+        entries[f"arm.{name}.velocity"] = spec.arm[name].velocity, f"{guesses.unit(name)}/s"
     if spec.pose_tolerance is not None:
-        found["pose_tolerance"] = vars(spec.pose_tolerance), "m, rad"
+        entries["pose_tolerance"] = vars(spec.pose_tolerance), "m, rad"
     if spec.ignored_collisions:
-        found["ignored_collisions"] = len(spec.ignored_collisions), "pairs of links"
+        entries["ignored_collisions"] = len(spec.ignored_collisions), "pairs of links"
     if spec.max_gravity_load is not None:
-        found["max_gravity_load"] = spec.max_gravity_load, "of the effort limits"
-    return [[key, f"{to_line(value)} {unit}".strip()] for key, (value, unit) in found.items()]
+        entries["max_gravity_load"] = spec.max_gravity_load, "of the effort limits"
+    return [[key, f"{to_line(value)} {unit}".strip()] for key, (value, unit) in entries.items()]
 
 
 def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
     """Return what limits the postures of a draft; `free` is as of `Draft`."""
-    found = []
+    messages = []
     if free < _FREE:
         often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
         pairs = ", ".join(
-            f"{one} and {other} in {fraction:.0%}" for (one, other), fraction in often
+            f"{first} and {second} in {fraction:.0%}" for (first, second), fraction in often
         )
-        found.append(
+        messages.append(
             f"{free:.0%} of random postures are free of self-collision; most often touch {pairs}"
         )
     if guesses.overloads:
@@ -90,11 +90,11 @@ def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
         rule = f"IK leaves them out (max_gravity_load: {spec.max_gravity_load})"
         if spec.max_gravity_load is None:
             rule = "IK does not leave them out, since hardly any others are free"
-        found.append(
+        messages.append(
             f"gravity exceeds the effort limit in random postures, {_overloads(guesses)}"
             f"{f', and at home ({home})' if home else ''}; {rule}"
         )
-    return found
+    return messages
 
 
 def _overloads(guesses: Guesses) -> str:
@@ -161,7 +161,7 @@ def _head(spec: RobotSpec, guesses: Guesses) -> list[str]:
 def _guessed_units(joint: str, guesses: Guesses) -> str:
     unit = guesses.unit(joint)
     kinds = {unit: guesses.limits, f"{unit}/s": guesses.speeds}
-    units = [one for one, joints in kinds.items() if joint in joints]
+    units = [unit_name for unit_name, joints in kinds.items() if joint in joints]
     return ", ".join([*units, "guess"]) if units else ""
 
 

@@ -65,9 +65,9 @@ class Network:
         """Return actions in [-1, 1], shape (n, actions)."""
         return self(policy_input.observation)
 
-    def __call__(self, seen: Array) -> Array:
+    def __call__(self, observation: Array) -> Array:
         """Return the network's output for observations of shape (n, inputs)."""
-        values = scaled(seen, self.scale)
+        values = scaled(observation, self.scale)
         last = len(self.weights) - 1
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             out = np.empty((len(values), len(bias)), dtype=np.float32)
@@ -83,15 +83,15 @@ class Network:
         Raises:
             KinfeasError: If the first terms are not those of this network.
         """
-        known = self.observation_terms, self.action_terms
-        begin = tuple(observation[: len(known[0])]), tuple(action[: len(known[1])])
-        if begin != known:
-            raise KinfeasError(f"the policy has the terms {known}, not {begin}")
+        terms = self.observation_terms, self.action_terms
+        begin = tuple(observation[: len(terms[0])]), tuple(action[: len(terms[1])])
+        if begin != terms:
+            raise KinfeasError(f"the policy has the terms {terms}, not {begin}")
         rows = size(robot, observation) - len(self.scale)
         first, *others = self.weights
         weights = [np.pad(first, ((0, rows), (0, 0))), *others]
-        weights[-1] = np.pad(weights[-1], ((0, 0), (0, len(action) - len(known[1]))))
-        added = [_FULL if name == "time_scale" else 0.0 for name in action[len(known[1]) :]]
+        weights[-1] = np.pad(weights[-1], ((0, 0), (0, len(action) - len(terms[1]))))
+        added = [_FULL if name == "time_scale" else 0.0 for name in action[len(terms[1]) :]]
         biases = [*self.biases[:-1], np.append(self.biases[-1], np.array(added, dtype=np.float32))]
         return Network(
             scale(robot, observation).astype(np.float32),
@@ -104,7 +104,7 @@ class Network:
     def equals(self, other: "Network") -> bool:
         """Return whether both networks have equal weights and biases."""
         pairs = zip((*self.weights, *self.biases), (*other.weights, *other.biases), strict=True)
-        return all(np.array_equal(one, another) for one, another in pairs)
+        return all(np.array_equal(first, second) for first, second in pairs)
 
 
 def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[str, Any]) -> None:
@@ -145,41 +145,41 @@ def read_network(folder: Path, robot: Robot) -> Network:
         KinfeasError: If there is no policy, or it is broken or for another robot or other
             kinematics.
     """
-    place = policy_folder(folder)
-    trained = read_trained(place)
+    path = policy_folder(folder)
+    trained = read_trained(path)
     try:
-        with reading(place / WEIGHTS):
-            tensors = load_file(place / WEIGHTS)
+        with reading(path / WEIGHTS):
+            tensors = load_file(path / WEIGHTS)
         network = Network(
             tensors["scale"],
             tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
             tuple(tensors[f"bias.{i}"] for i in range(trained.layers)),
-            check_terms(trained.observation, tuple(TERMS), f"{place}: observation"),
-            check_terms(trained.action, ACTIONS, f"{place}: action"),
+            check_terms(trained.observation, tuple(TERMS), f"{path}: observation"),
+            check_terms(trained.action, ACTIONS, f"{path}: action"),
         )
     except KinfeasError:
         raise
     except _BROKEN as error:
-        raise KinfeasError(f"{place}: broken policy: {error}") from error
-    check_network(network, str(place))
-    _check_robot(network, trained, robot, place)
+        raise KinfeasError(f"{path}: broken policy: {error}") from error
+    check_network(network, str(path))
+    _check_robot(network, trained, robot, path)
     return network
 
 
-def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) -> None:
-    wanted = (
+def _check_robot(network: Network, trained: Trained, robot: Robot, path: Path) -> None:
+    expected = (
         size(robot, network.observation_terms),
         action_size(robot, network.action_terms),
     )
-    found = (len(network.scale), len(network.biases[-1]))
-    if trained.robot != robot.name or found != wanted:
+    sizes = (len(network.scale), len(network.biases[-1]))
+    if trained.robot != robot.name or sizes != expected:
         raise KinfeasError(
-            f"{place}: a policy for robot {trained.robot!r} with (inputs, actions) {found}, "
-            f"not for {robot.name!r} with {wanted}"
+            f"{path}: a policy for robot {trained.robot!r} with (inputs, actions) {sizes}, "
+            f"not for {robot.name!r} with {expected}"
         )
     if trained.kinematics not in (None, fingerprint(robot)):
         raise KinfeasError(
-            f"{place}: trained with other kinematics of {robot.name!r}: joints, limits, EE frame, "
+            f"{path}: trained with other kinematics of {robot.name!r}: joints, limits, EE frame, "
             "or the base's drive or speed"
         )
 

@@ -95,8 +95,8 @@ class PolicyMetadata:
     def trained_with(self) -> str:
         """Name or path of the robot in the configuration of the training."""
         settings = self.training.get("config")
-        known = settings if isinstance(settings, dict) else {}
-        return str(known.get("robot", self.robot.name))
+        config = settings if isinstance(settings, dict) else {}
+        return str(config.get("robot", self.robot.name))
 
 
 class OnnxPolicy:
@@ -151,27 +151,29 @@ class OnnxPolicy:
 
     def check_robot(self, robot: Robot) -> None:
         """Check that the policy was trained for a robot with these kinematics."""
-        metadata, wanted = self.metadata, describe_robot(robot)
-        found = metadata.robot
-        if found.name != wanted.name:
-            raise KinfeasError(f"a policy for robot {found.name!r}, not for {wanted.name!r}")
-        if found.kinematics != wanted.kinematics:
+        metadata, expected = self.metadata, describe_robot(robot)
+        trained = metadata.robot
+        if trained.name != expected.name:
+            raise KinfeasError(f"a policy for robot {trained.name!r}, not for {expected.name!r}")
+        if trained.kinematics != expected.kinematics:
             raise KinfeasError(
                 f"the kinematics of robot {robot.name!r} changed since the training: "
-                f"{wanted.kinematics[:15]!r} here, {found.kinematics[:15]!r} in the file"
+                f"{expected.kinematics[:15]!r} here, {trained.kinematics[:15]!r} in the file"
             )
         observation = describe_observation(robot, self.observation_terms)
         action = describe_action(robot, self.action_terms)
-        here = wanted, observation, action, HORIZON
-        if here != (found, metadata.observation, metadata.action, metadata.control.horizon):
+        here = expected, observation, action, HORIZON
+        if here != (trained, metadata.observation, metadata.action, metadata.control.horizon):
             raise KinfeasError("its observation or action differs from this version's of kinfeas")
 
     def _check_sizes(self) -> None:
-        found = len(self._network.scale), len(self._network.biases[-1])
+        sizes = len(self._network.scale), len(self._network.biases[-1])
         metadata = self.metadata
-        wanted = tuple(sum(o.size for o in one) for one in (metadata.observation, metadata.action))
-        if found != wanted:
-            raise KinfeasError(f"its graph has the sizes {found}, its metadata {wanted}")
+        declared = tuple(
+            sum(term.size for term in terms) for terms in (metadata.observation, metadata.action)
+        )
+        if sizes != declared:
+            raise KinfeasError(f"its graph has the sizes {sizes}, its metadata {declared}")
 
     def _check_golden_pairs(self) -> None:
         golden, network = self.metadata.golden, self._network
@@ -230,15 +232,15 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
         model = _fields(content)
         pairs = [_fields(entry) for entry in model[14]]
         graph, tensors = _fields(model[7][0]), {}
-        for one in map(_fields, graph[5]):
-            numbers = np.frombuffer(one[9][0], "<f4").astype(np.float32)
-            tensors[one[8][0].decode()] = numbers.reshape(one[1])
+        for tensor in map(_fields, graph[5]):
+            numbers = np.frombuffer(tensor[9][0], "<f4").astype(np.float32)
+            tensors[tensor[8][0].decode()] = numbers.reshape(tensor[1])
         layers = range((len(tensors) - 3) // 2)
-        known = [
+        expected = [
             {1: [name.encode() for name in inputs], 2: [output.encode()], 4: [operator.encode()]}
             for operator, inputs, output in graph_nodes(len(layers))
         ]
-        if not layers or [_fields(node) for node in graph[1]] != known:
+        if not layers or [_fields(node) for node in graph[1]] != expected:
             raise KinfeasError("its graph is not that of a policy")
         if (float(tensors["low"]), float(tensors["high"])) != (-CLIP, CLIP):
             raise KinfeasError("its graph clips observations elsewhere")
@@ -246,7 +248,7 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
             tuple(tensors[f"{name}_{i}"] for i in layers) for name in ("weight", "bias")
         )
         network = Network(tensors["scale"], weights, biases)
-        return {one[1][0].decode(): one[2][0].decode() for one in pairs}, network
+        return {pair[1][0].decode(): pair[2][0].decode() for pair in pairs}, network
     except (ValueError, LookupError, AttributeError, TypeError, OverflowError) as error:
         raise KinfeasError(f"its graph cannot be read: {error}") from error
 

@@ -79,9 +79,9 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, path: Path) -> Rob
     )
 
 
-def _check_known(name: str, known: Collection[str], kind: str, where: str) -> None:
-    if name not in known:
-        raise KinfeasError(f"{where}: there is no {kind} {name!r}{no_such(name, known)}")
+def _check_known(name: str, names: Collection[str], kind: str, where: str) -> None:
+    if name not in names:
+        raise KinfeasError(f"{where}: there is no {kind} {name!r}{no_such(name, names)}")
 
 
 def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
@@ -94,10 +94,10 @@ def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
             raise KinfeasError(f"{where}: the joint is fixed or a mimic joint")
     moving = [joint for joint in urdf.path_to(spec.ee_frame) if joint.moves]
     if [joint.name for joint in moving if joint.name in spec.arm] != list(spec.arm):
-        known = ", ".join(joint.name for joint in moving) or "none"
+        names = ", ".join(joint.name for joint in moving) or "none"
         raise KinfeasError(
             f"{source}: 'arm' must name joints between {urdf.root!r} and {spec.ee_frame!r}, in "
-            f"order, of {known}"
+            f"order, of {names}"
         )
     for joint in moving:
         if urdf.followed(joint)[0].name not in (*spec.arm, *spec.fixed_joints):

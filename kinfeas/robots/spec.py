@@ -94,8 +94,8 @@ class Gripper:
     def positions(self, grip: Grip) -> dict[str, float]:
         """Return the position of each finger, rad or m, when closed or open."""
         position = self.closed if grip == "close" else self.open
-        both = position if isinstance(position, tuple) else (position, position)
-        return dict(zip(self.fingers, both, strict=True))
+        positions = position if isinstance(position, tuple) else (position, position)
+        return dict(zip(self.fingers, positions, strict=True))
 
     @property
     def ratio(self) -> float:

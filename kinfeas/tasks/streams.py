@@ -111,8 +111,8 @@ class SimulatedStream:
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
         everyone = len(rows) == len(loop.desired)
         begun = loop.desired[rows]
-        for one in (self.inbox, self.asked):
-            one.start(begun, None if everyone else rows)
+        for inbox in (self.inbox, self.asked):
+            inbox.start(begun, None if everyone else rows)
         drawn = self._draw(seeds, begun)
         if everyone:
             self._seeds, self._read, self._begun = seeds, np.zeros(len(rows), dtype=np.intp), begun
@@ -134,8 +134,8 @@ class SimulatedStream:
             self._deliver(sent, now[sent], loop.desired[sent])
             self._read[sent] += 1
         self.inbox.wait(rows, loop.time_scale[rows], loop.desired[rows])
-        for one in (self.inbox, self.asked):
-            one.advance(rows, now[rows], loop.dt, loop.dt * loop.execution.time_scale)
+        for inbox in (self.inbox, self.asked):
+            inbox.advance(rows, now[rows], loop.dt, loop.dt * loop.execution.time_scale)
         return self.inbox.target
 
     @property
@@ -162,13 +162,13 @@ class SimulatedStream:
         self._begun = snapshot["begun"].copy()
         self._drawn = self._draw(self._seeds, self._begun)
         for name in ("inbox", "asked"):
-            given = {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
-            getattr(self, name).restore(given)
+            own = {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
+            getattr(self, name).restore(own)
 
     def _draw(self, seeds: NDArray[np.uint64], begun: Array) -> dict[str, Array]:
         """Return messages of episodes: times (m, k), and twists (m, k, 6) or path and offsets."""
         drawn = [self._draw_one(np.random.default_rng(seed)) for seed in seeds]
-        stacked = {key: np.stack([one[key] for one in drawn]) for key in drawn[0]}
+        stacked = {key: np.stack([messages[key] for messages in drawn]) for key in drawn[0]}
         if self.task.kind != "joystick":
             stacked["path"] = self._path(begun, stacked.pop("twists"))
         return stacked
@@ -244,8 +244,8 @@ class SimulatedStream:
         self._put("put_poses", rows, now, sent, _GRID * steps.astype(np.float64), poses)
 
     def _put(self, method: str, *message: NDArray[Any]) -> None:
-        for one in (self.inbox, self.asked):
-            getattr(one, method)(*message)
+        for inbox in (self.inbox, self.asked):
+            getattr(inbox, method)(*message)
 
 
 def joystick(**parameters: object) -> Stream:
@@ -265,5 +265,5 @@ def carried(**parameters: object) -> Stream:
 
 
 def _stream(kind: str, defaults: Mapping[str, object], parameters: Mapping[str, object]) -> Stream:
-    given = {"name": kind, "kind": kind, **defaults, **parameters}
-    return config.from_mapping(Stream, given, kind)
+    values = {"name": kind, "kind": kind, **defaults, **parameters}
+    return config.from_mapping(Stream, values, kind)

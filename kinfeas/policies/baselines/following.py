@@ -102,11 +102,11 @@ class FollowBase:
     def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         base, pose = self.base, policy_input.base_pose
-        wanted: Array = getattr(policy_input, self.source)
+        base_pose: Array = getattr(policy_input, self.source)
         motion = policy_input.planned[:, :3] - policy_input.desired[:, :3]
         rules = np.array([base.max_velocity, base.max_rotation, self.forward_shift])
         like = TWIST[: command_size(base)]
-        action: Array = _follow_base(wanted, pose, motion, rules, like)
+        action: Array = _follow_base(base_pose, pose, motion, rules, like)
         return action
 
 
@@ -140,8 +140,8 @@ def _follow_base(
 
 def demonstrated_base(robot: Robot) -> FollowBase:
     """Return the baseline that drives to the base pose of the demonstration."""
-    known = load_section(BaselineConfig, "baselines", robot.folder)
-    return FollowBase(robot.base, known.forward_shift)
+    settings = load_section(BaselineConfig, "baselines", robot.folder)
+    return FollowBase(robot.base, settings.forward_shift)
 
 
 def planned_base(robot: Robot) -> FollowBase:
