@@ -16,7 +16,7 @@ from kinfeas.io.files import is_path, reading
 from kinfeas.robots.elements import read_xml
 from kinfeas.robots.urdf import Urdf
 from kinfeas.robots.urdf_file import urdf_of
-from kinfeas.scenes.check import check, check_inertia, check_places
+from kinfeas.scenes.check import check_inertia, check_places
 from kinfeas.scenes.objects import (
     Handle,
     HandleSpec,
@@ -99,8 +99,7 @@ def read_scene(name_or_path: str, overrides: Sequence[str] = ()) -> Scene:
         overrides: Assignments such as `objects.box.position=[2.725, 0.2, 0.635]`.
 
     Raises:
-        KinfeasError: If there is no such scene, one of its files is invalid, objects overlap or a
-            handle cannot be reached.
+        KinfeasError: If there is no such scene, one of its files is invalid, or objects overlap.
     """
     path = _find(name_or_path)
     spec = config.load(SceneSpec, path, overrides)
@@ -114,7 +113,7 @@ def read_scene(name_or_path: str, overrides: Sequence[str] = ()) -> Scene:
         for name, block in spec.handles.items()
     }
     scene = Scene(spec.name, spec.size, objects, handles)
-    check(str(path), scene.size, objects, {name: scene.handle_pose(name) for name in handles})
+    scene.check_places(str(path))
     return scene
 
 
