@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, rotation, yaw
 from kinfeas.envs.world import World, evaluation_world
@@ -127,9 +126,3 @@ def test_a_share_of_the_rooms_is_empty_and_motions_there_are_straight(hsr, sampl
     assert 2 < empty.sum() < 10
     assert not planned[empty].any()
     assert planned[~empty].mean() > 0.5
-
-
-@pytest.mark.parametrize("wrong", [{"places": 65}, {"spacing": 0.1}, {"footprint": [0.1, 1.0]}])
-def test_wrong_parameters_raise(wrong):
-    with pytest.raises(KinfeasError, match=next(iter(wrong))):
-        ggr_obstacles(**wrong)
