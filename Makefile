@@ -1,7 +1,6 @@
 # `make demo` and `make test` need nothing but Python 3.11 to 3.13: each builds its own .venv.
 
-# The first that runs: a version manager's shim may be on the path without its Python. PyBullet has
-# no wheels for later versions than 3.11.
+# The first that runs: a version manager's shim may be on the path without its Python.
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c "" 2>/dev/null && echo $$p && break; done)
 VENV := .venv
