@@ -11,7 +11,6 @@ from kinfeas.cli import options
 from kinfeas.cli.output import (
     check_file_path,
     print_facts,
-    print_table,
     progress,
     write_drawing,
     write_json,
@@ -69,7 +68,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.core.errors import check_name
     from kinfeas.importer.draft import draft_robot
-    from kinfeas.importer.text import guessed, warnings
+    from kinfeas.importer.text import warnings
     from kinfeas.io.files import write_file, writing
 
     called = out.resolve().name if name is None else name
@@ -94,7 +93,6 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     summary = _summary(draft)
     write_json(summary, json)
     print_facts(f"robot {called}", summary)
-    print_table("guesses to check", ["key", "value"], guessed(draft.spec, draft.guesses))
     for warning in (*draft.guesses.doubts, *warnings(draft.spec, draft.guesses, draft.free)):
         typer.echo(f"warning: {warning}", err=True)
     quoted = shlex.quote(str(out if os.sep in str(out) else Path(out)))

@@ -13,7 +13,6 @@ from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import Arm, Hand, ends_of_arms, find_arm, read_hand
 from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
-from kinfeas.importer.contacts import only_fitted
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.reach import (
     Heights,
@@ -22,6 +21,7 @@ from kinfeas.importer.reach import (
     free_fraction,
     freedom,
     limited,
+    only_fitted,
     overload_fractions,
     overloads_at,
     touching,

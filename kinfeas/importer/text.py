@@ -55,25 +55,6 @@ class Guesses:
         return "m" if joint in self.slides else "rad"
 
 
-def guessed(spec: RobotSpec, guesses: Guesses) -> list[list[str]]:
-    """Return key and value, with its unit, of each guess in the YAML file."""
-    entries: dict[str, tuple[object, str]] = {
-        f"base.{key}": (value, _BASE_UNITS.get(key, "")) for key, value in vars(spec.base).items()
-    }
-    entries |= {"tool_tip": (spec.tool_tip, "m"), "gripper_rotation": (spec.gripper_rotation, "")}
-    for name in guesses.limits:
-        entries[f"arm.{name}.soft_limits"] = spec.arm[name].soft_limits, guesses.unit(name)
-    for name in guesses.speeds:
-        entries[f"arm.{name}.velocity"] = spec.arm[name].velocity, f"{guesses.unit(name)}/s"
-    if spec.pose_tolerance is not None:
-        entries["pose_tolerance"] = vars(spec.pose_tolerance), "m, rad"
-    if spec.ignored_collisions:
-        entries["ignored_collisions"] = len(spec.ignored_collisions), "pairs of links"
-    if spec.max_gravity_load is not None:
-        entries["max_gravity_load"] = spec.max_gravity_load, "of the effort limits"
-    return [[key, f"{to_line(value)} {unit}".strip()] for key, (value, unit) in entries.items()]
-
-
 def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
     """Return what limits the postures of a draft; `free` is as of `Draft`."""
     messages = []

@@ -2,9 +2,8 @@ import pytest
 
 from kinfeas.importer.arm import find_arm, read_hand
 from kinfeas.importer.boxed import boxed_urdf
-from kinfeas.importer.contacts import RELEVANT, only_fitted
 from kinfeas.importer.draft import stated
-from kinfeas.importer.reach import touching
+from kinfeas.importer.reach import RELEVANT, only_fitted, touching
 from kinfeas.robots.loading import build_robot
 from kinfeas.robots.urdf_file import parse_urdf
 
