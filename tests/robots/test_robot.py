@@ -126,29 +126,22 @@ ARM = crane()["arm"]
     ({"urdf": "none.urdf"}, "none.urdf"),
     ({"ee_frame": "hok"}, "'ee_frame'.*'hook'"),
     ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation'"),
-    ({"name": "a/b"}, "'name'"),
     ({"arm": {"lfit": {}}}, "'arm.lfit'.*'lift'"),
-    ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip'"),
     ({"arm": {"lift": {}, "wave": {}}}, "'arm'"),
     ({"arm": ARM | {"spin": {}}}, "'arm.spin'.*'velocity'"),
     ({"arm": ARM | {"spin": {"velocity": 3, "soft_limits": [-1, 1]}}}, "'arm.spin'"),
     ({"arm": ARM | {"swing": {"soft_limits": [-3, 1]}}}, "'arm.swing'.*-3"),
     (WITHOUT_SWING, "'swing'"),
-    ({"home": {"home": [0.5, 1.6, 0]}}, "'home.home': swing.*1.6"),
     ({"reach": {"low": 1.2, "high": 0.2}}, "'reach'.*'low'"),
     ({"fixed_joints": {"wvae": 1.0}}, "'fixed_joints.wvae'"),
     ({"fixed_joints": {"lift": 0.5}}, "'fixed_joints.lift'"),
-    ({"fixed_joints": {"ring": 0.5}}, "'fixed_joints.ring'"),
     ({"fixed_joints": {"wave": 0.1}}, "'fixed_joints.wave'"),
     ({"ignored_collisions": [["mast", "sea"]]}, "'ignored_collisions'.*'sea'"),
     ({"gripper": GRIPPER | {"fingers": ["wave", "wavy"]}}, "'gripper.fingers'"),
     ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
     ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
     ({"gripper": GRIPPER | {"open": [0.9, 9.5]}}, "'gripper.open', grip"),
-    ({"gripper": GRIPPER | {"open": [0.9, 0.5]}}, "'gripper'.*'open'"),
-    ({"gripper": GRIPPER | {"open": [0.9]}}, "'gripper.open"),
     ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
-    ({"max_gravity_load": 1.5}, "'max_gravity_load'.*1"),
 ])  # fmt: skip
 def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
     with pytest.raises(KinfeasError, match=f"^{tmp_path}.*{where}"):
@@ -216,16 +209,13 @@ def moved(robot, name, metres):
 
 OTHER = {
     "velocity": lambda r: replace(r, base=replace(r.base, max_velocity=0.3)),
-    "rotation": lambda r: replace(r, base=replace(r.base, max_rotation=0.3)),
     "drive": lambda r: replace(r, base=replace(r.base, drive="differential")),
-    "base frame": lambda r: replace(r, base=replace(r.base, frame="odom")),
     "soft limit": lambda r: with_arm(r, lower=r.arm[0].lower + 1e-3),
     "fewer joints": lambda r: replace(
         r, arm=r.arm[:-1], fixed_joints={**r.fixed_joints, r.arm[-1].name: 0.0}
     ),
     "torso": lambda r: replace(r, fixed_joints={**r.fixed_joints, "torso_lift_joint": 0.2}),
     "link length": lambda r: moved(r, "r_elbow_flex_joint", 1e-5),
-    "axis": lambda r: with_joint(r, "r_elbow_flex_joint", axis=(0.0, 0.0, 1.0)),
     "EE frame": lambda r: replace(r, ee_frame="r_gripper_palm_link"),
 }
 
@@ -233,9 +223,6 @@ SAME = {
     "acceleration": lambda r: replace(r, base=replace(r.base, max_acceleration=0.1)),
     "joint velocity": lambda r: with_arm(r, velocity=0.1),
     "tool tip": lambda r: replace(r, tool_tip=np.zeros(3)),
-    "pose_tolerance": lambda r: replace(r, pose_tolerance=None),
-    "collisions": lambda r: replace(r, ignored_collisions=frozenset()),
-    "home": lambda r: replace(r, home={}),
     "left arm": lambda r: moved(r, "l_elbow_flex_joint", 0.1),
     "rounding": lambda r: moved(r, "r_elbow_flex_joint", 1e-13),
 }

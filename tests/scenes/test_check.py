@@ -2,15 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import compose, make_pose, planar_pose
+from kinfeas.core.spatial import compose, planar_pose
 from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.solids import collides
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
-from kinfeas.scenes import solids as scene_solids
 from kinfeas.scenes.check import ShapeGroup
 from kinfeas.scenes.scene import read_scene
 from kinfeas.scenes.solids import furniture_solids
@@ -122,15 +120,6 @@ def test_robots_touch_the_solids_that_they_touch_as_furniture(name):
     ]
     assert found[expected].all()
     assert 0.0 < np.mean(expected) <= np.mean(found) <= np.mean(expected) + 0.01
-
-
-@pytest.mark.parametrize("roll", [0.0, np.pi])
-def test_upright_and_upside_down_boxes_keep_their_heading(roll):
-    turn = Rotation.from_euler("xyz", [roll, 0.0, 0.5])
-    shape = Shape("box", (0.4, 0.2, 0.1), make_pose(np.array([1.0, 2.0, 0.3]), turn))
-    (x, y, heading), size, _ = scene_solids._line(shape)
-    np.testing.assert_allclose([x, y, np.cos(2.0 * heading)], [1.0, 2.0, np.cos(1.0)])
-    np.testing.assert_allclose([np.sin(2.0 * heading), *size], [np.sin(1.0), 0.2, 0.1, 0.25, 0.35])
 
 
 def test_grasped_links_and_movable_objects_are_no_solids():
