@@ -108,7 +108,7 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         title = [] if spec.gripper is None else ["# The gripper is half open."]
         why = {name: _fixed(name, spec, guesses) for name in spec.fixed_joints}
         blocks.append([*title, *_block("fixed_joints", spec.fixed_joints, why)])
-    reach = f"reach: {to_line(vars(spec.reach))}"
+    reach = f"reach: {{low: {spec.reach.low:g}, high: {spec.reach.high:g}}}"
     blocks.append(["# Heights at which most goals are reachable, in any orientation, m.", reach])
     if spec.pose_tolerance is not None:
         tolerance = _block(
