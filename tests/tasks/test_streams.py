@@ -61,8 +61,9 @@ def test_an_episode_is_the_same_in_any_batch_and_after_a_restore(name):
     many.start([1, 2])
     many.start([3], np.array([1]))
     for step in range(40):
-        if step == 20:
+        if step == 10:
             many.start([2], np.array([0]))  # moves no target of the other row
+        if step == 20:
             kept = one.snapshot()
             one = world(name)
             one.start([0])
