@@ -194,8 +194,7 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     from kinfeas.core.backend import RealTimeBackend, build_backend
     from kinfeas.kinematics.ik import IkSolver
     from kinfeas.policies.loading import load_policy
-    from kinfeas.scenes.scene import read_scene
-    from kinfeas.scenes.solids import furniture_solids
+    from kinfeas.scenes.scene import furniture_solids, read_scene
     from kinfeas.sim2real.deploy.planner_threads import in_threads
     from kinfeas.sim2real.deploy.preflight import warm_up
     from kinfeas.sim2real.deploy.runtime import Setup

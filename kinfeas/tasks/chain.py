@@ -17,8 +17,7 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides
 from kinfeas.scenes.objects import free_joints, moving_joint
-from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.scenes.solids import furniture_solids
+from kinfeas.scenes.scene import Scene, furniture_solids, read_scene
 from kinfeas.tasks.clutter import all_reachable, with_clutter
 from kinfeas.tasks.task import Subgoal, random_arm
 

@@ -10,8 +10,7 @@ from kinfeas.kinematics.solids import collides
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.check import ShapeGroup
-from kinfeas.scenes.scene import read_scene
-from kinfeas.scenes.solids import furniture_solids
+from kinfeas.scenes.scene import furniture_solids, read_scene
 
 SIZES = {"box": (0.2, 0.2, 0.2), "cylinder": (0.1, 0.2), "sphere": (0.1,)}
 SHELF = "[-1.0, 0.0, 0.4]"
