@@ -42,11 +42,15 @@ Costs = dict[str, dict[str, Any]]
 
 def training_cost(robot: str, steps: int) -> tuple[float, float]:
     """Return CPU seconds and MB of a training of so many steps."""
-    schedule = {"steps": steps, "minutes": "null", "evaluations": 1}
+    schedule = {"steps": steps, "minutes": None, "evaluations": 1}
     schedule |= {"evaluation_episodes": 1, "final_episodes": 1}
-    changes = [f"schedule.{key}={value}" for key, value in schedule.items()]
     with TemporaryDirectory() as folder:
-        finish((load_section(TrainConfig, "train", robot, changes), Path(folder) / "run"))
+        finish(
+            (
+                load_section(TrainConfig, "train", robot, {"schedule": schedule}),
+                Path(folder) / "run",
+            )
+        )
     return spent()
 
 

@@ -9,7 +9,8 @@ import json
 from itertools import product
 from pathlib import Path
 
-from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.api.load import load
+from kinfeas.evaluation.evaluate import configure, evaluate
 
 ROBOTS, TASKS = ("pr2", "tiago", "hsr"), ("joystick", "chunks", "carried")
 ROWS = {
@@ -33,9 +34,10 @@ def main() -> None:
     for (policy, filters), robot, task in product(ROWS, given.robots, TASKS):
         path = given.folder / f"{robot}-{task}-{policy}-{filters or 'none'}.json"
         if policy in given.policies and not path.exists():
-            chosen = [f"world.filters={json.dumps([filters] if filters else [])}"]
-            config, driver = prepare(policy, robot, task, episodes=EPISODES, overrides=chosen)
-            path.write_text(json.dumps(evaluate(config, driver, policy), indent=2))
+            chosen = {"world.filters": [filters] if filters else []}
+            loaded = load(policy, robot)
+            config = configure(loaded.robot, task, episodes=EPISODES, settings=chosen)
+            path.write_text(json.dumps(evaluate(config, loaded.policy, policy), indent=2))
     print(table(given.folder))
 
 

@@ -16,7 +16,7 @@ from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World
-from kinfeas.evaluation.evaluate import evaluate, prepare, read_settings
+from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
 from kinfeas.io.policy_metadata import policy_folder
@@ -44,7 +44,7 @@ class Evaluation:
         source: Name for `load_policy`.
         seed: Seed of the episodes.
         first: Number of the first episode.
-        settings: Assignments to the settings of the evaluation.
+        settings: Values by key of the evaluation.
         row: Label of the further row that it belongs to.
         variant: Label of the further table that it belongs to.
         parameters: Keyword parameters of the task.
@@ -60,7 +60,7 @@ class Evaluation:
     training_seed: int | None = None
     first: int = 0
     backend: str = "analytic"
-    settings: tuple[str, ...] = ()
+    settings: dict[str, object] = field(default_factory=dict)
     row: str = ""
     variant: str = ""
     parameters: dict[str, object] = field(default_factory=dict)
@@ -134,15 +134,15 @@ def compute(case: Evaluation) -> Result:
         ik = read_settings(robot.name, case.backend, case.settings).world.ik
         share = measure_reachability(robot, task, case.episodes, case.seed, ik).share
         return {"success": share.value, "success_low": share.low, "success_high": share.high}
-    parameters = [f"task.{key}={json.dumps(value)}" for key, value in case.parameters.items()]
-    chosen, policy = prepare(
-        case.source,
-        case.robot,
+    robot = load_robot(case.robot)
+    policy = load_policy(case.source, robot)
+    chosen = configure(
+        robot,
         case.task,
         case.backend,
         episodes=case.episodes,
         seed=case.seed,
-        overrides=[*case.settings, *parameters],
+        settings={**case.settings, "task": case.parameters},
     )
     sampled = case.backend == "analytic" and isinstance(policy, Network)
     samples = WorkspaceSamples() if sampled else None
@@ -191,7 +191,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
     rows = []
     for row in benchmark.rows if not case.variant else ():
         if row.has(case.robot, case.task):
-            settings = (*benchmark.settings, *row.settings, *_filters(row.filters))
+            settings = {**benchmark.settings, **row.settings, **_filters(row.filters)}
             rows += [
                 replace(one, row=row.label, settings=settings)
                 for one in learned
@@ -203,7 +203,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
     if benchmark.backend != "analytic":
         beside = [_without_physics(benchmark, one) for one in policies]
         policies = [*beside, *(part for one in policies for part in _parts(benchmark, one))]
-    settings = benchmark.settings if benchmark.backend == "analytic" else ()
+    settings = benchmark.settings if benchmark.backend == "analytic" else {}
     return [replace(case, settings=settings), *policies]
 
 
@@ -221,11 +221,9 @@ def _parts(benchmark: BenchmarkConfig, case: Evaluation) -> list[Evaluation]:
     ]
 
 
-def _filters(filters: tuple[PluginSpec, ...] | None) -> tuple[str, ...]:
-    """Return filters as an assignment; none if they are to stay."""
-    if filters is None:
-        return ()
-    return (f"world.filters={json.dumps([config.to_mapping(one) for one in filters])}",)
+def _filters(filters: tuple[PluginSpec, ...] | None) -> dict[str, object]:
+    """Return filters as a setting; none if they are to stay."""
+    return {} if filters is None else {"world.filters": config.to_mapping(filters)}
 
 
 def _weights(case: Evaluation) -> str:

@@ -1,6 +1,5 @@
 """Training runs of a benchmark, and the best of them made ready to be shipped."""
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -113,10 +112,8 @@ def train_command(settings: TrainConfig) -> str:
     plain = config.to_mapping(load_section(TrainConfig, "train", Path(settings.robot).stem))
     changed = _changes(config.to_mapping(settings), {**plain, "robot": settings.robot})
     words = ["kinfeas", "train", "--robot", settings.robot, "--seed", str(settings.seed)]
-    for key, value in changed.items():
-        if key != "seed":
-            words += ["--set", f"{key}={json.dumps(value)}"]
-    return shlex.join(words)
+    changed.pop("seed", None)
+    return shlex.join([*words, *config.to_options(changed)])
 
 
 def _settings(training: Training, seed: int) -> TrainConfig:
@@ -127,9 +124,7 @@ def _settings(training: Training, seed: int) -> TrainConfig:
     }
     if training.steps is not None or training.minutes is not None:
         values |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
-    assignments = [f"{key}={json.dumps(value)}" for key, value in values.items()]
-    assignments += training.settings
-    return with_initial_policy(load_recipe(training.recipe, assignments))
+    return with_initial_policy(load_recipe(training.recipe, {**values, **training.settings}))
 
 
 def _changes(

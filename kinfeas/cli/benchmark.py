@@ -79,14 +79,13 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     require("matplotlib")
     worlds = world.split(",")
-    name, backend = (config, []) if config else _recipe(worlds[0], quick)
+    name, backend = (config, None) if config else _recipe(worlds[0], quick)
     out = out or Path("runs/benchmark") / Path(name).stem
     if policy and runs:
         raise KinfeasError("--policy and --runs exclude each other")
-    chosen_policy = ["policies=pretrained"] if policy else []
-    assignments = [*backend, *chosen_policy, *(overrides or [])]
-    assignments += [] if episodes is None else [f"episodes={episodes}"]
-    chosen, taken = read_benchmark(name, assignments), find_runs(runs or [])
+    own = {"backend": backend, "policies": policy, "episodes": episodes}
+    settings = options.read_settings(overrides, own)
+    chosen, taken = read_benchmark(name, settings), find_runs(runs or [])
     if taken:
         chosen = restricted(chosen, {run.robot for run in taken})
     if chosen.backend not in worlds or (len(worlds) > 1 and "analytic" in worlds):
@@ -130,13 +129,13 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.echo(str(path))
 
 
-def _recipe(world: str, quick: bool) -> tuple[str, list[str]]:
-    """Return the recipe of a world, and the assignment of its engine."""
+def _recipe(world: str, quick: bool) -> tuple[str, str | None]:
+    """Return the recipe of a world, and its engine."""
     from kinfeas.config.recipes import ENGINES
 
     if world in ENGINES:
-        return _RECIPES["physics", quick], [f"backend={world}"]
-    return _RECIPES.get((world, quick), world), []
+        return _RECIPES["physics", quick], world
+    return _RECIPES.get((world, quick), world), None
 
 
 def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Job"]:

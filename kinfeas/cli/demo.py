@@ -3,20 +3,23 @@
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, share, write_json
-from kinfeas.cli.train import read_settings, train_run
+from kinfeas.cli.train import train_run
+from kinfeas.config import to_options
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.benchmark.comparison import Comparison
+    from kinfeas.config import Settings
     from kinfeas.training.config import TrainConfig
     from kinfeas.viz.report import Report
 
@@ -24,7 +27,7 @@ PICTURES = ("learning_curve.png", "episodes.png")
 
 
 def demo(
-    robot: options.RobotName = options.DEFAULT_ROBOT,
+    robot: options.RobotName = DEFAULT_ROBOT,
     minutes: Annotated[float, typer.Option(help="Minutes of training.")] = 2.0,
     seed: options.Seed = 0,
     episodes: options.Episodes = 500,
@@ -40,25 +43,29 @@ def demo(
     Example: kinfeas demo --robot hsr --minutes 3 --out runs/hsr_demo
     """
     require("torch", "stable_baselines3", "matplotlib")
+    from kinfeas.api.train import configure
     from kinfeas.benchmark.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file
+    from kinfeas.robots.loading import load_robot
+    from kinfeas.tasks.loading import load_task
     from kinfeas.tasks.task import StreamTask
     from kinfeas.viz.report import write_report
 
-    settings = read_settings(robot, seed=seed, minutes=minutes, overrides=overrides or ())
-    task = options.read_task(settings.task, settings.task_parameters)
+    changes = options.read_settings(overrides)
+    settings = configure(robot, seed=seed, minutes=minutes, settings=changes)
+    task = load_task(settings.task, settings.task_parameters)
     if isinstance(task, StreamTask):
         raise KinfeasError(f"task {task.name!r} has no goal; use kinfeas train and evaluate")
     folder = free_folder(out)
     train_run(settings, folder)
     # Another seed than that of training, whose episodes the policy has seen.
-    trial = EvalConfig(options.read_robot(settings.robot), task, episodes, settings.seed + 1)
+    trial = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1)
     with progress("evaluating") as advance:
         comparison = compare(trial, folder, min(2, os.cpu_count() or 1), advance)
     write_json(comparison.policy, folder / "evaluation.json")
-    given = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
-    again = _line("demo", given, overrides or [])
+    same = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
+    again = _line("demo", same, changes)
     report = make_report(comparison, [again, *_commands(comparison, settings)])
     for name, picture in zip(PICTURES, report.pictures, strict=True):
         write_file(folder / name, picture.png)
@@ -85,15 +92,14 @@ def _commands(comparison: "Comparison", settings: "TrainConfig") -> list[str]:
     chosen, policies = comparison.chosen, (str(comparison.run), *comparison.baselines)
     same: dict[str, object] = {"robot": settings.robot, "task": settings.task}
     same |= {"episodes": chosen.episodes, "seed": chosen.seed}
-    changes = options.assignments({f"task.{k}": v for k, v in settings.task_parameters.items()})
-    evaluations = [_line("evaluate", {**same, "policy": one}, changes) for one in policies]
+    changes = {f"task.{key}": value for key, value in settings.task_parameters.items()}
+    evaluations = [_line("evaluate", {**same, "policy": policy}, changes) for policy in policies]
     return [*evaluations, _line("ceiling", same, changes)]
 
 
-def _line(command: str, given: Mapping[str, object], overrides: Sequence[str]) -> str:
-    words = ["kinfeas", command]
-    words += [word for name, value in given.items() for word in (f"--{name}", str(value))]
-    return shlex.join([*words, *(word for text in overrides for word in ("--set", text))])
+def _line(command: str, values: Mapping[str, object], settings: "Settings") -> str:
+    words = [word for name, value in values.items() for word in (f"--{name}", str(value))]
+    return shlex.join(["kinfeas", command, *words, *to_options(settings)])
 
 
 def _show(report: "Report") -> None:

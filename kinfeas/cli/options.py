@@ -1,9 +1,8 @@
 """Options that several commands share, and readers of their values."""
 
-import json
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -12,19 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinfeas.cli.output import STDOUT, check_file_path, check_suffix
+from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
-from kinfeas.io.files import is_path
 
 if TYPE_CHECKING:
-    from kinfeas.config import PluginSpec
+    from kinfeas.config import Settings
     from kinfeas.jobs.job import Engine
-    from kinfeas.robots.robot import Robot
-    from kinfeas.tasks.task import Task
-
-DEFAULT_ROBOT = "pr2"
 
 _WRITERS = {
     ".png": "matplotlib", ".gif": "matplotlib", ".mp4": "av", ".html": "viser", ".htm": "viser",
@@ -37,7 +32,7 @@ def names_of(*groups: str) -> Callable[[str], list[str]]:
     """Return a shell completion by the entry-point names of groups, such as `robots`."""
 
     def complete(incomplete: str) -> list[str]:
-        names = {one.name for group in groups for one in entry_points(group=f"kinfeas.{group}")}
+        names = {entry.name for group in groups for entry in entry_points(group=f"kinfeas.{group}")}
         return sorted(name for name in names if name.startswith(incomplete))
 
     return complete
@@ -177,45 +172,21 @@ JsonPath = Annotated[
 Picture = Annotated[Path | None, file_option("Draw a picture.", ".png")]
 
 
-def read_robot(name: str) -> "Robot":
-    """Return a robot by name or path."""
-    from kinfeas.robots.loading import load_robot
+def read_settings(
+    assignments: Sequence[str] | None, options: "Settings | None" = None
+) -> dict[str, object]:
+    """Return the settings of `KEY=VALUE` texts, in which VALUE is YAML, over those of options.
 
-    return load_robot(name)
-
-
-def read_task(name: str, parameters: dict[str, object]) -> "Task":
-    """Return a task by name or path."""
-    from kinfeas.tasks.loading import load_task
-
-    return load_task(name, parameters)
-
-
-def adapters_of_world(name: str | None) -> dict[str, object]:
-    """Return the adapters of `--adapters` by the key of an assignment; nothing for None."""
-    return {} if name is None else {"world.adapters": [vars(one) for one in read_adapters(name)]}
-
-
-def read_adapters(name: str | None) -> "tuple[PluginSpec, ...]":
-    """Return a list of adapters by name or path; none for None."""
-    from kinfeas.control.adapters import read_sim2real
-
-    return () if name is None else read_sim2real(name).adapters
-
-
-def robot_of(policy: str | None) -> str:
-    """Return the robot that a policy was trained for, by name or path; pr2 for other policies."""
-    from kinfeas.io.policy_metadata import read_trained
-    from kinfeas.policies.onnx_policy import read_policy_file
-
-    path = Path(policy or "")
-    if not policy or policy in registry.names("kinfeas.policies") or not path.exists():
-        return DEFAULT_ROBOT
-    trained = read_trained(path) if path.is_dir() else read_policy_file(path, None).metadata
-    robot = trained.trained_with
-    if is_path(robot) and not Path(robot).is_file():
-        raise KinfeasError(f"{policy}: its robot {robot} does not exist; use --robot")
-    return robot
+    Options that are None are left out.
+    """
+    settings = {key: value for key, value in (options or {}).items() if value is not None}
+    for text in assignments or ():
+        key, equals, value = text.partition("=")
+        if not equals or not all(key.strip().split(".")):
+            raise KinfeasError(f"{text}: must have the form key=value or key.inner=value")
+        settings.pop(key.strip(), None)  # the later one counts
+        settings[key.strip()] = strict_yaml.parse(value, text)
+    return settings
 
 
 def read_engine(text: str, processes: int | None, address: str | None) -> "Engine":
@@ -223,42 +194,3 @@ def read_engine(text: str, processes: int | None, address: str | None) -> "Engin
     from kinfeas.jobs.job import build_engine
 
     return build_engine(text, processes or os.cpu_count() or 1, address)
-
-
-def assignments(values: Mapping[str, object]) -> list[str]:
-    """Return values by key as assignments of `--set`."""
-    return [
-        f"{key}={json.dumps(value, ensure_ascii=False, default=_plain)}"
-        for key, value in values.items()
-    ]
-
-
-def given(values: Mapping[str, object]) -> dict[str, object]:
-    """Return the values that are not None, as options that are not given are."""
-    return {key: value for key, value in values.items() if value is not None}
-
-
-def _plain(value: Any) -> object:
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):  # of NumPy
-        return value.tolist()
-    raise KinfeasError(f"{value!r} is no value of a setting")
-
-
-def with_filters(
-    filters: str | Sequence[str] | None, overrides: Sequence[str], prefix: str = "world."
-) -> list[str]:
-    """Return assignments with filters that replace the robot's own; None keeps those.
-
-    The filters are names, also as one text with commas, or `none`.
-    """
-    if filters is None:
-        return list(overrides)
-    return [*assignments({f"{prefix}filters": filter_names(filters)}), *overrides]
-
-
-def filter_names(filters: str | Sequence[str]) -> list[str]:
-    """Return names of filters, which may be one text with commas or `none`."""
-    names = filters.split(",") if isinstance(filters, str) else filters
-    return [name.strip() for name in names if name.strip() not in ("", "none")]

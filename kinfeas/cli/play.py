@@ -50,10 +50,11 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
         if server.get_port() != port != 0:
             typer.echo(f"port {port} is in use; this page is at {server.get_port()}", err=True)
         typer.echo(server.url)  # browsers load while the rest is imported
+        from kinfeas.api.load import filter_names, robot_of
         from kinfeas.viz.play import play as run
 
+        names = filter_names(filters)
         choice = Choice(
-            robot or options.robot_of(policy), policy, second_policy, generator,
-            tuple(options.filter_names(filters)), backend, scene,
-        )  # fmt: skip
+            robot or robot_of(policy), policy, second_policy, generator, names, backend, scene
+        )
         run(server, choice, demonstrations)

@@ -126,7 +126,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas plugins check minimum_jerk --set min_duration=2 --picture motions.png
     """
-    from kinfeas.config import assigned
+    from kinfeas.config import nested
     from kinfeas.testing import RULES, examine
     from kinfeas.testing.trial import Trial
 
@@ -139,7 +139,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
         _check_policy(name, robot)
         write_json({"policy": name, "robot": robot, "passed": True}, json)
         return
-    parameters = assigned(overrides or [])
+    parameters = nested(options.read_settings(overrides))
     trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
     generator = registry.build(_GENERATORS, name, parameters)
     with progress(f"checking {name}", trial.steps) as advance:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.output import print_facts, write_json
 from kinfeas.core.errors import KinfeasError
@@ -14,7 +15,7 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: Annotated[
         str, typer.Option(help="Bus: ros2, ros1, or a plugin with topics.")
     ] = "ros2",
-    robot: options.RobotName = options.DEFAULT_ROBOT,
+    robot: options.RobotName = DEFAULT_ROBOT,
     task: Annotated[str | None, typer.Option(help="Begin as in an episode of this task.")] = None,
     episode: Annotated[int, typer.Option(min=0, help="Number of the episode.")] = 0,
     seed: options.Seed = 0,
@@ -47,13 +48,15 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas simulate --backend ros2 --robot pr2 --task door
     """
     from kinfeas.core.start import episode_rng
+    from kinfeas.robots.loading import load_robot
     from kinfeas.sim2real.simulator import simulation
+    from kinfeas.tasks.loading import load_task
 
     if task is not None and scene is not None:
         raise KinfeasError("--task has its own scene and excludes --scene")
-    known = options.read_robot(robot)
+    known = load_robot(robot)
     link = simulation.robot_link(backend, known, topics)
-    drawn_by = options.read_task(task, {}) if task is not None else None
+    drawn_by = load_task(task) if task is not None else None
     rng = episode_rng(seed, episode)
     room, state = simulation.spawn(known, drawn_by, scene, rng=rng, engine=world, gui=gui)
     config = simulation.SimulationConfig(rate, command_timeout, seconds)

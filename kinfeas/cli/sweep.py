@@ -44,7 +44,7 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.jobs.job import run_jobs
     from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best
 
-    chosen = read_sweep(config, overrides or ())
+    chosen = read_sweep(config, options.read_settings(overrides))
     runner = options.read_engine(engine, processes, address)
     folder = out or Path("runs/sweep") / Path(config).stem
     trials = plan_trials(chosen, folder)

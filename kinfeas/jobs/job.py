@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from kinfeas.config import PluginSpec, from_mapping, strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.io.files import write_file, writing
+from kinfeas.io.files import write_json, writing
 
 ATTEMPTS = 10
 """Times in a row that workers may die before a job is done."""
@@ -42,8 +42,7 @@ class Job:
     def run(self) -> None:
         """Write the result, unless it is there."""
         if not self.path.exists():
-            result = json.dumps(self.call(self.description), indent=2, allow_nan=False)
-            write_file(self.path, f"{result}\n".encode())
+            write_json(self.call(self.description), self.path)
 
     def result(self) -> Result:
         """Return the result; raise KinfeasError if the file is missing or broken."""

@@ -18,6 +18,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from kinfeas import config
+from kinfeas.config import Settings
 from kinfeas.config.quantities import Count, Seed
 from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError
@@ -86,7 +87,7 @@ class SweepConfig:
     Attributes:
         robot: Name or YAML file; its section `train` is the recipe by default.
         recipe: Name or file of another recipe; its robot, if it has one, takes the place of this.
-        settings: Assignments `a.b=c` to the recipe of all trials.
+        settings: Values by key of the recipe, for all trials.
         space: Keys of the recipe and their values.
         trials: Number of trials. The first one is the recipe itself, as far as it is in the space.
         sampler: `tpe` learns from finished trials; `random` depends on the seed alone.
@@ -97,16 +98,16 @@ class SweepConfig:
     space: dict[str, Dimension]
     robot: str = "pr2"
     recipe: str | None = None
-    settings: tuple[str, ...] = ()
+    settings: dict[str, object] = field(default_factory=dict)
     trials: Count = 20
     sampler: Literal["tpe", "random"] = "tpe"
     pruner: Literal["median", "asha", "none"] = "median"
     seed: Seed = 0
 
 
-def read_sweep(name: str, overrides: Sequence[str]) -> SweepConfig:
+def read_sweep(name: str, settings: Settings | None = None) -> SweepConfig:
     """Return a sweep by its recipe's name or file; raise KinfeasError for a wrong key or value."""
-    sweep = config.load(SweepConfig, find_recipe(name, "sweep"), overrides)
+    sweep = config.load(SweepConfig, find_recipe(name, "sweep"), settings)
     sweep = replace(sweep, robot=from_anywhere(sweep.robot))
     for key, dimension in sweep.space.items():
         ends = [one for one in (dimension.low, dimension.high) if one is not None]
@@ -120,8 +121,7 @@ def read_sweep(name: str, overrides: Sequence[str]) -> SweepConfig:
 
 def settings_of(sweep: SweepConfig, values: Mapping[str, object]) -> TrainConfig:
     """Return the recipe with values of a trial."""
-    changes = [*sweep.settings, *(f"{key}={json.dumps(value)}" for key, value in values.items())]
-    return load_recipe(sweep.recipe, changes, robot=sweep.robot)
+    return load_recipe(sweep.recipe, {**sweep.settings, **values}, robot=sweep.robot)
 
 
 def plan_trials(sweep: SweepConfig, folder: Path) -> list[Job]:

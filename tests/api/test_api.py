@@ -6,9 +6,8 @@ import pytest
 
 import kinfeas
 from kinfeas.core.errors import KinfeasError
-from tests.cli.conftest import TINY
+from tests.cli.conftest import SETTINGS
 
-SETTINGS = {key: json.loads(value) for key, _, value in (one.partition("=") for one in TINY[1::2])}
 SHORT = {"world.max_seconds": 1}
 
 
@@ -22,7 +21,7 @@ def test_train_evaluate_export_and_load(tmp_path):
     metrics = kinfeas.evaluate(run.folder, episodes=2, settings=SHORT)
     assert (metrics["robot"], metrics["episodes"]) == ("hsr", 2)
     about = kinfeas.export(run.folder, tmp_path / "hsr.onnx")
-    assert about["file"] == "hsr.onnx"
+    assert about.metadata.robot.name == "hsr"
     for policy in (run.folder, tmp_path / "hsr.onnx"):
         assert callable(kinfeas.load_policy(policy).act)
     with pytest.raises(KinfeasError):

@@ -36,8 +36,8 @@ PYBULLET = {
 }
 
 
-def study(data=None, *overrides):
-    return config.from_mapping(BenchmarkConfig, data or {}, "study", overrides)
+def study(data=None, settings=None):
+    return config.from_mapping(BenchmarkConfig, data or {}, "study", settings)
 
 
 def result(success, *, episodes=100, **changes):

@@ -7,14 +7,16 @@ from kinfeas.benchmark.config import read_benchmark, restricted
 from kinfeas.benchmark.evaluations import CEILING, PART, plan_evaluations
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.errors import KinfeasError
-from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.jobs.job import run_jobs
 from kinfeas.jobs.local import Local
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from tests.benchmark.benchmark_cases import PYBULLET, SMALL, study
 
 
-def small(*overrides):
-    return plan_evaluations(study(SMALL, *overrides), [])
+def small(settings=None):
+    return plan_evaluations(study(SMALL, settings), [])
 
 
 def test_plan():
@@ -48,20 +50,19 @@ def test_pybullet_episodes_come_in_parts_beside_the_analytic_world():
     assert rows["tiago", "ggr", "head_start"] == rows["pr2", "ggr", "no_objects"] == 0
     assert rows["tiago", "door", "no_objects"] == 1
     beside = [job for job in planned if job.backend == "analytic" and job.policy == "pretrained"]
-    assert {job.settings for job in beside} == {
-        ('world.filters=[{"name": "feasibility", "parameters": {}}]',)
-    }
+    feasibility = {"world.filters": [{"name": "feasibility", "parameters": {}}]}
+    assert all(job.settings == feasibility for job in beside)
 
 
 def test_jobs_with_other_results_have_other_files():
     one = small()
     assert len({job.name for job in one}) == len(one)
     assert [job.name for job in small()] == [job.name for job in one]
-    for other in ("episodes=3", "evaluation_seed=2", "settings=['world.max_seconds=3']"):
+    for other in ({"episodes": 3}, {"evaluation_seed": 2}, {"settings.world": {"max_seconds": 3}}):
         assert not {job.name for job in small(other)} & {job.name for job in one}
     physics, faster = (
-        {job.name for job in plan_evaluations(study(PYBULLET, *more), [])}
-        for more in ((), ("settings=['world.time_scale=1']",))
+        {job.name for job in plan_evaluations(study(PYBULLET, more), [])}
+        for more in ({}, {"settings": {"world.time_scale": 1}})
     )
     assert len(physics & faster) < len(physics) / 2
 
@@ -81,12 +82,12 @@ def test_a_policy_trained_anew_is_evaluated_anew(tmp_path):
 
 
 def test_results_are_those_of_an_evaluation(tmp_path):
-    few = [job for job in small("robots=[hsr]", "tasks=[ggr]") if job.policy != "pretrained"][:2]
+    jobs = small({"robots": ["hsr"], "tasks": ["ggr"]})
+    few = [job for job in jobs if job.policy != "pretrained"][:2]
     ceiling, found = run_jobs([one.job(tmp_path) for one in few], Local())
-    chosen, policy = prepare(
-        "follow_ee", "hsr", "ggr", episodes=2, overrides=["world.max_seconds=2.5"]
-    )
-    assert found == evaluate(chosen, policy, "follow_ee")
+    robot = load_robot("hsr")
+    chosen = configure(robot, "ggr", episodes=2, settings={"world.max_seconds": 2.5})
+    assert found == evaluate(chosen, load_policy("follow_ee", robot), "follow_ee")
     assert ceiling.keys() == {"success", "success_low", "success_high"}
 
 
@@ -104,7 +105,7 @@ def test_shipped_benchmarks_are_valid(name):
 
 
 def test_fewer_robots():
-    whole = study({}, "trainings=[{robot: pr2}, {robot: hsr}]")
+    whole = study({}, {"trainings": [{"robot": "pr2"}, {"robot": "hsr"}]})
     assert restricted(whole, {"hsr"}).robots == ("hsr",)
     with pytest.raises(KinfeasError, match="fetch"):
         restricted(whole, {"fetch"})

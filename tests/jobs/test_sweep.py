@@ -10,14 +10,14 @@ from kinfeas.jobs.local import Local
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import DivergedError
-from tests.cli.conftest import TINY
+from tests.cli.conftest import SETTINGS
 
 optuna = pytest.importorskip("optuna")
 sweep = pytest.importorskip("kinfeas.jobs.sweep")
 
 SWEEP = {
     "robot": "hsr",
-    "settings": [*TINY[1::2], "schedule.steps=64", "schedule.minutes=null"],
+    "settings": SETTINGS | {"schedule.steps": 64, "schedule.minutes": None},
     "space": {
         "learner.learning_rate": {"low": 1e-4, "high": 1e-3, "log": True},
         "learner.batch_size": {"choices": [16, 32]},

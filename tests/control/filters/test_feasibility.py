@@ -10,10 +10,11 @@ from kinfeas.control.motion_sequence import Plan
 from kinfeas.control.period import KinematicStep, Period
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
-from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity
 from tests.kinematics.conftest import draw_solids
@@ -104,9 +105,10 @@ def test_paused_rows_stay_and_change_no_other(loop, command):
 
 
 def mean_deviation_of_hsr(most):
-    chosen = f"world.filters=[{{name: feasibility, max_deviation: {most}}}]"
-    config, policy = prepare("pretrained", "hsr", "ggr", episodes=16, overrides=[chosen])
-    return evaluate(config, policy, "pretrained")["mean_deviation_m"]
+    filters = [{"name": "feasibility", "max_deviation": most}]
+    robot = load_robot("hsr")
+    config = configure(robot, "ggr", episodes=16, settings={"world.filters": filters})
+    return evaluate(config, load_policy("pretrained", robot))["mean_deviation_m"]
 
 
 @pytest.mark.slow

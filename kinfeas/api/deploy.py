@@ -1,0 +1,249 @@
+"""Runs of a policy on a robot or a simulated one, behind guards and recorded."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from math import inf
+from pathlib import Path
+from typing import Any, TypeVar
+
+from kinfeas.api import Name
+from kinfeas.api.load import LoadedPolicy, checked, filter_specs, load, read_adapters
+from kinfeas.backends.physics.backend import PhysicsBackend
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged, strict_yaml
+from kinfeas.config import load as load_config
+from kinfeas.config.quantities import Seed
+from kinfeas.config.recipes import default_engine, section
+from kinfeas.control.filters import build_filters
+from kinfeas.core.backend import RealTimeBackend, SupportsSolids, build_backend
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.registry import from_anywhere
+from kinfeas.core.start import episode_rng
+from kinfeas.io.files import writing
+from kinfeas.io.run_log import About, Recorder
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import read_scene
+from kinfeas.scenes.solids import furniture_solids
+from kinfeas.sim2real.deploy.config import DeployConfig, Guards
+from kinfeas.sim2real.deploy.goal_task import make_goal_task
+from kinfeas.sim2real.deploy.planner_threads import in_threads
+from kinfeas.sim2real.deploy.preflight import warm_up
+from kinfeas.sim2real.deploy.runtime import Outcome, Setup, TaskWithObjects
+from kinfeas.sim2real.deploy.runtime import deploy as run
+from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.task import MotionSpec, SupportsTaskScenes, Task
+
+T = TypeVar("T", bound=DeployConfig)
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """A run that has ended.
+
+    Attributes:
+        outcome: Its exit code, the reason of its end, and its statistics.
+        about: Header of its record.
+        record: CSV file of its record.
+        targets: Statistics of the targets that a servo has received.
+    """
+
+    outcome: Outcome
+    about: About
+    record: Path
+    targets: dict[str, object]
+
+
+def deploy(  # noqa: PLR0913 - options of the command
+    policy: Name,
+    *,
+    robot: Name | None = None,
+    backend: str | None = None,
+    goal: Sequence[float] | None = None,
+    rpy: Sequence[float] | None = None,
+    quaternion: Sequence[float] | None = None,
+    generator: str | None = None,
+    task: Name | None = None,
+    rate: float = 50.0,
+    seconds: float = 300.0,
+    seed: int = 0,
+    record: Path | None = None,
+    adapters: Name | None = None,
+    guards: Path | None = None,
+    real_time: bool = True,
+    filters: str | Sequence[str] | None = None,
+    settings: Settings | None = None,
+    on_start: Callable[[], None] = lambda: None,
+) -> Deployment:
+    """Run a policy on a robot and return the result; the base is stopped in any case.
+
+    Example: `kinfeas.deploy("pretrained", backend="analytic", goal=(0.8, -0.2, 0.9)).outcome.code`
+
+    Args:
+        policy: Policy, as of `evaluate`.
+        robot: Name or YAML file; by default the robot of the policy.
+        backend: `ros2`, `ros1`, a simulator or a plugin; PyBullet or MuJoCo by default.
+        goal: Goal position of the EE in the world frame, metres, shape (3,).
+        rpy: Goal orientation, radians, shape (3,); by default the present one.
+        quaternion: The same as a quaternion xyzw, shape (4,).
+        generator: Motion generator to the goal; `linear` by default, with a scene `whole_body`.
+        task: Task by name or YAML file, in place of a goal.
+        rate: Control rate, Hz.
+        seconds: Longest duration.
+        seed: Seed of all randomness.
+        record: New CSV file; by default one below `runs/deploy`.
+        adapters: List of adapters, by name or YAML file.
+        guards: YAML file of `Guards`.
+        real_time: Whether a simulation waits for the clock.
+        filters: Names of command filters; by default those of the robot.
+        settings: Values by key of `DeployConfig`.
+        on_start: Called when all parts are prepared.
+
+    Raises:
+        KinfeasError: If an argument or a setting is invalid, or the run cannot start.
+    """
+    check_record(record)
+    loaded = load(policy, robot)
+    config = read_config(DeployConfig, "deploy", loaded.robot, guards, filters, settings)
+    if task is None:
+        motion_task = _goal_task(goal, rpy, quaternion, generator, config)
+    elif goal or rpy or quaternion or generator or config.generator:
+        raise KinfeasError("'task' excludes 'goal', 'rpy', 'quaternion' and 'generator'")
+    elif config.scene is not None:
+        raise KinfeasError("'task' has its own 'scene'")
+    else:
+        motion_task = load_task(str(task), config.task)
+    backend = backend or default_engine()
+    setup = make_setup(
+        loaded, backend, motion_task, config, adapters=read_adapters(adapters), dt=1.0 / rate,
+        seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
+    )  # fmt: skip
+    on_start()
+    return recorded(setup, loaded, backend, record)
+
+
+def recorded(
+    setup: Setup,
+    loaded: LoadedPolicy,
+    backend: str,
+    record: Path | None,
+    statistics: Callable[[], dict[str, object]] = dict,
+) -> Deployment:
+    """Run and return the result, with the `statistics` of targets at its end."""
+    joints = tuple(joint.name for joint in setup.solver.robot.arm)
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
+    motions = [subgoal.motion for subgoal in setup.task.subgoals]
+    about = About(
+        from_anywhere(loaded.robot_name), setup.task.name, loaded.name, backend, setup.dt, joints,
+        now, seed=setup.seed, adapters=setup.adapters,
+        filters=getattr(setup.execution, "filters", ()),
+        generators=tuple(PluginSpec(motion.generator, motion.parameters) for motion in motions),
+        guards={k: None if v == inf else v for k, v in asdict(setup.guards).items()},
+        **_drawn_scene(setup),
+    )  # fmt: skip
+    recorder = Recorder(record or _record_path(about), about)
+    with recorder:
+        outcome = run(setup, recorder)
+    return Deployment(outcome, about, recorder.path, statistics())
+
+
+def check_record(record: Path | None) -> None:
+    """Raise KinfeasError if `record` is no new CSV file."""
+    if record is not None and (record.exists() or record.suffix != ".csv"):
+        raise KinfeasError(f"{record}: must be a new file that ends in .csv")
+
+
+def read_config(
+    cls: type[T],
+    name: str,
+    robot: Robot,
+    guards: Path | None,
+    filters: str | Sequence[str] | None,
+    settings: Settings | None,
+) -> T:
+    """Return the settings of a section for a robot, with the guards of the user's file."""
+    data, source = section(name, robot.name)
+    if guards is not None:
+        load_config(Guards, guards)  # so that errors name this file
+        data = merged(data, {"guards": strict_yaml.read(guards)})
+    changes = {**filter_specs(filters, "filters"), **(settings or {})}
+    return from_mapping(cls, data, source, changes)
+
+
+def _goal_task(
+    goal: Sequence[float] | None,
+    rpy: Sequence[float] | None,
+    quaternion: Sequence[float] | None,
+    generator: str | None,
+    config: DeployConfig,
+) -> Task:
+    if goal is None or config.task:
+        raise KinfeasError("give a goal, or a task; task.KEY are settings of the latter")
+    if rpy is not None and quaternion is not None:
+        raise KinfeasError("'rpy' and 'quaternion' exclude each other")
+    usual = "linear" if config.scene is None else "whole_body"
+    motion = MotionSpec(generator or usual, config.generator)
+    return make_goal_task(goal, quaternion or rpy, motion)
+
+
+def make_setup(  # noqa: PLR0913 - the parts of a run
+    loaded: LoadedPolicy,
+    backend_name: str,
+    task: Task,
+    config: DeployConfig,
+    *,
+    adapters: tuple[PluginSpec, ...],
+    dt: float,
+    real_time: bool,
+    **limits: Any,
+) -> Setup:
+    """Return the parts of the run, after each has computed something."""
+    solver, filters = IkSolver(loaded.robot, config.ik), build_filters(config.filters)
+    solids = furniture_solids(read_scene(config.scene)) if config.scene else None
+    warm_up(solver, loaded.policy, task, dt, adapters, filters)
+    backend = build_backend(backend_name, config.backend, robot=loaded.robot)
+    if isinstance(backend, SupportsTaskScenes):
+        task = backend.stage(task)
+    # Without a clock, planners run in the loop, so that runs are repeatable.
+    if real_time or isinstance(backend, RealTimeBackend):
+        filters = in_threads(filters)
+    return Setup(
+        solver=solver, policy=loaded.policy, task=task, backend=backend, execution=config,
+        filters=tuple(filters), guards=config.guards, adapters=adapters, dt=dt,
+        real_time=real_time, solids=solids, **limits,
+    )  # fmt: skip
+
+
+def _drawn_scene(setup: Setup) -> dict[str, Any]:
+    """Return scene, objects and solids of the record; the episode is drawn in advance."""
+    task = setup.task
+    drawn: dict[str, Any] = {}
+    if setup.solids is not None:
+        return {"solids": tuple(map(tuple, setup.solids.table.tolist()))}
+    if not isinstance(setup.backend, SupportsSolids):  # a robot
+        return drawn
+    start = task.sample(setup.solver, episode_rng(setup.seed, 0))
+    if start.solids is not None:
+        solids = start.solids
+        if isinstance(setup.backend, PhysicsBackend):  # furniture is drawn as a scene
+            solids = solids.beyond(setup.backend.furniture)
+        drawn["solids"] = tuple(map(tuple, solids.table.tolist()))
+    if isinstance(task, TaskWithObjects):
+        scene, poses = task.drawn()
+        objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}
+        drawn |= {"scene": from_anywhere(scene), "objects": objects}
+    return drawn
+
+
+def _record_path(about: About) -> Path:
+    """Return a new file in `runs/deploy`."""
+    folder = Path("runs/deploy")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    date = datetime.fromisoformat(about.started).strftime("%Y%m%d-%H%M%S")
+    robot, task = (re.sub(r"[^\w-]", "_", name) for name in (Path(about.robot).stem, about.task))
+    name = f"{date}-{robot}-{task}"
+    names = (name, *(f"{name}-{number}" for number in range(2, 100)))  # of the same second
+    paths = [folder / f"{name}.csv" for name in names]
+    return next((path for path in paths if not path.exists()), paths[0])

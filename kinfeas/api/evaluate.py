@@ -1,0 +1,222 @@
+"""Metrics of policies, files with one of their episodes, and the ceiling."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
+from kinfeas.api.load import checked, filter_specs, load, load_robot, read_adapters
+from kinfeas.config import Settings, from_mapping
+from kinfeas.config.quantities import Episodes, Processes, Seed
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import Policy
+from kinfeas.evaluation import evaluate as evaluation
+from kinfeas.evaluation.evaluate import EvalConfig, Summary
+from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
+from kinfeas.kinematics.reachability import STAGES
+from kinfeas.tasks.loading import load_task
+
+
+def evaluate(  # noqa: PLR0913 - options of the command
+    policy: Name,
+    *,
+    robot: Name | None = None,
+    task: Name = "ggr",
+    world: str = "analytic",
+    episodes: int | None = None,
+    seed: int = 1,
+    filters: str | Sequence[str] | None = None,
+    adapters: Name | None = None,
+    ablation: bool = False,
+    picture: Path | None = None,
+    video: Path | None = None,
+    replay: Path | None = None,
+    episode: int = 0,
+    processes: int = 1,
+    settings: Settings | None = None,
+    on_progress: OnProgress | None = None,
+) -> Summary:
+    """Return the metrics of a policy, as in the JSON of `kinfeas evaluate`.
+
+    Example: `kinfeas.evaluate("pretrained", robot="pr2", episodes=100)["success"]`
+
+    Args:
+        policy: Run folder, ONNX file, `pretrained`, `module:Class`, or a plugin such as a baseline.
+        robot: Name or YAML file; by default the robot of the policy.
+        task: Name or YAML file.
+        world: Backend.
+        episodes: Number of episodes; by default 500, with physics 50.
+        seed: Seed of the episodes.
+        filters: Names of command filters; by default those of the robot.
+        adapters: List of adapters, by name or YAML file.
+        ablation: Also evaluate without adapters, with each one alone, and without each one.
+        picture: PNG file to write of an episode.
+        video: Film to write of it: .gif or .mp4, or four frames as .png.
+        replay: HTML page to write of it.
+        episode: Number of this episode.
+        processes: Number of processes.
+        settings: Values by key, such as `world.dt`.
+        on_progress: Called with the progress.
+
+    Raises:
+        KinfeasError: If an argument or a setting is invalid.
+    """
+    loaded = load(policy, robot)
+    specs = {} if adapters is None else {"world.adapters": read_adapters(adapters)}
+    config = evaluation.configure(
+        loaded.robot,
+        str(task),
+        world,
+        episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
+        seed=checked(Seed, seed, "seed"),
+        settings={**filter_specs(filters, "world.filters"), **specs, **(settings or {})},
+    )
+    if episode >= config.episodes:
+        raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
+    count = counter(on_progress, f"{config.episodes} episodes", config.episodes)
+    processes = checked(Processes, processes, "processes")
+    summary = evaluation.evaluate(
+        config, loaded.policy, loaded.name, processes=processes, on_done=count
+    )
+    ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
+    summary |= evaluation.ceiling_entries(ceiling)
+    if ablation:
+        subsets = evaluation.adapter_subsets(config.world.adapters)
+        count, rows = counter(on_progress, f"{len(subsets)} evaluations", len(subsets)), {}
+        for label, subset in subsets.items():
+            part = replace(config, world=replace(config.world, adapters=subset))
+            rows[label] = evaluation.evaluate(
+                part, loaded.policy, loaded.name, ceiling, processes=processes
+            )
+            count()
+        summary["ablation"] = rows
+    if picture or video or replay:
+        show_episode(config, loaded.policy, episode, picture, video, replay, on_progress)
+    return summary
+
+
+def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
+    config: EvalConfig,
+    policy: Policy,
+    episode: int,
+    picture: Path | None,
+    video: Path | None,
+    replay: Path | None,
+    on_progress: OnProgress | None = None,
+) -> None:
+    """Run an episode of an evaluation again and write it as picture, film and page."""
+    from kinfeas.backends.physics.backend import PhysicsBackend
+    from kinfeas.envs.world import World
+    from kinfeas.evaluation.recording import record_episodes
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.episodes import EpisodeFilm, SolidsFilm, episodes_figure
+    from kinfeas.viz.film import count_pictures, write_film
+    from kinfeas.viz.physics_film import PhysicsFilm, make_film
+    from kinfeas.viz.style import png
+
+    robot = config.robot
+    counter(on_progress, f"episode {episode}")
+    world = World(robot, config.task, config.world, config.seed)
+    try:
+        if isinstance(world.backend, PhysicsBackend):
+            film: SolidsFilm = make_film(world, policy, episode)
+        else:
+            (recording,) = record_episodes(world, policy, 1, first=episode)
+            film = EpisodeFilm(recording, f"{robot.name}, {config.task.name}", robot)
+        recording = film.recording
+        as_film = isinstance(film, PhysicsFilm) and recording.solids is None
+        for path in (video, picture if as_film else None):
+            if path is not None:
+                write_film(film, path, counter(on_progress, "drawing", count_pictures(film, path)))
+        counter(on_progress, "drawing files")
+        if replay is not None:
+            from kinfeas.viz.pages import episode_html, physics_html  # need viser
+
+            html = (
+                physics_html(film)
+                if isinstance(film, PhysicsFilm)
+                else episode_html(recording, robot, recording.scene)
+            )
+            write_file(replay, html.encode())
+        if picture is not None and not as_film:
+            write_file(picture, png(episodes_figure(robot, [recording]), dpi=110))
+    finally:
+        world.close()
+
+
+@dataclass(frozen=True)
+class Ceiling:
+    """The fraction of reachable goals: an upper bound of the success of every policy.
+
+    Attributes:
+        robot: Name of the robot.
+        task: Name of the task.
+        seed: Seed of the goals.
+        episodes: Number of episodes.
+        path: Whether poses on the way to each sub-goal have to be reachable, too.
+        ceiling: Fraction of episodes of which all sub-goals are reachable.
+        ceiling_low: Lower end of its 95 % interval.
+        ceiling_high: Upper end.
+        base_poses: Numbers of base poses that were tried for a goal.
+        convergence: Fraction that was reachable with each of these numbers.
+        out_of_reach: Number of episodes in which a sub-goal is out of reach, by the limit, for each
+            sub-goal.
+    """
+
+    robot: str
+    task: str
+    seed: int
+    episodes: int
+    path: bool
+    ceiling: float
+    ceiling_low: float
+    ceiling_high: float
+    base_poses: tuple[int, ...]
+    convergence: tuple[float, ...]
+    out_of_reach: tuple[dict[str, int], ...]
+
+
+def ceiling(  # noqa: PLR0913 - options of the command
+    robot: Name = DEFAULT_ROBOT,
+    *,
+    task: Name = "ggr",
+    episodes: int = 500,
+    seed: int = 1,
+    path: bool = False,
+    settings: Settings | None = None,
+    on_progress: OnProgress | None = None,
+) -> Ceiling:
+    """Return the fraction of goals that some base pose reaches.
+
+    Example: `kinfeas.ceiling("pr2", task="door", episodes=100).ceiling`
+
+    Args:
+        robot: Name or YAML file.
+        task: Name or YAML file.
+        episodes: Number of episodes, those of an evaluation with the same seed.
+        seed: Seed of the goals.
+        path: Also check 16 poses on the way to each sub-goal.
+        settings: Values by key of `task` and `ik`.
+        on_progress: Called with the progress.
+
+    Raises:
+        KinfeasError: If an argument or a setting is invalid, or the targets of the task move.
+    """
+    config = from_mapping(ReachabilityConfig, {}, "settings", settings)
+    known, goals = load_robot(robot), load_task(str(task), config.task)
+    count = checked(Episodes, episodes, "episodes")
+    reached = measure_reachability(
+        known,
+        goals,
+        count,
+        checked(Seed, seed, "seed"),
+        config.ik,
+        counter(on_progress, f"{episodes} goals"),
+        path=path,
+        limits=True,
+    )
+    fraction = reached.share
+    return Ceiling(
+        known.name, goals.name, seed, count, path, fraction.value, fraction.low, fraction.high,
+        STAGES, reached.convergence, reached.limits,
+    )  # fmt: skip

@@ -1,0 +1,129 @@
+"""Scenes and recorded runs as tables, pictures and pages."""
+
+from json import dumps, loads
+from pathlib import Path
+
+from kinfeas.api import Name, OnProgress, counter
+from kinfeas.api.load import load_robot
+from kinfeas.config import Settings, to_mapping
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import write_file
+from kinfeas.io.run_log import Record, read_record
+from kinfeas.scenes.scene import Scene, read_scene
+
+
+def view(
+    scene: Name | None = None,
+    *,
+    record: Path | None = None,
+    settings: Settings | None = None,
+    picture: Path | None = None,
+    html: Path | None = None,
+    on_progress: OnProgress | None = None,
+) -> dict[str, object]:
+    """Return facts on a scene or on a recorded run, and draw it.
+
+    Example: `kinfeas.view(record="run.csv", picture="run.png")["seconds"]`
+
+    Args:
+        scene: Name or YAML file of a scene; `room` by default.
+        record: Record of a deployment, in place of a scene.
+        settings: Values by key of the scene.
+        picture: PNG file to write.
+        html: Interactive page to write.
+        on_progress: Called with the progress.
+
+    Raises:
+        KinfeasError: If a file or a setting is invalid.
+    """
+    if record is None:
+        shown = read_scene(str(scene or "room"), settings)
+        facts = _scene_facts(shown)
+        if picture is not None or html is not None:
+            counter(on_progress, "drawing")
+            _draw_scene(shown, picture, html)
+        return facts
+    if scene is not None or settings:
+        raise KinfeasError("'record' excludes 'scene' and settings")
+    run = read_record(Path(record))
+    robot = load_robot(run.about.robot)
+    if picture is not None or html is not None:
+        counter(on_progress, "drawing")
+        from kinfeas.viz.episodes import as_recording, record_figure, scene_of
+        from kinfeas.viz.style import png
+    if picture is not None:
+        write_file(Path(picture), png(record_figure(run, robot), dpi=110))
+    if html is not None:
+        from kinfeas.viz.pages import episode_html
+
+        page = episode_html(as_recording(run, robot), robot, scene_of(run), run.time)
+        write_file(Path(html), page.encode())
+    return _run_facts(run)
+
+
+def _draw_scene(scene: Scene, picture: Path | None, html: Path | None) -> None:
+    from kinfeas.viz.figures import scene_figure
+    from kinfeas.viz.style import png
+
+    if picture is not None:
+        write_file(Path(picture), png(scene_figure(scene), dpi=110))
+    if html is not None:
+        from kinfeas.viz.pages import scene_html
+
+        write_file(Path(html), scene_html(scene).encode())
+
+
+def _run_facts(run: Record) -> dict[str, object]:
+    about, periods = run.about, run.time[1:] - run.time[:-1]
+    plain = to_mapping(about)
+    settings = {
+        "seed": about.seed,
+        **{
+            key: [{"name": spec["name"], **spec["parameters"]} for spec in plain[key]]
+            for key in ("adapters", "filters", "generators")
+        },
+        "guards": about.guards,
+    }
+    events = [
+        {"time_s": float(time), "event": event}
+        for time, event in zip(run.time, run.event, strict=True)
+        if event
+    ]
+    return {
+        "robot": about.robot,
+        "task": about.task,
+        "policy": about.policy,
+        "backend": about.backend,
+        "started": about.started,
+        **loads(dumps(settings), parse_constant=str),
+        "seconds": float(run.time[-1] - run.time[0]),
+        "steps": int((periods > 0.5 * about.dt).sum()),  # the end is no step
+        "control_period_s": about.dt,
+        "failures": int((~run.feasible).sum()),
+        "top_speed_m_s": float((run.base_twist[:, :2] ** 2).sum(axis=1).max() ** 0.5),
+        "longest_period_s": float(max(periods, default=0.0)),
+        "events": events,
+    }
+
+
+def _scene_facts(scene: Scene) -> dict[str, object]:
+    objects = {
+        name: {
+            "urdf": str(entry.urdf_path),
+            "pose": entry.pose.tolist(),
+            "fixed": entry.fixed,
+            "mass_kg": entry.mass,
+            "joint_positions": entry.joint_positions,
+        }
+        for name, entry in scene.objects.items()
+    }
+    handles = {
+        name: {
+            "object": handle.object,
+            "link": handle.link,
+            "joint": handle.joint,
+            "pose": scene.handle_pose(name).tolist(),
+        }
+        for name, handle in scene.handles.items()
+    }
+    return {"scene": scene.name, "size_m": scene.size, "objects": objects, "handles": handles}
