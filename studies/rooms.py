@@ -12,10 +12,10 @@ import json
 from itertools import product
 from pathlib import Path
 
-from kinfeas.api.load import load
 from kinfeas.core.metrics import wilson
 from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
@@ -54,9 +54,11 @@ def main() -> None:
             path = given.folder / f"{name(given.robot, task, policy, filters)}-{number}.json"
             if not path.exists():
                 chosen = {"world.filters": filters}
-                loaded = load(run, given.robot)
-                config = configure(loaded.robot, task, episodes=given.episodes, settings=chosen)
-                path.write_text(json.dumps(evaluate(config, loaded.policy, policy), indent=2))
+                known = load_robot(given.robot)
+                config = configure(known, task, episodes=given.episodes, settings=chosen)
+                path.write_text(
+                    json.dumps(evaluate(config, load_policy(run, known), policy), indent=2)
+                )
     for task in given.tasks:
         path = given.folder / f"{name(given.robot, task, CEILING, ())}-0.json"
         if not path.exists():

@@ -9,8 +9,9 @@ import json
 from itertools import product
 from pathlib import Path
 
-from kinfeas.api.load import load
 from kinfeas.evaluation.evaluate import configure, evaluate
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 
 ROBOTS, TASKS = ("pr2", "tiago", "hsr"), ("joystick", "chunks", "carried")
 ROWS = {
@@ -35,9 +36,11 @@ def main() -> None:
         path = given.folder / f"{robot}-{task}-{policy}-{filters or 'none'}.json"
         if policy in given.policies and not path.exists():
             chosen = {"world.filters": [filters] if filters else []}
-            loaded = load(policy, robot)
-            config = configure(loaded.robot, task, episodes=EPISODES, settings=chosen)
-            path.write_text(json.dumps(evaluate(config, loaded.policy, policy), indent=2))
+            known = load_robot(robot)
+            config = configure(known, task, episodes=EPISODES, settings=chosen)
+            path.write_text(
+                json.dumps(evaluate(config, load_policy(policy, known), policy), indent=2)
+            )
     print(table(given.folder))
 
 

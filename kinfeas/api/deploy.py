@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kinfeas.api import Name
-from kinfeas.api.load import LoadedPolicy, checked, filter_specs, load, read_adapters
+from kinfeas.api.load import checked, filter_specs, load_robot, read_adapters, robot_of
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, strict_yaml
 from kinfeas.config import load as load_config
@@ -23,6 +23,7 @@ from kinfeas.core.start import episode_rng
 from kinfeas.io.files import writing
 from kinfeas.io.run_log import About, Recorder
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.scenes.solids import furniture_solids
@@ -80,32 +81,17 @@ def deploy(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.deploy("pretrained", backend="analytic", goal=(0.8, -0.2, 0.9)).outcome.code`
 
-    Args:
-        policy: Policy, as of `evaluate`.
-        robot: Name or YAML file; by default the robot of the policy.
-        backend: `ros2`, `ros1`, a simulator or a plugin; PyBullet or MuJoCo by default.
-        goal: Goal position of the EE in the world frame, metres, shape (3,).
-        rpy: Goal orientation, radians, shape (3,); by default the present one.
-        quaternion: The same as a quaternion xyzw, shape (4,).
-        generator: Motion generator to the goal; `linear` by default, with a scene `whole_body`.
-        task: Task by name or YAML file, in place of a goal.
-        rate: Control rate, Hz.
-        seconds: Longest duration.
-        seed: Seed of all randomness.
-        record: New CSV file; by default one below `runs/deploy`.
-        adapters: List of adapters, by name or YAML file.
-        guards: YAML file of `Guards`.
-        real_time: Whether a simulation waits for the clock.
-        filters: Names of command filters; by default those of the robot.
-        settings: Values by key of `DeployConfig`.
-        on_start: Called when all parts are prepared.
+    Arguments are the options of the command: the goal in metres, its orientation in radians or as a
+    quaternion xyzw. `settings` are values by key of `DeployConfig`. `on_start` is called when all
+    parts are prepared.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
     """
     check_record(record)
-    loaded = load(policy, robot)
-    config = read_config(DeployConfig, "deploy", loaded.robot, guards, filters, settings)
+    robot = robot or robot_of(policy)
+    known = load_robot(robot)
+    config = read_config(DeployConfig, "deploy", known, guards, filters, settings)
     if task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)
     elif goal or rpy or quaternion or generator or config.generator:
@@ -116,16 +102,17 @@ def deploy(  # noqa: PLR0913 - options of the command
         motion_task = load_task(str(task), config.task)
     backend = backend or default_engine()
     setup = make_setup(
-        loaded, backend, motion_task, config, adapters=read_adapters(adapters), dt=1.0 / rate,
-        seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
+        str(policy), known, backend, motion_task, config, adapters=read_adapters(adapters),
+        dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     on_start()
-    return recorded(setup, loaded, backend, record)
+    return recorded(setup, str(robot), str(policy), backend, record)
 
 
 def recorded(
     setup: Setup,
-    loaded: LoadedPolicy,
+    robot: str,
+    policy: str,
     backend: str,
     record: Path | None,
     statistics: Callable[[], dict[str, object]] = dict,
@@ -135,8 +122,8 @@ def recorded(
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     motions = [subgoal.motion for subgoal in setup.task.subgoals]
     about = About(
-        from_anywhere(loaded.robot_name), setup.task.name, loaded.name, backend, setup.dt, joints,
-        now, seed=setup.seed, adapters=setup.adapters,
+        from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
+        seed=setup.seed, adapters=setup.adapters,
         filters=getattr(setup.execution, "filters", ()),
         generators=tuple(PluginSpec(motion.generator, motion.parameters) for motion in motions),
         guards={k: None if v == inf else v for k, v in asdict(setup.guards).items()},
@@ -188,7 +175,8 @@ def _goal_task(
 
 
 def make_setup(  # noqa: PLR0913 - the parts of a run
-    loaded: LoadedPolicy,
+    policy_name: str,
+    robot: Robot,
     backend_name: str,
     task: Task,
     config: DeployConfig,
@@ -199,17 +187,18 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     **limits: Any,
 ) -> Setup:
     """Return the parts of the run, after each has computed something."""
-    solver, filters = IkSolver(loaded.robot, config.ik), build_filters(config.filters)
+    policy = load_policy(policy_name, robot)
+    solver, filters = IkSolver(robot, config.ik), build_filters(config.filters)
     solids = furniture_solids(read_scene(config.scene)) if config.scene else None
-    warm_up(solver, loaded.policy, task, dt, adapters, filters)
-    backend = build_backend(backend_name, config.backend, robot=loaded.robot)
+    warm_up(solver, policy, task, dt, adapters, filters)
+    backend = build_backend(backend_name, config.backend, robot=robot)
     if isinstance(backend, SupportsTaskScenes):
         task = backend.stage(task)
     # Without a clock, planners run in the loop, so that runs are repeatable.
     if real_time or isinstance(backend, RealTimeBackend):
         filters = in_threads(filters)
     return Setup(
-        solver=solver, policy=loaded.policy, task=task, backend=backend, execution=config,
+        solver=solver, policy=policy, task=task, backend=backend, execution=config,
         filters=tuple(filters), guards=config.guards, adapters=adapters, dt=dt,
         real_time=real_time, solids=solids, **limits,
     )  # fmt: skip

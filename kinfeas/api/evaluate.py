@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
-from kinfeas.api.load import checked, filter_specs, load, load_robot, read_adapters
+from kinfeas.api.load import checked, filter_specs, load_robot, read_adapters, robot_of
 from kinfeas.config import Settings, from_mapping
 from kinfeas.config.quantities import Episodes, Processes, Seed
 from kinfeas.core.errors import KinfeasError
@@ -14,6 +14,7 @@ from kinfeas.evaluation import evaluate as evaluation
 from kinfeas.evaluation.evaluate import EvalConfig, Summary
 from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
 from kinfeas.kinematics.reachability import STAGES
+from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
 
 
@@ -40,44 +41,29 @@ def evaluate(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.evaluate("pretrained", robot="pr2", episodes=100)["success"]`
 
-    Args:
-        policy: Run folder, ONNX file, `pretrained`, `module:Class`, or a plugin such as a baseline.
-        robot: Name or YAML file; by default the robot of the policy.
-        task: Name or YAML file.
-        world: Backend.
-        episodes: Number of episodes; by default 500, with physics 50.
-        seed: Seed of the episodes.
-        filters: Names of command filters; by default those of the robot.
-        adapters: List of adapters, by name or YAML file.
-        ablation: Also evaluate without adapters, with each one alone, and without each one.
-        picture: PNG file to write of an episode.
-        video: Film to write of it: .gif or .mp4, or four frames as .png.
-        replay: HTML page to write of it.
-        episode: Number of this episode.
-        processes: Number of processes.
-        settings: Values by key, such as `world.dt`.
-        on_progress: Called with the progress.
+    Arguments are the options of the command; robots, tasks and policies are names or paths.
+    `settings` are values by key, such as `world.dt`.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid.
     """
-    loaded = load(policy, robot)
+    robot = robot or robot_of(policy)
+    known = load_robot(robot)
     specs = {} if adapters is None else {"world.adapters": read_adapters(adapters)}
     config = evaluation.configure(
-        loaded.robot,
+        known,
         str(task),
         world,
         episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
         seed=checked(Seed, seed, "seed"),
         settings={**filter_specs(filters, "world.filters"), **specs, **(settings or {})},
     )
+    driver = load_policy(str(policy), known)
     if episode >= config.episodes:
         raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
     count = counter(on_progress, f"{config.episodes} episodes", config.episodes)
     processes = checked(Processes, processes, "processes")
-    summary = evaluation.evaluate(
-        config, loaded.policy, loaded.name, processes=processes, on_done=count
-    )
+    summary = evaluation.evaluate(config, driver, str(policy), processes=processes, on_done=count)
     ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
     summary |= evaluation.ceiling_entries(ceiling)
     if ablation:
@@ -86,12 +72,12 @@ def evaluate(  # noqa: PLR0913 - options of the command
         for label, subset in subsets.items():
             part = replace(config, world=replace(config.world, adapters=subset))
             rows[label] = evaluation.evaluate(
-                part, loaded.policy, loaded.name, ceiling, processes=processes
+                part, driver, str(policy), ceiling, processes=processes
             )
             count()
         summary["ablation"] = rows
     if picture or video or replay:
-        show_episode(config, loaded.policy, episode, picture, video, replay, on_progress)
+        show_episode(config, driver, episode, picture, video, replay, on_progress)
     return summary
 
 
@@ -190,14 +176,7 @@ def ceiling(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.ceiling("pr2", task="door", episodes=100).ceiling`
 
-    Args:
-        robot: Name or YAML file.
-        task: Name or YAML file.
-        episodes: Number of episodes, those of an evaluation with the same seed.
-        seed: Seed of the goals.
-        path: Also check 16 poses on the way to each sub-goal.
-        settings: Values by key of `task` and `ik`.
-        on_progress: Called with the progress.
+    Arguments are the options of the command. `settings` are values by key, such as `ik.restarts`.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the targets of the task move.

@@ -38,10 +38,7 @@ def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
 
     Example: `kinfeas.export("runs/pr2", "pr2.onnx").parity`
 
-    Args:
-        policy: Run folder, folder of a checkpoint, or `pretrained`.
-        out: File to write.
-        robot: Name or YAML file; by default the robot of the policy.
+    The policy is a run, a checkpoint or `pretrained`.
 
     Raises:
         KinfeasError: If the policy is not a trained one or for another robot, or the file cannot

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kinfeas.api import Name
 from kinfeas.api.deploy import Deployment, check_record, make_setup, read_config, recorded
-from kinfeas.api.load import load, read_adapters
+from kinfeas.api.load import load_robot, read_adapters, robot_of
 from kinfeas.config import Settings
 from kinfeas.config.recipes import default_engine
 from kinfeas.core import registry
@@ -44,35 +44,26 @@ def servo(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.servo(robot="pr2", backend="ros2", source=MySource()).targets`
 
-    Args:
-        policy: Policy, as of `evaluate`.
-        robot: Name or YAML file; by default the robot of the policy.
-        backend: As of `deploy`.
-        source: A `TargetSource`, or its entry point or `module:Class`.
-        rate: Control rate, Hz.
-        seconds: Duration.
-        record: New CSV file; by default one below `runs/deploy`.
-        adapters: List of adapters, by name or YAML file.
-        guards: YAML file of `Guards`.
-        filters: Names of command filters; by default those of the robot.
-        settings: Values by key of `ServoConfig`.
-        on_start: Called when all parts are prepared.
+    Arguments are the options of the command; `source` may also be a `TargetSource` of the calling
+    program. `settings` are values by key of `ServoConfig`. `on_start` is called when all parts are
+    prepared.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
     """
     check_record(record)
-    loaded = load(policy, robot)
-    config = read_config(ServoConfig, "servo", loaded.robot, guards, filters, settings)
-    controller = TargetController(loaded.robot, config.rules)
+    robot = robot or robot_of(policy)
+    known = load_robot(robot)
+    config = read_config(ServoConfig, "servo", known, guards, filters, settings)
+    controller = TargetController(known, config.rules)
     limits = {**config.rules.generator_limits, **config.generator}
     task = ServoTask(controller, MotionSpec("servo", limits))
     name = f"target source {source if isinstance(source, str) else type(source).__name__!r}"
     targets = _build_source(source, config.source) if isinstance(source, str) else source
     backend = backend or default_engine()
     setup = make_setup(
-        loaded, backend, task, config, adapters=read_adapters(adapters), dt=1.0 / rate,
-        seconds=seconds, seed=0, real_time=True,
+        str(policy), known, backend, task, config, adapters=read_adapters(adapters),
+        dt=1.0 / rate, seconds=seconds, seed=0, real_time=True,
     )  # fmt: skip
     setup = replace(setup, filters=(controller, *setup.filters))
     on_start()
@@ -81,7 +72,7 @@ def servo(  # noqa: PLR0913 - options of the command
         try:
             with plugin_note(name):
                 targets.start(controller)
-            done = recorded(setup, loaded, backend, record, controller.statistics)
+            done = recorded(setup, str(robot), str(policy), backend, record, controller.statistics)
         finally:
             try:
                 targets.close()

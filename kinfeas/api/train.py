@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, Unpack
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot, read_adapters, robot_of
@@ -17,6 +17,8 @@ from kinfeas.io.files import write_json
 from kinfeas.training import run as training
 from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import Progress
+
+_WORLD = "analytic"
 
 OnTraining = Callable[[Progress], None]
 """Called with the progress of a run now and then."""
@@ -41,82 +43,57 @@ class Run:
     evaluation_seconds: float
 
 
-def train(  # noqa: PLR0913 - options of the command
+class Options(TypedDict, total=False):
+    """Options of a training; absent ones and None have the value of the recipe.
+
+    Robots, tasks, lists of adapters and recipes (`config`) are names or paths. `settings` are
+    values by key of the recipe, which win over the others.
+    """
+
+    task: Name | None
+    seed: int | None
+    minutes: float | None
+    steps: int | None
+    algorithm: Literal["sac", "td3"] | None
+    adapters: Name | None
+    world: str
+    init: Name | None
+    processes: int | None
+    config: Name | None
+    settings: Settings | None
+
+
+def train(
     robot: Name | None = None,
     *,
-    task: Name | None = None,
-    seed: int | None = None,
-    minutes: float | None = None,
-    steps: int | None = None,
-    algorithm: Literal["sac", "td3"] | None = None,
-    adapters: Name | None = None,
-    world: str = "analytic",
-    init: Name | None = None,
-    processes: int | None = None,
     out: Name | None = None,
-    config: Name | None = None,
-    settings: Settings | None = None,
     on_progress: OnTraining | None = None,
+    **options: Unpack[Options],
 ) -> Run:
-    """Train a base policy and return its run.
+    """Train a base policy in the folder `out`, by default `runs/ROBOT-TASK-SEED`; return its run.
 
     Example: `kinfeas.train("pr2", minutes=3, settings={"learner.batch_size": 256})`
 
-    Arguments that are None have the value of the recipe.
-
-    Args:
-        robot: Name or YAML file; by default that of the recipe or of `init`, else PR2.
-        task: Name or YAML file.
-        seed: Seed of all randomness.
-        minutes: Wall-clock time.
-        steps: Environment steps, in place of `minutes` or beside them.
-        algorithm: Algorithm.
-        adapters: Adapters of training and evaluations, by name or YAML file.
-        world: Backend.
-        init: Policy to start from.
-        processes: Processes of a world with physics.
-        out: New folder of the run; by default `runs/ROBOT-TASK-SEED`.
-        config: Recipe by name or YAML file; by default that of the robot.
-        settings: Values by key of the recipe, which win over the other arguments.
-        on_progress: Called with the progress now and then.
-
     Raises:
-        KinfeasError: If an argument or a setting is invalid, or the folder holds a run.
+        KinfeasError: If an option or a setting is invalid, or the folder holds a run.
     """
-    chosen = configure(
-        robot, task=task, seed=seed, minutes=minutes, steps=steps, algorithm=algorithm,
-        adapters=adapters, world=world, init=init, processes=processes, config=config,
-        settings=settings,
-    )  # fmt: skip
-    return begin(chosen, default_folder(chosen) if out is None else Path(out), on_progress)
+    config = configure(robot, **options)
+    return begin(config, default_folder(config) if out is None else Path(out), on_progress)
 
 
-def configure(  # noqa: PLR0913 - options of the command
-    robot: Name | None = None,
-    *,
-    task: Name | None = None,
-    seed: int | None = None,
-    minutes: float | None = None,
-    steps: int | None = None,
-    algorithm: str | None = None,
-    adapters: Name | None = None,
-    world: str = "analytic",
-    init: Name | None = None,
-    processes: int | None = None,
-    config: Name | None = None,
-    settings: Settings | None = None,
-) -> TrainConfig:
-    """Return the configuration of a run: the recipe, then the arguments, then `settings`."""
-    options = {"robot": robot, "task": task, "seed": seed, "init": init, "processes": processes}
-    options |= {"learner.algorithm": algorithm}
-    changes = {key: value for key, value in options.items() if value is not None}
-    if adapters is not None:
-        specs = to_mapping(read_adapters(adapters))
+def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainConfig:
+    """Return the configuration of a run: the recipe, then the options, then their settings."""
+    init, config, world = options.get("init"), options.get("config"), options.get("world", _WORLD)
+    changes: dict[str, object] = {"robot": robot, "learner.algorithm": options.get("algorithm")}
+    changes |= {key: options.get(key) for key in ("task", "seed", "init", "processes")}
+    changes = {key: value for key, value in changes.items() if value is not None}
+    if (adapters := options.get("adapters")) is not None:
+        specs = read_adapters(adapters)
         changes |= {"world.adapters": specs, "evaluation_adapters": specs}
-    changes |= duration(minutes, steps)
+    changes |= duration(options.get("minutes"), options.get("steps"))
     recipe = load_recipe(
         None if config is None else str(config),
-        {**changes, **(settings or {})},
+        {**changes, **(options.get("settings") or {})},
         backend=world,
         robot=robot_of(None if robot else init),
     )
@@ -127,7 +104,7 @@ def configure(  # noqa: PLR0913 - options of the command
 
 
 def begin(config: TrainConfig, folder: Path, on_progress: OnTraining | None = None) -> Run:
-    """Train in a new folder and return the run; `train` does it by options."""
+    """Train in a new folder and return the run."""
     training.check_new(folder)
     from kinfeas.training.train import train as run
 

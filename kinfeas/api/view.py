@@ -25,13 +25,8 @@ def view(
 
     Example: `kinfeas.view(record="run.csv", picture="run.png")["seconds"]`
 
-    Args:
-        scene: Name or YAML file of a scene; `room` by default.
-        record: Record of a deployment, in place of a scene.
-        settings: Values by key of the scene.
-        picture: PNG file to write.
-        html: Interactive page to write.
-        on_progress: Called with the progress.
+    Arguments are the options of the command: `picture` and `html` are files to write. `settings`
+    are values by key of the scene.
 
     Raises:
         KinfeasError: If a file or a setting is invalid.

@@ -66,22 +66,22 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas evaluate --policy pretrained --task door --world pybullet
     """
-    from kinfeas.api.evaluate import evaluate as run
+    from kinfeas.api import evaluate as api
 
     own: dict[str, object] = {"world.head_start": head_start, "world.time_scale": time_scale}
     own |= {"world.backend_parameters.objects": False if without_objects else None}
     own |= {"world.backend_parameters.gui": gui or None}
     with phases() as on_progress:
-        summary = run(
+        summary = api.evaluate(
             policy, robot=robot, task=task, world=world, episodes=episodes, seed=seed,
             filters=filters, adapters=adapters, ablation=ablation, picture=picture, video=video,
             replay=replay, episode=episode, processes=1 if gui else processes,
             settings=options.read_settings(overrides, own), on_progress=on_progress,
         )  # fmt: skip
-    write_json(summary, json)
     _show(summary)
     if ablation:
         _show_ablation({**summary["ablation"], "all": summary})
+    write_json(summary, json)
     print_paths(video, replay, picture)
 
 

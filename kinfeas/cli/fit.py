@@ -1,6 +1,5 @@
 """`kinfeas fit`: an EE motion from recorded demonstrations."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -36,13 +35,24 @@ def fit(
 
     with status("learning"):
         motion = run(demonstrations, out, kind=kind, components=components, seed=seed)
-    facts = asdict(motion)
-    files = facts.pop("files")
+    names = [Path(name).name for name in motion.names]
+    facts = {
+        "kind": kind,
+        "demonstrations": len(names),
+        "components": len(motion.model.components),
+        "base": motion.model.has_base,
+        "duration_s": motion.duration,
+        "length_m": motion.length,
+        "position_residual_m": list(motion.position_residual),
+        "rotation_residual_rad": list(motion.rotation_residual),
+        "sides": list(motion.sides),
+        "without_base": [name for name, has in zip(names, motion.has_base, strict=True) if not has],
+    }
     write_json(facts, json)
     print_facts(f"{kind} model in {out}", facts)
     if any(motion.sides):
-        sides = list(zip(files, motion.sides, strict=True))
-        left, right = (", ".join(file.name for file, side in sides if side == i) for i in (0, 1))
+        sides = list(zip(names, motion.sides, strict=True))
+        left, right = (", ".join(name for name, side in sides if side == i) for i in (0, 1))
         typer.echo(
             "warning: the demonstrations follow two paths, and the model is a path between them; "
             f"fit each group on its own: {left}; {right}",

@@ -117,6 +117,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     """
     world, settings = _world(config), config.world
     execution = world.loop.execution
+    records = _records(config, world, policy, processes, on_done, watch)
     return {
         "robot": config.robot.name,
         "task": config.task.name,
@@ -128,7 +129,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
         "adapters": [adapter.name for adapter in settings.adapters],
         "filters": [command_filter.name for command_filter in settings.filters],
         "backend_parameters": settings.backend_parameters,
-        **summarize(_records(config, world, policy, processes, on_done, watch)),
+        **summarize(records),
         **ceiling_entries(ceiling),
     }
 

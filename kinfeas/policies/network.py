@@ -138,17 +138,15 @@ def copy_network(source: Path, trained: Trained, target: Path) -> None:
     write_folder(target, fill)
 
 
-def read_network(folder: Path, robot: Robot, trained: Trained | None = None) -> Network:
+def read_network(folder: Path, robot: Robot) -> Network:
     """Return the network of a training run (its best checkpoint) or of one checkpoint.
-
-    `trained` is its metadata where they have been read before.
 
     Raises:
         KinfeasError: If there is no policy, or it is broken or for another robot or other
             kinematics.
     """
     place = policy_folder(folder)
-    trained = trained or read_trained(place)
+    trained = read_trained(place)
     try:
         with reading(place / WEIGHTS):
             tensors = load_file(place / WEIGHTS)
