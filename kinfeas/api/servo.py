@@ -67,7 +67,7 @@ def servo(  # noqa: PLR0913 - options of the command
     )  # fmt: skip
     setup = replace(setup, filters=(controller, *setup.filters))
     on_start()
-    unclosed = False
+    unclosed = ""
     with _watched(name, controller):
         try:
             with plugin_note(name):
@@ -77,11 +77,12 @@ def servo(  # noqa: PLR0913 - options of the command
             try:
                 targets.close()
             except PLUGIN_ERRORS as error:
-                _log.error("%s could not be closed: %s", name, describe(error))
-                unclosed = True
-    if unclosed and not done.outcome.code:
-        done = replace(done, outcome=replace(done.outcome, code=Code.FAULT))
-    return done
+                unclosed = f"{name}: {describe(error)}"
+                _log.error("could not be closed: %s", unclosed)
+    if not unclosed:
+        return done
+    outcome = replace(done.outcome, code=done.outcome.code or Code.FAULT, unclosed=unclosed)
+    return replace(done, outcome=outcome)
 
 
 @contextmanager

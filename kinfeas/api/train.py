@@ -7,7 +7,7 @@ from typing import Any, Literal, TypedDict, Unpack
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot, read_adapters, robot_of
-from kinfeas.config import Settings, to_mapping
+from kinfeas.config import Settings
 from kinfeas.config.recipes import recipes
 from kinfeas.control.adapters import FOLDER, read_sim2real
 from kinfeas.core.errors import KinfeasError
@@ -159,9 +159,9 @@ def evaluation_options(folder: Path) -> tuple[str | None, dict[str, object]]:
     names = [name for name in recipes(FOLDER) if read_sim2real(name).adapters == adapters]
     shipped = names[0].partition("/")[2] if adapters and names else None
     if filters != usual.filters:
-        settings["world.filters"] = to_mapping(filters)
+        settings["world.filters"] = [spec.entry() for spec in filters]
     if shipped is None and adapters != usual.adapters:
-        settings["world.adapters"] = to_mapping(adapters)
+        settings["world.adapters"] = [spec.entry() for spec in adapters]
     return shipped, settings
 
 

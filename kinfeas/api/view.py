@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinfeas.api import Name, OnProgress, counter
 from kinfeas.api.load import load_robot
-from kinfeas.config import Settings, to_mapping
+from kinfeas.config import Settings
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import write_file
 from kinfeas.io.run_log import Record, read_record
@@ -70,13 +70,10 @@ def _draw_scene(scene: Scene, picture: Path | None, html: Path | None) -> None:
 
 def _run_facts(run: Record) -> dict[str, object]:
     about, periods = run.about, run.time[1:] - run.time[:-1]
-    plain = to_mapping(about)
+    specs = {"adapters": about.adapters, "filters": about.filters, "generators": about.generators}
     settings = {
         "seed": about.seed,
-        **{
-            key: [{"name": spec["name"], **spec["parameters"]} for spec in plain[key]]
-            for key in ("adapters", "filters", "generators")
-        },
+        **{key: [spec.entry() for spec in plugins] for key, plugins in specs.items()},
         "guards": about.guards,
     }
     events = [

@@ -106,4 +106,4 @@ def _show(outcome: "Outcome", about: "About", facts: dict[str, object]) -> None:
     if outcome.unstopped:
         sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
     if outcome.unclosed:
-        sys.stderr.write(f"the backend could not be closed: {outcome.unclosed}\n")
+        sys.stderr.write(f"could not be closed: {outcome.unclosed}\n")

@@ -50,6 +50,10 @@ class PluginSpec:
             raise ValueError("'parameters' must be a mapping")
         return cls(entry["name"], {**below, **flat})
 
+    def entry(self) -> dict[str, object]:
+        """Return the plugin as an entry of a list in YAML."""
+        return {"name": self.name, **self.parameters}
+
     @classmethod
     def __get_pydantic_core_schema__(cls, source: object, handler: object) -> Any:
         """Return the schema by which pydantic reads the short forms."""
