@@ -90,8 +90,8 @@ def deploy(  # noqa: PLR0913 - options of the command
     """
     check_record(record)
     robot = robot or robot_of(policy)
-    known = load_robot(robot)
-    config = read_config(DeployConfig, "deploy", known, guards, filters, settings)
+    model = load_robot(robot)
+    config = read_config(DeployConfig, "deploy", model, guards, filters, settings)
     if task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)
     elif goal or rpy or quaternion or generator or config.generator:
@@ -102,7 +102,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         motion_task = load_task(str(task), config.task)
     backend = backend or default_engine()
     setup = make_setup(
-        str(policy), known, backend, motion_task, config, adapters=read_adapters(adapters),
+        str(policy), model, backend, motion_task, config, adapters=read_adapters(adapters),
         dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     on_start()

@@ -48,17 +48,17 @@ def evaluate(  # noqa: PLR0913 - options of the command
         KinfeasError: If an argument or a setting is invalid.
     """
     robot = robot or robot_of(policy)
-    known = load_robot(robot)
+    model = load_robot(robot)
     specs = {} if adapters is None else {"world.adapters": read_adapters(adapters)}
     config = evaluation.configure(
-        known,
+        model,
         str(task),
         world,
         episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
         seed=checked(Seed, seed, "seed"),
         settings={**filter_specs(filters, "world.filters"), **specs, **(settings or {})},
     )
-    driver = load_policy(str(policy), known)
+    driver = load_policy(str(policy), model)
     if episode >= config.episodes:
         raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
     count = counter(on_progress, f"{config.episodes} episodes", config.episodes)
@@ -182,10 +182,10 @@ def ceiling(  # noqa: PLR0913 - options of the command
         KinfeasError: If an argument or a setting is invalid, or the targets of the task move.
     """
     config = from_mapping(ReachabilityConfig, {}, "settings", settings)
-    known, goals = load_robot(robot), load_task(str(task), config.task)
+    model, goals = load_robot(robot), load_task(str(task), config.task)
     count = checked(Episodes, episodes, "episodes")
     reached = measure_reachability(
-        known,
+        model,
         goals,
         count,
         checked(Seed, seed, "seed"),
@@ -196,6 +196,6 @@ def ceiling(  # noqa: PLR0913 - options of the command
     )
     fraction = reached.share
     return Ceiling(
-        known.name, goals.name, seed, count, path, fraction.value, fraction.low, fraction.high,
+        model.name, goals.name, seed, count, path, fraction.value, fraction.low, fraction.high,
         STAGES, reached.convergence, reached.limits,
     )  # fmt: skip

@@ -49,10 +49,10 @@ def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
         raise KinfeasError(f"policy {name!r} is not a run, a checkpoint or pretrained")
     if path.suffix != ".onnx":
         raise KinfeasError(f"{path}: must end in .onnx")
-    known = load_robot(robot or robot_of(name))
+    model = load_robot(robot or robot_of(name))
     from kinfeas.sim2real.export import export as run
 
-    return _file(path, *run(pretrained.folder(known.name, name), known, path))
+    return _file(path, *run(pretrained.folder(model.name, name), model, path))
 
 
 def check_export(path: Name, *, robot: Name | None = None) -> PolicyFile:
@@ -61,8 +61,8 @@ def check_export(path: Name, *, robot: Name | None = None) -> PolicyFile:
     Raises:
         KinfeasError: If the file is no valid policy, or for another robot.
     """
-    known = None if robot is None else load_robot(robot)
-    return _file(Path(path), read_policy_file(Path(path), known))
+    model = None if robot is None else load_robot(robot)
+    return _file(Path(path), read_policy_file(Path(path), model))
 
 
 def _file(path: Path, policy: OnnxPolicy, parity: float | None = None) -> PolicyFile:

@@ -53,16 +53,16 @@ def servo(  # noqa: PLR0913 - options of the command
     """
     check_record(record)
     robot = robot or robot_of(policy)
-    known = load_robot(robot)
-    config = read_config(ServoConfig, "servo", known, guards, filters, settings)
-    controller = TargetController(known, config.rules)
+    model = load_robot(robot)
+    config = read_config(ServoConfig, "servo", model, guards, filters, settings)
+    controller = TargetController(model, config.rules)
     limits = {**config.rules.generator_limits, **config.generator}
     task = ServoTask(controller, MotionSpec("servo", limits))
     name = f"target source {source if isinstance(source, str) else type(source).__name__!r}"
     targets = _build_source(source, config.source) if isinstance(source, str) else source
     backend = backend or default_engine()
     setup = make_setup(
-        str(policy), known, backend, task, config, adapters=read_adapters(adapters),
+        str(policy), model, backend, task, config, adapters=read_adapters(adapters),
         dt=1.0 / rate, seconds=seconds, seed=0, real_time=True,
     )  # fmt: skip
     setup = replace(setup, filters=(controller, *setup.filters))

@@ -32,11 +32,11 @@ def view(
         KinfeasError: If a file or a setting is invalid.
     """
     if record is None:
-        shown = read_scene(str(scene or "room"), settings)
-        facts = _scene_facts(shown)
+        layout = read_scene(str(scene or "room"), settings)
+        facts = _scene_facts(layout)
         if picture is not None or html is not None:
             counter(on_progress, "drawing")
-            _draw_scene(shown, picture, html)
+            _draw_scene(layout, picture, html)
         return facts
     if scene is not None or settings:
         raise KinfeasError("'record' excludes 'scene' and settings")

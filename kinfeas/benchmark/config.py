@@ -132,7 +132,9 @@ class BenchmarkConfig:
                 raise ValueError(f"{key!r} must hold at least one entry, and none twice")
         rows = [(r, t, row.label) for row in self.rows for r in self.robots for t in self.tasks
                 if row.has(r, t)]  # fmt: skip
-        variants = [(r, one.task, one.label) for one in self.variants for r in one.robots]
+        variants = [
+            (r, variant.task, variant.label) for variant in self.variants for r in variant.robots
+        ]
         for key, names in (("rows", rows), ("variants", variants)):
             if len(set(names)) < len(names) or not all(label.strip() for *_, label in names):
                 raise ValueError(f"{key!r}: each needs a 'label', another one for a robot and task")
@@ -154,11 +156,14 @@ def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConf
         if len(set(names)) < len(names):
             raise KinfeasError(f"{kind!r} must not hold two of one name: {', '.join(names)}")
     plain: list[tuple[str, dict[str, object]]] = [(task, {}) for task in benchmark.tasks]
-    for task, parameters in [*plain, *((one.task, one.parameters) for one in benchmark.variants)]:
-        known = load_task(task, parameters)
-        if isinstance(known, StreamTask):
+    for task, parameters in [
+        *plain,
+        *((variant.task, variant.parameters) for variant in benchmark.variants),
+    ]:
+        model = load_task(task, parameters)
+        if isinstance(model, StreamTask):
             raise KinfeasError(f"'tasks': {task} has no ceiling, since its targets move")
-        build_subgoals(known.subgoals)
+        build_subgoals(model.subgoals)
     for robot in robots:
         for row in (Row(""), *benchmark.rows):
             read_settings(robot, benchmark.backend, {**benchmark.settings, **row.settings})

@@ -88,13 +88,13 @@ class Evaluation:
 
 def _own_files(case: Evaluation) -> list[str]:
     """Return the content of the files of an own robot or task."""
-    found: list[str] = []
+    digests: list[str] = []
     if is_path(case.robot):
         files = Path(case.robot), load_robot(case.robot).urdf_path
-        found += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        digests += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     if is_path(case.task):
-        found.append(json.dumps(config.to_mapping(load_task(case.task, case.parameters))))
-    return found
+        digests.append(json.dumps(config.to_mapping(load_task(case.task, case.parameters))))
+    return digests
 
 
 def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Evaluation]:
@@ -111,11 +111,11 @@ def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Ev
         for task in benchmark.tasks
     ]
     ceilings += [
-        Evaluation(robot, names[robot], one.task, CEILING, CEILING, *numbers, variant=one.label,
-            parameters=one.parameters)
-        for one in benchmark.variants
-        for robot in one.robots
-        if robot in names and one.task in benchmark.tasks and benchmark.backend == "analytic"
+        Evaluation(robot, names[robot], variant.task, CEILING, CEILING, *numbers,
+            variant=variant.label, parameters=variant.parameters)
+        for variant in benchmark.variants
+        for robot in variant.robots
+        if robot in names and variant.task in benchmark.tasks and benchmark.backend == "analytic"
     ]  # fmt: skip
     return [case for ceiling in ceilings for case in _of_task(benchmark, runs, ceiling)]
 
@@ -132,11 +132,11 @@ def compute(case: Evaluation) -> Result:
     if case.policy == CEILING:
         robot, task = load_robot(case.robot), load_task(case.task, case.parameters)
         ik = read_settings(robot.name, case.backend, case.settings).world.ik
-        share = measure_reachability(robot, task, case.episodes, case.seed, ik).share
-        return {"success": share.value, "success_low": share.low, "success_high": share.high}
+        bound = measure_reachability(robot, task, case.episodes, case.seed, ik).share
+        return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
     robot = load_robot(case.robot)
     policy = load_policy(case.source, robot)
-    chosen = configure(
+    config = configure(
         robot,
         case.task,
         case.backend,
@@ -146,7 +146,7 @@ def compute(case: Evaluation) -> Result:
     )
     sampled = case.backend == "analytic" and isinstance(policy, Network)
     samples = WorkspaceSamples() if sampled else None
-    summary = evaluate(replace(chosen, first=case.first), policy, case.policy, watch=samples)
+    summary = evaluate(replace(config, first=case.first), policy, case.policy, watch=samples)
     return {**summary, "workspace": samples.kept()} if samples else dict(summary)
 
 
@@ -193,16 +193,19 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
         if row.has(case.robot, case.task):
             settings = {**benchmark.settings, **row.settings, **_filters(row.filters)}
             rows += [
-                replace(one, row=row.label, settings=settings)
-                for one in learned
-                if one.policy != "td3"
+                replace(evaluation, row=row.label, settings=settings)
+                for evaluation in learned
+                if evaluation.policy != "td3"
             ]
     baselines = [replace(base, policy=name, source=name)
                  for name, on in benchmark.baselines.items() if case.task in on]  # fmt: skip
     policies = [*learned, *rows, *baselines]
     if benchmark.backend != "analytic":
-        beside = [_without_physics(benchmark, one) for one in policies]
-        policies = [*beside, *(part for one in policies for part in _parts(benchmark, one))]
+        beside = [_without_physics(benchmark, evaluation) for evaluation in policies]
+        policies = [
+            *beside,
+            *(part for evaluation in policies for part in _parts(benchmark, evaluation)),
+        ]
     settings = benchmark.settings if benchmark.backend == "analytic" else {}
     return [replace(case, settings=settings), *policies]
 
@@ -210,7 +213,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
 def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
     """Return an evaluation with the same filters in the analytic world, which has no obstacles."""
     used = read_settings(case.robot_name, benchmark.backend, case.settings).world.filters
-    filters = tuple(one for one in used if one.name != "obstacle_distance")
+    filters = tuple(spec for spec in used if spec.name != "obstacle_distance")
     return replace(case, settings=_filters(filters))
 
 
@@ -232,6 +235,6 @@ def _weights(case: Evaluation) -> str:
         return ""
     shipped = case.source == pretrained.NAME
     folder = pretrained.find(case.robot_name) if shipped else Path(case.source)
-    place = policy_folder(folder) / WEIGHTS
-    with reading(place):
-        return hashlib.sha256(place.read_bytes()).hexdigest()
+    path = policy_folder(folder) / WEIGHTS
+    with reading(path):
+        return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -77,8 +77,8 @@ def to_markdown(
 
 def groups(cells: Sequence[Cell]) -> list[tuple[str, str]]:
     """Return robots and variants of `cells`, each once, those without a variant first."""
-    found = dict.fromkeys((cell.robot, cell.variant) for cell in cells)
-    return sorted(found, key=lambda group: bool(group[1]))
+    titles = dict.fromkeys((cell.robot, cell.variant) for cell in cells)
+    return sorted(titles, key=lambda group: bool(group[1]))
 
 
 def title(robot: str, variant: str) -> str:
@@ -137,17 +137,17 @@ def _unmatched(cells: Sequence[Cell], tasks: Sequence[str]) -> list[list[str]]:
     robot, variant, world = cells[0].robot, cells[0].variant, cells[0].world
     if variant or world != "analytic":
         return []
-    known = {task: paper_figures(robot, task, world) for task in tasks}
+    by_task = {task: paper_figures(robot, task, world) for task in tasks}
     rows = []
-    for name in dict.fromkeys(name for figures in known.values() for name in figures):
-        shown = {
+    for name in dict.fromkeys(name for figures in by_task.values() for name in figures):
+        values = {
             cell.task
             for cell in cells
             if (LEARNED if cell.learned else cell.policy) == name and cell.paper_success is not None
         }
         entries = [
             f"*{_percent(figures.success, figures.within_5cm)}*"
-            if (figures := known[task].get(name)) and task not in shown
+            if (figures := by_task[task].get(name)) and task not in values
             else NOTHING
             for task in tasks
         ]

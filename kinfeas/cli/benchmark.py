@@ -85,25 +85,29 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         raise KinfeasError("--policy and --runs exclude each other")
     own = {"backend": backend, "policies": policy, "episodes": episodes}
     settings = options.read_settings(overrides, own)
-    chosen, taken = read_benchmark(name, settings), find_runs(runs or [])
-    if taken:
-        chosen = restricted(chosen, {run.robot for run in taken})
-    if chosen.backend not in worlds or (len(worlds) > 1 and "analytic" in worlds):
-        raise KinfeasError(f"{name}: its 'backend', {chosen.backend}, does not fit --world {world}")
-    plans = [] if taken else _plans(chosen, out)
+    study, trained_runs = read_benchmark(name, settings), find_runs(runs or [])
+    if trained_runs:
+        study = restricted(study, {run.robot for run in trained_runs})
+    if study.backend not in worlds or (len(worlds) > 1 and "analytic" in worlds):
+        raise KinfeasError(f"{name}: its 'backend', {study.backend}, does not fit --world {world}")
+    plans = [] if trained_runs else _plans(study, out)
     runner = options.read_engine(engine, processes, address)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     try:
         if plans:
             _run("trainings", plans, runner)
-            taken = [read_run(job.path.parent) for job in plans]
+            trained_runs = [read_run(job.path.parent) for job in plans]
         evaluations = [
-            one for each in worlds for one in plan_evaluations(replace(chosen, backend=each), taken)
+            case
+            for each in worlds
+            for case in plan_evaluations(replace(study, backend=each), trained_runs)
         ]
         # Engines have the same references.
-        evaluations = list({(one.name, one.row, one.variant): one for one in evaluations}.values())
-        results = _evaluate([one.job(out / "results") for one in evaluations], runner)
+        evaluations = list(
+            {(case.name, case.row, case.variant): case for case in evaluations}.values()
+        )
+        results = _evaluate([case.job(out / "results") for case in evaluations], runner)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")
         raise typer.Exit(130) from None
@@ -111,20 +115,20 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.benchmark.pictures import draw_pictures
     from kinfeas.benchmark.table import tabulate
 
-    found = list(zip(evaluations, results, strict=True))
-    cells = tabulate(found, *worlds)
+    cases = list(zip(evaluations, results, strict=True))
+    cells = tabulate(cases, *worlds)
     with status("drawing"):
-        pictures = draw_pictures(chosen, taken, found, cells)
+        pictures = draw_pictures(study, trained_runs, cases, cells)
     files = {f"{key}.png": picture for key, picture in pictures.items()}
-    files["table.md"] = to_markdown(cells, chosen.note, [_command()], list(files)).encode()
+    files["table.md"] = to_markdown(cells, study.note, [_command()], list(files)).encode()
     for key, content in files.items():
         write_file(out / key, content)
     entries = [asdict(cell) for cell in cells]
     write_json(entries, out / "table.json")
     write_json(entries, json)
     trained = world == "analytic" and (plans or runs)
-    published = _publish(taken, found, out / "pretrained") if trained else []
-    _show(cells, chosen.note)
+    published = _publish(trained_runs, cases, out / "pretrained") if trained else []
+    _show(cells, study.note)
     for path in (*(out / key for key in files), out / "table.json", *published):
         typer.echo(str(path))
 
@@ -175,16 +179,16 @@ def _run(kind: str, jobs: Sequence["Job"], engine: "Engine") -> list["Result"]:
 
 
 def _publish(
-    runs: Sequence["Run"], found: Sequence[tuple["Evaluation", "Result"]], folder: Path
+    runs: Sequence["Run"], cases: Sequence[tuple["Evaluation", "Result"]], folder: Path
 ) -> list[Path]:
     """Copy each robot's best policy into a folder of its own in `folder`; return these folders."""
     from kinfeas.benchmark.runs import publish
 
     metrics: dict[Path, dict[str, object]] = {}
-    for job, result in found:
+    for job, result in cases:
         if job.training_seed is not None and not (job.variant or job.row):
-            told = {key: value for key, value in result.items() if key != "workspace"}
-            metrics.setdefault(Path(job.source), {})[job.task_name] = told
+            kept = {key: value for key, value in result.items() if key != "workspace"}
+            metrics.setdefault(Path(job.source), {})[job.task_name] = kept
     return publish(runs, metrics, folder)
 
 

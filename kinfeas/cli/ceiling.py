@@ -7,7 +7,7 @@ import typer
 
 from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
-from kinfeas.cli.output import phases, print_table, share, write_json
+from kinfeas.cli.output import percent, phases, print_table, write_json
 
 
 def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -42,10 +42,10 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     what = f"{bound.task}{', path included' if path else ''}"
     title = f"ceiling of {what}, robot {bound.robot}, {episodes} goals of seed {seed}"
     stages = zip(bound.base_poses, bound.convergence, strict=True)
-    rows = [[f"found with {count} base poses a goal", share(value)] for count, value in stages]
-    rows.append(["reachable", share(bound.ceiling, bound.ceiling_low, bound.ceiling_high)])
+    rows = [[f"found with {count} base poses a goal", percent(value)] for count, value in stages]
+    rows.append(["reachable", percent(bound.ceiling, bound.ceiling_low, bound.ceiling_high)])
     for number, limits in enumerate(bound.out_of_reach, 1):
         for limit, count in sorted(limits.items()):
             what = f"sub-goal {number} out of reach, {limit}: {LIMITS[limit]}"
-            rows.append([what, share(count / episodes)])
+            rows.append([what, percent(count / episodes)])
     print_table(title, ["", " share (95 % interval)"], rows)

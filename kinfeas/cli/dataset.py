@@ -43,19 +43,19 @@ def dataset(
     if out.exists():
         raise KinfeasError(f"{out}: exists")
     with status("converting"):
-        files = [demonstration_files(one) if one.is_dir() else [one] for one in sources]
-        shown = [_read(file) for some in files for file in some]
+        files = [demonstration_files(source) if source.is_dir() else [source] for source in sources]
+        motions = [_read(file) for some in files for file in some]
         if kind == "lerobot":
-            write_lerobot_dataset(shown, out, task, robot, fps)
+            write_lerobot_dataset(motions, out, task, robot, fps)
         else:
 
             def fill(folder: Path) -> None:
-                for number, one in enumerate(shown, 1):
-                    write_demonstration(one, folder / f"{number:03}.csv")
+                for number, motion in enumerate(motions, 1):
+                    write_demonstration(motion, folder / f"{number:03}.csv")
 
             write_folder(out, fill)
-    seconds = sum(float(one.time[-1] - one.time[0]) for one in shown)
-    print_facts(f"{kind} in {out}", {"motions": len(shown), "seconds": seconds})
+    seconds = sum(float(motion.time[-1] - motion.time[0]) for motion in motions)
+    print_facts(f"{kind} in {out}", {"motions": len(motions), "seconds": seconds})
 
 
 def _read(path: Path) -> "Demonstration":

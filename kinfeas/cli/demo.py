@@ -11,7 +11,7 @@ import typer
 
 from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, progress, share, write_json
+from kinfeas.cli.output import percent, print_table, progress, write_json
 from kinfeas.cli.train import train_run
 from kinfeas.config import to_options
 from kinfeas.core.errors import KinfeasError
@@ -74,24 +74,24 @@ def demo(
     typer.echo(f"report: {folder / 'report.html'}")
 
 
-def free_folder(wanted: Path) -> Path:
-    """Return `wanted`, or with a number from 2 on if the folder exists."""
-    if wanted.name in ("", ".."):
-        raise KinfeasError(f"--out must end in the name of a folder, not {str(wanted)!r}")
-    folder, number = wanted, 1
+def free_folder(path: Path) -> Path:
+    """Return `path`, or with a number from 2 on if the folder exists."""
+    if path.name in ("", ".."):
+        raise KinfeasError(f"--out must end in the name of a folder, not {str(path)!r}")
+    folder, number = path, 1
     while folder.exists():
         number += 1
-        folder = wanted.parent / f"{wanted.name}-{number}"
-    if folder != wanted:
-        sys.stderr.write(f"{wanted} exists: the run is in {folder}\n")
+        folder = path.parent / f"{path.name}-{number}"
+    if folder != path:
+        sys.stderr.write(f"{path} exists: the run is in {folder}\n")
     return folder
 
 
 def _commands(comparison: "Comparison", settings: "TrainConfig") -> list[str]:
     """Return the commands that reproduce the figures of the report."""
-    chosen, policies = comparison.chosen, (str(comparison.run), *comparison.baselines)
+    config, policies = comparison.config, (str(comparison.run), *comparison.baselines)
     same: dict[str, object] = {"robot": settings.robot, "task": settings.task}
-    same |= {"episodes": chosen.episodes, "seed": chosen.seed}
+    same |= {"episodes": config.episodes, "seed": config.seed}
     changes = {f"task.{key}": value for key, value in settings.task_parameters.items()}
     evaluations = [_line("evaluate", {**same, "policy": policy}, changes) for policy in policies]
     return [*evaluations, _line("ceiling", same, changes)]
@@ -107,5 +107,5 @@ def _show(report: "Report") -> None:
     for row in report.rows:
         low, high = row.success.low, row.success.high
         interval = (low, high) if low < high else (None, None)
-        rows.append([row.name, share(row.success.value, *interval)])
+        rows.append([row.name, percent(row.success.value, *interval)])
     print_table(report.title, ["", "without a failure (95 % interval)"], rows)

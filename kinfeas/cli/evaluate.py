@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import phases, print_paths, print_table, share, write_json
+from kinfeas.cli.output import percent, phases, print_paths, print_table, write_json
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
@@ -90,7 +90,7 @@ def _show_ablation(rows: "Mapping[str, Summary]") -> None:
         [
             label,
             _share(summary, "success"),
-            share(summary["reached"]),
+            percent(summary["reached"]),
             f"{1000.0 * summary['mean_deviation_m']:.1f} mm",
         ]
         for label, summary in rows.items()
@@ -105,7 +105,7 @@ def _show(summary: "Summary") -> None:
     rows = [
         ["goal reached without a kinematic failure", _share(summary, "success")],
         ["EE never more than 5 cm off, and at the goal", _share(summary, "within_5cm")],
-        ["goal reached", share(summary["reached"])],
+        ["goal reached", percent(summary["reached"])],
         ["kinematic failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
         ["EE deviation, mean", f"{1000 * summary['mean_deviation_m']:.1f} mm"],
         ["joint jumps an episode", f"{summary['joint_jumps_per_episode']:.2f}"],
@@ -116,14 +116,14 @@ def _show(summary: "Summary") -> None:
     if (rms := summary["rms_deviation_m"]) is not None:
         rows += [
             ["followed without failure and joint jump", _share(summary, "smooth")],
-            ["EE speed, share of the asked one", share(summary["speed_share"])],
+            ["EE speed, share of the asked one", percent(summary["speed_share"])],
             ["EE deviation, root mean square", f"{1000 * rms:.1f} mm"],
         ]
     if summary["collision_free_rate"] is not None:
         done = _share(summary, "task_success")
         rows += [
             ["task success", "no objects" if summary["task_success"] is None else done],
-            ["episodes without a collision", share(summary["collision_free_rate"])],
+            ["episodes without a collision", percent(summary["collision_free_rate"])],
             ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
             ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
         ]
@@ -132,4 +132,4 @@ def _show(summary: "Summary") -> None:
 
 
 def _share(summary: Mapping[str, Any], key: str) -> str:
-    return share(*(summary[f"{key}{end}"] for end in ("", "_low", "_high")))
+    return percent(*(summary[f"{key}{end}"] for end in ("", "_low", "_high")))

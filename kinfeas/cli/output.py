@@ -147,12 +147,12 @@ def status(text: str) -> Iterator[ExitStack]:
     from rich.console import Console
     from rich.markup import escape
 
-    with ExitStack() as shown:
-        shown.enter_context(Console(stderr=True).status(escape(text)))
-        yield shown
+    with ExitStack() as open_status:
+        open_status.enter_context(Console(stderr=True).status(escape(text)))
+        yield open_status
 
 
-def share(value: float | None, low: float | None = None, high: float | None = None) -> str:
+def percent(value: float | None, low: float | None = None, high: float | None = None) -> str:
     """Return a share in 0-1 as per cent, with its interval if there is one; `-` for None."""
     if value is None:
         return "-"

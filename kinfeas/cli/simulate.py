@@ -54,17 +54,17 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     if task is not None and scene is not None:
         raise KinfeasError("--task has its own scene and excludes --scene")
-    known = load_robot(robot)
-    link = simulation.robot_link(backend, known, topics)
+    model = load_robot(robot)
+    link = simulation.robot_link(backend, model, topics)
     drawn_by = load_task(task) if task is not None else None
     rng = episode_rng(seed, episode)
-    room, state = simulation.spawn(known, drawn_by, scene, rng=rng, engine=world, gui=gui)
+    room, state = simulation.spawn(model, drawn_by, scene, rng=rng, engine=world, gui=gui)
     config = simulation.SimulationConfig(rate, command_timeout, seconds)
     player = simulation.SimulatedRobot(room, state, config)
 
     def ready() -> None:
         x, y = state.base_pose[0, :2]
-        typer.echo(f"{known.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
+        typer.echo(f"{model.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
 
     try:
         played = simulation.simulate(player, link, ready)

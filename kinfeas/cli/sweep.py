@@ -42,10 +42,10 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.jobs.job import run_jobs
     from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best
 
-    chosen = read_sweep(config, options.read_settings(overrides))
+    settings = read_sweep(config, options.read_settings(overrides))
     runner = options.read_engine(engine, processes, address)
     folder = out or Path("runs/sweep") / Path(config).stem
-    trials = plan_trials(chosen, folder)
+    trials = plan_trials(settings, folder)
     try:
         with progress(f"{len(trials)} trials", len(trials)) as advance:
             results = run_jobs(trials, runner, lambda: advance(1.0))

@@ -11,7 +11,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import minutes as as_minutes
-from kinfeas.cli.output import print_table, progress, share
+from kinfeas.cli.output import percent, print_table, progress
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 
@@ -122,12 +122,12 @@ def _resumable(folder: Path) -> Iterator[None]:
 def training_bar() -> Iterator["OnTraining"]:
     """Show a bar on standard error, lines where it is no terminal; yields its update."""
     with progress("training") as advance:
-        shown = 0.0
+        reported = 0.0
 
         def report(now: "Progress") -> None:
-            nonlocal shown
-            advance(now.share - shown, describe(now))
-            shown = now.share
+            nonlocal reported
+            advance(now.share - reported, describe(now))
+            reported = now.share
 
         yield report
 
@@ -161,7 +161,7 @@ def _show(run: "Run") -> None:
         [
             f"success of the best checkpoint, {best['episodes']} fresh episodes"
             + (f", with {', '.join(best['adapters'])}" if best["adapters"] else ""),
-            share(*(float(best[key]) for key in ("success", "success_low", "success_high"))),
+            percent(*(float(best[key]) for key in ("success", "success_low", "success_high"))),
         ],
         ["steps of the best checkpoint", f"{best['steps']:,}"],
     ]

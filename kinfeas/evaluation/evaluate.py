@@ -94,10 +94,10 @@ def configure(
 
 def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
     """Return no adapters, each one alone, and all but each one, by label."""
-    names, every = [one.name for one in adapters], tuple(adapters)
+    names, every = [adapter.name for adapter in adapters], tuple(adapters)
     return {
         "none": (),
-        **{name: (one,) for name, one in zip(names, every, strict=True)},
+        **{name: (adapter,) for name, adapter in zip(names, every, strict=True)},
         **{f"no {name}": every[:i] + every[i + 1 :] for i, name in enumerate(names)},
     }
 
@@ -178,7 +178,7 @@ def reachability_of(
     """Return the share of an evaluation's goals that some base pose reaches; None for streams."""
     if isinstance(config.task, StreamTask):
         return None
-    found = measure_reachability(
+    bound = measure_reachability(
         config.robot, config.task, config.episodes, config.seed, config.world.ik, on_done
     )
-    return found.share
+    return bound.share

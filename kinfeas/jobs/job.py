@@ -47,11 +47,11 @@ class Job:
     def result(self) -> Result:
         """Return the result; raise KinfeasError if the file is missing or broken."""
         try:
-            found = json.loads(self.path.read_text(encoding="utf-8"))
+            result = json.loads(self.path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             message = f"{self.path}: broken; remove it to compute it again"
             raise KinfeasError(message) from error
-        return dict(found)
+        return dict(result)
 
 
 class Engine(Protocol):
@@ -111,8 +111,8 @@ def build_engine(text: str, processes: int, address: str | None = None) -> Engin
     if spec.name not in ENGINES:
         raise KinfeasError(f"unknown engine {spec.name!r}{no_such(spec.name, ENGINES)}")
     factory = resolve_name(ENGINES[spec.name])
-    given = {"processes": processes, **spec.parameters}
+    parameters = {"processes": processes, **spec.parameters}
     if address is not None:
-        given["address"] = address
-    engine: Engine = from_mapping(factory, given, f"engine {spec.name}")
+        parameters["address"] = address
+    engine: Engine = from_mapping(factory, parameters, f"engine {spec.name}")
     return engine
