@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from kinfeas.api import Name
 from kinfeas.api.load import checked, filter_specs, load_robot, read_adapters, robot_of
 from kinfeas.backends.physics.backend import PhysicsBackend
-from kinfeas.config import PluginSpec, Settings, from_mapping, merged, strict_yaml
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
 from kinfeas.config import load as load_config
 from kinfeas.config.quantities import Seed
 from kinfeas.config.recipes import default_engine, section
@@ -154,8 +154,7 @@ def read_config(
     if guards is not None:
         load_config(Guards, guards)  # so that errors name this file
         data = merged(data, {"guards": strict_yaml.read(guards)})
-    changes = {**filter_specs(filters, "filters"), **(settings or {})}
-    return from_mapping(cls, data, source, changes)
+    return from_mapping(cls, data, source, nested(filter_specs(filters, "filters"), settings))
 
 
 def _goal_task(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
 from kinfeas.api.load import checked, filter_specs, load_robot, read_adapters, robot_of
-from kinfeas.config import Settings, from_mapping
+from kinfeas.config import Settings, from_mapping, nested
 from kinfeas.config.quantities import Episodes, Processes, Seed
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
@@ -56,7 +56,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
         world,
         episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
         seed=checked(Seed, seed, "seed"),
-        settings={**filter_specs(filters, "world.filters"), **specs, **(settings or {})},
+        settings=nested(filter_specs(filters, "world.filters"), specs, settings),
     )
     driver = load_policy(str(policy), model)
     if episode >= config.episodes:

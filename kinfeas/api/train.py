@@ -7,7 +7,7 @@ from typing import Any, Literal, TypedDict, Unpack
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot, read_adapters, robot_of
-from kinfeas.config import Settings
+from kinfeas.config import Settings, nested
 from kinfeas.config.recipes import recipes
 from kinfeas.control.adapters import FOLDER, read_sim2real
 from kinfeas.core.errors import KinfeasError
@@ -93,7 +93,7 @@ def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainCon
     changes |= duration(options.get("minutes"), options.get("steps"))
     recipe = load_recipe(
         None if config is None else str(config),
-        {**changes, **(options.get("settings") or {})},
+        nested(changes, options.get("settings")),
         backend=world,
         robot=robot_of(None if robot else init),
     )

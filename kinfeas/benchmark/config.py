@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from kinfeas import config
-from kinfeas.config import PluginSpec, Settings
+from kinfeas.config import PluginSpec, Settings, nested
 from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError, no_such
@@ -166,7 +166,7 @@ def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConf
         build_subgoals(model.subgoals)
     for robot in robots:
         for row in (Row(""), *benchmark.rows):
-            read_settings(robot, benchmark.backend, {**benchmark.settings, **row.settings})
+            read_settings(robot, benchmark.backend, nested(benchmark.settings, row.settings))
     return benchmark
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.runs import Run, takes_pretrained
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, nested
 from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
@@ -136,17 +136,17 @@ def compute(case: Evaluation) -> Result:
         return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
     robot = load_robot(case.robot)
     policy = load_policy(case.source, robot)
-    config = configure(
+    plan = configure(
         robot,
         case.task,
         case.backend,
         episodes=case.episodes,
         seed=case.seed,
-        settings={**case.settings, "task": case.parameters},
+        settings=nested(case.settings, {f"task.{k}": v for k, v in case.parameters.items()}),
     )
     sampled = case.backend == "analytic" and isinstance(policy, Network)
     samples = WorkspaceSamples() if sampled else None
-    summary = evaluate(replace(config, first=case.first), policy, case.policy, watch=samples)
+    summary = evaluate(replace(plan, first=case.first), policy, case.policy, watch=samples)
     return {**summary, "workspace": samples.kept()} if samples else dict(summary)
 
 
@@ -191,7 +191,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
     rows = []
     for row in benchmark.rows if not case.variant else ():
         if row.has(case.robot, case.task):
-            settings = {**benchmark.settings, **row.settings, **_filters(row.filters)}
+            settings = nested(benchmark.settings, row.settings, _filters(row.filters))
             rows += [
                 replace(evaluation, row=row.label, settings=settings)
                 for evaluation in learned

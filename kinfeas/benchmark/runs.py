@@ -124,7 +124,9 @@ def _settings(training: Training, seed: int) -> TrainConfig:
     }
     if training.steps is not None or training.minutes is not None:
         values |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
-    return with_initial_policy(load_recipe(training.recipe, {**values, **training.settings}))
+    return with_initial_policy(
+        load_recipe(training.recipe, config.nested(values, training.settings))
+    )
 
 
 def _changes(

@@ -79,7 +79,7 @@ def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None
     Raises:
         KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.
     """
-    changes = nested(settings or {})
+    changes = nested(settings)
     config: T = _validated(cls, merged(data, changes), source, changes=changes)
     return config
 
@@ -111,13 +111,14 @@ def dump(config: object, path: Path) -> None:
     strict_yaml.write(to_mapping(config), path)
 
 
-def nested(settings: Settings) -> dict[str, Any]:
+def nested(*sources: Settings | None) -> dict[str, Any]:
     """Return settings as nested mappings; the later one of two values of a key counts."""
     data: dict[str, Any] = {}
-    for path, value in settings.items():
-        for key in reversed(path.split(".")):
-            value = {key: value}
-        data = merged(data, value)
+    for settings in sources:
+        for path, value in (settings or {}).items():
+            for key in reversed(path.split(".")):
+                value = {key: value}
+            data = merged(data, value)
     return data
 
 

@@ -18,7 +18,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from kinfeas import config
-from kinfeas.config import Settings
+from kinfeas.config import Settings, nested
 from kinfeas.config.quantities import Count, Seed
 from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError
@@ -121,7 +121,7 @@ def read_sweep(name: str, settings: Settings | None = None) -> SweepConfig:
 
 def settings_of(sweep: SweepConfig, values: Mapping[str, object]) -> TrainConfig:
     """Return the recipe with values of a trial."""
-    return load_recipe(sweep.recipe, {**sweep.settings, **values}, robot=sweep.robot)
+    return load_recipe(sweep.recipe, nested(sweep.settings, values), robot=sweep.robot)
 
 
 def plan_trials(sweep: SweepConfig, folder: Path) -> list[Job]:

@@ -169,7 +169,7 @@ def load_recipe(
     """
     kind = "train" if backend == "analytic" else "train_physics"
     data, complete = ({}, False) if name is None else read_recipe(name, kind)
-    source, changes = name or "", nested(settings or {})
+    source, changes = name or "", nested(settings)
     data = {"robot": robot, **data}
     chosen = changes.get("robot", data["robot"])
     if not complete and isinstance(chosen, str):
@@ -181,4 +181,4 @@ def load_recipe(
         if backend == "mujoco":  # steps a batch on all cores; only a world in this process is saved
             base = {**base, "processes": 1}
         data, source = merged(base, data), source or own
-    return from_mapping(TrainConfig, data, source, settings)
+    return from_mapping(TrainConfig, data, source, changes)

@@ -15,7 +15,7 @@ SMALL = {
         {"label": "low", "task": "ggr", "parameters": {"heights": [0.5, 0.6]}, "robots": ["hsr"]}
     ],
     "episodes": 2,
-    "settings": ["world.max_seconds=2.5"],
+    "settings": {"world.max_seconds": 2.5},
 }
 
 PYBULLET = {
@@ -26,14 +26,11 @@ PYBULLET = {
     "episodes": 43,
     "backend": "pybullet",
     "rows": [
-        {"label": "head_start", "settings": ["world.head_start=3"], "robots": ["pr2"]},
-        {
-            "label": "no_objects",
-            "settings": ["world.backend_parameters.objects=false"],
-            "tasks": ["door"],
-        },
+        {"label": "head_start", "settings": {"world.head_start": 3}, "robots": ["pr2"]},
+        {"label": "no_objects", "settings": {"world.backend_parameters.objects": False},
+         "tasks": ["door"]},
     ],
-}
+}  # fmt: skip
 
 
 def study(data=None, settings=None):

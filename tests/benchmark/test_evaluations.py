@@ -45,7 +45,7 @@ def test_pybullet_episodes_come_in_parts_beside_the_analytic_world():
     one = [job for job in parts if (job.robot, job.task, job.policy, job.row)
            == ("pr2", "ggr", "pretrained", "head_start")]  # fmt: skip
     assert [(job.first, job.episodes) for job in one] == [(0, PART), (PART, PART), (2 * PART, 3)]
-    assert one[0].settings == ("world.head_start=3",)
+    assert one[0].settings == {"world": {"head_start": 3}}
     rows = Counter((job.robot, job.task, job.row) for job in parts if job.first == 0)
     assert rows["tiago", "ggr", "head_start"] == rows["pr2", "ggr", "no_objects"] == 0
     assert rows["tiago", "door", "no_objects"] == 1
@@ -111,20 +111,20 @@ def test_fewer_robots():
         restricted(whole, {"fetch"})
 
 
-VARIANT = "{label: x, task: ggr, parameters: {distance: [1, 2]}, robots: [pr2]}"
+VARIANT = {"label": "x", "task": "ggr", "parameters": {"distance": [1, 2]}, "robots": ["pr2"]}
 
 
-@pytest.mark.parametrize(("override", "named"), [
-    ("baselines={follow_me: [ggr]}", "follow_me"),
-    ("tasks=[ggr, fly]", "fly"),
-    ("robots=[]", "robots"),
-    ("seeds=[1, 1]", "seeds"),
-    (f"variants=[{VARIANT}, {VARIANT}]", "variants"),
-    ("variants=[{label: x, task: ggr, parameters: {colour: 1}, robots: [pr2]}]", "colour"),
-    ("rows=[{label: a}, {label: a, tasks: [ggr]}]", "rows"),
-    ("rows=[{label: ''}]", "rows"),
-    ("rows=[{label: a, settings: ['world.slw=1']}]", "slw"),
+@pytest.mark.parametrize(("settings", "named"), [
+    ({"baselines": {"follow_me": ["ggr"]}}, "follow_me"),
+    ({"tasks": ["ggr", "fly"]}, "fly"),
+    ({"robots": []}, "robots"),
+    ({"seeds": [1, 1]}, "seeds"),
+    ({"variants": [VARIANT, VARIANT]}, "variants"),
+    ({"variants": [VARIANT | {"parameters": {"colour": 1}}]}, "colour"),
+    ({"rows": [{"label": "a"}, {"label": "a", "tasks": ["ggr"]}]}, "rows"),
+    ({"rows": [{"label": ""}]}, "rows"),
+    ({"rows": [{"label": "a", "settings": {"world.slw": 1}}]}, "slw"),
 ])  # fmt: skip
-def test_the_wrong_key_or_value_is_named(mine, override, named):
+def test_the_wrong_key_or_value_is_named(mine, settings, named):
     with pytest.raises(KinfeasError, match=named):
-        read_benchmark(mine, [override])
+        read_benchmark(mine, settings)
