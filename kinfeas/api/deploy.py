@@ -102,7 +102,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         motion_task = load_task(str(task), config.task)
     backend = backend or default_engine()
     setup = make_setup(
-        str(policy), model, backend, motion_task, config, adapters=read_adapters(adapters),
+        str(policy), model, backend, motion_task, config, adapters=tuple(read_adapters(adapters)),
         dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     on_start()

@@ -49,9 +49,9 @@ def robot_of(policy: Name | None) -> str:
     return robot
 
 
-def read_adapters(name: Name | None) -> tuple[PluginSpec, ...]:
+def read_adapters(name: Name | None) -> list[PluginSpec]:
     """Return a list of adapters by name or path; none for None."""
-    return () if name is None else read_sim2real(str(name)).adapters
+    return [] if name is None else list(read_sim2real(str(name)).adapters)
 
 
 def filter_specs(filters: str | Sequence[str] | None, key: str) -> dict[str, object]:

@@ -128,7 +128,8 @@ def progress(text: str, total: float = 1.0) -> Iterator[Advance]:
 def phases() -> Iterator["OnProgress"]:
     """Show the present work with a bar or lines, as in `progress`; yields its `OnProgress`."""
     with ExitStack() as bar:
-        work, done, advance = "", 0.0, None
+        work, done = "", 0.0
+        advance: Advance | None = None
 
         def report(text: str, fraction: float) -> None:
             nonlocal work, done, advance

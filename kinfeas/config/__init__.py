@@ -173,8 +173,8 @@ def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = 
 
     try:
         # Read as JSON, a list may fill a tuple in strict mode.
-        text = to_json((data,), inf_nan_mode="constants", fallback=_of_numpy)
-        return _adapter(kind).validate_json(text)[0]
+        content = to_json((data,), inf_nan_mode="constants", fallback=_of_numpy)
+        return _adapter(kind).validate_json(content)[0]
     except ValidationError as error:
         problems = error.errors(include_url=False)
     except PydanticSerializationError as error:  # text that is no valid UTF-8, or an object
