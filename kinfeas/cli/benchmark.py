@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import print_table, progress, status, write_json
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
@@ -32,29 +33,24 @@ _RECIPES = {
 def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     config: Annotated[
         str | None,
-        typer.Option(
-            help="YAML file, or a name such as benchmark/study.  [default: by --world and --quick]"
-        ),
+        option("YAML file, or a name such as benchmark/study.  [default: by --world and --quick]"),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the results.  [default: runs/benchmark/NAME]")
+        Path | None, option("Folder of the results.  [default: runs/benchmark/NAME]")
     ] = None,
     world: Annotated[
         str,
-        typer.Option(
-            help="Backend: analytic, pybullet, mujoco, or a plugin; several engines with commas."
-        ),
+        option("Backend: analytic, pybullet, mujoco, or a plugin; several engines with commas."),
     ] = "analytic",
-    quick: Annotated[bool, typer.Option("--quick", help="Small version of a few minutes.")] = False,
+    quick: Annotated[bool, option("Small version of a few minutes.", "--quick")] = False,
     episodes: Annotated[
         int | None, options.episodes_option("Number of episodes for each policy and task.")
     ] = None,
     runs: Annotated[
-        list[Path] | None,
-        typer.Option(help="Existing training runs, or folders of them; none is trained."),
+        list[Path] | None, option("Existing training runs, or folders of them; none is trained.")
     ] = None,
     policy: Annotated[
-        Literal["pretrained"] | None, typer.Option(help="Shipped policies; none is trained.")
+        Literal["pretrained"] | None, option("Shipped policies; none is trained.")
     ] = None,
     engine: options.EngineName = "local",
     address: options.EngineAddress = None,

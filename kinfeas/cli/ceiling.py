@@ -3,10 +3,9 @@
 from dataclasses import asdict
 from typing import Annotated
 
-import typer
-
 from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import percent, phases, print_table, write_json
 
 
@@ -16,7 +15,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     episodes: options.Episodes = 500,
     seed: options.Seed = 1,
     path: Annotated[
-        bool, typer.Option("--path", help="Also check 16 poses on the way to each sub-goal.")
+        bool, option("Also check 16 poses on the way to each sub-goal.", "--path")
     ] = False,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,

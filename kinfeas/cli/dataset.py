@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
+from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_facts, status
 from kinfeas.core.extras import require
 
@@ -14,17 +13,16 @@ if TYPE_CHECKING:
 
 def dataset(
     sources: Annotated[
-        list[Path],
-        typer.Argument(help="Demonstrations, records of servo and deploy, or folders of them."),
+        list[Path], argument("Demonstrations, records of servo and deploy, or folders of them.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder to write.")],
+    out: Annotated[Path, option("New folder to write.", metavar="FOLDER")],
     kind: Annotated[
         Literal["lerobot", "csv"],
-        typer.Option(help="LeRobot dataset v3.0, or a CSV file for each motion, for kinfeas fit."),
+        option("LeRobot dataset v3.0, or a CSV file for each motion, for kinfeas fit."),
     ] = "lerobot",
-    task: Annotated[str, typer.Option(help="Instruction in words.")] = "Follow the motion.",
-    robot: Annotated[str | None, typer.Option(help="Type of the robot.")] = None,
-    fps: Annotated[int, typer.Option(min=1, max=1000, help="Frames per second.")] = 30,
+    task: Annotated[str, option("Instruction in words.")] = "Follow the motion.",
+    robot: Annotated[str | None, option("Type of the robot.")] = None,
+    fps: Annotated[int, option("Frames per second.", min=1, max=1000)] = 30,
 ) -> None:
     """Convert recorded motions for learning.
 

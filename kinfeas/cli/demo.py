@@ -11,6 +11,7 @@ import typer
 
 from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import percent, print_table, progress, write_json
 from kinfeas.cli.train import train_run
 from kinfeas.config import to_options
@@ -28,12 +29,10 @@ PICTURES = ("learning_curve.png", "episodes.png")
 
 def demo(
     robot: options.RobotName = DEFAULT_ROBOT,
-    minutes: Annotated[float, typer.Option(help="Minutes of training.")] = 2.0,
+    minutes: Annotated[float, option("Minutes of training.")] = 2.0,
     seed: options.Seed = 0,
     episodes: options.Episodes = 500,
-    out: Annotated[Path, typer.Option(help="Folder of the run; numbered if it exists.")] = Path(
-        "runs/demo"
-    ),
+    out: Annotated[Path, option("Folder of the run; numbered if it exists.")] = Path("runs/demo"),
     overrides: options.Overrides = None,
 ) -> None:
     """Train, evaluate and report within five minutes.

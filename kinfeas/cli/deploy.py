@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import print_facts, status, write_json
 from kinfeas.core.errors import KinfeasError
 
@@ -26,35 +27,30 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.PolicyRobotName = None,
     backend: options.RobotBackend = None,
     goal: Annotated[
-        Three | None,
-        typer.Option(metavar="X Y Z", help="Goal of the EE in the world frame, metres."),
+        Three | None, option("Goal of the EE in the world frame, metres.", metavar="X Y Z")
     ] = None,
     rpy: Annotated[
-        Three | None,
-        typer.Option(
-            metavar="R P Y",
-            help="Goal orientation, rad.  [default: the present one]",
-        ),
+        Three | None, option("Goal orientation, rad.  [default: the present one]", metavar="R P Y")
     ] = None,
     quaternion: Annotated[
-        Four | None, typer.Option(metavar="X Y Z W", help="Goal orientation as a quaternion.")
+        Four | None, option("Goal orientation as a quaternion.", metavar="X Y Z W")
     ] = None,
     generator: Annotated[
         str | None,
-        typer.Option(
-            help="Motion generator to the goal.  [default: linear; with a scene whole_body]",
-            autocompletion=options.names_of("motion_generators"),
+        option(
+            "Motion generator to the goal.  [default: linear; with a scene whole_body]",
+            groups=("motion_generators",),
         ),
     ] = None,
     task: Annotated[str | None, options.task_option("In place of --goal. ")] = None,
     rate: options.Rate = 50.0,
-    seconds: Annotated[float, typer.Option(min=0.0, help="Maximum duration.")] = 300.0,
+    seconds: Annotated[float, option("Maximum duration.", min=0.0)] = 300.0,
     seed: options.Seed = 0,
     record: options.Record = None,
     adapters: options.AdapterList = None,
     guards: options.GuardsFile = None,
     no_real_time: Annotated[
-        bool, typer.Option("--no-real-time", help="Simulate as fast as possible.")
+        bool, option("Simulate as fast as possible.", "--no-real-time")
     ] = False,
     filters: options.Filters = None,
     overrides: options.Overrides = None,

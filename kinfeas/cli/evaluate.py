@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import percent, phases, print_paths, print_table, write_json
 
 if TYPE_CHECKING:
@@ -19,27 +18,22 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     task: options.TaskName = "ggr",
     world: options.World = "analytic",
     episodes: Annotated[
-        int | None,
-        options.episodes_option("Number of episodes.  [default: 500, with physics 50]"),
+        int | None, options.episodes_option("Number of episodes.  [default: 500, with physics 50]")
     ] = None,
     seed: options.Seed = 1,
     head_start: Annotated[
-        float | None, typer.Option(help="Seconds of base motion before the EE.  [default: 0]")
+        float | None, option("Seconds of base motion before the EE.  [default: 0]")
     ] = None,
     time_scale: Annotated[
-        float | None,
-        typer.Option(help="Relative EE speed.  [default: of the robot]"),
+        float | None, option("Relative EE speed.  [default: of the robot]")
     ] = None,
     without_objects: Annotated[
-        bool, typer.Option("--no-objects", help="Physics: leave out the furniture.")
+        bool, option("Physics: leave out the furniture.", "--no-objects")
     ] = False,
     filters: options.Filters = None,
-    gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
+    gui: Annotated[bool, option("PyBullet: show a window.", "--gui")] = False,
     adapters: options.AdapterList = None,
-    ablation: Annotated[
-        bool,
-        typer.Option("--ablation", help="Also evaluate single adapters."),
-    ] = False,
+    ablation: Annotated[bool, option("Also evaluate single adapters.", "--ablation")] = False,
     picture: Annotated[Path | None, options.file_option("Draw an episode.", ".png")] = None,
     video: Annotated[
         Path | None,
@@ -51,7 +45,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         Path | None,
         options.file_option("Write an episode as an interactive page.", ".html", ".htm"),
     ] = None,
-    episode: Annotated[int, typer.Option(min=0, help="Number of the episode to show.")] = 0,
+    episode: Annotated[int, option("Number of the episode to show.", min=0)] = 0,
     processes: options.Processes = 1,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,

@@ -3,21 +3,19 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from kinfeas.cli import options
+from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_facts, status, write_json
 from kinfeas.core.errors import KinfeasError
 
 
 def export(
     policy: Annotated[
-        str | None,
-        typer.Argument(help="Folder of a training run or of a checkpoint, or pretrained."),
+        str | None, argument("Folder of a training run or of a checkpoint, or pretrained.")
     ] = None,
     out: Annotated[Path | None, options.file_option("File to write.", ".onnx")] = None,
     check: Annotated[
-        Path | None, typer.Option(metavar="FILE.onnx", help="Verify this file, write nothing.")
+        Path | None, option("Verify this file, write nothing.", metavar="FILE.onnx")
     ] = None,
     robot: options.PolicyRobotName = None,
     json: options.JsonPath = None,

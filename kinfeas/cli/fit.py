@@ -6,17 +6,17 @@ from typing import Annotated, Literal
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import print_facts, status, write_json
 
 
 def fit(
-    demonstrations: Annotated[Path, typer.Option(help="Folder of *.csv files.")],
+    demonstrations: Annotated[Path, option("Folder of *.csv files.")],
     out: Annotated[Path, options.file_option("Model to write.", ".yaml", ".yml")],
     kind: Annotated[
-        Literal["imitation", "gaussian_mixture"],
-        typer.Option(help="Motion generator of the model."),
+        Literal["imitation", "gaussian_mixture"], option("Motion generator of the model.")
     ] = "imitation",
-    components: Annotated[int, typer.Option(min=1, max=50, help="Number of Gaussians.")] = 8,
+    components: Annotated[int, option("Number of Gaussians.", min=1, max=50)] = 8,
     seed: options.Seed = 0,
     json: options.JsonPath = None,
 ) -> None:

@@ -28,6 +28,20 @@ _WRITERS = {
 """Optional packages that write files, by suffix."""
 
 
+def option(text: str, *names: str, groups: Sequence[str] = (), **more: Any) -> Any:
+    """Return an option with a help text; `groups` of entry points complete its value."""
+    if groups:
+        more["autocompletion"] = names_of(*groups)
+    return typer.Option(*names, help=text, **more)
+
+
+def argument(text: str, *, groups: Sequence[str] = (), **more: Any) -> Any:
+    """Return an argument, as `option` does."""
+    if groups:
+        more["autocompletion"] = names_of(*groups)
+    return typer.Argument(help=text, **more)
+
+
 def names_of(*groups: str) -> Callable[[str], list[str]]:
     """Return a shell completion by the entry-point names of groups, such as `robots`."""
 
@@ -68,24 +82,24 @@ def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
 
 def file_option(text: str, *suffixes: str) -> Any:
     """Return an option for a file to write that ends in one of the suffixes."""
-    return typer.Option(metavar=f"FILE{suffixes[0]}", help=text, callback=output_file(*suffixes))
+    return option(text, metavar=f"FILE{suffixes[0]}", callback=output_file(*suffixes))
 
 
 def episodes_option(text: str) -> Any:
     """Return an option for a number of episodes."""
-    return typer.Option(min=1, max=MOST_EPISODES, help=text)
+    return option(text, min=1, max=MOST_EPISODES)
 
 
 def robot_option(default: str = "") -> Any:
     """Return an option for a robot; the text on its default is added to the help."""
     text = f"Robot: pr2, tiago, hsr, or a YAML file.{default}"
-    return typer.Option(help=text, autocompletion=names_of("robots"))
+    return option(text, groups=("robots",))
 
 
 def task_option(before: str = "", default: str = "") -> Any:
     """Return an option for a task, with texts before and after its help."""
     tasks = "Task: ggr, pick_place, door, drawer, another of `plugins list`, or a YAML file."
-    return typer.Option(help=before + tasks + default, autocompletion=names_of("tasks"))
+    return option(before + tasks + default, groups=("tasks",))
 
 
 RobotName = Annotated[str, robot_option()]
@@ -93,80 +107,62 @@ PolicyRobotName = Annotated[str | None, robot_option("  [default: that of the po
 TaskName = Annotated[str, task_option()]
 PolicyName = Annotated[
     str,
-    typer.Option(
-        help="Run folder, ONNX file, module:Class, or a name such as pretrained or follow_ee.",
+    option(
+        "Run folder, ONNX file, module:Class, or a name such as pretrained or follow_ee.",
         autocompletion=complete_policy,
     ),
 ]
 PolicyArgument = Annotated[
     str,
-    typer.Argument(
-        help="ONNX file, run folder, module:Class, or a name such as pretrained.",
+    argument(
+        "ONNX file, run folder, module:Class, or a name such as pretrained.",
         autocompletion=complete_policy,
     ),
 ]
 World = Annotated[
     str,
-    typer.Option(
-        help="Backend: analytic, pybullet, mujoco, or a plugin.",
-        autocompletion=names_of("backends"),
-    ),
+    option("Backend: analytic, pybullet, mujoco, or a plugin.", groups=("backends",)),
 ]
 Episodes = Annotated[int, episodes_option("Number of episodes.")]
-Seed = Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Random seed.")]
-Processes = Annotated[int, typer.Option(min=1, max=MOST_PROCESSES, help="Parallel processes.")]
+Seed = Annotated[int, option("Random seed.", min=0, max=LAST_SEED)]
+Processes = Annotated[int, option("Parallel processes.", min=1, max=MOST_PROCESSES)]
 AllProcesses = Annotated[
     int | None,
-    typer.Option(
-        min=1, max=MOST_PROCESSES, help="Number of jobs at a time.  [default: one for each core]"
-    ),
+    option("Number of jobs at a time.  [default: one for each core]", min=1, max=MOST_PROCESSES),
 ]
 EngineName = Annotated[
-    str,
-    typer.Option(
-        help="Where jobs run: local, ray, or a mapping such as {name: ray, address: auto}."
-    ),
+    str, option("Where jobs run: local, ray, or a mapping such as {name: ray, address: auto}.")
 ]
-EngineAddress = Annotated[
-    str | None, typer.Option(help="Address of a running Ray cluster, such as auto.")
-]
+EngineAddress = Annotated[str | None, option("Address of a running Ray cluster, such as auto.")]
 RobotBackend = Annotated[
     str | None,
-    typer.Option(
-        help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
+    option(
+        "analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
         "[default: pybullet or, without it, mujoco]",
-        autocompletion=names_of("backends"),
+        groups=("backends",),
     ),
 ]
-Rate = Annotated[float, typer.Option(min=1.0, max=1000.0, help="Control rate, Hz.")]
+Rate = Annotated[float, option("Control rate, Hz.", min=1.0, max=1000.0)]
 Record = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.csv", help="New file.  [default: one below runs/deploy]"),
+    Path | None, option("New file.  [default: one below runs/deploy]", metavar="FILE.csv")
 ]
 GuardsFile = Annotated[
-    Path | None, typer.Option("--guards", metavar="FILE.yaml", help="Limits of the guards.")
+    Path | None, option("Limits of the guards.", "--guards", metavar="FILE.yaml")
 ]
-AdapterList = Annotated[
-    str | None,
-    typer.Option(help="paper, pr2_like, harsh, randomised, or a file."),
-]
+AdapterList = Annotated[str | None, option("paper, pr2_like, harsh, randomised, or a file.")]
 Filters = Annotated[
     str | None,
-    typer.Option(
-        metavar="NAMES",
-        help="Such as rollout_planner,feasibility, or none.  [default: the robot's]",
+    option(
+        "Such as rollout_planner,feasibility, or none.  [default: the robot's]", metavar="NAMES"
     ),
 ]
 Overrides = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated."),
+    list[str] | None, option("Change a setting; may be repeated.", "--set", metavar="KEY=VALUE")
 ]
 JsonPath = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Write results as JSON; - is standard output.",
-        callback=_read_json_path,
+    option(
+        "Write results as JSON; - is standard output.", metavar="FILE", callback=_read_json_path
     ),
 ]
 Picture = Annotated[Path | None, file_option("Draw a picture.", ".png")]

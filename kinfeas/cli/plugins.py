@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_facts, print_table, progress, write_drawing, write_json
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
@@ -56,9 +57,9 @@ def list_plugins(json: options.JsonPath = None) -> None:
 def info(
     name: Annotated[
         str,
-        typer.Argument(
-            help="Name of a plugin, or YAML file of a robot or task.",
-            autocompletion=options.names_of(*(group.removeprefix("kinfeas.") for group in GROUPS)),
+        argument(
+            "Name of a plugin, or YAML file of a robot or task.",
+            groups=[group.removeprefix("kinfeas.") for group in GROUPS],
         ),
     ],
     json: options.JsonPath = None,
@@ -82,10 +83,10 @@ def info(
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Name of the plugin, such as my_motion.")],
-    out: Annotated[Path | None, typer.Option(help="Folder.  [default: ./kinfeas-NAME]")] = None,
+    name: Annotated[str, argument("Name of the plugin, such as my_motion.")],
+    out: Annotated[Path | None, option("Folder.  [default: ./kinfeas-NAME]")] = None,
     kind: Annotated[
-        Kind, typer.Option(metavar="KIND", help=f"Kind of plugin: {', '.join(Kind)}.")
+        Kind, option(f"Kind of plugin: {', '.join(Kind)}.", metavar="KIND")
     ] = Kind.MOTION_GENERATOR,
 ) -> None:
     """Create a plugin distribution with example, test and README.
@@ -105,20 +106,18 @@ def new(
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     name: Annotated[
         str,
-        typer.Argument(
-            help="Name of a motion generator or policy, or module:Class of a policy.",
-            autocompletion=options.names_of("motion_generators", "policies"),
+        argument(
+            "Name of a motion generator or policy, or module:Class of a policy.",
+            groups=("motion_generators", "policies"),
         ),
     ],
     overrides: options.Overrides = None,
-    duration: Annotated[
-        float, typer.Option(min=0.1, help="Seconds within which motions arrive.")
-    ] = 120.0,
-    dt: Annotated[float, typer.Option(min=0.001, help="Seconds of a step.")] = 0.1,
-    max_velocity: Annotated[float, typer.Option(min=0.0, help="Speed limit, m/s.")] = 0.1,
-    max_angular_velocity: Annotated[float, typer.Option(min=0.0, help="The same in rad/s.")] = 0.1,
+    duration: Annotated[float, option("Seconds within which motions arrive.", min=0.1)] = 120.0,
+    dt: Annotated[float, option("Seconds of a step.", min=0.001)] = 0.1,
+    max_velocity: Annotated[float, option("Speed limit, m/s.", min=0.0)] = 0.1,
+    max_angular_velocity: Annotated[float, option("The same in rad/s.", min=0.0)] = 0.1,
     seed: options.Seed = 0,
-    robot: Annotated[str | None, typer.Option(help="Robot of a policy; policies need one.")] = None,
+    robot: Annotated[str | None, option("Robot of a policy; policies need one.")] = None,
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:

@@ -6,6 +6,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.deploy import report
+from kinfeas.cli.options import option
 from kinfeas.cli.output import status
 
 
@@ -15,13 +16,13 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: options.RobotBackend = None,
     source: Annotated[
         str,
-        typer.Option(
-            help="ros2, ros1, module:Class, or a plugin.",
-            autocompletion=options.names_of("target_sources"),
+        option(
+            "ros2, ros1, module:Class, or a plugin.",
+            groups=("target_sources",),
         ),
     ] = "ros2",
     rate: options.Rate = 50.0,
-    seconds: Annotated[float, typer.Option(min=0.0, help="Duration of the run.")] = 3600.0,
+    seconds: Annotated[float, option("Duration of the run.", min=0.0)] = 3600.0,
     record: options.Record = None,
     adapters: options.AdapterList = None,
     guards: options.GuardsFile = None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_table, progress, write_drawing, write_json
 from kinfeas.core.extras import require
 
@@ -18,10 +19,8 @@ if TYPE_CHECKING:
 
 
 def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
-    config: Annotated[str, typer.Argument(help="YAML file, or a name such as sweep/pr2.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder of the sweep.  [default: runs/sweep/NAME]")
-    ] = None,
+    config: Annotated[str, argument("YAML file, or a name such as sweep/pr2.")],
+    out: Annotated[Path | None, option("Folder of the sweep.  [default: runs/sweep/NAME]")] = None,
     engine: options.EngineName = "local",
     address: options.EngineAddress = None,
     processes: options.AllProcesses = None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import minutes as as_minutes
 from kinfeas.cli.output import percent, print_table, progress
 from kinfeas.core.errors import KinfeasError
@@ -25,40 +26,36 @@ Algorithm = Literal["sac", "td3"]
 
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: Annotated[
-        str | None,
-        options.robot_option("  [default: robot of --config or --init, else pr2]"),
+        str | None, options.robot_option("  [default: robot of --config or --init, else pr2]")
     ] = None,
     task: Annotated[str | None, options.task_option(default="  [default: ggr]")] = None,
-    seed: Annotated[int | None, typer.Option(help="Random seed.  [default: 0]")] = None,
+    seed: Annotated[int | None, option("Random seed.  [default: 0]")] = None,
     minutes: Annotated[
-        float | None,
-        typer.Option(help="Time; in the analytic world without evaluations.  [default: 3]"),
+        float | None, option("Time; in the analytic world without evaluations.  [default: 3]")
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(help="Environment steps, in place of or beside --minutes.")
+        int | None, option("Environment steps, in place of or beside --minutes.")
     ] = None,
-    algorithm: Annotated[Algorithm | None, typer.Option(help="Algorithm.  [default: sac]")] = None,
+    algorithm: Annotated[Algorithm | None, option("Algorithm.  [default: sac]")] = None,
     adapters: options.AdapterList = None,
     world: options.World = "analytic",
     init: Annotated[
-        str | None, typer.Option(help="Policy to start from: a run folder, or pretrained.")
+        str | None, option("Policy to start from: a run folder, or pretrained.")
     ] = None,
-    processes: Annotated[
-        int | None, typer.Option(help="Processes of a physics world.  [default: 2]")
-    ] = None,
+    processes: Annotated[int | None, option("Processes of a physics world.  [default: 2]")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the run.  [default: runs/ROBOT-TASK-SEED]")
+        Path | None, option("Folder of the run.  [default: runs/ROBOT-TASK-SEED]")
     ] = None,
     config: Annotated[
         str | None,
-        typer.Option(
-            help="Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
+        option(
+            "Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
             "[default: that of the robot]"
         ),
     ] = None,
     overrides: options.Overrides = None,
     resume: Annotated[
-        Path | None, typer.Option(help="Resume the run of a folder; --minutes and --steps extend.")
+        Path | None, option("Resume the run of a folder; --minutes and --steps extend.")
     ] = None,
 ) -> None:
     """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.

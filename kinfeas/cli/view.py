@@ -3,19 +3,14 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import phases, print_facts, print_paths, write_json
 
 
 def view(
-    scene: Annotated[
-        str | None, typer.Option(help="Scene by name or YAML file.  [default: room]")
-    ] = None,
-    record: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv", help="Record of kinfeas deploy.")
-    ] = None,
+    scene: Annotated[str | None, option("Scene by name or YAML file.  [default: room]")] = None,
+    record: Annotated[Path | None, option("Record of kinfeas deploy.", metavar="FILE.csv")] = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
     picture: options.Picture = None,
