@@ -63,9 +63,7 @@ def to_markdown(
     lines = [f"# Benchmark{named}", ""]
     lines += [f"**{note}**", ""] if note else []
     lines += [_HOW + (_ANALYTIC if world == "analytic" else _PHYSICS), "", _effort(cells), ""]
-    for robot, variant in groups(cells):
-        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
-        lines += [f"## {title(robot, variant)}", "", *_success_table(own), ""]
+    lines += success_tables(cells)
     for heading, about, entry in _METRICS:
         if any(entry(cell) != NOTHING for cell in cells):
             lines += [f"## {heading}", "", about, "", *_metric_table(cells, entry), ""]
@@ -73,6 +71,15 @@ def to_markdown(
         caption = _CAPTIONS.get(name, "An episode of each task")
         lines += [f"![{caption}]({name})", "", f"*{caption}.*", ""]
     return "\n".join([*lines, "## How to make it again", "", "```sh", *commands, "```", ""])
+
+
+def success_tables(cells: Sequence[Cell]) -> list[str]:
+    """Return the lines of the tables of success, one for each robot and variant."""
+    lines = []
+    for robot, variant in groups(cells):
+        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
+        lines += [f"## {title(robot, variant)}", "", *_success_table(own), ""]
+    return lines
 
 
 def groups(cells: Sequence[Cell]) -> list[tuple[str, str]]:

@@ -11,7 +11,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import print_table, progress, status, write_json
+from kinfeas.cli.output import progress, status, write_json
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from kinfeas.benchmark.config import BenchmarkConfig
     from kinfeas.benchmark.evaluations import Evaluation
     from kinfeas.benchmark.runs import Run
-    from kinfeas.benchmark.table import Cell
     from kinfeas.jobs.job import Engine, Job, Result
 
 _RECIPES = {
@@ -107,7 +106,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")
         raise typer.Exit(130) from None
-    from kinfeas.benchmark.markdown import to_markdown
+    from kinfeas.benchmark.markdown import success_tables, to_markdown
     from kinfeas.benchmark.pictures import draw_pictures
     from kinfeas.benchmark.table import tabulate
 
@@ -124,7 +123,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     write_json(entries, json)
     trained = world == "analytic" and (plans or runs)
     published = _publish(trained_runs, cases, out / "pretrained") if trained else []
-    _show(cells, study.note)
+    typer.echo("\n".join([*success_tables(cells), study.note]))
     for path in (*(out / key for key in files), out / "table.json", *published):
         typer.echo(str(path))
 
@@ -190,29 +189,3 @@ def _publish(
 
 def _command() -> str:
     return shlex.join(["kinfeas", *sys.argv[1:]])
-
-
-def _show(cells: Sequence["Cell"], note: str) -> None:
-    from kinfeas.benchmark.markdown import groups, label, rows_of, title
-
-    tasks = list(dict.fromkeys(cell.task for cell in cells))
-    rows = []
-    for robot, variant in groups(cells):
-        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
-        for row in rows_of(own):
-            entries = [_entry(row.get(task)) for task in tasks]
-            rows.append([title(robot, variant), label(next(iter(row.values()))), *entries])
-        ceilings = {cell.task: f"{100 * cell.ceiling:.1f}" for cell in own}
-        names = (ceilings.get(task, "-") for task in tasks)
-        rows.append([title(robot, variant), "ceiling", *names])
-    heads = ["robot", "policy", *(f" {task}" for task in tasks)]
-    print_table("% of episodes without an IK failure", heads, rows)
-    if note:
-        typer.echo(note)
-
-
-def _entry(cell: "Cell | None") -> str:
-    if cell is None:
-        return "-"
-    spread = "" if cell.success_std is None else f" ± {100 * cell.success_std:.1f}"
-    return f"{100 * cell.success:.1f}{spread}"

@@ -120,8 +120,7 @@ PolicyArgument = Annotated[
     ),
 ]
 World = Annotated[
-    str,
-    option("Backend: analytic, pybullet, mujoco, or a plugin.", groups=("backends",)),
+    str, option("Backend: analytic, pybullet, mujoco, or a plugin.", groups=("backends",))
 ]
 Episodes = Annotated[int, episodes_option("Number of episodes.")]
 Seed = Annotated[int, option("Random seed.", min=0, max=LAST_SEED)]
@@ -189,4 +188,6 @@ def read_engine(text: str, processes: int | None, address: str | None) -> "Engin
     """Return an engine by its name or parameters."""
     from kinfeas.jobs.job import build_engine
 
-    return build_engine(text, processes or os.cpu_count() or 1, address)
+    return build_engine(
+        strict_yaml.parse(text, "--engine"), processes or os.cpu_count() or 1, address
+    )

@@ -15,11 +15,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.PolicyRobotName = None,
     backend: options.RobotBackend = None,
     source: Annotated[
-        str,
-        option(
-            "ros2, ros1, module:Class, or a plugin.",
-            groups=("target_sources",),
-        ),
+        str, option("ros2, ros1, module:Class, or a plugin.", groups=("target_sources",))
     ] = "ros2",
     rate: options.Rate = 50.0,
     seconds: Annotated[float, option("Duration of the run.", min=0.0)] = 3600.0,
