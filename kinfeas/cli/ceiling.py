@@ -28,12 +28,12 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas ceiling --robot pr2 --task door --path --episodes 100
     """
-    from kinfeas.api.evaluate import ceiling as run
+    from kinfeas.api import evaluate as api
     from kinfeas.kinematics.reachability import LIMITS
 
     settings = options.read_settings(overrides)
     with phases() as on_progress:
-        bound = run(
+        bound = api.ceiling(
             robot, task=task, episodes=episodes, seed=seed, path=path, settings=settings,
             on_progress=on_progress,
         )  # fmt: skip

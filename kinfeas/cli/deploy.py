@@ -66,10 +66,10 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9
     """
-    from kinfeas.api.deploy import deploy as run
+    from kinfeas.api import deploy as api
 
     with status("preparing") as preparing:
-        done = run(
+        done = api.deploy(
             policy, robot=robot, backend=backend, goal=goal, rpy=rpy, quaternion=quaternion,
             generator=generator, task=task, rate=rate, seconds=seconds, seed=seed, record=record,
             adapters=adapters, guards=guards, real_time=not no_real_time, filters=filters,

@@ -29,16 +29,15 @@ def export(
 
     Example: kinfeas export --check pr2.onnx --robot pr2
     """
-    from kinfeas.api.export import check_export
-    from kinfeas.api.export import export as run
+    from kinfeas.api import export as api
 
     if check is not None and policy is None and out is None:
-        file = check_export(check, robot=robot)
+        file = api.check_export(check, robot=robot)
         compared = f"equal to {robot}" if robot else "not compared: no --robot"
         title = f"valid policy file: {check}, kinematics {compared}"
     elif policy is not None and out is not None and check is None:
         with status("exporting"):
-            file = run(policy, out, robot=robot)
+            file = api.export(policy, out, robot=robot)
         title = f"exported: {out}"
     else:
         raise KinfeasError("give POLICY and --out FILE to export, or --check FILE to verify")

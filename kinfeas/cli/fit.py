@@ -31,10 +31,10 @@ def fit(
 
     Example: kinfeas fit --demonstrations demonstrations/door/open --out my_door.yaml
     """
-    from kinfeas.api.fit import fit as run
+    from kinfeas.api import fit as api
 
     with status("learning"):
-        motion = run(demonstrations, out, kind=kind, components=components, seed=seed)
+        motion = api.fit(demonstrations, out, kind=kind, components=components, seed=seed)
     names = [Path(name).name for name in motion.names]
     facts = {
         "kind": kind,

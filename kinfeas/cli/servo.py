@@ -35,10 +35,10 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas servo pretrained --robot pr2 --backend ros2 --source ros2
     """
-    from kinfeas.api.servo import servo as run
+    from kinfeas.api import servo as api
 
     with status("preparing") as preparing:
-        done = run(
+        done = api.servo(
             policy, robot=robot, backend=backend, source=source, rate=rate, seconds=seconds,
             record=record, adapters=adapters, guards=guards, filters=filters,
             settings=options.read_settings(overrides), on_start=preparing.close,

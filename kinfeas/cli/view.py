@@ -24,10 +24,10 @@ def view(
 
     Example: kinfeas view --record runs/deploy/FILE.csv --picture run.png --html run.html
     """
-    from kinfeas.api.view import view as run
+    from kinfeas.api import view as api
 
     with phases() as on_progress:
-        facts = run(
+        facts = api.view(
             scene, record=record, settings=options.read_settings(overrides), picture=picture,
             html=html, on_progress=on_progress,
         )  # fmt: skip

@@ -6,6 +6,7 @@ from functools import partial
 from typing import NotRequired, TypedDict
 
 from kinfeas.config import PluginSpec, Settings, from_mapping
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
 from kinfeas.core.policy import Policy
 from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes, run_episodes
@@ -115,9 +116,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
 
     The ceiling is that of `reachability_of`; further arguments as in `evaluate_episodes`.
     """
-    world, settings = _world(config), config.world
-    execution = world.loop.execution
-    records = _records(config, world, policy, processes, on_done, watch)
+    records, execution = _run(config, policy, processes, on_done, watch)
+    settings = config.world
     return {
         "robot": config.robot.name,
         "task": config.task.name,
@@ -148,28 +148,28 @@ def run(
     watch: Watch | None = None,
 ) -> EpisodeRecords:
     """Return the record of each episode; further arguments as in `evaluate_episodes`."""
-    return _records(config, _world(config), policy, processes, on_done, watch)
+    return _run(config, policy, processes, on_done, watch)[0]
 
 
-def _world(config: EvalConfig) -> World:
-    return World(config.robot, config.task, config.world, config.seed)
-
-
-def _records(
+def _run(
     config: EvalConfig,
-    world: World,
     policy: Policy,
     processes: int,
     on_done: OnDone | None,
     watch: Watch | None,
-) -> EpisodeRecords:
+) -> tuple[EpisodeRecords, ExecutionConfig]:
+    """Return the record of each episode, and the execution of motions within the adapters."""
+    build = partial(World, config.robot, config.task, config.world, config.seed)
+    world = build()
     try:
         if processes == 1:
-            return run_episodes(world, policy, config.episodes, on_done, watch, config.first)
+            records = run_episodes(world, policy, config.episodes, on_done, watch, config.first)
+            return records, world.loop.execution
     finally:
         world.close()
     episodes = range(config.first, config.first + config.episodes)
-    return evaluate_episodes(partial(_world, config), policy, episodes, processes, on_done)
+    records = evaluate_episodes(build, policy, episodes, processes, on_done)
+    return records, world.loop.execution
 
 
 def reachability_of(
