@@ -69,9 +69,9 @@ def deploy(  # noqa: PLR0913 - options of the command
     rate: float = 50.0,
     seconds: float = 300.0,
     seed: int = 0,
-    record: Path | None = None,
+    record: Name | None = None,
     adapters: Name | None = None,
-    guards: Path | None = None,
+    guards: Name | None = None,
     real_time: bool = True,
     filters: str | Sequence[str] | None = None,
     settings: Settings | None = None,
@@ -88,7 +88,7 @@ def deploy(  # noqa: PLR0913 - options of the command
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
     """
-    check_record(record)
+    path = new_record(record)
     robot = robot or robot_of(policy)
     model = load_robot(robot)
     config = read_config(DeployConfig, "deploy", model, guards, filters, settings)
@@ -106,7 +106,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     on_start()
-    return recorded(setup, str(robot), str(policy), backend, record)
+    return recorded(setup, str(robot), str(policy), backend, path)
 
 
 def recorded(
@@ -135,25 +135,27 @@ def recorded(
     return Deployment(outcome, about, recorder.path, statistics())
 
 
-def check_record(record: Path | None) -> None:
-    """Raise KinfeasError if `record` is no new CSV file."""
-    if record is not None and (record.exists() or record.suffix != ".csv"):
-        raise KinfeasError(f"{record}: must be a new file that ends in .csv")
+def new_record(record: Name | None) -> Path | None:
+    """Return the path of a record; raise KinfeasError if it is no new CSV file."""
+    path = None if record is None else Path(record)
+    if path is not None and (path.exists() or path.suffix != ".csv"):
+        raise KinfeasError(f"{path}: must be a new file that ends in .csv")
+    return path
 
 
 def read_config(
     cls: type[T],
     name: str,
     robot: Robot,
-    guards: Path | None,
+    guards: Name | None,
     filters: str | Sequence[str] | None,
     settings: Settings | None,
 ) -> T:
     """Return the settings of a section for a robot, with the guards of the user's file."""
     data, source = section(name, robot.name)
     if guards is not None:
-        load_config(Guards, guards)  # so that errors name this file
-        data = merged(data, {"guards": strict_yaml.read(guards)})
+        load_config(Guards, Path(guards))  # so that errors name this file
+        data = merged(data, {"guards": strict_yaml.read(Path(guards))})
     return from_mapping(cls, data, source, nested(filter_specs(filters, "filters"), settings))
 
 

@@ -29,9 +29,9 @@ def evaluate(  # noqa: PLR0913 - options of the command
     filters: str | Sequence[str] | None = None,
     adapters: Name | None = None,
     ablation: bool = False,
-    picture: Path | None = None,
-    video: Path | None = None,
-    replay: Path | None = None,
+    picture: Name | None = None,
+    video: Name | None = None,
+    replay: Name | None = None,
     episode: int = 0,
     processes: int = 1,
     settings: Settings | None = None,
@@ -77,7 +77,8 @@ def evaluate(  # noqa: PLR0913 - options of the command
             count()
         summary["ablation"] = rows
     if picture or video or replay:
-        show_episode(config, driver, episode, picture, video, replay, on_progress)
+        files = (None if path is None else Path(path) for path in (picture, video, replay))
+        show_episode(config, driver, episode, *files, on_progress=on_progress)
     return summary
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinfeas.api import Name
-from kinfeas.api.deploy import Deployment, check_record, make_setup, read_config, recorded
+from kinfeas.api.deploy import Deployment, make_setup, new_record, read_config, recorded
 from kinfeas.api.load import load_robot, read_adapters, robot_of
 from kinfeas.config import Settings
 from kinfeas.config.recipes import default_engine
@@ -33,9 +33,9 @@ def servo(  # noqa: PLR0913 - options of the command
     source: str | TargetSource = "ros2",
     rate: float = 50.0,
     seconds: float = 3600.0,
-    record: Path | None = None,
+    record: Name | None = None,
     adapters: Name | None = None,
-    guards: Path | None = None,
+    guards: Name | None = None,
     filters: str | Sequence[str] | None = None,
     settings: Settings | None = None,
     on_start: Callable[[], None] = lambda: None,
@@ -51,7 +51,7 @@ def servo(  # noqa: PLR0913 - options of the command
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
     """
-    check_record(record)
+    path = new_record(record)
     robot = robot or robot_of(policy)
     model = load_robot(robot)
     config = read_config(ServoConfig, "servo", model, guards, filters, settings)
@@ -72,7 +72,7 @@ def servo(  # noqa: PLR0913 - options of the command
         try:
             with plugin_note(name):
                 targets.start(controller)
-            done = recorded(setup, str(robot), str(policy), backend, record, controller.statistics)
+            done = recorded(setup, str(robot), str(policy), backend, path, controller.statistics)
         finally:
             try:
                 targets.close()

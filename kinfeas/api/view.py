@@ -15,10 +15,10 @@ from kinfeas.scenes.scene import Scene, read_scene
 def view(
     scene: Name | None = None,
     *,
-    record: Path | None = None,
+    record: Name | None = None,
     settings: Settings | None = None,
-    picture: Path | None = None,
-    html: Path | None = None,
+    picture: Name | None = None,
+    html: Name | None = None,
     on_progress: OnProgress | None = None,
 ) -> dict[str, object]:
     """Return facts on a scene or on a recorded run, and draw it.
@@ -56,7 +56,7 @@ def view(
     return _run_facts(run)
 
 
-def _draw_scene(scene: Scene, picture: Path | None, html: Path | None) -> None:
+def _draw_scene(scene: Scene, picture: Name | None, html: Name | None) -> None:
     from kinfeas.viz.figures import scene_figure
     from kinfeas.viz.style import png
 
