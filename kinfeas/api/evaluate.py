@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
 from kinfeas.api.load import checked, filter_specs, load_robot, read_adapters, robot_of
@@ -16,6 +17,12 @@ from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachabi
 from kinfeas.kinematics.reachability import STAGES
 from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
+
+
+class Metrics(Summary, total=False):
+    """Metrics of a policy; with `ablation` also those with other adapters."""
+
+    ablation: dict[str, Summary]
 
 
 def evaluate(  # noqa: PLR0913 - options of the command
@@ -36,7 +43,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
     processes: int = 1,
     settings: Settings | None = None,
     on_progress: OnProgress | None = None,
-) -> Summary:
+) -> Metrics:
     """Return the metrics of a policy, as in the JSON of `kinfeas evaluate`.
 
     Example: `kinfeas.evaluate("pretrained", robot="pr2", episodes=100)["success"]`
@@ -65,7 +72,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
     processes = checked(Processes, processes, "processes")
     summary = evaluation.evaluate(config, driver, str(policy), processes=processes, on_done=count)
     ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
-    summary |= evaluation.ceiling_entries(ceiling)
+    metrics = cast("Metrics", {**summary, **evaluation.ceiling_entries(ceiling)})
     if ablation:
         subsets = evaluation.adapter_subsets(config.world.adapters)
         count, rows = counter(on_progress, f"{len(subsets)} evaluations", len(subsets)), {}
@@ -75,11 +82,11 @@ def evaluate(  # noqa: PLR0913 - options of the command
                 part, driver, str(policy), ceiling, processes=processes
             )
             count()
-        summary["ablation"] = rows
+        metrics["ablation"] = rows
     if picture or video or replay:
         files = (None if path is None else Path(path) for path in (picture, video, replay))
         show_episode(config, driver, episode, *files, on_progress=on_progress)
-    return summary
+    return metrics
 
 
 def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NotRequired, TypedDict
+from typing import TypedDict
 
 from kinfeas.config import PluginSpec, Settings, from_mapping
 from kinfeas.control.execution import ExecutionConfig
@@ -26,7 +26,7 @@ class CeilingEntries(TypedDict):
 
 
 class Summary(Metrics, CeilingEntries):
-    """Metrics of a policy and what they were measured on; `ablation` has those by adapters."""
+    """Metrics of a policy and what they were measured on."""
 
     robot: str
     task: str
@@ -38,7 +38,6 @@ class Summary(Metrics, CeilingEntries):
     adapters: list[str]
     filters: list[str]
     backend_parameters: dict[str, object]
-    ablation: NotRequired[dict[str, "Summary"]]
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
     source, given = Targets(), {"robot": "hsr", "backend": "analytic", "seconds": 0.3}
     relaxed = {"guards": {"max_age": 5.0, "max_period": 5.0, "max_clock_skew": 5.0}}
     run = kinfeas.servo(source=source, record=tmp_path / "a.csv", settings=relaxed, **given)
-    assert (run.outcome.code, source.closed, run.targets["messages"]) == (0, True, 0)
+    assert (run.outcome.code, source.closed, run.targets["messages"]["accepted"]) == (0, True, 0)
     started = []
     run = kinfeas.deploy(
         "pretrained", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "b.csv",
