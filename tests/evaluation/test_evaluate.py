@@ -116,22 +116,16 @@ with worker_pool(1) as pool:
 
 
 @pytest.mark.slow
-def test_an_interrupt_of_the_parent_alone_ends_the_workers_at_once():
+@pytest.mark.parametrize(
+    ("number", "printed"), [(signal.SIGINT, b"Keyboard"), (signal.SIGKILL, b"")]
+)
+def test_workers_end_at_once_with_their_parent(number, printed):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", POOL], **pipes) as process:
         assert process.stdout.readline() == b"0\n"
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         # Ends when no process holds the pipes any more.
-        assert b"KeyboardInterrupt" in process.communicate(timeout=60)[1]
-
-
-@pytest.mark.slow
-def test_workers_end_with_their_parent():
-    with subprocess.Popen([sys.executable, "-c", POOL], stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline() == b"0\n"
-        process.kill()
-        # Ends when no process holds the pipe any more.
-        assert process.communicate(timeout=60)[0] == b""
+        assert printed in process.communicate(timeout=60)[1]
 
 
 TASKS = pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)
