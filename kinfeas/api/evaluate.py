@@ -84,8 +84,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
             count()
         metrics["ablation"] = rows
     if picture or video or replay:
-        files = (None if path is None else Path(path) for path in (picture, video, replay))
-        show_episode(config, driver, episode, *files, on_progress=on_progress)
+        show_episode(config, driver, episode, picture, video, replay, on_progress)
     return metrics
 
 
@@ -93,9 +92,9 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
     config: EvalConfig,
     policy: Policy,
     episode: int,
-    picture: Path | None,
-    video: Path | None,
-    replay: Path | None,
+    picture: Name | None,
+    video: Name | None,
+    replay: Name | None,
     on_progress: OnProgress | None = None,
 ) -> None:
     """Run an episode of an evaluation again and write it as picture, film and page."""
@@ -121,7 +120,8 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
         as_film = isinstance(film, PhysicsFilm) and recording.solids is None
         for path in (video, picture if as_film else None):
             if path is not None:
-                write_film(film, path, counter(on_progress, "drawing", count_pictures(film, path)))
+                count = counter(on_progress, "drawing", count_pictures(film, Path(path)))
+                write_film(film, Path(path), count)
         counter(on_progress, "drawing files")
         if replay is not None:
             from kinfeas.viz.pages import episode_html, physics_html  # need viser
@@ -131,9 +131,9 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
                 if isinstance(film, PhysicsFilm)
                 else episode_html(recording, robot, recording.scene)
             )
-            write_file(replay, html.encode())
+            write_file(Path(replay), html.encode())
         if picture is not None and not as_film:
-            write_file(picture, png(episodes_figure(robot, [recording]), dpi=110))
+            write_file(Path(picture), png(episodes_figure(robot, [recording]), dpi=110))
     finally:
         world.close()
 

@@ -61,7 +61,7 @@ def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
     assert share_done(tiny({"schedule": schedule}), Progress(400, 30.0)) == share
 
 
-@pytest.mark.parametrize(("init", "first"), [("null", 0), ("pretrained", 1)])
+@pytest.mark.parametrize(("init", "first"), [(None, 0), ("pretrained", 1)])
 def test_an_initial_policy_is_evaluated_as_well(tiny, init, first):
     settings = tiny({"init": init, "schedule.evaluations": 4})
     due = [evaluations_due(settings, Progress(share=share)) for share in (0.0, 0.24, 0.5, 1.0)]
@@ -110,13 +110,13 @@ def test_a_longer_schedule_changes_share_and_evaluations(write_run, tiny):
 
 
 @pytest.mark.parametrize(
-    ("override", "key"),
-    [("seed=3", "seed"), ("num_envs=4", "num_envs"), ("learner.gamma=0.9", "learner")],
+    ("settings", "key"),
+    [({"seed": 3}, "seed"), ({"num_envs": 4}, "num_envs"), ({"learner.gamma": 0.9}, "learner")],
 )
-def test_a_checkpoint_of_other_settings_raises(write_run, tiny, override, key):
+def test_a_checkpoint_of_other_settings_raises(write_run, tiny, settings, key):
     _, last = write_run()
     with pytest.raises(KinfeasError, match=f"{last}: .* its {key} is"):
-        read_progress(tiny(override), last)
+        read_progress(tiny(settings), last)
 
 
 @pytest.mark.parametrize(
@@ -140,8 +140,10 @@ def test_every_recipe_makes_a_world(name):
 
 
 @pytest.mark.parametrize(
-    "override", ["learner.algorithm=ppo", "learner.gamma=1.5", "schedule.steps=null", "processes=9"]
-)
-def test_values_out_of_range_raise(tiny, override):
-    with pytest.raises(KinfeasError, match=override.split("=")[0].split(".")[-1]):
-        tiny(override)
+    ("key", "value"),
+    [("learner.algorithm", "ppo"), ("learner.gamma", 1.5), ("schedule.steps", None),
+     ("processes", 9)],
+)  # fmt: skip
+def test_values_out_of_range_raise(tiny, key, value):
+    with pytest.raises(KinfeasError, match=key.split(".")[-1]):
+        tiny({key: value})

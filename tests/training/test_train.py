@@ -262,6 +262,7 @@ def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "_REGISTERED", [])
     registry.register("kinfeas.backends", "engine", Engine)
     schedule = {"steps": None, "minutes": 2, "evaluations": 6, "evaluation_episodes": 32}
+    schedule |= {"final_episodes": 256, "checkpoint_seconds": 30}
     settings = tiny({"world.backend": "engine", "schedule": schedule})
     reports = []
     progress = train(settings, tmp_path / "run", reports.append)
