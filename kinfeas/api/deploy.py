@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kinfeas.api import Name
-from kinfeas.api.load import checked, filter_specs, load_robot, read_adapters, robot_of
+from kinfeas.api.load import checked, load_robot, plugin_settings, read_adapters, robot_of
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
 from kinfeas.config import load as load_config
@@ -102,7 +102,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         motion_task = load_task(str(task), config.task)
     backend = backend or default_engine()
     setup = make_setup(
-        str(policy), model, backend, motion_task, config, adapters=tuple(read_adapters(adapters)),
+        str(policy), model, backend, motion_task, config, adapters=read_adapters(adapters),
         dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     on_start()
@@ -156,7 +156,7 @@ def read_config(
     if guards is not None:
         load_config(Guards, Path(guards))  # so that errors name this file
         data = merged(data, {"guards": strict_yaml.read(Path(guards))})
-    return from_mapping(cls, data, source, nested(filter_specs(filters, "filters"), settings))
+    return from_mapping(cls, data, source, nested(plugin_settings(filters), settings))
 
 
 def _goal_task(

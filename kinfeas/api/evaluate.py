@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
-from kinfeas.api.load import checked, filter_specs, load_robot, read_adapters, robot_of
+from kinfeas.api.load import checked, load_robot, plugin_settings, robot_of
 from kinfeas.config import Settings, from_mapping, nested
 from kinfeas.config.quantities import Episodes, Processes, Seed
 from kinfeas.core.errors import KinfeasError
@@ -56,14 +56,13 @@ def evaluate(  # noqa: PLR0913 - options of the command
     """
     robot = robot or robot_of(policy)
     model = load_robot(robot)
-    specs = {} if adapters is None else {"world.adapters": read_adapters(adapters)}
     config = evaluation.configure(
         model,
         str(task),
         world,
         episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
         seed=checked(Seed, seed, "seed"),
-        settings=nested(filter_specs(filters, "world.filters"), specs, settings),
+        settings=nested(plugin_settings(filters, adapters, "world."), settings),
     )
     driver = load_policy(str(policy), model)
     if episode >= config.episodes:

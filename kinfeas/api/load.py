@@ -49,14 +49,21 @@ def robot_of(policy: Name | None) -> str:
     return robot
 
 
-def read_adapters(name: Name | None) -> list[PluginSpec]:
+def read_adapters(name: Name | None) -> tuple[PluginSpec, ...]:
     """Return a list of adapters by name or path; none for None."""
-    return [] if name is None else list(read_sim2real(str(name)).adapters)
+    return () if name is None else read_sim2real(str(name)).adapters
 
 
-def filter_specs(filters: str | Sequence[str] | None, key: str) -> dict[str, object]:
-    """Return filters as a setting; they are names, also as one text with commas, or `none`."""
-    return {} if filters is None else {key: filter_names(filters)}
+def plugin_settings(
+    filters: str | Sequence[str] | None, adapters: Name | None = None, above: str = ""
+) -> dict[str, object]:
+    """Return settings of filters and adapters, where they are not None, below the keys `above`."""
+    settings: dict[str, object] = {}
+    if filters is not None:
+        settings[f"{above}filters"] = [{"name": name} for name in filter_names(filters)]
+    if adapters is not None:
+        settings[f"{above}adapters"] = [spec.entry() for spec in read_adapters(adapters)]
+    return settings
 
 
 def filter_names(filters: str | Sequence[str]) -> tuple[str, ...]:

@@ -62,7 +62,7 @@ def servo(  # noqa: PLR0913 - options of the command
     targets = _build_source(source, config.source) if isinstance(source, str) else source
     backend = backend or default_engine()
     setup = make_setup(
-        str(policy), model, backend, task, config, adapters=tuple(read_adapters(adapters)),
+        str(policy), model, backend, task, config, adapters=read_adapters(adapters),
         dt=1.0 / rate, seconds=seconds, seed=0, real_time=True,
     )  # fmt: skip
     setup = replace(setup, filters=(controller, *setup.filters))
