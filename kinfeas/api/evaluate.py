@@ -146,14 +146,13 @@ class Ceiling:
         task: Name of the task.
         seed: Seed of the goals.
         episodes: Number of episodes.
-        path: Whether poses on the way to each sub-goal have to be reachable, too.
+        path: Whether poses on the way to each sub-goal count, too.
         ceiling: Fraction of episodes of which all sub-goals are reachable.
         ceiling_low: Lower end of its 95 % interval.
         ceiling_high: Upper end.
         base_poses: Numbers of base poses that were tried for a goal.
         convergence: Fraction that was reachable with each of these numbers.
-        out_of_reach: Number of episodes in which a sub-goal is out of reach, by the limit, for each
-            sub-goal.
+        out_of_reach: Episodes in which each sub-goal is out of reach, by the limit.
     """
 
     robot: str

@@ -76,17 +76,9 @@ def _run_facts(run: Record) -> dict[str, object]:
         **{key: [spec.entry() for spec in plugins] for key, plugins in specs.items()},
         "guards": about.guards,
     }
-    events = [
-        {"time_s": float(time), "event": event}
-        for time, event in zip(run.time, run.event, strict=True)
-        if event
-    ]
+    events = zip(run.time.tolist(), run.event, strict=True)
     return {
-        "robot": about.robot,
-        "task": about.task,
-        "policy": about.policy,
-        "backend": about.backend,
-        "started": about.started,
+        **{key: getattr(about, key) for key in ("robot", "task", "policy", "backend", "started")},
         **loads(dumps(settings), parse_constant=str),
         "seconds": float(run.time[-1] - run.time[0]),
         "steps": int((periods > 0.5 * about.dt).sum()),  # the end is no step
@@ -94,7 +86,7 @@ def _run_facts(run: Record) -> dict[str, object]:
         "failures": int((~run.feasible).sum()),
         "top_speed_m_s": float((run.base_twist[:, :2] ** 2).sum(axis=1).max() ** 0.5),
         "longest_period_s": float(max(periods, default=0.0)),
-        "events": events,
+        "events": [{"time_s": time, "event": event} for time, event in events if event],
     }
 
 
@@ -110,12 +102,7 @@ def _scene_facts(scene: Scene) -> dict[str, object]:
         for name, entry in scene.objects.items()
     }
     handles = {
-        name: {
-            "object": handle.object,
-            "link": handle.link,
-            "joint": handle.joint,
-            "pose": scene.handle_pose(name).tolist(),
-        }
+        name: {**vars(handle), "pose": scene.handle_pose(name).tolist()}
         for name, handle in scene.handles.items()
     }
     return {"scene": scene.name, "size_m": scene.size, "objects": objects, "handles": handles}

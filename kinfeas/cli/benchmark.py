@@ -21,13 +21,6 @@ if TYPE_CHECKING:
     from kinfeas.benchmark.runs import Run
     from kinfeas.jobs.job import Engine, Job, Result
 
-_RECIPES = {
-    ("analytic", False): "benchmark/study",
-    ("analytic", True): "benchmark/quick",
-    ("physics", False): "benchmark/physics",
-    ("physics", True): "benchmark/physics_quick",
-}
-
 
 def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     config: Annotated[
@@ -133,8 +126,9 @@ def _recipe(world: str, quick: bool) -> tuple[str, str | None]:
     from kinfeas.config.recipes import ENGINES
 
     if world in ENGINES:
-        return _RECIPES["physics", quick], world
-    return _RECIPES.get((world, quick), world), None
+        return "benchmark/physics_quick" if quick else "benchmark/physics", world
+    known = {"analytic": "benchmark/quick" if quick else "benchmark/study"}
+    return known.get(world, world), None
 
 
 def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Job"]:

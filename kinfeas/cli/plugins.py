@@ -145,20 +145,15 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     generator = registry.build(_GENERATORS, name, parameters)
     with progress(f"checking {name}", trial.steps) as advance:
         findings = examine(generator, trial, name, lambda: advance(1.0))
+    rows = [[RULES[finding.rule], _result(finding), finding.broken or ""] for finding in findings]
     rules = [
-        {
-            "rule": finding.rule,
-            "text": RULES[finding.rule],
-            "result": _result(finding),
-            "broken": finding.broken,
-        }
-        for finding in findings
+        {"rule": finding.rule, "text": text, "result": result, "broken": finding.broken}
+        for finding, (text, result, _) in zip(findings, rows, strict=True)
     ]
     broken = [finding.broken for finding in findings if finding.broken is not None]
     passed = all(finding.kept for finding in findings)
     report = {"generator": name, "parameters": parameters, "passed": passed, "rules": rules}
     write_json(report, json)
-    rows = [[RULES[finding.rule], _result(finding), finding.broken or ""] for finding in findings]
     print_table(f"motion generator {name}", ["rule", "", "error"], rows)
     if all(finding.checked for finding in findings):  # a severe violation ends the motions
         write_drawing(lambda: _drawing(name, parameters, trial), picture)
