@@ -33,7 +33,7 @@ _MEMBERS = {
     "kinfeas.adapters": ("reset", "step", "close"),
     "kinfeas.backends": ("reset", "step", "close"),
     "kinfeas.policies": ("act",),
-    "kinfeas.filters": ("reset", "__call__"),
+    "kinfeas.filters": ("__call__",),
     "kinfeas.target_sources": ("start", "close"),
 }
 """Required members; those of motion generators are called before an episode begins."""
@@ -108,6 +108,22 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
             lacks a method of its group.
     """
     return _build(_find(group, name), parameters)
+
+
+def build_with(
+    group: str, name: str, parameters: Mapping[str, object], offered: Mapping[str, object]
+) -> Any:
+    """Return what `build` does, with those of the objects `offered` that the factory names.
+
+    Raises:
+        KinfeasError: Also if a parameter has the name of an object that is offered.
+    """
+    factory = load(group, name)
+    known = inspect.signature(factory).parameters if callable(factory) else {}
+    objects = {key: value for key, value in offered.items() if key in known}
+    for key in objects.keys() & parameters.keys():
+        raise KinfeasError(f"{GROUPS[group]} {name!r}: the run sets the parameter {key!r}")
+    return build(group, name, {**objects, **parameters})
 
 
 def build_target(group: str, target: str, parameters: Mapping[str, object]) -> Any:
