@@ -349,7 +349,7 @@ class MotionSequence:
         self.time_scale = time_scale
         self._replan_moving(surroundings, robots)
         subgoal, last = self.subgoal, arrived & self.last
-        stops = self._end_subgoals(arrived, arrived & (goal_distance <= GRASP_METRES))
+        stops = self.end_subgoals(arrived, arrived & (goal_distance <= GRASP_METRES))
         self._grip(subgoal, stops | last)
         self.periods = self.periods + 1
         if self.stream is not None:
@@ -407,7 +407,7 @@ class MotionSequence:
             rows = np.flatnonzero(due & moving & (self.periods > 0))
         self.avoid(solids, rows, (robots.base_pose, robots.joint_positions))
 
-    def _end_subgoals(
+    def end_subgoals(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
         """Return whether the motion of a sub-goal but the last has just come to its end, (n,).

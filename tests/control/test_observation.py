@@ -3,29 +3,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.control.observation import (
-    ACTION,
-    ACTIONS,
     HORIZON,
     OBSERVATION,
-    SLOWEST,
-    TERMS,
     Seen,
-    action_size,
     check_terms,
     describe_action,
     describe_observation,
     observe,
     scale,
     size,
-    split_action,
     surroundings,
 )
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import TermInfo
 from kinfeas.core.spatial import compose, integrate, make_pose, planar_pose, relative, rotation
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import spread_configurations
-from kinfeas.robots.loading import load_robot
 
 
 def parts(solver, n=50, seed=0):
@@ -91,26 +83,7 @@ def test_scales_and_descriptions_have_the_size_of_observations(robot):
     assert described[-1].entries == tuple(joint.name for joint in robot.arm)
     n = size(robot)
     assert surroundings(robot, (*OBSERVATION, "planned_base")) == [n, n + 1, n + 2]
-    (action,) = describe_action(robot)
+    action = describe_action(robot)
     assert action.scale == (robot.base.max_velocity,) * 2 + (robot.base.max_rotation,)
-    with pytest.raises(KinfeasError, match=r"file: observation: unknown term 'lidar'"):
-        check_terms([TermInfo("lidar", 3, "", "")], tuple(TERMS), "file: observation")
-
-
-def test_actions_are_split_into_their_terms():
-    action = np.array([[0.5, -0.5, 1.0, 2.0], [0.2, 0.1, -3.0, 0.5]])
-    command, scale, torso = split_action(action, ACTIONS)
-    np.testing.assert_array_equal(command, action[:, :2])
-    np.testing.assert_allclose(scale, [1.0, SLOWEST])
-    np.testing.assert_array_equal(torso, [1.0, 0.5])
-    command, scale, torso = split_action(action, (*ACTION, "torso_velocity"))
-    assert command.shape == (2, 3) and scale is None
-    np.testing.assert_array_equal(torso, [1.0, 0.5])
-    assert split_action(action, ACTION)[1:] == (None, None)
-    described = describe_action(load_robot("tiago"), ACTIONS)
-    assert [(one.name, one.scale) for one in described[1:]] == [
-        ("time_scale", (1.0,)),
-        ("torso_velocity", (0.07,)),
-    ]
-    with pytest.raises(KinfeasError, match="no torso"):
-        action_size(load_robot("pr2"), ACTIONS)
+    with pytest.raises(KinfeasError, match=r"file: observation .*'lidar'"):
+        check_terms(["lidar"], "file: observation")

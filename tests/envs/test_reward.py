@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.control.loop import Step
+from kinfeas.control.loop import Outcome
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.spec import PoseTolerance
@@ -16,7 +16,7 @@ def step(feasible, metres=0.0, radians=0.0):
     n = len(feasible)
     zero, no = np.zeros(n), np.zeros(n, dtype=bool)
     subgoal = np.zeros(n, dtype=np.intp)
-    return Step(
+    return Outcome(
         feasible, zero + metres, zero + radians, zero, subgoal, zero, zero, no, no, zero + 1.0
     )
 
