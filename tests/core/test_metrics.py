@@ -59,7 +59,7 @@ def test_summary_of_a_hand_example():
 def test_task_success_and_collisions_of_backends_that_tell():
     base, arm = np.array([0, 2, 0, 0]), np.array([0, 1, 3, 0])
     done = np.array([True, False, False, False])
-    ways = {"way": np.full(4, 0.9), "planned_way": np.ones(4), "rms_deviation": np.full(4, 0.01)}
+    ways = {"path_length": np.full(4, 0.9), "target_path_length": np.ones(4), "rms_deviation": np.full(4, 0.01)}
     told = replace(records(), task_done=done, base_collisions=base, arm_collisions=arm, **ways)
     found = summarize(told)
     assert (found["task_success"], found["collision_free_rate"]) == (0.25, 0.5)
