@@ -85,7 +85,7 @@ class ConformanceError(KinfeasError):
 
 
 class CheckedMotion:
-    """A motion generator that checks the return values of another one.
+    """A motion generator that checks the return values of another generator.
 
     Goals and twists are checked at each call, states and other values at the first call of each
     method after a start, or at `every_step`. States keep the layout of the first, so that rows can

@@ -1,6 +1,6 @@
 """Plugins by name, from the entry points of installed distributions.
 
-Plugins are loaded one at a time when their name is used; a broken one does not affect the others.
+A plugin is loaded when its name is used, so that a broken plugin does not affect others.
 """
 
 import inspect

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from kinfeas.backends.mujoco import simulations
 from kinfeas.backends.physics import drives
-from kinfeas.backends.physics.kernels import cubic
+from kinfeas.backends.physics.drives import cubic
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot

@@ -91,7 +91,7 @@ def grasped(world, begin, between_fingers):
     sim = world.sims[0]
     sim.physics.client.setGravity(0.0, 0.0, 0.0)
     bar = sim.furniture.link("bar", "bar")
-    sim.gripper.close()
+    sim.gripper.move("close")
     for _ in range(40):
         stay(world, 1)
         if sim.grasp.hold(*bar):
@@ -114,7 +114,7 @@ def test_a_grasp_needs_both_fingers(world, begin, grasped, monkeypatch):
 
 
 def test_the_grasp_carries_the_weight_until_it_is_released(world, grasped):
-    grasped.gripper.open()
+    grasped.gripper.move("open")
     stay(world, 60)
     assert grasped.grasp.force == pytest.approx(0.3 * 9.81, rel=0.05)
     grasped.grasp.release()
