@@ -39,8 +39,12 @@ def stacked(starts: Sequence[Start]) -> Start:
     solids = None
     if any(start.solids is not None for start in starts):
         solids = stacked_solids([start.solids or Solids.empty(1) for start in starts])
-    names = ("base_pose", "joint_positions", "target_poses")
-    return Start(*(np.stack([getattr(start, name) for start in starts]) for name in names), solids)
+    return Start(
+        np.stack([start.base_pose for start in starts]),
+        np.stack([start.joint_positions for start in starts]),
+        np.stack([start.target_poses for start in starts]),
+        solids,
+    )
 
 
 def episode_rng(seed: int, episode: int, stream: Sequence[int] = ()) -> np.random.Generator:
