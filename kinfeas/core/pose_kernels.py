@@ -35,7 +35,6 @@ def product(ax, ay, az, aw, bx, by, bz, bw):
 
 @inlined
 def _rotated(x, y, z, w, vx, vy, vz):
-    """Return the vector v rotated by a unit quaternion."""
     tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
     return (
         vx + w * tx + y * tz - z * ty,

@@ -142,7 +142,6 @@ class Model:
         return np.asarray(rows[self.solid_bodies], dtype=np.intp)
 
     def _find_joints(self, arm: ArmSetpoints) -> None:
-        """Find the addresses of the robot's joints."""
         engine, robot = self.engine, self.robot
         joints = [engine.joint(number) for number in range(engine.njnt)]
         self.joints = {
@@ -158,7 +157,6 @@ class Model:
             self.rest[self.joints[name][0]] = robot.fixed_joints[name]
 
     def _find_bodies(self, bodies: RobotBodies, places: int) -> None:
-        """Find what each body belongs to."""
         engine, solids = self.engine, [f"{SOLID}{place}" for place in range(places)]
         names = [engine.body(number).name for number in range(engine.nbody)]
         owners = {name: number for number, name in enumerate((*self.objects, *solids))}

@@ -219,7 +219,6 @@ class Simulations:
         return True
 
     def _grasp_force(self, row: int) -> float:
-        """Return the force between hand and object, N."""
         engine, data, grasp = self.model.engine, self._scratch, self.model.grasp
         engine.eq_data[grasp] = self._ends[row]
         self._take(row)

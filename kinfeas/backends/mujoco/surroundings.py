@@ -24,7 +24,6 @@ class Surroundings:
     """Measures the obstacles around the bases of a model's robots."""
 
     def __init__(self, model: Model) -> None:
-        """Find the shapes of base and objects."""
         self._model, engine = model, model.engine
         owner, base = model.owner[engine.geom_bodyid], ~model.on_arm[engine.geom_bodyid]
         self._base = np.flatnonzero((owner == ROBOT) & base)

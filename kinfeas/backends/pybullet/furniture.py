@@ -20,7 +20,6 @@ class Furniture:
     """
 
     def __init__(self, physics: Physics, scene: Scene) -> None:
-        """Put all objects of a scene into the world."""
         self._physics, self.scene = physics, scene
         self.bodies = {
             name: physics.load(item.urdf_path, fixed=item.fixed)
@@ -86,7 +85,6 @@ class SolidBodies:
     """
 
     def __init__(self, physics: Physics) -> None:
-        """Begin without solids."""
         self._client = physics.client
         self.bodies: dict[int, int] = {}
 

@@ -26,7 +26,6 @@ class GripperDrive:
     """
 
     def __init__(self, body: RobotBody, gripper: Gripper) -> None:
-        """Connect to the fingers of a robot."""
         robot = body.robot
         self._body, self._gripper = body, gripper
         self._followers = finger_followers(robot)
@@ -112,7 +111,6 @@ class Grasp:
     """
 
     def __init__(self, body: RobotBody, gripper: GripperDrive) -> None:
-        """Make an empty hand."""
         self._physics, self._gripper = body.physics, gripper
         self._hand = (body.body, body.links[body.robot.ee_frame])
         self._tip = tool_pose(body.robot)

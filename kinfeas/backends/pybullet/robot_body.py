@@ -109,7 +109,6 @@ class BaseDrive:
     """
 
     def __init__(self, body: RobotBody) -> None:
-        """Connect to the planar joints of a robot at rest."""
         base = body.robot.base
         self._body, self._limits = body, base
         self._omnidirectional = base.drive == "omnidirectional"
