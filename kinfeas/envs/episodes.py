@@ -277,8 +277,8 @@ class _Tally:
             base_collisions=self.base.count if contacts else None,
             arm_collisions=self.arm.count if contacts else None,
             rms_deviation=np.sqrt(self.deviation_squares / steps) if stream else None,
-            way=self.length if stream else None,
-            planned_way=self.planned_length if stream else None,
+            path_length=self.length if stream else None,
+            target_path_length=self.planned_length if stream else None,
         )
 
 

@@ -23,8 +23,8 @@ def test_a_stream_is_followed_to_its_end_without_failure_and_jump(name):
     assert (records.steps == 80).all()
     assert records.success.all()
     assert not records.joint_jumps.any()
-    assert records.way is not None
-    assert (records.way > 0.0).all()
+    assert records.path_length is not None
+    assert (records.path_length > 0.0).all()
     assert (records.final_distance <= records.max_deviation).all()
 
 

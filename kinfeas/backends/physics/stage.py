@@ -181,7 +181,6 @@ class Stage:
         return speed <= _REST and supported and tilt >= _UPRIGHT
 
     def _in(self, row: int) -> Scene:
-        """Return the scene of the episode in a row."""
         assert self.scene is not None
         return self._placed.get(row, self.scene)
 
