@@ -152,8 +152,8 @@ def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) 
         command_size(robot.base),
     )
     found = (len(network.scale), len(network.biases[-1]))
-    if [term.name for term in trained.action] != [ACTION]:
-        raise KinfeasError(f"{place}: action must be {ACTION} alone")
+    if (names := [term.name for term in trained.action]) != [ACTION]:
+        raise KinfeasError(f"{place}: action must be [{ACTION}], not {names}")
     if trained.robot != robot.name or found != wanted:
         raise KinfeasError(
             f"{place}: a policy for robot {trained.robot!r} with (inputs, actions) {found}, "
