@@ -15,8 +15,7 @@ from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, s
 from kinfeas.config import load as load_config
 from kinfeas.config.quantities import Seed
 from kinfeas.config.recipes import default_engine, section
-from kinfeas.control.filters import build_filters
-from kinfeas.core.backend import RealTimeBackend, SupportsSolids, build_backend
+from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
 from kinfeas.core.start import episode_rng
@@ -29,12 +28,11 @@ from kinfeas.scenes.scene import read_scene
 from kinfeas.scenes.solids import furniture_solids
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
-from kinfeas.sim2real.deploy.planner_threads import in_threads
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Outcome, Setup, TaskWithObjects
 from kinfeas.sim2real.deploy.runtime import deploy as run
 from kinfeas.tasks.loading import load_task
-from kinfeas.tasks.task import MotionSpec, SupportsTaskScenes, Task
+from kinfeas.tasks.task import MotionSpec, Task
 
 T = TypeVar("T", bound=DeployConfig)
 
@@ -189,18 +187,15 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
 ) -> Setup:
     """Return the parts of the run, after each has computed something."""
     policy = load_policy(policy_name, robot)
-    solver, filters = IkSolver(robot, config.ik), build_filters(config.filters)
+    solver = IkSolver(robot, config.ik)
     solids = furniture_solids(read_scene(config.scene)) if config.scene else None
-    warm_up(solver, policy, task, dt, adapters, filters)
+    warm_up(solver, policy, task, dt, adapters, config.filters)
     backend = build_backend(backend_name, config.backend, robot=robot)
-    if isinstance(backend, SupportsTaskScenes):
-        task = backend.stage(task)
-    # Without a clock, planners run in the loop, so that runs are repeatable.
-    if real_time or isinstance(backend, RealTimeBackend):
-        filters = in_threads(filters)
+    if backend.staging is not None:
+        task = backend.staging.stage(task)
     return Setup(
         solver=solver, policy=policy, task=task, backend=backend, execution=config,
-        filters=tuple(filters), guards=config.guards, adapters=adapters, dt=dt,
+        filters=config.filters, guards=config.guards, adapters=adapters, dt=dt,
         real_time=real_time, solids=solids, **limits,
     )  # fmt: skip
 
@@ -211,7 +206,7 @@ def _drawn_scene(setup: Setup) -> dict[str, Any]:
     drawn: dict[str, Any] = {}
     if setup.solids is not None:
         return {"solids": tuple(map(tuple, setup.solids.table.tolist()))}
-    if not isinstance(setup.backend, SupportsSolids):  # a robot
+    if setup.backend.solids is None:  # a robot
         return drawn
     start = task.sample(setup.solver, episode_rng(setup.seed, 0))
     if start.solids is not None:

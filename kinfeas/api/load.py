@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.config import PluginSpec, convert
-from kinfeas.control.adapters import read_sim2real
+from kinfeas.control.assemble import read_sim2real
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy

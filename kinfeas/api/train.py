@@ -9,7 +9,7 @@ from kinfeas.api import Name
 from kinfeas.api.load import load_robot, read_adapters, robot_of
 from kinfeas.config import Settings, nested
 from kinfeas.config.recipes import recipes
-from kinfeas.control.adapters import FOLDER, read_sim2real
+from kinfeas.control.assemble import FOLDER, read_sim2real
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
 from kinfeas.evaluation import evaluate as evaluation

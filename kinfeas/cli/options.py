@@ -151,9 +151,7 @@ GuardsFile = Annotated[
 AdapterList = Annotated[str | None, option("paper, pr2_like, harsh, randomised, or a file.")]
 Filters = Annotated[
     str | None,
-    option(
-        "Such as rollout_planner,feasibility, or none.  [default: the robot's]", metavar="NAMES"
-    ),
+    option("Such as path_planner,feasibility, or none.  [default: the robot's]", metavar="NAMES"),
 ]
 Overrides = Annotated[
     list[str] | None, option("Change a setting; may be repeated.", "--set", metavar="KEY=VALUE")

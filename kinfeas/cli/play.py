@@ -24,7 +24,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
         ),
     ] = "servo",
     filters: Annotated[
-        str, option("Such as rollout_planner,feasibility, or none.", metavar="NAMES")
+        str, option("Such as path_planner,feasibility, or none.", metavar="NAMES")
     ] = "time_scaling",
     backend: Annotated[
         str, option("analytic, pybullet or mujoco.", groups=("backends",))

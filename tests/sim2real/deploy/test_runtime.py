@@ -17,6 +17,7 @@ from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.loop import Loop
 from kinfeas.control.observation import OBSERVATION
 from kinfeas.core import spatial
+from kinfeas.core.backend import StopCall
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.envs.world import World
@@ -37,7 +38,6 @@ from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.sim2real.deploy.runtime import Code, Setup, deploy
 from kinfeas.sim2real.deploy.signals import Signals
-from kinfeas.sim2real.deploy.watchdog import StopCall
 from kinfeas.tasks.task import MotionSpec
 
 DT = 0.02
