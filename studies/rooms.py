@@ -26,8 +26,6 @@ FILTERS = (
     (),
     ("obstacle_distance",),
     ("obstacle_distance", "feasibility"),
-    ("rollout_planner", "obstacle_distance"),
-    ("rollout_planner", "obstacle_distance", "feasibility"),
     ("obstacle_distance", "path_planner", "feasibility"),
 )
 CEILING = "upper bound"
@@ -47,9 +45,6 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     rows = [FILTERS[number] for number in given.filters]
     for task, policy, filters in product(given.tasks, given.policies, rows):
-        # `whole_body_qp` has a state, which the rollout planner does not allow.
-        if policy == "whole_body_qp" and "rollout_planner" in filters:
-            continue
         for number, run in enumerate(given.rooms if policy == POLICIES[0] else [policy]):
             path = given.folder / f"{name(given.robot, task, policy, filters)}-{number}.json"
             if not path.exists():
