@@ -1,12 +1,12 @@
 """Recipes by name or path, and the sections of a robot's `recipes.yaml`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kinfeas.config import from_mapping, strict_yaml
+from kinfeas.config import Settings, from_mapping, merged, strict_yaml
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.io.files import is_path
@@ -100,9 +100,9 @@ def section(name: str, robot: str | Path | None = None) -> tuple[dict[str, Any],
     return merged(default.get(name, {}), own.get(name, {})), f"{path}: {name}"
 
 
-def load_section(cls: type[T], name: str, robot: str | Path, overrides: Sequence[str] = ()) -> T:
+def load_section(cls: type[T], name: str, robot: str | Path, settings: Settings | None = None) -> T:
     """Return a robot's settings in a section as an instance of the dataclass `cls`."""
-    return from_mapping(cls, *section(name, robot), overrides)
+    return from_mapping(cls, *section(name, robot), settings)
 
 
 def robot_file(robot: str | Path) -> Path:
@@ -127,13 +127,6 @@ def robot_file(robot: str | Path) -> Path:
 
 def _trainings() -> list[str]:
     return [name for name in strict_yaml.read(_DEFAULT) if "train" in name or "tune" in name]
-
-
-def merged(data: Any, changes: Any) -> Any:
-    """Return nested mappings with changed keys; other values, lists too, are replaced."""
-    if not isinstance(data, Mapping) or not isinstance(changes, Mapping):
-        return changes
-    return {**data, **{key: merged(data.get(key), value) for key, value in changes.items()}}
 
 
 def default_engine() -> str:

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
+from kinfeas.control.drive import command_size
 from kinfeas.control.observation import (
     ACTION,
-    ACTIONS,
     OBSERVATION,
-    TERMS,
-    action_size,
     check_terms,
     describe_action,
     describe_observation,
@@ -26,16 +24,13 @@ from kinfeas.control.observation import (
     size,
 )
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import reading, write_folder
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
 from kinfeas.robots.robot import Robot, fingerprint
 
 WEIGHTS = "policy.safetensors"
-
-_FULL = 2.0
-"""Bias of a new output, whose tangent is nearly 1."""
 
 # Exceptions of truncated or foreign files, and of types that NumPy lacks.
 _BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError)
@@ -52,18 +47,16 @@ class Network:
         weights: Weights of each layer, shape (inputs, outputs), float32.
         biases: Biases of each layer, shape (outputs,), float32.
         observation_terms: Names of its observation terms, in order.
-        action_terms: Names of its action terms, in order.
     """
 
     scale: NDArray[np.float32]
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]
     observation_terms: tuple[str, ...] = OBSERVATION
-    action_terms: tuple[str, ...] = ACTION
 
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return actions in [-1, 1], shape (n, actions)."""
-        return self(policy_input.observation)
+        return self(observation.values)
 
     def __call__(self, observation: Array) -> Array:
         """Return the network's output for observations of shape (n, inputs)."""
@@ -75,36 +68,24 @@ class Network:
             values = out
         return np.tanh(values).astype(np.float64)
 
-    def widened(self, robot: Robot, observation: Sequence[str], action: Sequence[str]) -> "Network":
-        """Return a network with more terms that have no effect yet: a new time scale is nearly 1.
-
-        A new torso velocity is 0: the torso rests until the policy learns to move it.
+    def widened(self, robot: Robot, terms: Sequence[str]) -> "Network":
+        """Return a network with more observation terms, which have no effect yet.
 
         Raises:
             KinfeasError: If the first terms are not those of this network.
         """
-        terms = self.observation_terms, self.action_terms
-        begin = tuple(observation[: len(terms[0])]), tuple(action[: len(terms[1])])
-        if begin != terms:
-            raise KinfeasError(f"the policy has the terms {terms}, not {begin}")
-        rows = size(robot, observation) - len(self.scale)
+        begin = tuple(terms[: len(self.observation_terms)])
+        if begin != self.observation_terms:
+            raise KinfeasError(f"the policy has the terms {self.observation_terms}, not {begin}")
         first, *others = self.weights
-        weights = [np.pad(first, ((0, rows), (0, 0))), *others]
-        weights[-1] = np.pad(weights[-1], ((0, 0), (0, len(action) - len(terms[1]))))
-        added = [_FULL if name == "time_scale" else 0.0 for name in action[len(terms[1]) :]]
-        biases = [*self.biases[:-1], np.append(self.biases[-1], np.array(added, dtype=np.float32))]
-        return Network(
-            scale(robot, observation).astype(np.float32),
-            tuple(weights),
-            tuple(biases),
-            tuple(observation),
-            tuple(action),
-        )
+        added = size(robot, terms) - len(self.scale)
+        weights = (np.pad(first, ((0, added), (0, 0))), *others)
+        return Network(scale(robot, terms).astype(np.float32), weights, self.biases, tuple(terms))
 
     def equals(self, other: "Network") -> bool:
         """Return whether both networks have equal weights and biases."""
         pairs = zip((*self.weights, *self.biases), (*other.weights, *other.biases), strict=True)
-        return all(np.array_equal(first, second) for first, second in pairs)
+        return all(np.array_equal(one, another) for one, another in pairs)
 
 
 def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[str, Any]) -> None:
@@ -122,7 +103,7 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
         layers=len(network.weights),
         kinematics=fingerprint(robot),
         observation=describe_observation(robot, network.observation_terms),
-        action=describe_action(robot, network.action_terms),
+        action=(describe_action(robot),),
         **known,
     )
     write_trained(trained, folder)
@@ -145,41 +126,42 @@ def read_network(folder: Path, robot: Robot) -> Network:
         KinfeasError: If there is no policy, or it is broken or for another robot or other
             kinematics.
     """
-    path = policy_folder(folder)
-    trained = read_trained(path)
+    place = policy_folder(folder)
+    trained = read_trained(place)
     try:
-        with reading(path / WEIGHTS):
-            tensors = load_file(path / WEIGHTS)
+        with reading(place / WEIGHTS):
+            tensors = load_file(place / WEIGHTS)
         network = Network(
             tensors["scale"],
             tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
             tuple(tensors[f"bias.{i}"] for i in range(trained.layers)),
-            check_terms(trained.observation, tuple(TERMS), f"{path}: observation"),
-            check_terms(trained.action, ACTIONS, f"{path}: action"),
+            check_terms([term.name for term in trained.observation], f"{place}: observation"),
         )
     except KinfeasError:
         raise
     except _BROKEN as error:
-        raise KinfeasError(f"{path}: broken policy: {error}") from error
-    check_network(network, str(path))
-    _check_robot(network, trained, robot, path)
+        raise KinfeasError(f"{place}: broken policy: {error}") from error
+    check_network(network, str(place))
+    _check_robot(network, trained, robot, place)
     return network
 
 
-def _check_robot(network: Network, trained: Trained, robot: Robot, path: Path) -> None:
-    expected = (
+def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) -> None:
+    wanted = (
         size(robot, network.observation_terms),
-        action_size(robot, network.action_terms),
+        command_size(robot.base),
     )
-    sizes = (len(network.scale), len(network.biases[-1]))
-    if trained.robot != robot.name or sizes != expected:
+    found = (len(network.scale), len(network.biases[-1]))
+    if (names := [term.name for term in trained.action]) != [ACTION]:
+        raise KinfeasError(f"{place}: action must be [{ACTION}], not {names}")
+    if trained.robot != robot.name or found != wanted:
         raise KinfeasError(
-            f"{path}: a policy for robot {trained.robot!r} with (inputs, actions) {sizes}, "
-            f"not for {robot.name!r} with {expected}"
+            f"{place}: a policy for robot {trained.robot!r} with (inputs, actions) {found}, "
+            f"not for {robot.name!r} with {wanted}"
         )
     if trained.kinematics not in (None, fingerprint(robot)):
         raise KinfeasError(
-            f"{path}: trained with other kinematics of {robot.name!r}: joints, limits, EE frame, "
+            f"{place}: trained with other kinematics of {robot.name!r}: joints, limits, EE frame, "
             "or the base's drive or speed"
         )
 

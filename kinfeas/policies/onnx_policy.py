@@ -16,16 +16,14 @@ import numpy as np
 
 from kinfeas import config
 from kinfeas.control.observation import (
-    ACTIONS,
     CLIP,
     HORIZON,
-    TERMS,
     check_terms,
     describe_action,
     describe_observation,
 )
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput, TermInfo
+from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import read_file
 from kinfeas.policies.network import Network, check_network
@@ -95,8 +93,8 @@ class PolicyMetadata:
     def trained_with(self) -> str:
         """Name or path of the robot in the configuration of the training."""
         settings = self.training.get("config")
-        config = settings if isinstance(settings, dict) else {}
-        return str(config.get("robot", self.robot.name))
+        known = settings if isinstance(settings, dict) else {}
+        return str(known.get("robot", self.robot.name))
 
 
 class OnnxPolicy:
@@ -108,7 +106,6 @@ class OnnxPolicy:
     Attributes:
         metadata: Description of the policy.
         observation_terms: Names of its observation terms, in order.
-        action_terms: Names of its action terms, in order.
 
     Raises:
         KinfeasError: If `kinfeas export` did not write the bytes, they were changed, or the
@@ -124,16 +121,14 @@ class OnnxPolicy:
         entries, self._network = _read_model(content)
         check_network(self._network, "its graph")
         self._content, self.metadata = content, _metadata(entries)
-        self.observation_terms = check_terms(
-            self.metadata.observation, tuple(TERMS), "its observation"
-        )
-        self.action_terms = check_terms(self.metadata.action, ACTIONS, "its action")
+        names = [term.name for term in self.metadata.observation]
+        self.observation_terms = check_terms(names, "its observation")
         self._check_sizes()
         self._check_golden_pairs()
 
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return actions in [-1, 1], shape (n, actions)."""
-        return self(policy_input.observation)
+        return self(observation.values)
 
     def __call__(self, observation: Array) -> Array:
         """Return the actions, shape (n, actions), for observations of shape (n, inputs).
@@ -151,29 +146,27 @@ class OnnxPolicy:
 
     def check_robot(self, robot: Robot) -> None:
         """Check that the policy was trained for a robot with these kinematics."""
-        metadata, expected = self.metadata, describe_robot(robot)
-        trained = metadata.robot
-        if trained.name != expected.name:
-            raise KinfeasError(f"a policy for robot {trained.name!r}, not for {expected.name!r}")
-        if trained.kinematics != expected.kinematics:
+        metadata, wanted = self.metadata, describe_robot(robot)
+        found = metadata.robot
+        if found.name != wanted.name:
+            raise KinfeasError(f"a policy for robot {found.name!r}, not for {wanted.name!r}")
+        if found.kinematics != wanted.kinematics:
             raise KinfeasError(
                 f"the kinematics of robot {robot.name!r} changed since the training: "
-                f"{expected.kinematics[:15]!r} here, {trained.kinematics[:15]!r} in the file"
+                f"{wanted.kinematics[:15]!r} here, {found.kinematics[:15]!r} in the file"
             )
         observation = describe_observation(robot, self.observation_terms)
-        action = describe_action(robot, self.action_terms)
-        here = expected, observation, action, HORIZON
-        if here != (trained, metadata.observation, metadata.action, metadata.control.horizon):
+        action = (describe_action(robot),)
+        here = wanted, observation, action, HORIZON
+        if here != (found, metadata.observation, metadata.action, metadata.control.horizon):
             raise KinfeasError("its observation or action differs from this version's of kinfeas")
 
     def _check_sizes(self) -> None:
-        sizes = len(self._network.scale), len(self._network.biases[-1])
+        found = len(self._network.scale), len(self._network.biases[-1])
         metadata = self.metadata
-        declared = tuple(
-            sum(term.size for term in terms) for terms in (metadata.observation, metadata.action)
-        )
-        if sizes != declared:
-            raise KinfeasError(f"its graph has the sizes {sizes}, its metadata {declared}")
+        wanted = tuple(sum(o.size for o in one) for one in (metadata.observation, metadata.action))
+        if found != wanted:
+            raise KinfeasError(f"its graph has the sizes {found}, its metadata {wanted}")
 
     def _check_golden_pairs(self) -> None:
         golden, network = self.metadata.golden, self._network
@@ -232,15 +225,15 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
         model = _fields(content)
         pairs = [_fields(entry) for entry in model[14]]
         graph, tensors = _fields(model[7][0]), {}
-        for tensor in map(_fields, graph[5]):
-            numbers = np.frombuffer(tensor[9][0], "<f4").astype(np.float32)
-            tensors[tensor[8][0].decode()] = numbers.reshape(tensor[1])
+        for one in map(_fields, graph[5]):
+            numbers = np.frombuffer(one[9][0], "<f4").astype(np.float32)
+            tensors[one[8][0].decode()] = numbers.reshape(one[1])
         layers = range((len(tensors) - 3) // 2)
-        expected = [
+        known = [
             {1: [name.encode() for name in inputs], 2: [output.encode()], 4: [operator.encode()]}
             for operator, inputs, output in graph_nodes(len(layers))
         ]
-        if not layers or [_fields(node) for node in graph[1]] != expected:
+        if not layers or [_fields(node) for node in graph[1]] != known:
             raise KinfeasError("its graph is not that of a policy")
         if (float(tensors["low"]), float(tensors["high"])) != (-CLIP, CLIP):
             raise KinfeasError("its graph clips observations elsewhere")
@@ -248,7 +241,7 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
             tuple(tensors[f"{name}_{i}"] for i in layers) for name in ("weight", "bias")
         )
         network = Network(tensors["scale"], weights, biases)
-        return {pair[1][0].decode(): pair[2][0].decode() for pair in pairs}, network
+        return {one[1][0].decode(): one[2][0].decode() for one in pairs}, network
     except (ValueError, LookupError, AttributeError, TypeError, OverflowError) as error:
         raise KinfeasError(f"its graph cannot be read: {error}") from error
 

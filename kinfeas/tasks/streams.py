@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from kinfeas import config
 from kinfeas.config.quantities import Positive, PositiveSeconds, Seconds, Share
-from kinfeas.control.targets import TargetInbox, TargetRules
+from kinfeas.control.targets import Progress, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.errors import check_ascending
 from kinfeas.core.motion import Rows
@@ -106,13 +106,13 @@ class SimulatedStream:
         self._begun = np.empty((0, 7))
         self._drawn: dict[str, Array] = {}
 
-    def start(self, loop: Any, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
+    def start(self, desired: Array, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
         """Draw the messages of new episodes."""
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        everyone = len(rows) == len(loop.desired)
-        begun = loop.desired[rows]
-        for inbox in (self.inbox, self.asked):
-            inbox.start(begun, None if everyone else rows)
+        everyone = len(rows) == len(desired)
+        begun = desired[rows]
+        for one in (self.inbox, self.asked):
+            one.start(begun, None if everyone else rows)
         drawn = self._draw(seeds, begun)
         if everyone:
             self._seeds, self._read, self._begun = seeds, np.zeros(len(rows), dtype=np.intp), begun
@@ -122,20 +122,21 @@ class SimulatedStream:
         for key, values in drawn.items():
             self._drawn[key][rows] = values
 
-    def targets(self, loop: Any, rows: Rows) -> Array:
-        """Deliver the messages until now and begin the next period of `rows`."""
-        now = loop.periods * loop.dt
+    def targets(self, progress: Progress) -> Array:
+        """Deliver the messages until now and begin the next period of some rows."""
+        rows, desired, dt = progress.rows, progress.desired, progress.dt
+        now: Array = progress.periods * dt
         received, last = self._drawn["received"], self._drawn["received"].shape[1] - 1
         while True:
             due = received[np.arange(len(now)), np.minimum(self._read, last)] <= now
             sent = np.flatnonzero(due & (self._read <= last))
             if not sent.size:
                 break
-            self._deliver(sent, now[sent], loop.desired[sent])
+            self._deliver(sent, now[sent], desired[sent])
             self._read[sent] += 1
-        self.inbox.wait(rows, loop.time_scale[rows], loop.desired[rows])
-        for inbox in (self.inbox, self.asked):
-            inbox.advance(rows, now[rows], loop.dt, loop.dt * loop.execution.time_scale)
+        self.inbox.wait(rows, progress.time_scale[rows], desired[rows])
+        for one in (self.inbox, self.asked):
+            one.advance(rows, now[rows], dt, progress.motion_seconds)
         return self.inbox.target
 
     @property
@@ -162,13 +163,13 @@ class SimulatedStream:
         self._begun = snapshot["begun"].copy()
         self._drawn = self._draw(self._seeds, self._begun)
         for name in ("inbox", "asked"):
-            own = {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
-            getattr(self, name).restore(own)
+            given = {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
+            getattr(self, name).restore(given)
 
     def _draw(self, seeds: NDArray[np.uint64], begun: Array) -> dict[str, Array]:
         """Return messages of episodes: times (m, k), and twists (m, k, 6) or path and offsets."""
         drawn = [self._draw_one(np.random.default_rng(seed)) for seed in seeds]
-        stacked = {key: np.stack([messages[key] for messages in drawn]) for key in drawn[0]}
+        stacked = {key: np.stack([one[key] for one in drawn]) for key in drawn[0]}
         if self.task.kind != "joystick":
             stacked["path"] = self._path(begun, stacked.pop("twists"))
         return stacked
@@ -244,8 +245,8 @@ class SimulatedStream:
         self._put("put_poses", rows, now, sent, _GRID * steps.astype(np.float64), poses)
 
     def _put(self, method: str, *message: NDArray[Any]) -> None:
-        for inbox in (self.inbox, self.asked):
-            getattr(inbox, method)(*message)
+        for one in (self.inbox, self.asked):
+            getattr(one, method)(*message)
 
 
 def joystick(**parameters: object) -> Stream:
@@ -265,5 +266,5 @@ def carried(**parameters: object) -> Stream:
 
 
 def _stream(kind: str, defaults: Mapping[str, object], parameters: Mapping[str, object]) -> Stream:
-    values = {"name": kind, "kind": kind, **defaults, **parameters}
-    return config.from_mapping(Stream, values, kind)
+    given = {"name": kind, "kind": kind, **defaults, **parameters}
+    return config.from_mapping(Stream, given, kind)

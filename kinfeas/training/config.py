@@ -1,12 +1,11 @@
 """Settings of a training run: the schema of the sections `train`."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from kinfeas.config import PluginSpec, assigned, from_mapping
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested
 from kinfeas.config.quantities import (
     Count,
     Episodes,
@@ -17,8 +16,8 @@ from kinfeas.config.quantities import (
     Seed,
     Share,
 )
-from kinfeas.config.recipes import merged, read_recipe, section
-from kinfeas.control.observation import ACTION, OBSERVATION, check_names
+from kinfeas.config.recipes import read_recipe, section
+from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.envs.world import WorldConfig
 
 
@@ -111,7 +110,6 @@ class TrainConfig:
             times and a longer horizon. In an evaluation and on a robot each period has its own
             action.
         observation: Observation terms of the policy, in order.
-        action: Action terms of the policy.
         world: Control period, limits of an episode, adapters, reward and IK.
         evaluation_adapters: Adapters of the evaluations, which select and measure the best policy,
             in place of those of `world`, which may be there for exploration only.
@@ -131,7 +129,6 @@ class TrainConfig:
     processes: Processes = 1
     action_repeat: Annotated[int, Interval(ge=1, le=1000)] = 1
     observation: tuple[str, ...] = OBSERVATION
-    action: tuple[str, ...] = ACTION
     world: WorldConfig = field(default_factory=WorldConfig)
     evaluation_adapters: tuple[PluginSpec, ...] = ()
     trackers: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ("tensorboard",)
@@ -145,12 +142,12 @@ class TrainConfig:
             raise ValueError(
                 f"'processes' must be at most 'num_envs', {self.num_envs}, not {self.processes}"
             )
-        check_names(self.observation, self.action)
+        check_terms(self.observation, "'observation'")
 
 
 def load_recipe(
     name: str | None,
-    overrides: Sequence[str] = (),
+    settings: Settings | None = None,
     *,
     backend: str = "analytic",
     robot: str = TrainConfig.robot,
@@ -161,15 +158,15 @@ def load_recipe(
         name: Recipe as in `read_recipe`; None for the robot's own. Keys that it lacks are those of
             the section of the robot that it names, by default of `train`, or in worlds with physics
             of `train_physics`, or of `finetune_physics` with `init`.
-        overrides: Assignments, as in `from_mapping`.
+        settings: Values by key, as in `from_mapping`.
         backend: World of the training.
-        robot: Robot where neither the overrides nor the recipe name one.
+        robot: Robot where neither the settings nor the recipe name one.
 
     Raises:
         KinfeasError: If there is no such recipe or robot, or a key or value is wrong.
     """
     data, name_of_section = ({}, None) if name is None else read_recipe(name)
-    changes = assigned(overrides)
+    changes = nested(settings)
     data = {"robot": robot, **data}
     robot_name, source = changes.get("robot", data["robot"]), name or ""
     if isinstance(robot_name, str):
@@ -181,4 +178,4 @@ def load_recipe(
             # MuJoCo steps a batch on all cores, and only a world in this process is saved.
             base |= {"processes": 1} if backend == "mujoco" else {}
         data, source = merged(base, data), source or origin
-    return from_mapping(TrainConfig, data, source, overrides)
+    return from_mapping(TrainConfig, data, source, changes)
