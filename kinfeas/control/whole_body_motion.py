@@ -34,7 +34,7 @@ class WholeBodyMotions:
     ) -> None:
         """Set up the planner.
 
-        Motions are carried out in periods of `dt` seconds at a fraction `time_scale` of their speed.
+        Motions are carried out in periods of `dt` seconds, slower by the factor `time_scale`.
         """
         used = any(each.follows_whole_body for each in generators)
         self.planner = WholeBodyPlanner(solver, time_scale) if used else None
