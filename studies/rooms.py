@@ -13,8 +13,9 @@ from itertools import product
 from pathlib import Path
 
 from kinfeas.core.metrics import wilson
-from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
@@ -47,15 +48,16 @@ def main() -> None:
         for number, run in enumerate(given.rooms if policy == POLICIES[0] else [policy]):
             path = given.folder / f"{name(given.robot, task, policy, filters)}-{number}.json"
             if not path.exists():
-                chosen = [f"world.filters={json.dumps(filters)}"]
-                config, driver = prepare(
-                    run, given.robot, task, episodes=given.episodes, overrides=chosen
+                chosen = {"world.filters": filters}
+                known = load_robot(given.robot)
+                config = configure(known, task, episodes=given.episodes, settings=chosen)
+                path.write_text(
+                    json.dumps(evaluate(config, load_policy(run, known), policy), indent=2)
                 )
-                path.write_text(json.dumps(evaluate(config, driver, policy), indent=2))
     for task in given.tasks:
         path = given.folder / f"{name(given.robot, task, CEILING, ())}-0.json"
         if not path.exists():
-            robot, seed = load_robot(given.robot), 1  # as in `prepare`
+            robot, seed = load_robot(given.robot), 1  # as in `configure`
             found = measure_reachability(robot, load_task(task), given.episodes, seed)
             path.write_text(json.dumps({"success": found.share.value, "episodes": given.episodes}))
     print(table(given.folder, given.robot))
