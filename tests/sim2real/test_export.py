@@ -7,7 +7,7 @@ import numpy as np
 import onnx
 import pytest
 
-from kinfeas.control.observation import Seen, observe
+from kinfeas.control.observation import ObservedState, observe
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network
@@ -76,4 +76,4 @@ def test_the_example_observes_as_the_loop_does():
     poses[1, :, 3:] *= np.sign(poses[1, :, 6:])  # where the EE is, w >= 0 as forward kinematics say
     joints = rng.normal(size=(50, 7))
     shown = [example["observe"](*row, angles) for *row, angles in zip(*poses, joints, strict=True)]
-    np.testing.assert_allclose(shown, observe(Seen(*poses, joints)), atol=1e-12)
+    np.testing.assert_allclose(shown, observe(ObservedState(*poses, joints)), atol=1e-12)

@@ -60,7 +60,7 @@ def test_messages_of_slow_streams_begin_at_the_begin_of_the_path():
     begun = made.loop.desired[:, :3]
     for periods in range(1, 21):
         made.step(np.zeros((16, 3)))
-        sent = np.linalg.norm(made.loop.stream.inbox._asked[:, :3] - begun, axis=1)
+        sent = np.linalg.norm(made.loop.stream.inbox._last_aim[:, :3] - begun, axis=1)
         assert (sent <= 0.2 * 0.1 * (periods + 1)).all()
 
 
