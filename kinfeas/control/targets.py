@@ -205,12 +205,14 @@ class TargetInbox:
             desired: World poses of the motions now, shape (m, 7), where targets continue if none
                 of the period was carried out.
         """
-        if (time_scale == 1.0).all():
+        waiting = time_scale != 1.0  # other targets keep every bit
+        if not waiting.any():
             return
+        rows, time_scale = rows[waiting], time_scale[waiting]
         before = self._before[rows]
         displacement = spatial.twist_between(before, self.target[rows], 1.0)
         rest = spatial.integrate(before, displacement, time_scale)
-        rest = np.where(time_scale[:, np.newaxis] == 0.0, desired, rest)
+        rest = np.where(time_scale[:, np.newaxis] == 0.0, desired[waiting], rest)
         self.target = with_rows(self.target, rows, rest)
 
     def advance(self, rows: Rows, now: Array, dt: float, seconds: float) -> None:

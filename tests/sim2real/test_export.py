@@ -9,7 +9,6 @@ import pytest
 
 from kinfeas.control.observation import ObservedState, observe
 from kinfeas.core.errors import KinfeasError
-from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network
 from kinfeas.policies.onnx_policy import TOLERANCE, read_policy_file
 from kinfeas.sim2real import export as export_module
@@ -21,7 +20,7 @@ EXAMPLE = ROOT / "examples" / "onnx_inference.py"
 
 
 def test_the_shipped_policies(robot, tmp_path):
-    folder = pretrained.find(robot.name)
+    folder = robot.folder / "policies" / "pretrained"
     policy, off = export(folder, robot, tmp_path / "policy.onnx")
     assert off <= TOLERANCE / 5.0
     assert policy.metadata.success["benchmark"]["ggr"]["success"] > 0.7
