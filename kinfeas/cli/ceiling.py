@@ -29,7 +29,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.config import from_mapping
     from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
-    from kinfeas.kinematics.reachability import LIMITS, STAGES
+    from kinfeas.planning.placement import LIMITS, STAGES
 
     config = from_mapping(ReachabilityConfig, {}, "settings", overrides or ())
     known, drawn_by = options.read_robot(robot), options.read_task(task, config.task)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import command_size
 from kinfeas.control.execution import (
     GRASP_METRES,
     RECONFIGURATION_SECONDS,
@@ -36,6 +35,7 @@ from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput, RecurrentPolicy
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.robots.robot import exceeds_joint_velocity

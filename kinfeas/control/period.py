@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import base_twist
 from kinfeas.control.motion_sequence import Plan
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative
+from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import in_base
 

@@ -6,12 +6,13 @@ import numpy as np
 
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.pose_kernels import heading
+from kinfeas.core.solid_kernels import PRISM, is_empty, outward, squared_radius, write_prism
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import CYLINDER, SPHERE
-from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel, square
+from kinfeas.kinematics.kernels import copy_row, inner, kernel, square
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
-from kinfeas.kinematics.solids import is_empty, squared_radius, surroundings, write_local
+from kinfeas.kinematics.solids import surroundings, write_local
 
 AS_NEAR = 0.1
 """Distance beyond that of the nearest point of a solid within which others are reported, metres."""
@@ -49,11 +50,7 @@ def base_obstacles(
 
 
 def base_prisms(model: CollisionModel) -> Array:
-    """Return upright boxes around the shapes on the base, shape (s, 9), in the base frame.
-
-    Each has the cosine and sine of its yaw, x and y of its centre, its half extents, the radius by
-    which it is rounded, the lowest and the highest z. Upright cylinders are rounded points.
-    """
+    """Return prisms around the shapes on the base, shape (s, `PRISM`), in the base frame."""
     fixed = model.body < 0
     half, turn, kind = model.size[fixed], model.rotation[fixed], model.kind[fixed]
     high = np.where(kind == SPHERE, half[:, 0], (np.abs(turn[:, 2]) * half).sum(axis=1))
@@ -64,14 +61,15 @@ def base_prisms(model: CollisionModel) -> Array:
     along = np.take_along_axis(axes, longest[:, np.newaxis], axis=2)[:, :, 0]
     along /= np.take_along_axis(lengths, longest, axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    prisms = np.empty((len(half), 9))
+    prisms = np.empty((len(half), PRISM))
     prisms[:, :2], prisms[:, 2:4] = along, model.offset[fixed, :2]
     for column, side in ((4, along), (5, across)):
         extent = np.abs(np.einsum("si,sij->sj", side, axes)).sum(axis=1)
         prisms[:, column] = np.where(rounded, 0.0, extent)
     prisms[:, 6] = np.where(rounded, half[:, 0], 0.0)
+    prisms[:, 9] = np.sqrt(np.square(prisms[:, 4:6]).sum(axis=1)) + prisms[:, 6]
     prisms[:, 7], prisms[:, 8] = model.offset[fixed, 2] - high, model.offset[fixed, 2] + high
-    prisms[:, 7:] += [-MARGIN, MARGIN]
+    prisms[:, 7:9] += [-MARGIN, MARGIN]
     return prisms
 
 
@@ -85,10 +83,9 @@ def _obstacles_batch(prisms, base, rows, velocity, within, out):
     local, most, reach = np.empty(pose.shape[1:]), 0, 0.0
     for s in range(len(prisms)):
         one = prisms[s]
-        around = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6]
-        reach = max(reach, math.sqrt(one[2] * one[2] + one[3] * one[3]) + around)
+        reach = max(reach, math.sqrt(square(one[2]) + square(one[3])) + one[9])
     pairs = np.empty((8 * len(prisms), 6))
-    solid = np.zeros(9)
+    solid = np.empty(PRISM)
     for i in range(len(base)):
         write_local(pose[i], base[i], local)
         solids = local, size[i], cylinder[i], velocity[i], heading(base[i])
@@ -102,7 +99,7 @@ def _obstacles(prisms, reach, solids, within, pairs, solid, out):
 
     `reach` is the radius of the circle around the robot's shapes, metres; `solids` are in the base
     frame, with their world velocity and the yaw of the base; `pairs`, shape (8 s, 6), and `solid`,
-    (9,), are scratch memory. Returns the number of points.
+    (`PRISM`,), are scratch memory. Returns the number of points.
     """
     pose, size, cylinder, velocity, yaw = solids
     cosine, sine, used = math.cos(yaw), math.sin(yaw), 0
@@ -117,7 +114,7 @@ def _obstacles(prisms, reach, solids, within, pairs, solid, out):
             one = prisms[s]
             if one[7] >= solid[8] or solid[7] >= one[8]:
                 continue
-            gap, x, y = outward(one[2], one[3], solid)
+            gap, x, y = outward(solid, one[2], one[3])
             along, across = one[0] * x + one[1] * y, one[0] * y - one[1] * x
             extent = abs(along) * one[4] + abs(across) * one[5] + one[6] + solid[6]
             if gap - extent > nearest + AS_NEAR:  # a side of the solid separates them
@@ -138,16 +135,6 @@ def _obstacles(prisms, reach, solids, within, pairs, solid, out):
     return used
 
 
-@inlined
-def write_prism(pose, size, cylinder, out):
-    """Write a solid as in `base_prisms`."""
-    out[0], out[1], out[2], out[3] = math.cos(pose[2]), math.sin(pose[2]), pose[0], pose[1]
-    out[4], out[5], out[6] = size[0], size[1], 0.0
-    if cylinder:
-        out[4], out[5], out[6] = 0.0, 0.0, size[0]
-    out[7], out[8] = size[2], size[3]
-
-
 @inner
 def _pair_corners(one, other, sign, pairs, count):
     """Add the corners of one prism with their nearest points of another; return the new count.
@@ -159,7 +146,7 @@ def _pair_corners(one, other, sign, pairs, count):
         u = one[4] if corner % 2 == 0 else -one[4]
         v = one[5] if corner < 2 else -one[5]
         x, y = one[2] + one[0] * u - one[1] * v, one[3] + one[1] * u + one[0] * v
-        gap, normal_x, normal_y = outward(x, y, other)
+        gap, normal_x, normal_y = outward(other, x, y)
         normal_x, normal_y = -sign * normal_x, -sign * normal_y
         way = one[6] if sign > 0.0 else other[6] - gap
         pairs[count, 0], pairs[count, 1] = x + way * normal_x, y + way * normal_y
@@ -167,23 +154,3 @@ def _pair_corners(one, other, sign, pairs, count):
         pairs[count, 4] = gap - one[6] - other[6]
         count += 1
     return count
-
-
-@inlined
-def outward(x, y, prism):
-    """Return the distance of a point to a prism, negative inside, and the direction away from it.
-
-    Both are those without the rounding of the prism.
-    """
-    dx, dy = x - prism[2], y - prism[3]
-    u, v = prism[0] * dx + prism[1] * dy, prism[0] * dy - prism[1] * dx
-    beside_u, beside_v = abs(u) - prism[4], abs(v) - prism[5]
-    out_u, out_v = max(beside_u, 0.0), max(beside_v, 0.0)
-    gap = math.sqrt(out_u * out_u + out_v * out_v)
-    if gap > 0.0:
-        out_u, out_v = out_u / gap, out_v / gap
-    else:  # inside, nearest to one of the sides
-        gap = max(beside_u, beside_v)
-        out_u, out_v = (1.0, 0.0) if beside_u > beside_v else (0.0, 1.0)
-    out_u, out_v = math.copysign(out_u, u), math.copysign(out_v, v)
-    return gap, prism[0] * out_u - prism[1] * out_v, prism[1] * out_u + prism[0] * out_v

@@ -35,8 +35,8 @@ def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos
             return True
         w = simplex[count]
         w[:] = 0.0
-        _add_support(w, -1.0, 1.0, v, kind_a, size_a, rot_a, pos_a)
-        _add_support(w, 1.0, -1.0, v, kind_b, size_b, rot_b, pos_b)
+        add_support(w, -1.0, 1.0, v, kind_a, size_a, rot_a, pos_a)
+        add_support(w, 1.0, -1.0, v, kind_b, size_b, rot_b, pos_b)
         if w[0] * v[0] + w[1] * v[1] + w[2] * v[2] > margin * length:
             return False
         count = _nearest(simplex, count + 1, v)
@@ -57,8 +57,8 @@ def distance(kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex
             return 0.0
         w = simplex[count]
         w[:] = 0.0
-        _add_support(w, -1.0, 1.0, v, kind_a, size_a, rot_a, pos_a)
-        _add_support(w, 1.0, -1.0, v, kind_b, size_b, rot_b, pos_b)
+        add_support(w, -1.0, 1.0, v, kind_a, size_a, rot_a, pos_a)
+        add_support(w, 1.0, -1.0, v, kind_b, size_b, rot_b, pos_b)
         if length - (w[0] * v[0] + w[1] * v[1] + w[2] * v[2]) / length <= PRECISION:
             return length
         count = _nearest(simplex, count + 1, v)
@@ -71,7 +71,7 @@ def distance(kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex
 
 
 @inner
-def _add_support(w, toward, sign, v, kind, size, rot, pos):
+def add_support(w, toward, sign, v, kind, size, rot, pos):
     """Add sign times the support point of the shape in the direction toward * v."""
     x = toward * (rot[0, 0] * v[0] + rot[1, 0] * v[1] + rot[2, 0] * v[2])
     y = toward * (rot[0, 1] * v[0] + rot[1, 1] * v[1] + rot[2, 1] * v[2])

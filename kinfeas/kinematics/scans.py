@@ -6,10 +6,11 @@ from functools import cache
 import numpy as np
 
 from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE
+from kinfeas.core.solid_kernels import is_empty, squared_radius
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.kernels import inlined, inner, kernel, square
-from kinfeas.kinematics.solids import is_empty, squared_radius, surroundings, write_local
+from kinfeas.kinematics.solids import surroundings, write_local
 
 
 def scan(

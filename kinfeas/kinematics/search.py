@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.solid_kernels import is_empty
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
 from kinfeas.kinematics.forward import Chain, place_chain
@@ -17,7 +18,7 @@ from kinfeas.kinematics.self_collision import (
     place_shapes,
     touches_itself,
 )
-from kinfeas.kinematics.solids import bounds, is_empty, touches_solids
+from kinfeas.kinematics.solids import bounds, touches_solids
 
 AIM = 0.2
 """Share of the tolerances at which a descent ends early."""

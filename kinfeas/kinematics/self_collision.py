@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.solid_kernels import PRISM
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.convex import BOX, CYLINDER, SCRATCH_ROWS, SPHERE, closer_than
 from kinfeas.kinematics.forward import Mount, Tree, build_tree, flattened, place_joints, turn_row
@@ -56,6 +57,7 @@ class CollisionScratch(NamedTuple):
     position: Array
     simplex: Array
     solid: Array
+    prism: Array
     torque: Array
 
 
@@ -126,6 +128,7 @@ def make_collision_scratch(model):
         np.empty((shapes, 3)),
         np.empty((SCRATCH_ROWS, 3)),
         np.empty((5, 3)),
+        np.empty(PRISM),
         np.empty(model.variables),
     )
     for s in range(shapes):

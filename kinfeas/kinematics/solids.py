@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.pose_kernels import heading
+from kinfeas.core.solid_kernels import is_empty, squared_distance, squared_radius, write_prism
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than, distance
@@ -174,7 +175,7 @@ def touches_solids(
         dx, dy = max(back - x, x - front, 0.0), max(right - y, y - left, 0.0)
         if dx * dx + dy * dy > squared_radius(size[k], cylinder[k]):
             continue
-        kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
+        kind = _place_solid(pose[k], size[k], cylinder[k], scratch)
         for s in range(len(model.body)):
             if (model.body[s] >= 0) == moved and _touches(model, s, kind, scratch):
                 return True
@@ -202,10 +203,10 @@ def _nearest_gap(model, moved, pose, size, cylinder, scratch):
     nearest = np.inf
     for k in range(len(pose)):
         if not is_empty(size[k]):
-            kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
+            _place_solid(pose[k], size[k], cylinder[k], scratch)
             for s in range(len(model.body)):
                 if (model.body[s] >= 0) == moved:
-                    nearest = min(nearest, _gap(s, kind, scratch))
+                    nearest = min(nearest, _squared_gap(s, scratch))
     return math.sqrt(nearest)
 
 
@@ -216,11 +217,11 @@ def _distance(model, moved, nearest, pose, size, cylinder, scratch):
     for k in range(len(pose)):
         if is_empty(size[k]):
             continue
-        kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
+        kind = _place_solid(pose[k], size[k], cylinder[k], scratch)
         for s in range(len(model.body)):
             if (model.body[s] >= 0) != moved:
                 continue
-            if _gap(s, kind, scratch) < square(nearest + model.radius[s]):
+            if _squared_gap(s, scratch) < square(nearest + model.radius[s]):
                 found = distance(
                     model.kind[s], model.size[s], scratch.rotation[s], scratch.position[s],
                     kind, half, turn, centre,
@@ -234,7 +235,7 @@ def _distance(model, moved, nearest, pose, size, cylinder, scratch):
 def _touches(model, s, kind, scratch):
     """Return whether a shape touches the solid in the scratch memory."""
     turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
-    if _gap(s, kind, scratch) > square(model.radius[s] + MARGIN):
+    if _squared_gap(s, scratch) > square(model.radius[s] + MARGIN):
         return False
     return closer_than(
         MARGIN,
@@ -245,23 +246,12 @@ def _touches(model, s, kind, scratch):
 
 
 @inlined
-def is_empty(size):
-    """Return whether a place, a row of `Solids.size`, is empty."""
-    return not (size[0] > 0.0 and size[1] > 0.0)
-
-
-@inlined
-def squared_radius(size, cylinder):
-    """Return the squared radius of the circle around a solid, seen from above."""
-    return square(size[0]) if cylinder else square(size[0]) + square(size[1])
-
-
-@inlined
-def place_solid(pose, size, cylinder, out):
-    """Write orientation, centre and half extents of a solid, shape (5, 3); return its kind."""
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    out[0, 0], out[0, 1], out[0, 2] = cosine, -sine, 0.0
-    out[1, 0], out[1, 1], out[1, 2] = sine, cosine, 0.0
+def _place_solid(pose, size, cylinder, scratch):
+    """Write a solid as a prism, and orientation, centre and half extents; return its kind."""
+    prism, out = scratch.prism, scratch.solid
+    write_prism(pose, size, cylinder, prism)
+    out[0, 0], out[0, 1], out[0, 2] = prism[0], -prism[1], 0.0
+    out[1, 0], out[1, 1], out[1, 2] = prism[1], prism[0], 0.0
     out[2, 0], out[2, 1], out[2, 2] = 0.0, 0.0, 1.0
     out[3, 0], out[3, 1], out[3, 2] = pose[0], pose[1], 0.5 * (size[2] + size[3])
     out[4, 0], out[4, 1], out[4, 2] = size[0], size[1], 0.5 * (size[3] - size[2])
@@ -269,14 +259,7 @@ def place_solid(pose, size, cylinder, out):
 
 
 @inlined
-def _gap(s, kind, scratch):
+def _squared_gap(s, scratch):
     """Return the squared distance of a shape's centre to the solid in the scratch memory."""
-    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
-    point = scratch.position[s]
-    dx, dy = point[0] - centre[0], point[1] - centre[1]
-    z = max(abs(point[2] - centre[2]) - half[2], 0.0)
-    if kind == CYLINDER:
-        return square(max(math.sqrt(dx * dx + dy * dy) - half[0], 0.0)) + square(z)
-    x = max(abs(turn[0, 0] * dx + turn[1, 0] * dy) - half[0], 0.0)
-    y = max(abs(turn[0, 1] * dx + turn[1, 1] * dy) - half[1], 0.0)
-    return square(x) + square(y) + square(z)
+    x, y, z = scratch.position[s]
+    return squared_distance(scratch.prism, x, y, z)

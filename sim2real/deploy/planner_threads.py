@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.base_path import BasePath
 from kinfeas.control.filters.path_planner import PathPlanner
 from kinfeas.control.filters.rollout import RolloutPlanner, Snapshot
 from kinfeas.control.motion_sequence import MotionSequence
@@ -18,6 +17,7 @@ from kinfeas.control.period import Period
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput
 from kinfeas.core.spatial import Array
+from kinfeas.planning.base_path import BasePath
 
 _SWITCH_INTERVAL = 1e-5
 """Seconds for which the loop may wait for Python's lock each time that a kernel has released it."""

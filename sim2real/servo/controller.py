@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinfeas.control.drive import command_size
 from kinfeas.control.targets import RULES, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.errors import Fault
@@ -20,6 +19,7 @@ from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.servo.sender_clock import SenderClock

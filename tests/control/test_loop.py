@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.drive import base_twist
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.loop import Loop
@@ -13,6 +12,7 @@ from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, raised_by
 from kinfeas.core.start import Start
+from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear

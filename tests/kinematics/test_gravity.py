@@ -8,8 +8,8 @@ from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.gravity import build_gravity_model, gravity_torques, overloaded
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.reachability import Postures
-from kinfeas.kinematics.whole_body import WholeBodyPlanner
+from kinfeas.planning.base_goal import BaseGoalPlanner
+from kinfeas.planning.placement import Postures
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import sample_start
@@ -90,7 +90,7 @@ def test_starts_and_proposed_postures_can_be_held(weak_tiago):
 @pytest.mark.slow
 def test_planned_motions_can_be_held(weak_tiago):
     solver, task = IkSolver(weak_tiago), load_task("ggr")
-    planner = WholeBodyPlanner(solver)
+    planner = BaseGoalPlanner(solver)
     for episode in range(4):
         start = sample_start(task, solver, episode_rng(1, episode))
         given = start.base_pose, start.joint_positions, start.target_poses[0]

@@ -8,13 +8,13 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from kinfeas.control.adapters import chain
-from kinfeas.control.drive import command_size
 from kinfeas.control.filters.half_spaces import LEVER, allowed, approach, hold
 from kinfeas.control.loop import Loop
 from kinfeas.core.backend import ObstacleDistances, SupportsObstacleDistances
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.robot import Base
 
 _RIM = 0.5

@@ -3,14 +3,15 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.base_path import BasePath, BasePathPlanner
 from kinfeas.control.loop import Loop
 from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.observation import HORIZON
 from kinfeas.control.period import Period
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, distance, wrap, yaw
+from kinfeas.planning.base_path import BasePath, BasePathPlanner
 from kinfeas.robots.robot import Base, joint_displacement
 
 _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.1, 0.7
@@ -101,6 +102,7 @@ class PathPlanner:
                 period.base_pose[row],
                 period.joints[row],
                 ee,
+                HORIZON,
                 begin=sequence.elapsed[row],
                 time_scale=self._loop.execution.time_scale,
                 solids=None if solids is None else solids.of(np.array([row])),

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import command_size
 from kinfeas.control.filters.obstacle_distance import ObstacleFilter, VelocityConstraints
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.backend import SupportsObstacleDistances
@@ -20,6 +19,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, relative
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import build_chain
 from kinfeas.robots.robot import Robot
 

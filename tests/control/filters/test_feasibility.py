@@ -4,13 +4,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.motion_sequence import Plan
 from kinfeas.control.period import KinematicStep, Period
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, in_base

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.drive import base_twist
 from kinfeas.control.filters.path_planner import follow
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import integrate, planar_pose, yaw
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.kinematics.drive import base_twist
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task

@@ -1,18 +1,23 @@
-"""Reachability: the share of goals that the EE reaches from some base pose."""
+"""Where to stand: base poses from which the EE reaches goals, and the fraction reached."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, Proportion, wilson
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose, relative, rotation
 from kinfeas.core.start import Start
+from kinfeas.kinematics.convex import add_support
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.free_space import connected, footprint
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
+from kinfeas.kinematics.kernels import kernel
+from kinfeas.kinematics.self_collision import CollisionModel
 from kinfeas.kinematics.solids import base_collides, in_base
+from kinfeas.planning.base_lattice import driving_costs
 from kinfeas.robots.robot import Robot
 
 STAGES = (4, 16, 64, 256, 1024)
@@ -30,6 +35,11 @@ _LIFTED = (256,)
 """Base poses that are tried without a limit."""
 
 _POSTURES, _POSTURE_SEED = 8192, 3
+
+_CELL, _MARGIN = 0.1, 3.0
+"""Side of a cell of the grid, and width of the floor around all solids and the start, metres."""
+
+_DIRECTIONS = 64
 
 
 @dataclass(frozen=True)
@@ -161,6 +171,62 @@ class Postures:
         x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
         y = goal[1] - (sine * ee[:, 0] + cosine * ee[:, 1])
         return planar_pose(x, y, heading), self.joints[best]
+
+
+def footprint(model: CollisionModel) -> tuple[float, float]:
+    """Return radius and height of a disc, metres, that the convex hull of the base contains.
+
+    The disc is around the origin of the base frame, seen from above; its height is that of the
+    lowest shape.
+    """
+    angle = 2.0 * np.pi / _DIRECTIONS * np.arange(_DIRECTIONS)
+    around = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    *aside, down = _extents(model, np.vstack([around, [0.0, 0.0, -1.0]])).tolist()
+    return max(min(aside), 0.0), max(-down if np.isfinite(down) else 0.0, 0.0)
+
+
+@kernel
+def _extents(model, directions):
+    """Return how far the shapes on the base extend in unit directions, (d, 3) -> (d,), metres."""
+    extents, point = np.full(len(directions), -np.inf), np.empty(3)
+    for d in range(len(directions)):
+        direction = directions[d]
+        for s in range(len(model.body)):
+            if model.body[s] < 0:
+                shape = model.kind[s], model.size[s], model.rotation[s], model.offset[s]
+                point[:] = 0.0
+                add_support(point, 1.0, 1.0, direction, *shape)
+                extent = 0.0
+                for i in range(3):
+                    extent += direction[i] * point[i]
+                extents[d] = max(extents[d], extent)
+    return extents
+
+
+def connected(
+    solids: Solids, start: Array, positions: Array, disc: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Return whether a disc can be driven from a start to positions, shape (m,).
+
+    The answer is optimistic by the width of a cell. Moving solids are left out.
+
+    Args:
+        solids: In the world, one row.
+        start: Position of the disc, shape (2,), metres.
+        positions: Positions to reach, shape (m, 2), metres.
+        disc: Its radius and height, metres.
+    """
+    standing = solids.filled[0] & ~solids.velocity[0].any(axis=1)
+    corners = np.vstack([solids.pose[0, standing, :2], start, positions])
+    low, high = corners.min(axis=0) - _MARGIN, corners.max(axis=0) + _MARGIN
+    shape = np.ceil((high - low) / _CELL).astype(np.int64) + 1
+    row = solids.pose[0], solids.size[0], solids.cylinder[0], solids.velocity[0]
+    smaller = np.array([disc[0] - _CELL, disc[1]])
+    labels, _ = ndimage.label(np.isfinite(driving_costs(low, shape, _CELL, row, smaller)))
+    cells = np.rint((np.vstack([start, positions]) - low) / _CELL).astype(np.intp)
+    region = labels[cells[:, 0], cells[:, 1]]
+    reached: NDArray[np.bool_] = (region[1:] == region[0]) & (region[0] > 0)
+    return reached
 
 
 def _smallest(values: Array, count: int) -> NDArray[np.intp]:

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.control.base_path import BasePathPlanner
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, distance, integrate, planar_pose
@@ -11,9 +10,15 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.kinematics.solids import distances
+from kinfeas.planning.base_path import BasePathPlanner
 from kinfeas.robots.robot import joint_displacement
 
 AT_ORIGIN = planar_pose(*np.zeros((3, 1)))[0]
+
+
+@pytest.fixture(scope="module")
+def solver(hsr):
+    return IkSolver(hsr)
 
 
 @pytest.fixture
@@ -28,7 +33,7 @@ def planned(solver):
         way = integrate(ee, np.array(twist) * time, 1.0)
         options = replace(solver.options, solid_clearance=clearance)
         planner = BasePathPlanner(IkSolver(robot, options))
-        return planner.plan(AT_ORIGIN, joints, way, 5.0, solids=solids, **given), joints
+        return planner.plan(AT_ORIGIN, joints, way, HORIZON, 5.0, solids=solids, **given), joints
 
     return plan
 

@@ -1,0 +1,1 @@
+"""Plans of whole motions in advance: where to stand, and paths of EE, base and arm."""
