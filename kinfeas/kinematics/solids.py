@@ -1,4 +1,4 @@
-"""Robots among solids: collisions and distances."""
+"""Collisions of robots with solids."""
 
 import math
 
@@ -11,7 +11,7 @@ from kinfeas.core.pose_kernels import heading
 from kinfeas.core.solid_kernels import is_empty, squared_distance, squared_radius, write_prism
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than, distance
+from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than
 from kinfeas.kinematics.forward import flattened
 from kinfeas.kinematics.kernels import inlined, inner, kernel, square
 from kinfeas.kinematics.self_collision import (
@@ -103,19 +103,6 @@ def base_collides(model: CollisionModel, base_pose: Array, solids: Solids) -> ND
     return touching
 
 
-def distances(
-    model: CollisionModel, joint_positions: Array, base_pose: Array, solids: Solids
-) -> Array:
-    """Return the distances to the nearest solids, shape (n, 2), metres.
-
-    They are 0 in contact and inf without solids; columns and arguments are those of `collides`.
-    """
-    flat, _ = flattened(model.variables, joint_positions)
-    found = np.empty((len(flat), 2))
-    _distances_batch(model, flat, *surroundings(solids, base_pose, len(flat)), found)
-    return found
-
-
 @kernel
 def _collides_batch(model, joint_positions, base, solids, touching):
     pose, size, cylinder = solids
@@ -182,60 +169,12 @@ def touches_solids(
     return False
 
 
-@kernel
-def _distances_batch(model, joint_positions, base, solids, out):
-    pose, size, cylinder = solids
-    scratch, local = make_collision_scratch(model), np.empty(pose.shape[1:])
-    for i in range(len(joint_positions)):
-        place_shapes(model, joint_positions[i], scratch)
-        write_local(pose[i], base[i], local)
-        for moved in range(2):
-            # Centres of shapes are farther away than their surfaces.
-            nearest = _nearest_gap(model, moved == 1, local, size[i], cylinder[i], scratch)
-            out[i, moved] = _distance(
-                model, moved == 1, nearest, local, size[i], cylinder[i], scratch
-            )
-
-
-@inlined
-def _nearest_gap(model, moved, pose, size, cylinder, scratch):
-    """Return the distance of the shapes' centres to the nearest solid."""
-    nearest = np.inf
-    for k in range(len(pose)):
-        if not is_empty(size[k]):
-            _place_solid(pose[k], size[k], cylinder[k], scratch)
-            for s in range(len(model.body)):
-                if (model.body[s] >= 0) == moved:
-                    nearest = min(nearest, _squared_gap(s, scratch))
-    return math.sqrt(nearest)
-
-
-@inlined
-def _distance(model, moved, nearest, pose, size, cylinder, scratch):
-    """Return the distance of the shapes to the nearest solid, at most `nearest`."""
-    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
-    for k in range(len(pose)):
-        if is_empty(size[k]):
-            continue
-        kind = _place_solid(pose[k], size[k], cylinder[k], scratch)
-        for s in range(len(model.body)):
-            if (model.body[s] >= 0) != moved:
-                continue
-            if _squared_gap(s, scratch) < square(nearest + model.radius[s]):
-                found = distance(
-                    model.kind[s], model.size[s], scratch.rotation[s], scratch.position[s],
-                    kind, half, turn, centre,
-                    scratch.simplex,
-                )  # fmt: skip
-                nearest = min(nearest, found)
-    return nearest
-
-
 @inlined
 def _touches(model, s, kind, scratch):
     """Return whether a shape touches the solid in the scratch memory."""
     turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
-    if _squared_gap(s, scratch) > square(model.radius[s] + MARGIN):
+    x, y, z = scratch.position[s]
+    if squared_distance(scratch.prism, x, y, z) > square(model.radius[s] + MARGIN):
         return False
     return closer_than(
         MARGIN,
@@ -256,10 +195,3 @@ def _place_solid(pose, size, cylinder, scratch):
     out[3, 0], out[3, 1], out[3, 2] = pose[0], pose[1], 0.5 * (size[2] + size[3])
     out[4, 0], out[4, 1], out[4, 2] = size[0], size[1], 0.5 * (size[3] - size[2])
     return CYLINDER if cylinder else BOX
-
-
-@inlined
-def _squared_gap(s, scratch):
-    """Return the squared distance of a shape's centre to the solid in the scratch memory."""
-    x, y, z = scratch.position[s]
-    return squared_distance(scratch.prism, x, y, z)

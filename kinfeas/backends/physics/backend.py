@@ -17,7 +17,7 @@ from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, planar_pose
-from kinfeas.kinematics.scans import scan_now
+from kinfeas.kinematics.sensing import scan
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import StreamTask, Task
@@ -106,7 +106,7 @@ class PhysicsBackend(StageBackend):
 
     def scan(self) -> Array:
         """Return the ranges to solids around the true bases, as in `SupportsScan`."""
-        return scan_now(self.solids, planar_pose(*self._positions[:, :3].T))
+        return scan(self.solids.after(), planar_pose(*self._positions[:, :3].T))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the obstacles nearer than `within` metres to the bases, except grasped links.

@@ -5,7 +5,7 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.solids import collides, distances
+from kinfeas.kinematics.solids import collides
 from tests.builders import twist
 
 DT, ROWS = 0.02, np.arange(2)
@@ -55,14 +55,13 @@ def test_contacts_are_those_of_the_geometry(rooms, hsr):
 
 
 def test_solids_move_and_are_scanned_as_in_the_analytic_world(rooms, hsr):
-    world, analytic, model = rooms(), AnalyticBackend(), IkSolver(hsr).collision
+    world, analytic = rooms(), AnalyticBackend(hsr)
     for _ in range(2):  # there and back
         (*_, state) = run(world, 90)
-        near = distances(model, state.joint_positions, state.base_pose, world.solids.after())
-        measured = world.obstacle_distances(1.0).distance
-        assert measured[0].min() == pytest.approx(near[0, 0], abs=2e-3)
-    analytic.reset(state.base_pose, state.joint_positions)
-    analytic.place_solids(world.solids.after(), ROWS)
+        analytic.reset(state.base_pose, state.joint_positions)
+        analytic.place_solids(world.solids.after(), ROWS)
+        near, measured = (each.obstacle_distances(1.0).distance for each in (analytic, world))
+        assert measured[0].min() == pytest.approx(near[0].min(), abs=2e-3)
     np.testing.assert_array_equal(world.scan(), analytic.scan())
     assert world.scan().min() < 1.0
 
