@@ -34,7 +34,7 @@ class SmoothPath:
     """Motion along a path of its own for each start, from rest to rest.
 
     A path is a cubic B-spline of positions and quaternions. The speed rises and falls along quintic
-    ramps. A path may change on the way; its beginning then has the twist of the motion before.
+    ramps. A path may change; its beginning then has the twist of the motion before.
 
     Args:
         ramp: Seconds from rest to full speed, and from full speed to rest.
@@ -60,7 +60,7 @@ class SmoothPath:
         """Return straight motions.
 
         The keys are those of `minimum_jerk`; the target of the plan, shape (n, 7); its control
-        points, (n, 64, 7); its rates at the beginning and on the way as fractions of the path in a
+        points, (n, 64, 7); its rates at the beginning and later as fractions of the path in a
         second, (n,), 0 for straight motions; and the twist, (n, 6), by which the motion before
         differs from the beginning of the plan.
         """
@@ -235,7 +235,7 @@ class WholeBody(Planned):
     """Motion around solids along which the base can follow, from rest to rest.
 
     A planner finds a motion of base and arm to the target without collisions; the EE moves as it
-    does there. Where none is found, the motion is that of `planned`, whose parameters it has.
+    does there. Without one, the motion is that of `planned`, whose parameters it has.
     """
 
     def start(

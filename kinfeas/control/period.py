@@ -112,5 +112,5 @@ class KinematicStep:
             allow_reconfiguration=allow_reconfiguration,
             solids=None if solids is None else in_base(solids, reached),
             hold_torso=self.hold_torso,
-            guide=inputs.guide,
+            posture_guide=inputs.guide,
         )

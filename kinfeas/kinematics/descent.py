@@ -41,7 +41,7 @@ class Scratch(NamedTuple):
     error: Array
     solved: Array
     step: Array
-    wanted: Array
+    unbounded: Array
     pull: Array
     side: Array
     released: Array
@@ -182,20 +182,25 @@ def _step_within_limits(limits, q, damping, scratch):
     that would move back within its bounds is released, each joint once, and the rest is solved
     again.
     """
-    step, wanted, side, released = scratch.step, scratch.wanted, scratch.side, scratch.released
+    step, unbounded, side, released = (
+        scratch.step,
+        scratch.unbounded,
+        scratch.side,
+        scratch.released,
+    )
     side[:], released[:] = 0, False
     for _ in range(3 * len(q)):
         _solve_damped(scratch, damping)
         blocked = False
         for j in range(len(q)):
-            wanted[j] = scratch.pull[j]
+            unbounded[j] = scratch.pull[j]
             for i in range(6):
-                wanted[j] += scratch.columns[j, i] * scratch.solved[i]
+                unbounded[j] += scratch.columns[j, i] * scratch.solved[i]
             if side[j] == 0:
-                step[j] = wanted[j]
-                if q[j] + wanted[j] > limits[1][j]:
+                step[j] = unbounded[j]
+                if q[j] + unbounded[j] > limits[1][j]:
                     step[j], side[j], blocked = limits[1][j] - q[j], 1, True
-                elif q[j] + wanted[j] < limits[0][j]:
+                elif q[j] + unbounded[j] < limits[0][j]:
                     step[j], side[j], blocked = limits[0][j] - q[j], -1, True
         if not blocked and not _release(scratch):
             return
@@ -206,7 +211,7 @@ def _release(scratch):
     """Release the held joint that would move back farthest; return whether there is one."""
     worst, choice = 0.0, -1
     for j in range(len(scratch.side)):
-        inward = scratch.side[j] * (scratch.step[j] - scratch.wanted[j])
+        inward = scratch.side[j] * (scratch.step[j] - scratch.unbounded[j])
         if scratch.side[j] != 0 and not scratch.released[j] and inward > worst:
             worst, choice = inward, j
     if choice >= 0:

@@ -44,8 +44,8 @@ class IkOptions:
         max_iterations: Largest number of steps of a descent.
         solid_clearance: Distance that solutions keep from solids, metres. Where arms may be
             reconfigured, those that are nearer count, too, if there are no others.
-        centering: Pull of a redundant arm's joints towards the middles of their ranges, as a share
-            of the largest joint step; 0 for none.
+        centering: Pull of a redundant arm's joints towards the middles of their ranges, as a
+            fraction of the largest joint step; 0 for none.
     """
 
     library: Annotated[int, Interval(ge=1, le=65536)] = 2048
@@ -89,10 +89,10 @@ class IkSolution:
     position_error: Array
     rotation_error: Array
 
-    def put(self, rows: NDArray[np.intp], found: "IkSolution") -> None:
+    def put(self, rows: NDArray[np.intp], solutions: "IkSolution") -> None:
         """Replace the solutions of the m targets `rows`, shape (m,)."""
         for entry in fields(self):
-            getattr(self, entry.name)[rows] = getattr(found, entry.name)
+            getattr(self, entry.name)[rows] = getattr(solutions, entry.name)
 
 
 class IkSolver:
@@ -133,7 +133,7 @@ class IkSolver:
         allow_reconfiguration: bool = True,
         solids: Solids | None = None,
         hold_torso: bool = False,
-        guide: Array | None = None,
+        posture_guide: Array | None = None,
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
@@ -153,8 +153,8 @@ class IkSolver:
             solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
                 solution.
             hold_torso: Whether the torso stays where the seed has it.
-            guide: Joint positions towards which arms move within `max_joint_step` if a solution is
-                there, shape (n, v); NaN for none.
+            posture_guide: Joint positions towards which arms move within `max_joint_step` if a
+                solution is there, shape (n, v); NaN for none.
 
         Raises:
             KinfeasError: If an array has another shape, `max_joint_step` is needed and missing, or
@@ -165,21 +165,22 @@ class IkSolver:
         rules = max_joint_step, allow_reconfiguration, hold_torso
         clearance = self.options.solid_clearance
         if solids is None or not clearance:
-            return self._solve(ee_pose_in_base, seed, guide, solids, *rules)
+            return self._solve(ee_pose_in_base, seed, posture_guide, solids, *rules)
         # No arm is reconfigured for the clearance.
         strict = max_joint_step, max_joint_step is None, hold_torso
-        found = self._solve(ee_pose_in_base, seed, guide, solids, *strict, clearance)
-        late = (~found.feasible).nonzero()[0]
-        if allow_reconfiguration and late.size:
-            given = ee_pose_in_base[late], seed[late], None if guide is None else guide[late]
-            found.put(late, self._solve(*given, solids.of(late), *rules))
-        return found
+        solution = self._solve(ee_pose_in_base, seed, posture_guide, solids, *strict, clearance)
+        rows = (~solution.feasible).nonzero()[0]
+        if allow_reconfiguration and rows.size:
+            guide = None if posture_guide is None else posture_guide[rows]
+            targets, seeds, among = ee_pose_in_base[rows], seed[rows], solids.of(rows)
+            solution.put(rows, self._solve(targets, seeds, guide, among, *rules))
+        return solution
 
     def _solve(
         self,
         ee_pose_in_base: Array,
         seed: Array,
-        guide: Array | None,
+        posture_guide: Array | None,
         solids: Solids | None,
         max_joint_step: Array | None,
         allow_reconfiguration: bool,
@@ -190,18 +191,18 @@ class IkSolver:
         n, joints = len(ee_pose_in_base), self.chain.variables
         targets = _checked("targets", ee_pose_in_base, (n, 7))
         solution = _checked("seeds", seed, (n, joints)).copy()
-        within, guides = np.empty(0), np.empty((0, joints))
+        within, guide = np.empty(0), np.empty((0, joints))
         if max_joint_step is not None:
             within = _checked("max_joint_step", max_joint_step, (joints,))
-        if guide is not None:
-            guides = _checked("guides", guide, (n, joints))
+        if posture_guide is not None:
+            guide = _checked("posture guides", posture_guide, (n, joints))
         feasible, errors = np.empty(n, dtype=np.bool_), np.empty((n, 2))
         solve_batch(
             self._held_torso if hold_torso else self._problem,
             targets,
             within,
             allow_reconfiguration,
-            guides,
+            guide,
             _NO_SOLIDS if solids is None else solid_arrays(solids, n),
             clearance,
             solution,
@@ -225,11 +226,15 @@ def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     middle, half = _ranges(lower, upper)
-    position, turn, weight = options.position_tolerance, options.rotation_tolerance, ROTATION_WEIGHT
-    aim = (AIM * position, AIM * turn)
+    position, radians, weight = (
+        options.position_tolerance,
+        options.rotation_tolerance,
+        ROTATION_WEIGHT,
+    )
+    aim = (AIM * position, AIM * radians)
     if options.pose_tolerance and robot.pose_tolerance is not None:
-        position, turn = robot.pose_tolerance.position, robot.pose_tolerance.rotation
-        weight = position / turn
+        position, radians = robot.pose_tolerance.position, robot.pose_tolerance.rotation
+        weight = position / radians
     library = spread_configurations(robot, options.library)
     if held >= 0:
         library[:, held] = middle[held]
@@ -255,7 +260,7 @@ def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
         restarts=min(options.restarts, len(library)),
         candidates=options.candidates,
         accept_position=position,
-        accept_rotation=turn,
+        accept_rotation=radians,
         held=held,
         lift=jacobian(chain, middle)[:3, held].copy(),
     )
@@ -296,15 +301,15 @@ def _reach(chain: Chain, middle: Array, half: Array) -> Array:
     tree = chain.tree
     turning = np.flatnonzero(~tree.prismatic)
     first = int(turning[0]) if len(turning) else len(tree.variable) - 1
-    centre, turn, radius = np.zeros(3), np.eye(3), 0.0
+    centre, orientation, radius = np.zeros(3), np.eye(3), 0.0
     for i in range(len(tree.variable)):
         slide = float(tree.multiplier[i] * middle[tree.variable[i]] + tree.bias[i])
         play = float(abs(tree.multiplier[i]) * half[tree.variable[i]])
         if i <= first:
-            centre = centre + turn @ tree.offset[i]
-            turn = turn @ tree.rotation[i]
+            centre = centre + orientation @ tree.offset[i]
+            orientation = orientation @ tree.rotation[i]
             if tree.prismatic[i]:
-                centre, radius = centre + turn[:, 2] * slide, radius + play
+                centre, radius = centre + orientation[:, 2] * slide, radius + play
         else:
             radius += float(np.linalg.norm(tree.offset[i]))
             radius += abs(slide) + play if tree.prismatic[i] else 0.0

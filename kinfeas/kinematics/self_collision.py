@@ -32,7 +32,7 @@ class CollisionModel(NamedTuple):
         rotation: From body to shape, shape (s, 3, 3).
         offset: Same, metres, shape (s, 3).
         pairs: Indices of shapes to check, shape (p, 2); unsigned, since each signed index costs
-            kernels a look whether it is negative.
+            kernels a test whether it is negative.
         variables: Number of the arm's joints.
     """
 
@@ -76,8 +76,8 @@ def build_collision_model(robot: Robot) -> CollisionModel:
         shapes.setdefault(link, []).append(i)
     pairs = sorted(
         (min(i, k), max(i, k))
-        for one, other in _checked_links(robot, mounts)
-        for i, k in product(shapes[one], shapes[other])
+        for link, other in _checked_links(robot, mounts)
+        for i, k in product(shapes[link], shapes[other])
     )
     return CollisionModel(
         tree=tree,
@@ -182,14 +182,14 @@ def place_bodies(tree, q, scratch):
         up = tree.parent[i]
         for r in range(3):
             a, b, c = 1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0
-            place = 0.0
+            origin = 0.0
             if up >= 0:
                 a, b, c = bodies[up, r, 0], bodies[up, r, 1], bodies[up, r, 2]
-                place = origins[up, r]
-            place += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
+                origin = origins[up, r]
+            origin += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
             a, b, c = turn_row(a, b, c, tree.rotation[i], motion[i, 0], motion[i, 1])
             bodies[i, r, 0], bodies[i, r, 1], bodies[i, r, 2] = a, b, c
-            origins[i, r] = place + c * motion[i, 2]
+            origins[i, r] = origin + c * motion[i, 2]
 
 
 @inlined
@@ -216,9 +216,9 @@ def _sphere_misses_box(dx, dy, dz, radius, rot, half):
 
 
 def _mount_shape(mount: Mount, shape: Shape) -> Mount:
-    turn = rotation(shape.pose).as_matrix()
+    matrix = rotation(shape.pose).as_matrix()
     offset = mount.offset + mount.rotation @ shape.pose[:3]
-    return Mount(mount.joint, mount.rotation @ turn, offset)
+    return Mount(mount.joint, mount.rotation @ matrix, offset)
 
 
 def _extents(shape: Shape) -> tuple[Array, float]:
@@ -244,8 +244,8 @@ def _checked_links(robot: Robot, mounts: dict[str, Mount]) -> set[frozenset[str]
     }
     return {
         frozenset((a, b))
-        for one, other in combinations(bodies.values(), 2)
-        for a, b in product(one, other)
+        for links, others in combinations(bodies.values(), 2)
+        for a, b in product(links, others)
         if rigid[a] != rigid[b]
         and frozenset((rigid[a], rigid[b])) not in joined
         and frozenset((a, b)) not in robot.ignored_collisions

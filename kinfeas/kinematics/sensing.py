@@ -145,10 +145,10 @@ def base_obstacles(
 def base_prisms(model: CollisionModel) -> Array:
     """Return prisms around the shapes on the base, shape (s, `PRISM`), in the base frame."""
     fixed = model.body < 0
-    half, turn, kind = model.size[fixed], model.rotation[fixed], model.kind[fixed]
-    high = np.where(kind == SPHERE, half[:, 0], (np.abs(turn[:, 2]) * half).sum(axis=1))
-    rounded = (kind == SPHERE) | ((kind == CYLINDER) & (np.abs(turn[:, 2, 2]) > 1.0 - 1e-9))
-    axes = turn[:, :2] * half[:, np.newaxis]
+    half, rotation, kind = model.size[fixed], model.rotation[fixed], model.kind[fixed]
+    high = np.where(kind == SPHERE, half[:, 0], (np.abs(rotation[:, 2]) * half).sum(axis=1))
+    rounded = (kind == SPHERE) | ((kind == CYLINDER) & (np.abs(rotation[:, 2, 2]) > 1.0 - 1e-9))
+    axes = rotation[:, :2] * half[:, np.newaxis]
     lengths = np.linalg.norm(axes, axis=1)
     longest = lengths.argmax(axis=1)[:, np.newaxis]
     along = np.take_along_axis(axes, longest[:, np.newaxis], axis=2)[:, :, 0]

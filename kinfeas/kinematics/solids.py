@@ -172,14 +172,14 @@ def touches_solids(
 @inlined
 def _touches(model, s, kind, scratch):
     """Return whether a shape touches the solid in the scratch memory."""
-    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
+    rotation, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
     x, y, z = scratch.position[s]
     if squared_distance(scratch.prism, x, y, z) > square(model.radius[s] + MARGIN):
         return False
     return closer_than(
         MARGIN,
         model.kind[s], model.size[s], scratch.rotation[s], scratch.position[s],
-        kind, half, turn, centre,
+        kind, half, rotation, centre,
         scratch.simplex,
     )  # fmt: skip
 

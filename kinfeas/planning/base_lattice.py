@@ -66,7 +66,7 @@ def lattice_moves(*, omnidirectional: bool) -> NDArray[np.int64]:
 
 @kernel
 def driving_costs(origin, shape, cell, solids, disc):
-    """Return what a metre of driving costs at each cell, shape (x, y).
+    """Return the cost of a metre of driving at each cell, shape (x, y).
 
     Args:
         origin: Position of the first cell, shape (2,), metres.
@@ -110,7 +110,7 @@ def search_base(model, rest, reach, start, goals, goal_costs, solids, grid, move
 
     Args:
         model: Shapes of the robot.
-        rest: Arm joints on the way, shape (j,).
+        rest: Arm joints while driving, shape (j,).
         reach: Distance from start and goals within which the arm is not at rest, metres.
         start: x, y and yaw of the base, shape (3,).
         goals: The same where it may arrive, shape (p, 3).
@@ -175,7 +175,7 @@ def search_base(model, rest, reach, start, goals, goal_costs, solids, grid, move
             new += 0.0005 * length * (metre_cost[x, y] + metre_cost[i, j])
             if not improves(frontier, other, new):
                 continue
-            if moving:  # solids may have left when the base comes by another way
+            if moving:  # solids may have left when the base comes by another path
                 driven = LATTICE.cell * math.hypot(step_x, step_y)
                 angle = _TURN * abs(step_heading)
                 time = seconds[node] + max(driven / speed[0], angle / speed[1])

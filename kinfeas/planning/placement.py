@@ -29,7 +29,7 @@ LIMITS = {
     "self-collision": "arm configurations touch the robot",
     "solids": "solids are in the way of base or arm",
 }
-"""What keeps a goal out of reach."""
+"""Reasons for which a goal is out of reach."""
 
 _LIFTED = (256,)
 """Base poses that are tried without a limit."""
@@ -51,7 +51,7 @@ class Reachability:
         share: Share of reached goals with its Wilson interval.
         convergence: Share reached by the end of each stage.
         limits: For each sub-goal the numbers of goals out of reach, by `LIMITS`; empty if they were
-            not looked for.
+            not determined.
     """
 
     reached: NDArray[np.bool_]
@@ -108,7 +108,7 @@ def reachable(
 
 
 def limits_of(solver: IkSolver, goals: Array, start: Start | None = None) -> list[str]:
-    """Return what keeps goals that are out of reach there, one of `LIMITS` each, (n, 7) -> n.
+    """Return the reason for which each goal is out of reach, one of `LIMITS`, (n, 7) -> n.
 
     It is the first of solids and self-collision without which a goal is reached; the arguments are
     those of `reachable`.
@@ -137,7 +137,7 @@ class Postures:
         self.solver = solver
         self.joints = joints[solver.admissible(joints)]
         self.ee_pose = forward(solver.chain, self.joints)
-        self.turns = rotation(self.ee_pose).as_matrix()
+        self.rotations = rotation(self.ee_pose).as_matrix()
         self.footprint = footprint(solver.collision)
 
     def reach(self, goal: Array, first: int, last: int, start: Start | None = None) -> bool:
@@ -160,7 +160,7 @@ class Postures:
         Their headings maximize the trace of R_goal' Rz(heading) R_ee.
         """
         # R_ee R_goal' as one product of matrices: many small ones take ten times as long.
-        product = (self.turns.reshape(-1, 3) @ rotation(goal).as_matrix().T).reshape(-1, 3, 3)
+        product = (self.rotations.reshape(-1, 3) @ rotation(goal).as_matrix().T).reshape(-1, 3, 3)
         cosine = product[:, 0, 0] + product[:, 1, 1]
         sine = product[:, 0, 1] - product[:, 1, 0]
         tilt = 3.0 - np.hypot(cosine, sine) - product[:, 2, 2]
@@ -230,7 +230,7 @@ def connected(
 
 
 def _smallest(values: Array, count: int) -> NDArray[np.intp]:
-    """Return the places of the smallest values, (n,), in ascending order, at most `count`."""
+    """Return the indices of the smallest values, (n,), in ascending order, at most `count`."""
     near = np.arange(len(values))
     if count < len(values):
         near = np.argpartition(values, count)[:count]

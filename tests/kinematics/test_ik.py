@@ -154,17 +154,17 @@ def test_arms_go_to_their_guide_within_the_joint_step(tiago):
     seed, guide = joints[free], moved[free]
     targets, turns = forward(tiago.chain, guide), 2.0 * np.pi * robot.continuous
     alone = tiago.solve(targets, seed, step)
-    guided = tiago.solve(targets, seed, step, guide=guide + turns)
+    guided = tiago.solve(targets, seed, step, posture_guide=guide + turns)
     reached = displacement(robot, guided.joint_positions, guide).max(axis=1) < 1e-6
     assert reached.mean() > 0.99
     assert displacement(robot, alone.joint_positions, guide).max(axis=1).mean() > 0.01
     beyond = rng.permutation(guide)  # far away, so that only a part of the way is possible
-    bound = tiago.solve(targets, seed, step, guide=beyond, allow_reconfiguration=False)
+    bound = tiago.solve(targets, seed, step, posture_guide=beyond, allow_reconfiguration=False)
     check_solutions(tiago, bound.joint_positions[bound.feasible])
     assert bound.feasible.mean() > 0.99
     moved = displacement(robot, seed, bound.joint_positions)
     assert np.all(moved <= step * (1.0 + 1e-9))
-    none = tiago.solve(targets, seed, step, guide=np.full_like(seed, np.nan))
+    none = tiago.solve(targets, seed, step, posture_guide=np.full_like(seed, np.nan))
     np.testing.assert_array_equal(none.joint_positions, alone.joint_positions)
 
 
