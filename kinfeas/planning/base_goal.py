@@ -16,7 +16,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.kernels import kernel
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
-from kinfeas.kinematics.solids import base_collides, collides, in_base
+from kinfeas.kinematics.solids import collides
 from kinfeas.planning.base_lattice import LATTICE, driving_costs, lattice_moves, search_base
 from kinfeas.planning.placement import Postures, at_goals
 from kinfeas.robots.robot import joint_displacement
@@ -171,19 +171,10 @@ class BaseGoalPlanner:
         settings, stages = self.settings, self.settings.proposals
         ends, arms = np.empty((0, 3)), np.empty((0, len(self.robot.arm)))
         for first, last, margin in zip(stages, stages[1:], settings.goal_margins, strict=False):
-            wide = solids.wider(margin)
-            base, joints = self._postures.around(goal, first, last)
-            among = wide.repeated(len(base))
-            rows = np.flatnonzero(~base_collides(self.solver.collision, base, among))
-            base, joints = base[rows], joints[rows]
-            arm = self.solver.solve(
-                relative(np.broadcast_to(goal, base.shape), base),
-                joints,
-                solids=in_base(among.of(rows), base),
-            )
-            rows = np.flatnonzero(arm.feasible)
-            ends = np.concatenate([ends, np.column_stack([base[rows, :2], yaw(base[rows])])])
-            arms = np.concatenate([arms, arm.joint_positions[rows]])
+            proposals = self._postures.around(goal, first, last)
+            base, joints = self._postures.solve(goal, proposals, solids.wider(margin))
+            ends = np.concatenate([ends, np.column_stack([base[:, :2], yaw(base)])])
+            arms = np.concatenate([arms, joints])
             if len(ends) >= settings.enough:
                 break
         return ends[: 2 * settings.enough], arms[: 2 * settings.enough]

@@ -142,17 +142,28 @@ class Postures:
 
     def reach(self, goal: Array, first: int, last: int, start: Start | None = None) -> bool:
         """Return whether one of the proposals `first` to `last` reaches `goal`, shape (7,)."""
-        base, joints = self.around(goal, first, last)
-        solids = None
+        proposals, solids = self.around(goal, first, last), None
         if start is not None and start.solids is not None:
-            solids = start.solids.repeated(len(base))
-            free = ~base_collides(self.solver.collision, base, solids)
-            free &= connected(start.solids, start.base_pose[0, :2], base[:, :2], self.footprint)
-            rows = np.flatnonzero(free)
+            solids, base = start.solids, proposals[0][:, :2]
+            near = connected(solids, start.base_pose[0, :2], base, self.footprint)
+            proposals = proposals[0][near], proposals[1][near]
+        return len(self.solve(goal, proposals, solids)[0]) > 0
+
+    def solve(
+        self, goal: Array, proposals: tuple[Array, Array], solids: Solids | None
+    ) -> tuple[Array, Array]:
+        """Return proposals that reach `goal` among one row of solids, with the arms that do."""
+        base, joints = proposals
+        among = None
+        if solids is not None:
+            rows = np.flatnonzero(
+                ~base_collides(self.solver.collision, base, solids.repeated(len(base)))
+            )
             base, joints = base[rows], joints[rows]
-            solids = in_base(solids.of(rows), base)
+            among = in_base(solids.repeated(len(base)), base)
         targets = relative(np.broadcast_to(goal, base.shape), base)
-        return bool(np.any(self.solver.solve(targets, joints, solids=solids).feasible))
+        arm = self.solver.solve(targets, joints, solids=among)
+        return base[arm.feasible], arm.joint_positions[arm.feasible]
 
     def around(self, goal: Array, first: int, last: int) -> tuple[Array, Array]:
         """Return the proposals for `goal`: base poses, shape (m, 7), and arms, shape (m, j).
