@@ -15,7 +15,7 @@ from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import Chain, build_chain, forward, jacobian
 from kinfeas.kinematics.gravity import build_gravity_model, overloaded
-from kinfeas.kinematics.search import AIM, Problem, library_features, solve_batch
+from kinfeas.kinematics.search import SEARCH, Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
 from kinfeas.kinematics.solids import solid_arrays
 from kinfeas.robots.robot import Robot
@@ -231,7 +231,7 @@ def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
         options.rotation_tolerance,
         ROTATION_WEIGHT,
     )
-    aim = (AIM * position, AIM * radians)
+    aim = (SEARCH.aim * position, SEARCH.aim * radians)
     if options.pose_tolerance and robot.pose_tolerance is not None:
         position, radians = robot.pose_tolerance.position, robot.pose_tolerance.rotation
         weight = position / radians

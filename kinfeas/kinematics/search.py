@@ -20,14 +20,17 @@ from kinfeas.kinematics.self_collision import (
 )
 from kinfeas.kinematics.solids import bounds, touches_solids
 
-AIM = 0.2
-"""Fraction of the tolerances at which a descent ends early."""
 
-WARM_COST = 0.3**2
-"""Squared error, m^2, up to which the search begins with descents from the seed."""
+class SearchSettings(NamedTuple):
+    """Settings of the search."""
 
-HOPEFUL, HOPELESS_COST = 6, 0.02**2
-"""The search ends after so many restarts if none had a smaller squared error, m^2."""
+    aim: float = 0.2  # fraction of the tolerances at which a descent ends early
+    warm_cost: float = 0.3**2  # squared error up to which descents begin at the seed, m^2
+    restarts: int = 6  # after which the search ends if all of them had ...
+    hopeless_cost: float = 0.02**2  # ... a larger squared error, m^2
+
+
+SEARCH = SearchSettings()
 
 GUIDED, CENTRED, NEAR, WIDE = range(4)
 """Descents within `max_joint_step` of the seed: from the guide, centring the joints or not; and one
@@ -195,7 +198,7 @@ def _solve_from_seed(
             trace += target[0][i, k] * scratch.frames.rotation[i, k]
     cost += square(problem.descent.rotation_weight) * (3.0 - trace)
     error[0], error[1] = measure(target, scratch)
-    if cost > WARM_COST:
+    if cost > SEARCH.warm_cost:
         return False
     metres_here, radians_here = error[0], error[1]
     first = WIDE if len(max_joint_step) == 0 else NEAR if len(problem.centering) == 0 else CENTRED
@@ -217,7 +220,7 @@ def _solve_from_seed(
             _centre(problem, max_joint_step, q, scratch.pull)
         metres, radians = descend(problem.chain, problem.descent, bounds, target, q, scratch)
         # A guide must not cost accuracy.
-        scale = AIM if attempt == GUIDED else 1.0
+        scale = SEARCH.aim if attempt == GUIDED else 1.0
         if _close_enough(problem, metres / scale, radians / scale):
             if _free(problem, q, touching, around):
                 error[0], error[1] = metres, radians
@@ -274,7 +277,7 @@ def _solve_from_library(problem, limits, target, solution, error, order, scratch
     closest = _cost(problem, error[0], error[1])
     nearest, solutions = np.inf, 0
     for attempt in range(len(order)):
-        if attempt >= HOPEFUL and closest > HOPELESS_COST:
+        if attempt >= SEARCH.restarts and closest > SEARCH.hopeless_cost:
             break
         copy_row(problem.library[order[attempt]], q)
         if problem.held >= 0:

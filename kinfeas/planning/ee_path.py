@@ -140,7 +140,7 @@ def _assess(points, fraction, prisms, settings):
     return free, near_cost <= settings.cheap * near, cost
 
 
-class Grid(NamedTuple):
+class _Grid(NamedTuple):
     """Grid of x, y and height around a motion.
 
     Attributes:
@@ -235,7 +235,7 @@ def _make_grid(start, goal, prisms, settings):
     for i in range(shape[0]):
         for j in range(shape[1]):
             cost[i, j] = _cost_of_metre(cost[i, j], settings)
-    return Grid(prisms, origin, cell, level, free, cost)
+    return _Grid(prisms, origin, cell, level, free, cost)
 
 
 @inner

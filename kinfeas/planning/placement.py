@@ -34,12 +34,19 @@ LIMITS = {
 _LIFTED = (256,)
 """Base poses that are tried without a limit."""
 
-_POSTURES, _POSTURE_SEED = 8192, 3
 
-_CELL, _MARGIN = 0.1, 3.0
-"""Side of a cell of the grid, and width of the floor around all solids and the start, metres."""
+@dataclass(frozen=True)
+class PlacementSettings:
+    """Settings of the search for base poses."""
 
-_DIRECTIONS = 64
+    postures: int = 8192  # arm configurations that propose base poses
+    seed: int = 3  # of these configurations
+    cell: float = 0.1  # side of a cell of the floor, metres
+    border: float = 3.0  # width of the floor around all solids and the start, metres
+    directions: int = 64  # in which the extent of the base is measured
+
+
+_SETTINGS = PlacementSettings()
 
 
 @dataclass(frozen=True)
@@ -133,7 +140,7 @@ class Postures:
     """Admissible arm configurations that propose base poses."""
 
     def __init__(self, solver: IkSolver) -> None:
-        joints = spread_configurations(solver.robot, _POSTURES, _POSTURE_SEED)
+        joints = spread_configurations(solver.robot, _SETTINGS.postures, _SETTINGS.seed)
         self.solver = solver
         self.joints = joints[solver.admissible(joints)]
         self.ee_pose = forward(solver.chain, self.joints)
@@ -190,7 +197,7 @@ def footprint(model: CollisionModel) -> tuple[float, float]:
     The disc is around the origin of the base frame, seen from above; its height is that of the
     lowest shape.
     """
-    angle = 2.0 * np.pi / _DIRECTIONS * np.arange(_DIRECTIONS)
+    angle = 2.0 * np.pi / _SETTINGS.directions * np.arange(_SETTINGS.directions)
     around = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
     *aside, down = _extents(model, np.vstack([around, [0.0, 0.0, -1.0]])).tolist()
     return max(min(aside), 0.0), max(-down if np.isfinite(down) else 0.0, 0.0)
@@ -229,12 +236,12 @@ def connected(
     """
     standing = solids.filled[0] & ~solids.velocity[0].any(axis=1)
     corners = np.vstack([solids.pose[0, standing, :2], start, positions])
-    low, high = corners.min(axis=0) - _MARGIN, corners.max(axis=0) + _MARGIN
-    shape = np.ceil((high - low) / _CELL).astype(np.int64) + 1
+    low, high = corners.min(axis=0) - _SETTINGS.border, corners.max(axis=0) + _SETTINGS.border
+    shape = np.ceil((high - low) / _SETTINGS.cell).astype(np.int64) + 1
     row = solids.pose[0], solids.size[0], solids.cylinder[0], solids.velocity[0]
-    smaller = np.array([disc[0] - _CELL, disc[1]])
-    labels, _ = ndimage.label(np.isfinite(driving_costs(low, shape, _CELL, row, smaller)))
-    cells = np.rint((np.vstack([start, positions]) - low) / _CELL).astype(np.intp)
+    smaller = np.array([disc[0] - _SETTINGS.cell, disc[1]])
+    labels, _ = ndimage.label(np.isfinite(driving_costs(low, shape, _SETTINGS.cell, row, smaller)))
+    cells = np.rint((np.vstack([start, positions]) - low) / _SETTINGS.cell).astype(np.intp)
     region = labels[cells[:, 0], cells[:, 1]]
     reached: NDArray[np.bool_] = (region[1:] == region[0]) & (region[0] > 0)
     return reached
