@@ -69,7 +69,9 @@ def outward(prism, x, y):
 @inlined
 def horizontal_gap(prism, x, y):
     """Return the horizontal distance from a prism, metres, negative inside."""
-    return outward(prism, x, y)[0] - prism[6]
+    u, v = _offsets(prism, x, y)
+    u, v = abs(u) - prism[4], abs(v) - prism[5]
+    return (math.sqrt(u * u + v * v) if u > 0.0 and v > 0.0 else max(u, v)) - prism[6]
 
 
 @inlined

@@ -149,6 +149,8 @@ class Solids:
 
     def swept(self, first: float, last: float) -> "Solids":
         """Return solids that fill the room of these between two times, seconds from now."""
+        if not self.velocity.any():
+            return self
         x, y = np.moveaxis(0.5 * ((last - first) * self.velocity), -1, 0)
         cosine, sine = np.cos(self.pose[..., 2]), np.sin(self.pose[..., 2])
         radius, size, pose = np.sqrt(x * x + y * y), self.size.copy(), self.pose.copy()

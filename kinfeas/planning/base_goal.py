@@ -188,10 +188,8 @@ class BaseGoalPlanner:
         """
         corners, border = np.vstack([start[:2], ends[:, :2]]), self.settings.border
         low, high = corners.min(axis=0) - border, corners.max(axis=0) + border
-        shape = np.ceil((high - low) / LATTICE.cell).astype(np.int64) + 1
         rows = solids.pose[0], solids.size[0], solids.cylinder[0], solids.velocity[0]
-        disc = np.array(self._postures.footprint)
-        grid = low, driving_costs(low, shape, LATTICE.cell, rows, disc)
+        grid = low, driving_costs(solids, low, high, LATTICE.cell, self._postures.footprint)
         model, moves, speed = self.solver.collision, self._moves, self._speed
         path, end = search_base(model, *arm, start, ends, cost, rows, grid, moves, speed)
         return path, int(end)

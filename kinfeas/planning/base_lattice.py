@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.solid_kernels import PRISM, horizontal_gap, is_empty, write_prism
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array
 from kinfeas.kinematics.kernels import inner, kernel, square
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
 from kinfeas.kinematics.solids import bounds, touches_solids
@@ -15,8 +16,10 @@ from kinfeas.planning.lattice import (
     close_next,
     improves,
     make_frontier,
+    make_prisms,
     open_node,
     path_to,
+    scan_grid,
     search_grid,
 )
 
@@ -64,42 +67,26 @@ def lattice_moves(*, omnidirectional: bool) -> NDArray[np.int64]:
     return np.array(moves)
 
 
-@kernel
-def driving_costs(origin, shape, cell, solids, disc):
+def driving_costs(
+    solids: Solids, low: Array, high: Array, cell: float, disc: tuple[float, float]
+) -> Array:
     """Return the cost of a metre of driving at each cell, shape (x, y).
 
     Args:
-        origin: Position of the first cell, shape (2,), metres.
-        shape: Number of cells along x and y.
+        solids: In the world, one row; those that move have no cost.
+        low: Position of the first cell, shape (2,), metres.
+        high: Position that the last cell reaches, shape (2,), metres.
         cell: Side of a cell, metres.
-        solids: Pose, size, cylinder and velocity of one row of `Solids`; those that move have no
-            cost.
         disc: Radius and height of a disc within the base, metres; where it touches a solid, the
             cost is infinite.
     """
-    pose, size, cylinder, velocity = solids
-    preferred, prism = disc[0] + LATTICE.clearance, np.empty(PRISM)
-    cost = np.full((shape[0], shape[1]), preferred)  # first the distance from solids
-    for k in range(len(pose)):
-        moves = velocity[k, 0] != 0.0 or velocity[k, 1] != 0.0
-        if moves or is_empty(size[k]) or size[k, 2] > disc[1] or size[k, 3] < disc[1]:
-            continue
-        write_prism(pose[k], size[k], cylinder[k], prism)
-        reach = prism[9] + preferred
-        first, last = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
-        for i in range(2):
-            first[i] = max(int((pose[k, i] - reach - origin[i]) / cell), 0)
-            last[i] = min(int((pose[k, i] + reach - origin[i]) / cell) + 1, shape[i] - 1)
-        for i in range(first[0], last[0] + 1):
-            for j in range(first[1], last[1] + 1):
-                gap = horizontal_gap(prism, origin[0] + cell * i, origin[1] + cell * j)
-                cost[i, j] = min(cost[i, j], gap)
-    for i in range(shape[0]):
-        for j in range(shape[1]):
-            near = 1.0 - cost[i, j] / preferred
-            blocked = cost[i, j] < disc[0]
-            cost[i, j] = np.inf if blocked else 1.0 + LATTICE.crowded * near * near
-    return cost
+    pose, size, preferred = solids.pose[0], solids.size[0], disc[0] + LATTICE.clearance
+    rows = ~solids.velocity[0].any(axis=1) & (size[:, 2] <= disc[1]) & (disc[1] <= size[:, 3])
+    prisms = make_prisms(pose[rows], size[rows], solids.cylinder[0, rows])
+    nx, ny = (np.ceil((high - low) / cell).astype(np.int64) + 1).tolist()
+    gaps, _ = scan_grid(prisms, low, cell, 0.0, (nx, ny, 0), preferred, 0.0)
+    near = 1.0 - gaps / preferred
+    return np.where(gaps < disc[0], np.inf, 1.0 + LATTICE.crowded * near * near)
 
 
 @kernel

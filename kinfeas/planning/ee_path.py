@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.solid_kernels import PRISM, horizontal_gap, is_empty, vertical_gap, write_prism
+from kinfeas.core.solid_kernels import horizontal_gap, vertical_gap
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.kernels import inner, kernel
-from kinfeas.planning.lattice import UNSEEN, path_to, search_grid
+from kinfeas.planning.lattice import UNSEEN, make_prisms, path_to, scan_grid, search_grid
 from kinfeas.planning.spline import POINTS, squared_length, write_position
 
 
@@ -70,7 +70,7 @@ def _replan_batch(settings, new, fraction, start, goal, solids, points):
     """Write control points of new paths, and which are new instead of which lead to the goal."""
     pose, size, cylinder = solids
     for i in range(len(new)):
-        prisms = _prisms(pose[i], size[i], cylinder[i])
+        prisms = make_prisms(pose[i], size[i], cylinder[i])
         free, cheap, cost = False, False, np.inf
         if new[i]:
             free, cheap, cost = _assess(points[i], fraction[i], prisms, settings)
@@ -80,17 +80,6 @@ def _replan_batch(settings, new, fraction, start, goal, solids, points):
             new[i] = not free or new_cost < settings.gain * cost
             if new[i]:
                 _smooth(path, prisms, settings, points[i])
-
-
-@kernel
-def _prisms(pose, size, cylinder):
-    """Return the solids of a row as prisms, shape (k, `PRISM`)."""
-    prisms, count = np.empty((len(pose), PRISM)), 0
-    for k in range(len(pose)):
-        if not is_empty(size[k]):
-            write_prism(pose[k], size[k], cylinder[k], prisms[count])
-            count += 1
-    return prisms[:count]
 
 
 @inner
@@ -197,43 +186,21 @@ def _cheapest_path(start, goal, prisms, settings):
 @kernel
 def _make_grid(start, goal, prisms, settings):
     """Return the grid around a motion, with its free nodes and costs."""
-    origin, shape = np.empty(3), np.empty(3, dtype=np.int64)
-    for i in range(2):
-        origin[i] = min(start[i], goal[i]) - settings.border
-    side = max(abs(start[0] - goal[0]), abs(start[1] - goal[1])) + 2.0 * settings.border
-    cell = max(settings.cell, side / (settings.most_cells - 2))
-    for i in range(2):
-        shape[i] = int((abs(start[i] - goal[i]) + 2.0 * settings.border) / cell) + 2
+    origin = np.minimum(start, goal) - settings.border
+    width, depth = np.abs(start[:2] - goal[:2]) + 2.0 * settings.border
+    cell = max(settings.cell, max(width, depth) / (settings.most_cells - 2))
+    nx, ny = int(width / cell) + 2, int(depth / cell) + 2
     origin[2] = min(min(start[2], goal[2]), settings.min_height)
     height = max(max(start[2], goal[2]), settings.max_height) - origin[2]
-    shape[2] = min(max(int(height / settings.level) + 2, 2), settings.most_levels)
-    level = max(height / (shape[2] - 1), 1e-3)
+    nz = min(max(int(height / settings.level) + 2, 2), settings.most_levels)
+    level = max(height / (nz - 1), 1e-3)
     radius, clearance = settings.radius, settings.clearance
     half = 0.5 * max(cell * math.sqrt(2.0), level)
     # Lines between free nodes are free, too.
     apart = max(math.sqrt(radius * radius + half * half), radius + settings.margin)
-    cost = np.full((shape[0], shape[1]), clearance)  # first the distance from solids
-    free = np.ones((shape[0], shape[1], shape[2]), dtype=np.bool_)
-    for k in range(len(prisms)):
-        prism = prisms[k]
-        reach = prism[9] + max(clearance, apart)
-        first, last = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
-        for i in range(2):
-            first[i] = max(int((prism[2 + i] - reach - origin[i]) / cell), 0)
-            last[i] = min(int((prism[2 + i] + reach - origin[i]) / cell) + 1, shape[i] - 1)
-        for i in range(first[0], last[0] + 1):
-            for j in range(first[1], last[1] + 1):
-                gap = horizontal_gap(prism, origin[0] + i * cell, origin[1] + j * cell)
-                cost[i, j] = min(cost[i, j], gap)
-                if gap >= apart:
-                    continue
-                gap = max(gap, 0.0)
-                for h in range(shape[2]):
-                    above = vertical_gap(prism, origin[2] + h * level)
-                    if gap * gap + above * above < apart * apart:
-                        free[i, j, h] = False
-    for i in range(shape[0]):
-        for j in range(shape[1]):
+    cost, free = scan_grid(prisms, origin, cell, level, (nx, ny, nz), clearance, apart)
+    for i in range(nx):
+        for j in range(ny):
             cost[i, j] = _cost_of_metre(cost[i, j], settings)
     return _Grid(prisms, origin, cell, level, free, cost)
 
@@ -291,7 +258,8 @@ def _nearest_free(point, grid, settings):
             for h in range(nz):
                 if not grid.free[i, j, h]:
                     continue
-                _write_node((i * ny + j) * nz + h, grid, node)
+                node[0], node[1] = grid.origin[0] + i * grid.cell, grid.origin[1] + j * grid.cell
+                node[2] = grid.origin[2] + h * grid.level
                 cost = math.sqrt(squared_length(point, node))
                 if cost >= best:
                     continue

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.solid_kernels import PRISM, horizontal_gap, is_empty, vertical_gap, write_prism
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.kernels import inner, kernel
+from kinfeas.kinematics.kernels import inner, kernel, square
 
 UNSEEN, CLOSED = -1, -2
 """Values of `Frontier.index` of nodes that are not open."""
@@ -156,3 +157,40 @@ def search_grid(free, metre_cost, cell, level, sources, source_costs, goal):
                     ahead = cell * (max(dx, dy) + (math.sqrt(2.0) - 1.0) * min(dx, dy))
                     ahead += level * abs(h - gz)
                 open_node(frontier, other, node, cost, cost + ahead)
+
+
+@kernel
+def make_prisms(pose, size, cylinder):
+    """Return the solids of a row as prisms, shape (k, `PRISM`)."""
+    prisms, count = np.empty((len(pose), PRISM)), 0
+    for k in range(len(pose)):
+        if not is_empty(size[k]):
+            write_prism(pose[k], size[k], cylinder[k], prisms[count])
+            count += 1
+    return prisms[:count]
+
+
+@kernel
+def scan_grid(prisms, origin, cell, level, shape, limit, apart):
+    """Return horizontal gaps of cells from prisms, at most `limit`, (x, y), and free nodes.
+
+    Those are at least `apart` from all prisms, shape (x, y, heights), metres.
+    """
+    gaps, free = np.full((shape[0], shape[1]), limit), np.ones(shape, dtype=np.bool_)
+    reach = max(limit, apart)
+    first, last = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
+    for k in range(len(prisms)):
+        prism = prisms[k]
+        for i in range(2):
+            x, radius = prism[2 + i] - origin[i], prism[9] + reach
+            first[i] = max(int((x - radius) / cell), 0)
+            last[i] = min(int((x + radius) / cell) + 1, shape[i] - 1)
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                gap = horizontal_gap(prism, origin[0] + i * cell, origin[1] + j * cell)
+                gaps[i, j] = min(gaps[i, j], gap)
+                for h in range(shape[2] if gap < apart else 0):
+                    above = vertical_gap(prism, origin[2] + h * level)
+                    if square(max(gap, 0.0)) + square(above) < square(apart):
+                        free[i, j, h] = False
+    return gaps, free

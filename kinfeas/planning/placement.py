@@ -237,10 +237,9 @@ def connected(
     standing = solids.filled[0] & ~solids.velocity[0].any(axis=1)
     corners = np.vstack([solids.pose[0, standing, :2], start, positions])
     low, high = corners.min(axis=0) - _SETTINGS.border, corners.max(axis=0) + _SETTINGS.border
-    shape = np.ceil((high - low) / _SETTINGS.cell).astype(np.int64) + 1
-    row = solids.pose[0], solids.size[0], solids.cylinder[0], solids.velocity[0]
-    smaller = np.array([disc[0] - _SETTINGS.cell, disc[1]])
-    labels, _ = ndimage.label(np.isfinite(driving_costs(low, shape, _SETTINGS.cell, row, smaller)))
+    smaller = disc[0] - _SETTINGS.cell, disc[1]
+    cost = driving_costs(solids, low, high, _SETTINGS.cell, smaller)
+    labels, _ = ndimage.label(np.isfinite(cost))
     cells = np.rint((np.vstack([start, positions]) - low) / _SETTINGS.cell).astype(np.intp)
     region = labels[cells[:, 0], cells[:, 1]]
     reached: NDArray[np.bool_] = (region[1:] == region[0]) & (region[0] > 0)
