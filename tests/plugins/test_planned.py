@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import label
-from scipy.spatial.transform import Rotation
 
 from kinfeas.core.motion import WholeBodyPath
 from kinfeas.core.solids import Solids, stacked_solids
@@ -17,18 +16,18 @@ RADIUS = 0.15
 
 def clearance(solids, row, points):
     """Return the distances of points, shape (m, 3), to the nearest solid: to a clamped point."""
-    nearest = np.full(len(points), np.inf)
-    each = zip(solids.pose[row], solids.size[row], solids.cylinder[row], strict=True)
-    for (x, y, yaw), (a, b, low, high), cylinder in each:
-        if a == 0.0:
-            continue
-        local = Rotation.from_euler("z", yaw).inv().apply(points - [x, y, 0.0])
-        inside = np.clip(local, [-a, -b, low], [a, b, high])
-        if cylinder:
-            reach = np.maximum(np.linalg.norm(local[:, :2], axis=1, keepdims=True), 1e-9)
-            inside[:, :2] = local[:, :2] * np.minimum(a / reach, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(local - inside, axis=1))
-    return nearest
+    pose, size = solids.pose[row][:, np.newaxis], solids.size[row][:, np.newaxis]
+    x, y = np.moveaxis(points[:, :2] - pose[..., :2], -1, 0)
+    turned = (x + 1j * y) * np.exp(-1j * pose[..., 2])
+    local = np.stack([turned.real, turned.imag, points[:, 2] + 0.0 * x], axis=-1)
+    box = np.stack([-size[..., 0], -size[..., 1], size[..., 2]], axis=-1), size[..., [0, 1, 3]]
+    away = local - np.clip(local, *box)
+    reach = np.maximum(np.abs(turned), 1e-9)
+    outside = np.maximum(1.0 - size[..., 0] / reach, 0.0)[..., np.newaxis]
+    cylinder = solids.cylinder[row][:, np.newaxis, np.newaxis]
+    away[..., :2] = np.where(cylinder, local[..., :2] * outside, away[..., :2])
+    away[solids.size[row, :, 0] == 0.0] = np.inf
+    return np.linalg.norm(away, axis=-1).min(axis=0)
 
 
 def world(seed, places=40):
