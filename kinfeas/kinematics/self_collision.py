@@ -76,7 +76,7 @@ def build_collision_model(robot: Robot) -> CollisionModel:
         shapes.setdefault(link, []).append(i)
     pairs = sorted(
         (min(i, k), max(i, k))
-        for link, other in _checked_links(robot, mounts)
+        for link, other in checked_links(robot)
         for i, k in product(shapes[link], shapes[other])
     )
     return CollisionModel(
@@ -94,8 +94,21 @@ def build_collision_model(robot: Robot) -> CollisionModel:
 
 def checked_links(robot: Robot) -> list[tuple[str, str]]:
     """Return the pairs of links with shapes that are checked, sorted by name."""
-    _, mounts = build_tree(robot)
-    return sorted((min(pair), max(pair)) for pair in _checked_links(robot, mounts))
+    rigid, bodies = robot.urdf.rigid, dict[int, list[str]]()
+    for link, mount in build_tree(robot)[1].items():
+        if robot.urdf.links[link].shapes:
+            bodies.setdefault(mount.joint, []).append(link)
+    joined = {
+        frozenset((rigid[joint.parent], rigid[joint.child])) for joint in robot.urdf.joints.values()
+    }
+    return sorted(
+        (min(a, b), max(a, b))
+        for links, others in combinations(bodies.values(), 2)
+        for a, b in product(links, others)
+        if rigid[a] != rigid[b]
+        and frozenset((rigid[a], rigid[b])) not in joined
+        and frozenset((a, b)) not in robot.ignored_collisions
+    )
 
 
 def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.bool_]:
@@ -230,23 +243,3 @@ def _extents(shape: Shape) -> tuple[Array, float]:
         radius, length = shape.size
         return np.array([radius, radius, length / 2.0]), float(np.hypot(radius, length / 2.0))
     return np.full(3, shape.size[0]), float(shape.size[0])
-
-
-def _checked_links(robot: Robot, mounts: dict[str, Mount]) -> set[frozenset[str]]:
-    """Return the pairs of links whose shapes may touch."""
-    rigid = robot.urdf.rigid
-    bodies: dict[int, list[str]] = {}
-    for link, mount in mounts.items():
-        if robot.urdf.links[link].shapes:
-            bodies.setdefault(mount.joint, []).append(link)
-    joined = {
-        frozenset((rigid[joint.parent], rigid[joint.child])) for joint in robot.urdf.joints.values()
-    }
-    return {
-        frozenset((a, b))
-        for links, others in combinations(bodies.values(), 2)
-        for a, b in product(links, others)
-        if rigid[a] != rigid[b]
-        and frozenset((rigid[a], rigid[b])) not in joined
-        and frozenset((a, b)) not in robot.ignored_collisions
-    }

@@ -127,7 +127,7 @@ def search_base(model, rest, reach, start, goals, goal_costs, solids, grid, move
     around = bounds(model, False, scratch), bounds(model, True, scratch)
     base, local = np.empty(3), np.empty_like(pose)
     seconds[first] = 0.0
-    if ahead.index[first // LATTICE.headings] != UNSEEN:
+    if ahead.slot[first // LATTICE.headings] != UNSEEN:
         open_node(frontier, first, first, 0.0, 0.0)
     while True:
         node = close_next(frontier)
@@ -154,7 +154,7 @@ def search_base(model, rest, reach, start, goals, goal_costs, solids, grid, move
         for m in range(moves.shape[1]):
             step_x, step_y, step_heading, length = moves[heading, m]
             i, j = x + step_x, y + step_y
-            if i < 0 or j < 0 or i >= nx or j >= ny or ahead.index[i * ny + j] == UNSEEN:
+            if i < 0 or j < 0 or i >= nx or j >= ny or ahead.slot[i * ny + j] == UNSEEN:
                 continue
             turned = (heading + step_heading) % LATTICE.headings
             other = (i * ny + j) * LATTICE.headings + turned

@@ -171,8 +171,8 @@ class BasePathPlanner:
         turning = np.concatenate([[False, False, True], self.robot.continuous])
         robots[:, turning] = np.unwrap(robots[:, turning], axis=0)
         seconds = begin + step * nodes.astype(np.float64)
-        time_scale = np.concatenate([[1.0], scales[nodes[:-1]]])
-        return BasePath(ee, step, begin, seconds, robots, time_scale)
+        until = np.concatenate([[1.0], scales[nodes[:-1]]])
+        return BasePath(ee, step, begin, seconds, robots, until)
 
     def _moved(
         self,

@@ -168,7 +168,7 @@ def _cheapest_path(start, goal, prisms, settings):
         return straight, direct
     sources = np.array([first])
     frontier = search_grid(grid.free, grid.cost, grid.cell, grid.level, sources, np.zeros(1), last)
-    if frontier.index[last] == UNSEEN:
+    if frontier.slot[last] == UNSEEN:
         return straight, direct
     nodes = path_to(frontier, last)
     corners = np.empty((len(nodes) + 2, 3))

@@ -11,7 +11,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.kinematics.kernels import inner, kernel, square
 
 UNSEEN, CLOSED = -1, -2
-"""Values of `Frontier.index` of nodes that are not open."""
+"""Values of `Frontier.slot` of nodes that are not open."""
 
 
 class Frontier(NamedTuple):
@@ -21,7 +21,7 @@ class Frontier(NamedTuple):
         cost: Least cost of each node so far, shape (n,); without a value if it is unseen.
         parent: Node before it on its path, shape (n,), likewise.
         priority: Cost of the path through it, shape (n,), likewise.
-        index: Index of each node in the heap, shape (n,), or `UNSEEN` or `CLOSED`.
+        slot: Index of each node in the heap, shape (n,), or `UNSEEN` or `CLOSED`.
         heap: Open nodes, shape (n,).
         size: Number of open nodes, shape (1,).
     """
@@ -29,7 +29,7 @@ class Frontier(NamedTuple):
     cost: Array
     parent: NDArray[np.int32]
     priority: Array
-    index: NDArray[np.int32]
+    slot: NDArray[np.int32]
     heap: NDArray[np.int32]
     size: NDArray[np.int32]
 
@@ -50,30 +50,30 @@ def make_frontier(nodes):
 @inner
 def improves(frontier, node, cost):
     """Return whether a path to a node costs less than those before."""
-    index = frontier.index[node]
-    return index == UNSEEN or (index >= 0 and cost < frontier.cost[node])
+    slot = frontier.slot[node]
+    return slot == UNSEEN or (slot >= 0 and cost < frontier.cost[node])
 
 
 @inner
 def open_node(frontier, node, parent, cost, priority):
     """Open a node, or move an open one forward, with the path through a parent."""
-    heap, index = frontier.heap, frontier.index
-    i = index[node]
+    heap, slot = frontier.heap, frontier.slot
+    i = slot[node]
     if i < 0:
         i = frontier.size[0]
         frontier.size[0] += 1
     frontier.cost[node], frontier.parent[node], frontier.priority[node] = cost, parent, priority
     while i > 0 and _before(frontier, node, heap[(i - 1) // 2]):
         heap[i] = heap[(i - 1) // 2]
-        index[heap[i]] = i
+        slot[heap[i]] = i
         i = (i - 1) // 2
-    heap[i], index[node] = node, i
+    heap[i], slot[node] = node, i
 
 
 @inner
 def close_next(frontier):
     """Close the open node of least priority and return it; -1 without any."""
-    heap, index = frontier.heap, frontier.index
+    heap, slot = frontier.heap, frontier.slot
     if frontier.size[0] == 0:
         return -1
     frontier.size[0] -= 1
@@ -86,11 +86,11 @@ def close_next(frontier):
         if not _before(frontier, heap[child], last):
             break
         heap[i] = heap[child]
-        index[heap[i]] = i
+        slot[heap[i]] = i
         i = child
     if count > 0:
-        heap[i], index[last] = last, i
-    index[first] = CLOSED
+        heap[i], slot[last] = last, i
+    slot[first] = CLOSED
     return first
 
 
