@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
@@ -34,6 +35,30 @@ def test_free_configurations_are_free_for_fcl(robot, judge):
 def test_many_free_configurations_are_free_for_fcl(name, count):
     robot = load_robot(name)
     check(robot, Pinocchio(robot), count)
+
+
+def test_gaps_are_those_of_clamped_points():
+    solids, points = draw_solids(30, 6), np.random.default_rng(3).uniform(-2.5, 2.5, (30, 20, 3))
+    planar, vertical = solids.gaps(points)
+    for row, k in zip(*np.nonzero(solids.filled), strict=True):
+        (x, y, angle), (a, b, low, high) = solids.pose[row, k], solids.size[row, k]
+        local = Rotation.from_euler("z", -angle).apply(points[row] - [x, y, 0.0])
+        nearest = np.clip(local, [-a, -b, low], [a, b, high])
+        if solids.cylinder[row, k]:
+            radius = np.linalg.norm(local[:, :2], axis=1, keepdims=True)
+            nearest[:, :2] = local[:, :2] * np.minimum(a / radius, 1.0)
+        away = local - nearest
+        np.testing.assert_allclose(planar[row, :, k], np.hypot(*away[:, :2].T), atol=1e-12)
+        np.testing.assert_allclose(vertical[row, :, k], np.abs(away[:, 2]), atol=1e-12)
+
+
+def test_swept_solids_contain_those_that_move():
+    solids, rng = draw_solids(30, 6), np.random.default_rng(4)
+    solids.velocity[:], solids.span[:] = rng.uniform(-0.3, 0.3, (30, 6, 2)), 9.0
+    points = solids.centre[..., :3] + 0.3 * rng.normal(size=(30, 6, 3))
+    swept = np.hypot(*solids.swept(0.0, 2.0).gaps(points))
+    for seconds in (0.0, 0.7, 2.0):
+        assert np.all(swept <= np.hypot(*solids.at(np.full(30, seconds)).gaps(points)) + 1e-9)
 
 
 def test_world_and_base_see_the_same_scene():

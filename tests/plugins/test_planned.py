@@ -15,19 +15,8 @@ RADIUS = 0.15
 
 
 def clearance(solids, row, points):
-    """Return the distances of points, shape (m, 3), to the nearest solid: to a clamped point."""
-    pose, size = solids.pose[row][:, np.newaxis], solids.size[row][:, np.newaxis]
-    x, y = np.moveaxis(points[:, :2] - pose[..., :2], -1, 0)
-    turned = (x + 1j * y) * np.exp(-1j * pose[..., 2])
-    local = np.stack([turned.real, turned.imag, points[:, 2] + 0.0 * x], axis=-1)
-    box = np.stack([-size[..., 0], -size[..., 1], size[..., 2]], axis=-1), size[..., [0, 1, 3]]
-    away = local - np.clip(local, *box)
-    reach = np.maximum(np.abs(turned), 1e-9)
-    outside = np.maximum(1.0 - size[..., 0] / reach, 0.0)[..., np.newaxis]
-    cylinder = solids.cylinder[row][:, np.newaxis, np.newaxis]
-    away[..., :2] = np.where(cylinder, local[..., :2] * outside, away[..., :2])
-    away[solids.size[row, :, 0] == 0.0] = np.inf
-    return np.linalg.norm(away, axis=-1).min(axis=0)
+    """Return the distances of points, shape (m, 3), to the nearest solid."""
+    return np.hypot(*solids.of(np.array([row])).gaps(points[np.newaxis]))[0].min(axis=1)
 
 
 def world(seed, places=40):
