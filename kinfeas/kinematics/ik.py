@@ -162,53 +162,30 @@ class IkSolver:
         """
         if max_joint_step is None and not allow_reconfiguration:
             raise KinfeasError("without reconfiguration, max_joint_step must be given")
-        rules = max_joint_step, allow_reconfiguration, hold_torso
-        clearance = self.options.solid_clearance
-        if solids is None or not clearance:
-            return self._solve(ee_pose_in_base, seed, posture_guide, solids, *rules)
-        # No arm is reconfigured for the clearance.
-        strict = max_joint_step, max_joint_step is None, hold_torso
-        solution = self._solve(ee_pose_in_base, seed, posture_guide, solids, *strict, clearance)
-        rows = (~solution.feasible).nonzero()[0]
-        if allow_reconfiguration and rows.size:
-            guide = None if posture_guide is None else posture_guide[rows]
-            targets, seeds, among = ee_pose_in_base[rows], seed[rows], solids.of(rows)
-            solution.put(rows, self._solve(targets, seeds, guide, among, *rules))
-        return solution
-
-    def _solve(
-        self,
-        ee_pose_in_base: Array,
-        seed: Array,
-        posture_guide: Array | None,
-        solids: Solids | None,
-        max_joint_step: Array | None,
-        allow_reconfiguration: bool,
-        hold_torso: bool,
-        clearance: float = 0.0,
-    ) -> IkSolution:
-        """Return solutions with a clearance from solids; arguments as in `solve`."""
         n, joints = len(ee_pose_in_base), self.chain.variables
         targets = _checked("targets", ee_pose_in_base, (n, 7))
         solution = _checked("seeds", seed, (n, joints)).copy()
-        within, guide = np.empty(0), np.empty((0, joints))
+        step, guide = np.empty(0), np.empty((0, joints))
         if max_joint_step is not None:
-            within = _checked("max_joint_step", max_joint_step, (joints,))
+            step = _checked("max_joint_step", max_joint_step, (joints,))
         if posture_guide is not None:
             guide = _checked("posture guides", posture_guide, (n, joints))
+        around = _NO_SOLIDS if solids is None else solid_arrays(solids, n)
+        clearance = 0.0 if solids is None else self.options.solid_clearance
+        problem = self._held_torso if hold_torso else self._problem
         feasible, errors = np.empty(n, dtype=np.bool_), np.empty((n, 2))
-        solve_batch(
-            self._held_torso if hold_torso else self._problem,
-            targets,
-            within,
-            allow_reconfiguration,
-            guide,
-            _NO_SOLIDS if solids is None else solid_arrays(solids, n),
-            clearance,
-            solution,
-            feasible,
-            errors,
-        )
+        # No arm is reconfigured for the clearance.
+        anywhere = allow_reconfiguration and not (clearance and len(step))
+        results = solution, feasible, errors
+        solve_batch(problem, targets, step, anywhere, guide, around, clearance, *results)
+        rows = (~feasible).nonzero()[0]
+        if clearance and allow_reconfiguration and rows.size:
+            guide = guide[rows] if len(guide) else guide
+            among = tuple(values[rows] for values in around)
+            again = solution[rows], feasible[rows], errors[rows]
+            solve_batch(problem, targets[rows], step, True, guide, among, 0.0, *again)
+            for values, new in zip(results, again, strict=True):
+                values[rows] = new
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
 
 
