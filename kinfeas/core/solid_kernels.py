@@ -106,3 +106,22 @@ def gaps(points, pose, size, cylinder, planar, vertical):
             vertical[i, k] = vertical_gap(prism, points[i, 2])
             if is_empty(size[k]):
                 planar[i, k] = np.inf
+
+
+@compiled(
+    ["void(f8[:,:], f8[:,:], b1[:], f8[:,:], f8, f8, f8[:,:], f8[:,:])"],
+    "(k,p),(k,s),(k),(k,v),(),()->(k,p),(k,s)",
+)
+def swept(pose, size, cylinder, velocity, first, last, pose_out, size_out):
+    """Poses and sizes of solids that fill the room of others between two times, seconds."""
+    pose_out[:], size_out[:] = pose, size
+    for k in range(len(pose)):
+        cosine, sine = math.cos(pose[k, 2]), math.sin(pose[k, 2])
+        x, y = 0.5 * (last - first) * velocity[k, 0], 0.5 * (last - first) * velocity[k, 1]
+        u, v = abs(cosine * x + sine * y), abs(cosine * y - sine * x)
+        if cylinder[k]:
+            u = v = math.sqrt(x * x + y * y)
+        size_out[k, 0] += u
+        size_out[k, 1] += v
+        pose_out[k, 0] += 0.5 * (first + last) * velocity[k, 0]
+        pose_out[k, 1] += 0.5 * (first + last) * velocity[k, 1]

@@ -149,14 +149,8 @@ class Solids:
 
     def swept(self, first: float, last: float) -> "Solids":
         """Return solids that fill the room of these between two times, seconds from now."""
-        if not self.velocity.any():
-            return self
-        x, y = np.moveaxis(0.5 * ((last - first) * self.velocity), -1, 0)
-        cosine, sine = np.cos(self.pose[..., 2]), np.sin(self.pose[..., 2])
-        radius, size, pose = np.sqrt(x * x + y * y), self.size.copy(), self.pose.copy()
-        size[..., 0] += np.where(self.cylinder, radius, np.abs(cosine * x + sine * y))
-        size[..., 1] += np.where(self.cylinder, radius, np.abs(cosine * y - sine * x))
-        pose[..., :2] += 0.5 * ((first + last) * self.velocity)
+        arrays = self.pose, self.size, self.cylinder, self.velocity
+        pose, size = solid_kernels.swept(*arrays, first, last)
         return replace(self, pose=pose, size=size)
 
 
