@@ -11,7 +11,7 @@ import threading
 
 import numpy as np
 
-from kinfeas.sim2real.deploy.watchdog import StopCall
+from kinfeas.core.backend import StopCall
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
 

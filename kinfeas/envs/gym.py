@@ -13,7 +13,6 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
-from kinfeas.core.backend import SupportsContacts, SupportsRendering
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import Transition, World, WorldConfig, evaluation_world
 from kinfeas.robots.loading import load_robot
@@ -123,10 +122,10 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         check_reset(self.world)
         if self.render_mode != "rgb_array":
             return None
-        backend = self.world.backend
-        if not isinstance(backend, SupportsRendering):
+        camera = self.world.backend.camera
+        if camera is None:
             raise KinfeasError(f"backend {self.world.config.backend!r} has no camera")
-        return backend.render(0, self.world.loop.sequence.goal[0, :3])
+        return camera.render(0, self.world.loop.sequence.goal[0, :3])
 
     def close(self) -> None:
         """Close the backend."""
@@ -206,20 +205,20 @@ def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
     `failures` counts from the beginning of the episode; `is_success` is a goal reached without a
     failure. Backends that measure contacts add the numbers of contacts of base and arm.
     """
-    step, failures = transition.step, world.failures.copy()
+    outcome, failures = transition.outcome, world.failures.copy()
     info: dict[str, NDArray[Any]] = {
-        "subgoal": step.subgoal,
-        "feasible": step.feasible,
+        "subgoal": outcome.subgoal,
+        "feasible": outcome.feasible,
         "failures": failures,
-        "deviation": step.deviation,
-        "goal_distance": step.goal_distance,
-        "goal_angle": step.goal_angle,
-        "joint_jump": step.joint_jump,
+        "deviation": outcome.deviation,
+        "goal_distance": outcome.goal_distance,
+        "goal_angle": outcome.goal_angle,
+        "joint_jump": outcome.joint_jump,
         "reached": transition.reached,
         "is_success": transition.reached & (failures == 0),
     }
-    if isinstance(world.backend, SupportsContacts):
-        contacts = [world.backend.contacts(row) for row in range(len(failures))]
+    if (sensor := world.backend.contacts) is not None:
+        contacts = [sensor.touching(row) for row in range(len(failures))]
         info["base_contacts"] = np.array([len(one.base) for one in contacts])
         info["arm_contacts"] = np.array([len(one.arm) for one in contacts])
     return info

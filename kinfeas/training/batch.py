@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control import observation
-from kinfeas.core.backend import Resumable
 from kinfeas.core.motion import Rows
 from kinfeas.envs.episodes import begin_worker
 from kinfeas.envs.world import Transition, World
@@ -39,7 +38,7 @@ class Batch:
         """Set the scale of the observations."""
         terms = self.world.loop.observer.terms
         self.scale = observation.scale(self.world.robot, terms).astype(np.float32)
-        self._saves_world = isinstance(self.world.loop.backend, Resumable)
+        self._saves_world = self.world.loop.backend.resumable is not None
 
     def start(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
@@ -65,7 +64,7 @@ class Batch:
         ended = np.flatnonzero(over)
         if ended.size:
             self.world.start_next(ended.size, ended)
-        seen = self._scaled(self.world.loop.policy_input.observation)
+        seen = self._scaled(self.world.loop.observation.values)
         return seen, (earned / periods).astype(np.float32), over, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:

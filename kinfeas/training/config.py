@@ -1,12 +1,11 @@
 """Settings of a training run: the schema of the sections `train` of `configs/robots`."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from kinfeas.config import PluginSpec, assigned, from_mapping
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested
 from kinfeas.config.quantities import (
     Count,
     Episodes,
@@ -17,8 +16,8 @@ from kinfeas.config.quantities import (
     Seed,
     Share,
 )
-from kinfeas.config.recipes import merged, read_recipe, section
-from kinfeas.control.observation import ACTION, OBSERVATION, check_names
+from kinfeas.config.recipes import read_recipe, section
+from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.envs.world import WorldConfig
 from kinfeas.robots.loading import load_robot
 
@@ -112,7 +111,6 @@ class TrainConfig:
             times and a longer horizon. In an evaluation and on a robot each period has its own
             action.
         observation: Observation terms of the policy, in order.
-        action: Action terms of the policy.
         world: Control period, limits of an episode, adapters, reward and IK.
         evaluation_adapters: Adapters of the evaluations, which select and measure the best policy,
             in place of those of `world`, which may be there for exploration only.
@@ -132,7 +130,6 @@ class TrainConfig:
     processes: Processes = 1
     action_repeat: Annotated[int, Interval(ge=1, le=1000)] = 1
     observation: tuple[str, ...] = OBSERVATION
-    action: tuple[str, ...] = ACTION
     world: WorldConfig = field(default_factory=WorldConfig)
     evaluation_adapters: tuple[PluginSpec, ...] = ()
     trackers: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ("tensorboard",)
@@ -146,12 +143,12 @@ class TrainConfig:
             raise ValueError(
                 f"'processes' must be at most 'num_envs', {self.num_envs}, not {self.processes}"
             )
-        check_names(self.observation, self.action)
+        check_terms(self.observation, "'observation'")
 
 
 def load_recipe(
     name: str | None,
-    overrides: Sequence[str] = (),
+    settings: Settings | None = None,
     *,
     backend: str = "analytic",
     robot: str = TrainConfig.robot,
@@ -161,16 +158,16 @@ def load_recipe(
     Args:
         name: Recipe as in `read_recipe`; None for the robot's own. Keys that it lacks are those of
             the robot's own recipe, unless it extends the recipe of a robot.
-        overrides: Assignments, as in `from_mapping`.
+        settings: Values by key, as in `from_mapping`.
         backend: World of the robot's recipe; those with physics have another one, also with `init`.
-        robot: Robot where neither the overrides nor the recipe name one.
+        robot: Robot where neither the settings nor the recipe name one.
 
     Raises:
         KinfeasError: If there is no such recipe or robot, or a key or value is wrong.
     """
     kind = "train" if backend == "analytic" else "train_physics"
     data, complete = ({}, False) if name is None else read_recipe(name, kind)
-    source, changes = name or "", assigned(overrides)
+    source, changes = name or "", nested(settings)
     data = {"robot": robot, **data}
     chosen = changes.get("robot", data["robot"])
     if not complete and isinstance(chosen, str):
@@ -182,4 +179,4 @@ def load_recipe(
         if backend == "mujoco":  # steps a batch on all cores; only a world in this process is saved
             base = {**base, "processes": 1}
         data, source = merged(base, data), source or own
-    return from_mapping(TrainConfig, data, source, overrides)
+    return from_mapping(TrainConfig, data, source, changes)

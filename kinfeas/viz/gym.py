@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.backends.physics.backend import PhysicsBackend
-from kinfeas.core.backend import SupportsSolids
 from kinfeas.envs.gym import BaseMotionEnv, check_reset
 
 if TYPE_CHECKING:
@@ -40,8 +39,8 @@ class RenderedMotionEnv(BaseMotionEnv):
         from kinfeas.viz.physics_film import solids, visible
 
         loop = self.world.loop
-        state, backend = loop.state, self.world.backend
-        present = backend.solids.after() if isinstance(backend, SupportsSolids) else None
+        state, backend = loop.robots, self.world.backend
+        present = None if backend.solids is None else backend.solids.after()
         if isinstance(backend, PhysicsBackend):  # furniture is visible already
             present = backend.solid_bodies()
         around = present.of(np.array([0])) if present else None

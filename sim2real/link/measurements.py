@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from kinfeas.core.backend import MeasuredScan, RobotState
+from kinfeas.core.backend import RobotState, Scan
 from kinfeas.core.spatial import Array, planar_pose, wrap
 from kinfeas.kinematics.drive import world_twist
 from kinfeas.robots.robot import Robot
@@ -145,7 +145,7 @@ class Inbox:
         with self._lock:
             return {type(one[0]) for one in (self._laser, self._costmap) if one is not None}
 
-    def scan(self) -> MeasuredScan:
+    def scan(self) -> Scan:
         """Return the newest scan; a base pose, and a laser or costmap, must have arrived."""
         with self._lock:
             assert self._base is not None

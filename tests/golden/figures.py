@@ -8,20 +8,20 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import SimpleNamespace
 
 import numpy as np
 import onnxruntime
 
 from kinfeas.config.recipes import load_section
-from kinfeas.control.filters.obstacle_distance import ObstacleFilter
+from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.envs.world import World, evaluation_world
-from kinfeas.evaluation.evaluate import prepare, run
+from kinfeas.evaluation.evaluate import configure, run
 from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import pretrained
+from kinfeas.policies.loading import load_policy
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.export import export
@@ -31,16 +31,17 @@ from kinfeas.training.train import train
 
 ROBOTS = ("pr2", "tiago", "hsr")
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
-FEASIBILITY_FILTER = 'world.filters=[{"name": "feasibility"}]'
-ROLLOUT_PLANNER = 'world.filters=[{"name": "rollout_planner"}]'
+FEASIBILITY_FILTER = ["feasibility"]
+PATH_PLANNER = ["path_planner", "feasibility"]
 SEED = 1
 
 
-def episodes(robot, task, count, *settings, backend="analytic"):
+def episodes(robot, task, count, filters=None, backend="analytic"):
     """Return the records of episodes of the pretrained policy."""
-    given = {"episodes": count, "seed": SEED, "overrides": settings}
-    chosen, policy = prepare(pretrained.NAME, robot, task, backend, **given)
-    return _records(run(chosen, policy))
+    known = load_robot(robot)
+    settings = {} if filters is None else {"world.filters": filters}
+    config = configure(known, task, backend, episodes=count, seed=SEED, settings=settings)
+    return _records(run(config, load_policy(pretrained.NAME, known)))
 
 
 def obstacle_filter(robot, count=300, obstacles=3):
@@ -56,10 +57,8 @@ def obstacle_filter(robot, count=300, obstacles=3):
             found = np.where(distances < within, distances, np.inf)
             return ObstacleDistances(0.3 * directions, directions, found)
 
-    loop = SimpleNamespace(robot=SimpleNamespace(base=base), backend=Around(), dt=0.1)
-    one = ObstacleFilter(0.03)
-    one.reset(loop, np.arange(count))
-    return {"commands": commands, "filtered": one.constraints(count).hold(commands)}
+    constraints = VelocityDamper(base, 0.1, 0.03).constraints(Around(), count)
+    return {"commands": commands, "filtered": constraints.hold(commands)}
 
 
 def ik(robot, count=1000):
@@ -95,8 +94,8 @@ def policy(robot, count=8, steps=5):
         world = World(known, load_task(task, {}), evaluation_world(), SEED)
         observations.append(world.start(range(count)).copy())
         for _ in range(steps):
-            world.step(network.act(world.loop.policy_input))
-        observations.append(world.loop.policy_input.observation.copy())
+            world.step(network.act(world.loop.observation))
+        observations.append(world.loop.observation.values.copy())
     seen = np.concatenate(observations)
     with TemporaryDirectory() as temporary:
         file = Path(temporary) / "policy.onnx"
@@ -108,10 +107,10 @@ def policy(robot, count=8, steps=5):
 def training(robot, gradient_steps=20):
     """Return the weights of the policy after a few gradient steps."""
     envs, start = 16, 320
-    settings = [f"robot={robot}", f"seed={SEED}", f"num_envs={envs}", "action_repeat=1"]
-    settings += [f"schedule.{one}" for one in ("minutes=null", "evaluations=1")]
-    settings += [f"schedule.steps={start + envs * gradient_steps}"]
-    settings += [f"learner.learning_starts={start}", "schedule.evaluation_episodes=1"]
+    schedule = {"minutes": None, "evaluations": 1, "evaluation_episodes": 1}
+    settings = {"robot": robot, "seed": SEED, "num_envs": envs, "action_repeat": 1}
+    settings |= {"schedule": {**schedule, "steps": start + envs * gradient_steps}}
+    settings |= {"learner.learning_starts": start}
     chosen = load_section(TrainConfig, "train", robot, settings)
     with TemporaryDirectory() as temporary:
         train(chosen, Path(temporary) / "run")
@@ -146,7 +145,7 @@ FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         for r in ROBOTS
         for t in TASKS
     },
-    **{f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, ROLLOUT_PLANNER) for r in ROBOTS},
+    **{f"path_planner-{r}": partial(episodes, r, "drawer", 2, PATH_PLANNER) for r in ROBOTS},
     **{f"physics-{r}": partial(episodes, r, "drawer", 2, backend="pybullet") for r in ROBOTS},
     **{f"obstacle_filter-{r}": partial(obstacle_filter, r) for r in ROBOTS},
     **{f"ik-{r}": partial(ik, r) for r in ROBOTS},

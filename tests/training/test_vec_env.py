@@ -68,7 +68,7 @@ def test_steps_are_the_worlds_repeated_with_the_mean_reward_until_the_end(repeat
             following += len(ended)
         np.testing.assert_array_equal(np.flatnonzero(dones), ended)
         np.testing.assert_allclose(rewards, [np.mean(row) for row in earned], rtol=1e-6)
-        np.testing.assert_array_equal(seen, scaled(beside.loop.policy_input.observation, env.scale))
+        np.testing.assert_array_equal(seen, scaled(beside.loop.observation.values, env.scale))
         for row in range(n):
             if row in ended:
                 last = scaled(lasts[row], env.scale)
@@ -116,7 +116,7 @@ def test_resumes_from_a_snapshot_to_the_bit():
 
 def test_a_world_in_mujoco_resumes_to_the_bit():
     pytest.importorskip("mujoco")
-    chosen = physical("world.backend=mujoco", "task=door", "processes=1")
+    chosen = physical({"world.backend": "mujoco", "task": "door", "processes": 1})
     env, fresh = (WorldVecEnv(training_world(chosen), 3, 5) for _ in range(2))
     env.reset()
     run(env, 3)
@@ -141,8 +141,8 @@ PHYSICAL = {
 }
 
 
-def physical(*overrides):
-    return config.from_mapping(TrainConfig, PHYSICAL, "physical", overrides)
+def physical(settings):
+    return config.from_mapping(TrainConfig, PHYSICAL, "physical", settings)
 
 
 @pytest.mark.slow
@@ -175,7 +175,7 @@ def test_processes_hold_batches_that_restart_and_a_killed_one_raises():
 def test_a_policy_is_tuned_in_physics_and_resumed(tmp_path, engine):
     pytest.importorskip(engine)
     out = tmp_path / "run"
-    progress = train(physical("init=pretrained", f"world.backend={engine}"), out)
+    progress = train(physical({"init": "pretrained", "world.backend": engine}), out)
     assert progress.steps == 210
     assert progress.evaluations == 2  # the initial policy is evaluated, too
-    assert resume(out, overrides=["schedule.steps=220"]).steps == 225
+    assert resume(out, settings={"schedule.steps": 220}).steps == 225
