@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.period import MotionStep, Period
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, in_base

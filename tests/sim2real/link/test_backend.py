@@ -3,7 +3,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from kinfeas.control import drive
 from kinfeas.core.backend import (
     SCAN_BEAMS,
     ArmLimited,
@@ -13,6 +12,7 @@ from kinfeas.core.backend import (
     SupportsScan,
 )
 from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.kinematics import drive
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
