@@ -16,13 +16,13 @@ from kinfeas.cli.output import (
     status,
     write_drawing,
     write_json,
+    write_video,
 )
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.core.policy import Policy
     from kinfeas.evaluation.evaluate import EvalConfig, Summary
-    from kinfeas.viz.film import Film
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -53,12 +53,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option("--ablation", help="Also evaluate single adapters."),
     ] = False,
     picture: Annotated[Path | None, options.file_option("Draw an episode.", ".png")] = None,
-    video: Annotated[
-        Path | None,
-        options.file_option(
-            "Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"
-        ),
-    ] = None,
+    video: options.Video = None,
     replay: Annotated[
         Path | None,
         options.file_option("Write an episode as an interactive page.", ".html", ".htm"),
@@ -180,47 +175,21 @@ def _show_episode(
     """Run an episode again and write it as picture, film and page."""
     if picture is None and video is None and replay is None:
         return
-    from kinfeas.backends.physics.backend import PhysicsBackend
     from kinfeas.envs.world import World
-    from kinfeas.evaluation.recording import record_episodes
-    from kinfeas.viz.episodes import EpisodeFilm, episodes_figure
-    from kinfeas.viz.physics_film import make_film
+    from kinfeas.viz.episodes import episodes_figure
+    from kinfeas.viz.replay import run_episode
     from kinfeas.viz.style import png
 
-    robot = chosen.robot
-    world = World(robot, chosen.task, chosen.world, chosen.seed)
+    world = World(chosen.robot, chosen.task, chosen.world, chosen.seed)
     try:
-        if isinstance(world.backend, PhysicsBackend):
-            with status(f"episode {number}"):
-                physics_film = make_film(world, policy, number)
-            _write_film(physics_film, video)
-            if replay is not None:
-                from kinfeas.viz.pages import physics_html
-
-                write_drawing(lambda: physics_html(physics_film).encode(), replay)
-            recording = physics_film.recording
-            if recording.solids is None:
-                _write_film(physics_film, picture)
-                return
-        else:
-            with status(f"episode {number}"):
-                (recording,) = record_episodes(world, policy, 1, first=number)
-            film = EpisodeFilm(recording, f"{robot.name}, {chosen.task.name}", robot)
-            _write_film(film, video)
-            if replay is not None:
-                from kinfeas.viz.pages import episode_html
-
-                page = partial(episode_html, recording, robot, recording.scene)
-                write_drawing(lambda: page().encode(), replay)
+        with status(f"episode {number}"):
+            episode = run_episode(world, policy, number)
     finally:
         world.close()
-    write_drawing(lambda: png(episodes_figure(robot, [recording]), dpi=110), picture)
+    write_video(episode, video)
+    if replay is not None:
+        from kinfeas.viz.pages import replay_html
 
-
-def _write_film(film: "Film", path: Path | None) -> None:
-    from kinfeas.viz.film import count_pictures, write_film
-
-    if path is not None:
-        with progress("drawing", count_pictures(film, path)) as advance:
-            write_film(film, path, advance)
-        typer.echo(str(path))
+        write_drawing(lambda: replay_html(episode).encode(), replay)
+    figure = partial(episodes_figure, chosen.robot, [episode.recording])
+    write_drawing(lambda: png(figure(), dpi=110), picture)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 DEFAULT_ROBOT = "pr2"
 
 _WRITERS = {
-    ".png": "matplotlib", ".gif": "matplotlib", ".mp4": "av", ".html": "viser", ".htm": "viser",
+    ".png": "matplotlib", ".gif": "PIL", ".mp4": "av", ".html": "viser", ".htm": "viser",
     ".onnx": "onnx",
 }  # fmt: skip
 """Optional packages that write files, by suffix."""
@@ -175,6 +175,11 @@ JsonPath = Annotated[
     ),
 ]
 Picture = Annotated[Path | None, file_option("Draw a picture.", ".png")]
+
+Video = Annotated[
+    Path | None,
+    file_option("Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"),
+]
 
 
 def read_robot(name: str) -> "Robot":

@@ -18,6 +18,8 @@ from kinfeas.io.files import replaced, write_file, writing
 if TYPE_CHECKING:
     from rich.text import Text
 
+    from kinfeas.viz.replay import Replay
+
 LINE_SECONDS = 15.0
 """Time between lines on progress where standard error is no terminal."""
 
@@ -64,6 +66,16 @@ def write_drawing(content: Callable[[], bytes], path: Path | None) -> None:
     if path is not None:
         with status("drawing"):
             write_file(path, content())
+        typer.echo(str(path))
+
+
+def write_video(replay: "Replay", path: Path | None) -> None:
+    """Write an episode as a film and print its path; nothing for None."""
+    if path is not None:
+        from kinfeas.viz.film import count_pictures, write_film
+
+        with progress("drawing", count_pictures(replay, path)) as advance:
+            write_film(replay, path, advance)
         typer.echo(str(path))
 
 

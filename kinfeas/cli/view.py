@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_facts, write_drawing, write_json
+from kinfeas.cli.output import print_facts, write_drawing, write_json, write_video
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kinfeas.scenes.scene import Scene
 
 
-def view(
+def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     scene: Annotated[
         str | None, typer.Option(help="Scene by name or YAML file.  [default: room]")
     ] = None,
@@ -25,6 +25,7 @@ def view(
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
     picture: options.Picture = None,
+    video: options.Video = None,
     html: Annotated[
         Path | None, options.file_option("Write an interactive page.", ".html", ".htm")
     ] = None,
@@ -35,15 +36,19 @@ def view(
 
     Example: kinfeas view --record runs/deploy/FILE.csv --picture run.png --html run.html
     """
+    if record is None and video is not None:
+        raise KinfeasError("--video needs --record")
     if record is None:
         _view_scene(scene or "room", overrides or [], json, picture, html)
     elif scene is not None or overrides:
         raise KinfeasError("--record excludes --scene and --set")
     else:
-        _view_run(record, json, picture, html)
+        _view_run(record, json, picture, video, html)
 
 
-def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | None) -> None:
+def _view_run(
+    path: Path, json: Path | None, picture: Path | None, video: Path | None, html: Path | None
+) -> None:
     from kinfeas.io.run_log import read_record
 
     run = read_record(path)
@@ -51,17 +56,19 @@ def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | 
     facts = _run_facts(run)
     write_json(facts, json)
     print_facts(f"record {path}", facts)
-    if picture is None and html is None:
+    if picture is None and video is None and html is None:
         return
-    from kinfeas.viz.episodes import as_recording, record_figure, scene_of
+    from kinfeas.viz.episodes import record_figure
+    from kinfeas.viz.replay import as_recording, replay_of
     from kinfeas.viz.style import png
 
     write_drawing(lambda: png(record_figure(run, robot), dpi=110), picture)
+    shown = replay_of(as_recording(run, robot), robot, robot.name, run.time)
+    write_video(shown, video)
     if html is not None:
-        from kinfeas.viz.pages import episode_html
+        from kinfeas.viz.pages import replay_html
 
-        shown = as_recording(run, robot)
-        write_drawing(lambda: episode_html(shown, robot, scene_of(run), run.time).encode(), html)
+        write_drawing(lambda: replay_html(shown).encode(), html)
 
 
 def _run_facts(run: "Record") -> dict[str, object]:

@@ -256,15 +256,6 @@ class SupportsContacts(Protocol):
 
 
 @runtime_checkable
-class SupportsRendering(Protocol):
-    """A backend with a camera."""
-
-    def render(self, env_id: int, goal: Array) -> NDArray[np.uint8]:
-        """Return an RGB picture of a robot and its goal position (3,), shape (h, w, 3)."""
-        ...
-
-
-@runtime_checkable
 class BatchLimited(Protocol):
     """A backend or filter whose robots cost memory or time: a process has at most `max_batch`."""
 

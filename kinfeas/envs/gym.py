@@ -13,7 +13,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
-from kinfeas.core.backend import SupportsContacts, SupportsRendering
+from kinfeas.core.backend import SupportsContacts
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import Transition, World, WorldConfig, evaluation_world
 from kinfeas.robots.loading import load_robot
@@ -115,18 +115,12 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of robot and goal, shape (360, 480, 3), in the mode `rgb_array`.
+        """Return None; subclasses return a picture in the mode `rgb_array`.
 
         Raises:
             ResetNeeded: Before the first reset.
         """
         check_reset(self.world)
-        if self.render_mode != "rgb_array":
-            return None
-        backend = self.world.backend
-        if not isinstance(backend, SupportsRendering):
-            raise KinfeasError(f"backend {self.world.config.backend!r} has no camera")
-        return backend.render(0, self.world.loop.sequence.goal[0, :3])
 
     def close(self) -> None:
         """Close the backend."""

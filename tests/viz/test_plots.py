@@ -82,9 +82,11 @@ def test_the_camera_of_a_page_shows_all_points_from_near():
 
 def test_pages_are_self_contained(hsr, recordings):
     pytest.importorskip("viser")
-    from kinfeas.viz.pages import episode_html, scene_html
+    from kinfeas.viz.pages import replay_html, scene_html
+    from kinfeas.viz.replay import replay_of
 
-    for html in (scene_html(read_scene("room")), episode_html(recordings[0], hsr)):
+    replay = replay_of(recordings[0], hsr, "HSR")
+    for html in (scene_html(read_scene("room")), replay_html(replay)):
         assert html.lstrip().lower().startswith("<!doctype html")
         assert "<title>kinfeas: " in html
         assert not any(place in html for place in ('src="http', "src='http", 'href="http'))
