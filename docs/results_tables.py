@@ -47,7 +47,6 @@ ROWS = {
 LEARNED = {
     ("sac", ""): "SAC, 3 seeds",
     ("sac", "rollout planner"): "SAC, 3 seeds, rollout planner",
-    ("td3", ""): "TD3, 3 seeds",
     ("pretrained", ""): "pretrained",
     ("pretrained", "feasibility filter"): "pretrained, feasibility filter",
     ("pretrained", "path planner"): "pretrained, path planner",
@@ -147,7 +146,7 @@ def tables_page(record: Sequence[Entry], pybullet: Sequence[Entry], mujoco: Sequ
         (f"{title}, {name}", [_jumps(cells.get((robot, task, *chosen))) for task in TASKS])
         for robot, title in ROBOTS.items()
         for chosen, name in LEARNED.items()
-        if chosen not in {("td3", ""), ("pretrained", "")}
+        if chosen != ("pretrained", "")
     ]
     lines += _table("robot, policy", TASKS, jumps)
     lines += ["", "## Physics worlds", "", OF_PHYSICS, ""]

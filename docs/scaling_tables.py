@@ -88,7 +88,7 @@ def alone(cost: Any, *arguments: Any) -> tuple[float, float]:
 
 def kind_of(one: Evaluation) -> str:
     """Return the name of the costs of an evaluation."""
-    same = {"sac": "policy", "td3": "policy", "pretrained": "policy"}
+    same = {"sac": "policy", "pretrained": "policy"}
     policy = {**same, "demonstrated_base": "follow_ee"}.get(one.policy, one.policy)
     return ", ".join(part for part in (one.robot, policy, one.row) if part)
 

@@ -6,7 +6,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from kinfeas.cli import options
 from kinfeas.cli.export import export_policy, facts
@@ -45,7 +45,6 @@ def train(  # noqa: PLR0913 - options of the command
     seed: int | None = None,
     minutes: float | None = None,
     steps: int | None = None,
-    algorithm: Literal["sac", "td3"] | None = None,
     adapters: str | Path | None = None,
     world: str = "analytic",
     init: str | Path | None = None,
@@ -68,7 +67,7 @@ def train(  # noqa: PLR0913 - options of the command
     from kinfeas.training.train import train as run
 
     chosen = read_settings(
-        _name(robot), _name(task), seed=seed, minutes=minutes, steps=steps, algorithm=algorithm,
+        _name(robot), _name(task), seed=seed, minutes=minutes, steps=steps,
         adapters=_name(adapters), world=world, init=_name(init), processes=processes,
         config=_name(config), overrides=options.assignments(settings or {}),
     )  # fmt: skip

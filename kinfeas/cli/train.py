@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.run import Progress
     from kinfeas.training.train import Report
-
-Algorithm = Literal["sac", "td3"]
 
 
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -38,7 +36,6 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     steps: Annotated[
         int | None, typer.Option(help="Environment steps, in place of or beside --minutes.")
     ] = None,
-    algorithm: Annotated[Algorithm | None, typer.Option(help="Algorithm.  [default: sac]")] = None,
     adapters: options.AdapterList = None,
     world: options.World = "analytic",
     init: Annotated[
@@ -79,7 +76,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     require("torch", "stable_baselines3")
     if resume is not None:
-        others = (robot, task, seed, algorithm, adapters, init, processes, out, config, overrides)
+        others = (robot, task, seed, adapters, init, processes, out, config, overrides)
         if world != "analytic" or any(one is not None for one in others):
             raise KinfeasError("--resume excludes all options but --minutes and --steps")
         check_begun(resume)
@@ -95,7 +92,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
         if out is not None:
             check_new(out)
         settings = read_settings(
-            robot, task, seed=seed, minutes=minutes, steps=steps, algorithm=algorithm,
+            robot, task, seed=seed, minutes=minutes, steps=steps,
             adapters=adapters, world=world, init=init, processes=processes, config=config,
             overrides=overrides or (),
         )  # fmt: skip
@@ -111,7 +108,6 @@ def read_settings(  # noqa: PLR0913 - options of the command
     seed: int | None = None,
     minutes: float | None = None,
     steps: int | None = None,
-    algorithm: str | None = None,
     adapters: str | None = None,
     world: str = "analytic",
     init: str | None = None,
@@ -126,7 +122,7 @@ def read_settings(  # noqa: PLR0913 - options of the command
     from kinfeas.training.run import with_initial_policy
 
     given: dict[str, object] = {"robot": robot, "task": task, "seed": seed, "init": init}
-    given |= {"processes": processes, "learner.algorithm": algorithm}
+    given |= {"processes": processes}
     if adapters is not None:
         given |= options.adapters_of_world(adapters)
         given["evaluation_adapters"] = given["world.adapters"]

@@ -13,8 +13,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 
 _FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4
-_FAILURE_METRES, _FAILURE_RADIANS, _SQUARED_RADIANS = 0.1, 0.3, 0.05
-_SQUARED_MOST = 50.0
+_FAILURE_METRES, _FAILURE_RADIANS = 0.1, 0.3
 _BASE_METRES = 0.5
 
 
@@ -24,9 +23,7 @@ class RewardConfig:
 
     Attributes:
         failure: `indicator` costs 1 for each kinematic failure, as in the paper; `graded` costs
-            between 0.2 and 1, growing with the distance that IK could not close; `squared` costs
-            half the square of that distance, at most 50, and multiplies the reward by the time
-            scale, as in N2M2 (Honerkamp et al., IEEE T-RO 2023).
+            between 0.2 and 1, growing with the distance that IK could not close.
         action_penalty: Factor lambda on the squared norm of the action.
         jump_penalty: Cost of a step in which an arm joint has to move faster than it can.
         limit_penalty: Cost of a joint at its limit, falling linearly to 0 at `limit_margin`.
@@ -40,7 +37,7 @@ class RewardConfig:
         slow_penalty: Factor on the squared share of the planned motion that a step leaves out.
     """
 
-    failure: Literal["indicator", "graded", "squared"] = "graded"
+    failure: Literal["indicator", "graded"] = "graded"
     action_penalty: NotNegative = 0.001
     jump_penalty: NotNegative = 0.1
     limit_penalty: NotNegative = 0.02
@@ -74,9 +71,8 @@ def reward(
     earned = np.empty(len(action))
     _earn(
         (
-            config.failure == "indicator", config.failure == "squared", config.action_penalty,
-            config.jump_penalty, config.deviation_penalty, config.limit_penalty,
-            config.limit_margin,
+            config.failure == "indicator", config.action_penalty, config.jump_penalty,
+            config.deviation_penalty, config.limit_penalty, config.limit_margin,
         ),
         (0.0, 0.0) if tolerance is None else (tolerance.position, tolerance.rotation),
         step.feasible, step.position_error, step.rotation_error, step.deviation, step.joint_jump,
@@ -86,8 +82,6 @@ def reward(
         earned -= config.collision_penalty * (step.collision @ np.array([1.0, 0.1]))
     if config.base_penalty and base_error is not None:
         earned -= config.base_penalty * np.minimum(base_error / _BASE_METRES, 1.0) ** 2
-    if config.failure == "squared":
-        earned *= step.time_scale
     if config.slow_penalty > 0.0:
         earned -= config.slow_penalty * np.square(1.0 - step.time_scale)
     return earned
@@ -98,16 +92,12 @@ def _earn(
     weights, tolerance, feasible, metres, radians, deviation, jumps, action, joints, lower, upper,
     earned,
 ):  # fmt: skip
-    indicator, squared, action_penalty, jump_penalty = weights[:4]
-    deviation_penalty, limit_penalty, margin = weights[4:]
+    indicator, action_penalty, jump_penalty, deviation_penalty, limit_penalty, margin = weights
     for i in range(len(earned)):
         total = 0.0
         for k in range(action.shape[1]):
             total -= action_penalty * (action[i, k] * action[i, k])
-        if not feasible[i] and squared:
-            missing = _squares(metres[i], radians[i], _FAILURE_METRES, _SQUARED_RADIANS)
-            total -= min(_SQUARED_MOST, 0.5 * missing)
-        elif not feasible[i]:
+        if not feasible[i]:
             missing = _squares(metres[i], radians[i], _FAILURE_METRES, _FAILURE_RADIANS)
             total -= 1.0 if indicator else min(1.0, _FAILURE_FLOOR + _FAILURE_SLOPE * missing)
         elif tolerance[0] > 0.0:

@@ -239,7 +239,7 @@ class _Run:
         assert self.observation is not None
         filling = progress.steps < max(config.learning_starts, self.config.num_envs)
         random = filling and self.config.init is None
-        action = explore(learner, config, self.observation, random)
+        action = explore(learner, self.observation, random=random)
         # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:

@@ -61,14 +61,6 @@ def test_graded_failure_grows_with_what_is_missing(exact_robot):
     np.testing.assert_allclose(earned, 0.0, atol=1e-12)
 
 
-def test_squared_failure_counts_as_much_as_the_ee_moves(exact_robot):
-    squared = RewardConfig(failure="squared", action_penalty=0.0, limit_penalty=0.0)
-    seen = step(np.zeros(3, dtype=bool), [0.1, 0.0, np.inf], [0.05, 0.0, np.inf])
-    seen = replace(seen, time_scale=np.array([0.5, 1.0, 1.0]))
-    earned = reward(squared, exact_robot, seen, np.zeros((3, 2)), middle(exact_robot, 3))
-    np.testing.assert_allclose(earned, [-0.5, 0.0, -50.0])
-
-
 def test_the_use_of_a_pose_tolerance_costs_on_feasible_steps_alone(exact_robot):
     lenient = replace(exact_robot, pose_tolerance=PoseTolerance(0.1, 0.2094))
     seen = step([True, True, True, False], [0.1, 0.0, 0.05, 0.3], [0.0, 0.2094, 0.1047, 0.3])
