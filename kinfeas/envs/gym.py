@@ -13,9 +13,9 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
-from kinfeas.core.backend import SupportsContacts
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.world import Transition, World, WorldConfig, evaluation_world
+from kinfeas.envs.batch import step_info
+from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
@@ -192,28 +192,3 @@ def check_reset(world: World) -> None:
     """Raise ResetNeeded before the first episode."""
     if not world.next_episode:
         raise ResetNeeded("call reset first")
-
-
-def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
-    """Return the infos of a step of n episodes by name, each of shape (n,).
-
-    `failures` counts from the beginning of the episode; `is_success` is a goal reached without a
-    failure. Backends that measure contacts add the numbers of contacts of base and arm.
-    """
-    step, failures = transition.step, world.failures.copy()
-    info: dict[str, NDArray[Any]] = {
-        "subgoal": step.subgoal,
-        "feasible": step.feasible,
-        "failures": failures,
-        "deviation": step.deviation,
-        "goal_distance": step.goal_distance,
-        "goal_angle": step.goal_angle,
-        "joint_jump": step.joint_jump,
-        "reached": transition.reached,
-        "is_success": transition.reached & (failures == 0),
-    }
-    if isinstance(world.backend, SupportsContacts):
-        contacts = [world.backend.contacts(row) for row in range(len(failures))]
-        info["base_contacts"] = np.array([len(one.base) for one in contacts])
-        info["arm_contacts"] = np.array([len(one.arm) for one in contacts])
-    return info
