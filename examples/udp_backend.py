@@ -11,8 +11,7 @@ import threading
 
 import numpy as np
 
-from kinfeas.sim2real.deploy.watchdog import StopCall
-from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
+from kinfeas.sim2real.link import BaseReading, JointPath, JointReading, StopCall
 from kinfeas.sim2real.link.backend import LinkBackend
 
 OURS, ROBOTS = ("127.0.0.1", 14550), ("127.0.0.1", 14551)

@@ -53,7 +53,7 @@ def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolic
     if not pretrained.is_shipped(policy) and not Path(policy or "-").is_dir():
         raise KinfeasError(f"POLICY must be a run, a checkpoint or pretrained, not {policy!r}")
     known = options.read_robot(robot or options.robot_of(policy))
-    from kinfeas.sim2real.export import export as run
+    from kinfeas.policies.export import export as run
 
     return run(pretrained.folder(known.name, policy), known, out)
 

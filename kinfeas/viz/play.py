@@ -20,13 +20,13 @@ from kinfeas.io.files import writing
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
-from kinfeas.sim2real.servo.choice import DT, NONE, Choice
+from kinfeas.viz.choice import DT, NONE, Choice
 from kinfeas.viz.shapes import corners, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
 from kinfeas.viz.viewer import DrawnRobot, draw_floor, draw_scene, place, rgb
 
 if TYPE_CHECKING:
-    from kinfeas.sim2real.servo.simulation import Episode
+    from kinfeas.viz.live import Episode
 
 _STEPS_PER_FRAME = 2
 _FRAMES_PER_PLOT = 6
@@ -311,7 +311,7 @@ class PlayPage:
 
     def _build(self, choice: Choice) -> None:
         """Save the recording and replace the episodes; keep all if new ones cannot be built."""
-        from kinfeas.sim2real.servo.simulation import Episode  # after the first picture
+        from kinfeas.viz.live import Episode  # after the first picture
 
         if self._episodes and choice == self.choice:
             return

@@ -31,9 +31,10 @@ from kinfeas.sim2real.deploy.goal_task import begin
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.planner_threads import PlannerThread
 from kinfeas.sim2real.deploy.preflight import preflight
-from kinfeas.sim2real.deploy.rate import Clock, Prepares, Rate, Timing
 from kinfeas.sim2real.deploy.signals import Signals
-from kinfeas.sim2real.deploy.watchdog import Watchdog, Watched
+from kinfeas.sim2real.deploy.watchdog import Watchdog
+from kinfeas.sim2real.link import Watched
+from kinfeas.sim2real.link.rate import Clock, Prepares, Rate, Timing
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals
 
 _log = logging.getLogger(__name__)

@@ -14,11 +14,11 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from importlib import import_module
-from typing import Protocol, runtime_checkable
 
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
+from kinfeas.sim2real.link import StopCall
 
 INTERVAL, REPEATS = 0.05, 10
 """Seconds between stops, which are repeated since messages may be lost, and stops after a death."""
@@ -29,30 +29,6 @@ LAST_TRY = 5.0
 _BEAT, _END, _READY, _FIRED = b".", b"q", b"r", b"f"
 _CHUNK = 4096  # bytes, more than arrive at a time
 _CONNECT_TIMEOUT, _EXIT_TIMEOUT = 60.0, LAST_TRY + 2.0  # s
-
-
-@dataclass(frozen=True)
-class StopCall:
-    """A function with which another process stops the base.
-
-    Attributes:
-        path: Function `module:function`. It is called once, connects to the robot and returns a
-            function without arguments that commands zero velocity. If this raises, it is called
-            again.
-        arguments: Keyword arguments of the first call, which must fit into JSON.
-    """
-
-    path: str
-    arguments: dict[str, object] = field(default_factory=dict)
-
-
-@runtime_checkable
-class Watched(Protocol):
-    """A backend whose robot moves on if this process dies, and that another process can stop."""
-
-    def stop_call(self) -> StopCall:
-        """Return the call with which the watchdog stops the base."""
-        ...
 
 
 class Watchdog:

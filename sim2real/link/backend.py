@@ -12,9 +12,9 @@ from kinfeas.core.backend import Grip, MeasuredScan, RobotState
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
-from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.link import Link, ScanLink
 from kinfeas.sim2real.link.measurements import DRIFT, Drift, Inbox
+from kinfeas.sim2real.link.rate import Clock, Rate
 
 _POLL = 0.02  # s between checks of the connection during `reset`
 _OFFSET = 0.02  # rad or m that a joint outside the arm may deviate from the kinematic model

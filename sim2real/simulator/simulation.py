@@ -21,7 +21,6 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.scenes.solids import furniture_solids
-from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.link import (
     BaseReading,
     Hosted,
@@ -31,6 +30,7 @@ from kinfeas.sim2real.link import (
     RobotLink,
     ScanRobotLink,
 )
+from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.task import Task
 
 _CATCH_UP = 10  # simulation steps in one period at most, if the machine is late

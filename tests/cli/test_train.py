@@ -17,7 +17,7 @@ from kinfeas.training import train as training
 from tests.builders import contents
 from tests.cli.conftest import TINY, check_one_line
 from tests.cli.test_main import HEAVY, kinfeas_process
-from tests.sim2real.policy_cases import write_run
+from tests.policy_cases import write_run
 
 SHORT = ("train", "--robot", "hsr", "--steps", "64", "--out", "run", *TINY)
 

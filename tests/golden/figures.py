@@ -22,9 +22,9 @@ from kinfeas.evaluation.evaluate import prepare, run
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import pretrained
+from kinfeas.policies.export import export
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.export import export
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import train

@@ -7,8 +7,7 @@ import pytest
 
 from kinfeas.core.backend import RealTimeBackend
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.deploy.watchdog import Watched
-from kinfeas.sim2real.link import BaseReading, Hosted, Orders
+from kinfeas.sim2real.link import BaseReading, Hosted, Orders, Watched
 from tests.sim2real.doubles import joints_at, wait
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "udp_backend.py"

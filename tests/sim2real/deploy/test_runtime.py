@@ -33,10 +33,10 @@ from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.planner_threads import RolloutPlannerThread
 from kinfeas.sim2real.deploy.preflight import warm_up
-from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.sim2real.deploy.runtime import Code, Setup, deploy
 from kinfeas.sim2real.deploy.signals import Signals
-from kinfeas.sim2real.deploy.watchdog import StopCall
+from kinfeas.sim2real.link import StopCall
+from kinfeas.sim2real.link.rate import Rate
 from kinfeas.tasks.task import MotionSpec
 
 DT = 0.02

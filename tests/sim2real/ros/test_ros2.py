@@ -10,8 +10,7 @@ from kinfeas.core import registry, spatial
 from kinfeas.core.backend import SCAN_BEAMS
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.deploy.watchdog import Watched
-from kinfeas.sim2real.link import BaseReading, Hosted, JointReading, Orders, Readings
+from kinfeas.sim2real.link import BaseReading, Hosted, JointReading, Orders, Readings, Watched
 from kinfeas.sim2real.link.scans import LaserReading, costmap_ranges, laser_ranges
 from kinfeas.sim2real.ros import bus as ros_bus
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink

@@ -18,9 +18,9 @@ from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim2real.deploy.config import ServoConfig
 from kinfeas.sim2real.deploy.planner_threads import PlannerThread, in_threads
-from kinfeas.sim2real.servo.choice import DT, Choice
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.tasks.task import MotionSpec, build_subgoals
+from kinfeas.viz.choice import DT, Choice
 
 _NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
 _UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
