@@ -121,6 +121,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             ResetNeeded: Before the first reset.
         """
         check_reset(self.world)
+        return None
 
     def close(self) -> None:
         """Close the backend."""

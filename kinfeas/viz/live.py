@@ -47,7 +47,7 @@ class Episode:
         config = load_section(ServoConfig, "servo", robot.name)
         self.follows = choice.generator == "servo"
         rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
-        limits = rules.generator_limits
+        limits: dict[str, object] = {**rules.generator_limits}
         if not self.follows:
             rules = replace(rules, max_velocity=_UNLIMITED, max_angular_velocity=_UNLIMITED)
         self._steps = 0

@@ -197,7 +197,7 @@ class StopCall:
     """
 
     path: str
-    arguments: dict[str, object] = field(default_factory=dict)
+    arguments: Mapping[str, object] = field(default_factory=dict)
 
 
 @runtime_checkable

@@ -1,6 +1,7 @@
 """Pictures of shapes, drawn by PyBullet on the processor."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ class PyBulletCamera:
         """Draw shapes with colours, `#rrggbb` or `#rrggbbaa`."""
         self._client = client = connect(gui=False)
         self._bodies = []
+        geometry: dict[str, Any]
         for shape, colour in shapes:
             if shape.kind == "box":
                 geometry = {"halfExtents": [side / 2.0 for side in shape.size]}
