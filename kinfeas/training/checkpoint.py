@@ -125,10 +125,10 @@ def _learned_entropy(learner: FastSAC) -> torch.Tensor | None:
 
 
 def _optimizers(learner: FastSAC) -> dict[str, torch.optim.Optimizer]:
-    found = {"actor": learner.actor.optimizer, "critic": learner.critic.optimizer}
+    optimizers = {"actor": learner.actor.optimizer, "critic": learner.critic.optimizer}
     if learner.ent_coef_optimizer is not None:
-        found["entropy"] = learner.ent_coef_optimizer
-    return found
+        optimizers["entropy"] = learner.ent_coef_optimizer
+    return optimizers
 
 
 def _buffer(learner: FastSAC) -> Replay:
@@ -145,9 +145,9 @@ def _world_tensors(world: Mapping[str, NDArray[Any]]) -> Tensors:
     tensors = {}
     for key, values in world.items():
         unsigned = values.dtype == np.uint64
-        seen = values.view(np.int64) if unsigned else values
+        viewed = values.view(np.int64) if unsigned else values
         # A copy, since several entries may share memory.
-        tensors[f"world.{key}{_UNSIGNED if unsigned else ''}"] = torch.from_numpy(np.array(seen))
+        tensors[f"world.{key}{_UNSIGNED if unsigned else ''}"] = torch.from_numpy(np.array(viewed))
     return tensors
 
 

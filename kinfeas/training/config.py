@@ -166,11 +166,11 @@ def load_recipe(
     data, complete = ({}, False) if name is None else read_recipe(name, kind)
     source, changes = name or "", assigned(overrides)
     data = {"robot": robot, **data}
-    chosen = changes.get("robot", data["robot"])
-    if not complete and isinstance(chosen, str):
+    robot_name = changes.get("robot", data["robot"])
+    if not complete and isinstance(robot_name, str):
         if kind != "train" and (changes.get("init") or data.get("init")):
             kind = "finetune_physics"
-        base, own = section(kind, load_robot(chosen).name)
+        base, own = section(kind, load_robot(robot_name).name)
         if kind != "train":
             base = merged(base, {"world": {"backend": backend}})
         if backend == "mujoco":  # steps a batch on all cores; only a world in this process is saved

@@ -97,8 +97,12 @@ class Mlflow:
         from mlflow import MlflowClient
 
         self._client, experiment = MlflowClient(), "kinfeas"
-        found = self._client.get_experiment_by_name(experiment)
-        number = found.experiment_id if found else self._client.create_experiment(experiment)
+        known_experiment = self._client.get_experiment_by_name(experiment)
+        number = (
+            known_experiment.experiment_id
+            if known_experiment
+            else self._client.create_experiment(experiment)
+        )
         tags = {"kinfeas.run": _identity(out)}
         runs = self._client.search_runs([number], f"tags.`kinfeas.run` = '{_identity(out)}'")
         if runs:

@@ -252,13 +252,13 @@ class _Run:
             with self._timed("update"):
                 learn(learner, config)
         with self._timed("waiting"):
-            seen, rewards, dones, infos = self.env.step_wait()
-        after, ended = seen.copy(), np.flatnonzero(dones)
+            following, rewards, dones, infos = self.env.step_wait()
+        after, ended = following.copy(), np.flatnonzero(dones)
         for row in ended:
             after[row] = infos[row]["terminal_observation"]
         assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
-        self.observation = seen
+        self.observation = following
         progress.steps += self.config.num_envs * self.config.action_repeat
         progress.recent.extend(infos[row]["is_success"] for row in ended)
 

@@ -131,8 +131,8 @@ class EpisodesVecEnv(VecEnv):
         """Let each worker call a method of its batch, with its own arguments."""
         with workers_alive(len(self._workers)):
             self._coming = [
-                worker.submit(self._call, method, *given)
-                for worker, given in zip(self._workers, arguments, strict=True)
+                worker.submit(self._call, method, *inputs)
+                for worker, inputs in zip(self._workers, arguments, strict=True)
             ]
 
     def _results(self) -> list[Any]:

@@ -41,9 +41,9 @@ def episodes_figure(
     """Return a picture with a column for each episode: from the side, and from above."""
     count = len(recordings)
     titles = titles or [
-        f"Episode {one.episode}: {result(one)[0]}, {failures_text(int(np.sum(~one.feasible)))}, "
-        f"{one.times[-1]:.0f} s"
-        for one in recordings
+        f"Episode {recording.episode}: {result(recording)[0]}, "
+        f"{failures_text(int(np.sum(~recording.feasible)))}, {recording.times[-1]:.0f} s"
+        for recording in recordings
     ]
     with rc_context(STYLE):
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
@@ -53,15 +53,17 @@ def episodes_figure(
             side = drawing.add_axes(
                 figure, grid[0, column], shapes.side_heading(recording), _ELEVATION
             )
-            _draw_side(side, robot, recording, [one for object_ in furniture for one in object_])
+            _draw_side(
+                side, robot, recording, [solid for object_ in furniture for solid in object_]
+            )
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
-            for one in furniture:
-                _draw_outline(top, shapes.corners(one), _FURNITURE, 1.8)
+            for solids in furniture:
+                _draw_outline(top, shapes.corners(solids), _FURNITURE, 1.8)
             _draw_top(top, robot, recording)
         columns = {1: 3, 2: 4}.get(count, 7)
         handles: list[Artist] = [*_legend()]
-        if any(one.solids is not None for one in recordings):
+        if any(recording.solids is not None for recording in recordings):
             handles.append(Patch(color=shapes.LOW, label="solid"))
             handles.append(Patch(color=shapes.HIGH, label="wall"))
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
@@ -85,9 +87,13 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
         most: Largest number of moments.
     """
     base = recording.base_pose[:, :2]
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
-    count = int(np.clip(1 + round(way[-1] / spacing), 2, most))
-    return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count)).clip(0, len(way) - 1))
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
+    count = int(np.clip(1 + round(travelled[-1] / spacing), 2, most))
+    return np.unique(
+        np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count)).clip(
+            0, len(travelled) - 1
+        )
+    )
 
 
 def robot_at(
@@ -107,8 +113,9 @@ def _furniture_near(recording: Recording) -> list[list[shapes.Solid]]:
     low, high = paths.min(axis=0) - _NEAR, paths.max(axis=0) + _NEAR
     near: dict[str, list[shapes.Solid]] = {
         name: []
-        for name, one in scene.objects.items()
-        if np.all((one.pose[:2] > low) & (one.pose[:2] < high)) and not shapes.surrounds(scene, one)
+        for name, entry in scene.objects.items()
+        if np.all((entry.pose[:2] > low) & (entry.pose[:2] < high))
+        and not shapes.surrounds(scene, entry)
     }
     for name, solid in shapes.scene_solids(scene):
         if name in near:
@@ -122,11 +129,11 @@ def _solids_near(recording: Recording, moment: int, within: float = _NEAR) -> li
     paths = np.concatenate([poses[:, :2] for poses in points])
     low, high = paths.min(axis=0) - within, paths.max(axis=0) + within
     return [
-        one
-        for one in shapes.solid_shapes(recording.solids_at(moment)).values()
+        solid
+        for solid in shapes.solid_shapes(recording.solids_at(moment)).values()
         if np.all(
-            np.abs(one.shape.pose[:2] - (low + high) / 2.0)
-            < (high - low) / 2.0 + np.ptp(shapes.corners([one])[:, :2], axis=0) / 2.0
+            np.abs(solid.shape.pose[:2] - (low + high) / 2.0)
+            < (high - low) / 2.0 + np.ptp(shapes.corners([solid])[:, :2], axis=0) / 2.0
         )
     ]
 
@@ -147,9 +154,9 @@ def _draw_side(
 
 def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
     for moment, opacity in ((0, 0.2), (-1, 0.75)):  # pale where they began
-        for one in _solids_near(recording, moment):
-            colour = (*to_rgb(one.colour[:7]), opacity)
-            _draw_outline(axes, shapes.corners([one]), colour, 1.8)
+        for solid in _solids_near(recording, moment):
+            colour = (*to_rgb(solid.colour[:7]), opacity)
+            _draw_outline(axes, shapes.corners([solid]), colour, 1.8)
     for moment, body, arm in _fading(recording):
         solids = robot_at(robot, recording, moment, (body, arm))
         carried = [solid for solid in solids if solid.colour == body]
@@ -197,9 +204,10 @@ def _draw_paths(axes: Axes, recording: Recording) -> None:
 def _fading(recording: Recording) -> Iterator[tuple[int, str, str]]:
     """Yield the drawn moments with colours of body and arm, the paler the earlier."""
     drawn = moments(recording)
-    for share, moment in zip(np.linspace(_PALEST, 0.0, len(drawn)), drawn.tolist(), strict=True):
+    for paleness, moment in zip(np.linspace(_PALEST, 0.0, len(drawn)), drawn.tolist(), strict=True):
         body, arm = (
-            to_hex(tuple((1.0 - share) * np.array(to_rgb(one)) + share)) for one in (BODY, ARM)
+            to_hex(tuple((1.0 - paleness) * np.array(to_rgb(colour)) + paleness))
+            for colour in (BODY, ARM)
         )
         yield moment, body, arm
 

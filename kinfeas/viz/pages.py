@@ -26,25 +26,25 @@ _RATE, _MOST = 15.0, 1200  # moments of an episode per second, and largest numbe
 def scene_html(scene: Scene) -> str:
     """Return a page of a scene on which all joints open and close."""
     joints = {
-        (name, joint.name): (one.joint_positions[joint.name], min(joint.upper, _TURN))
-        for name, one in scene.objects.items()
-        for joint in free_joints(one.urdf).values()
+        (name, joint.name): (entry.joint_positions[joint.name], min(joint.upper, _TURN))
+        for name, entry in scene.objects.items()
+        for joint in free_joints(entry.urdf).values()
     }
     with serving(f"kinfeas: {scene.name}") as server:
-        around = {name for name, one in scene.objects.items() if surrounds(scene, one)}
+        around = {name for name, entry in scene.objects.items() if surrounds(scene, entry)}
         content = [solid for name, solid in scene_solids(scene) if name not in around]
         aim(server, corners(content) if content else np.array([[*scene.size, 0.0], [0.0] * 3]))
         draw_floor(server, scene.size, 1.0)
         drawn = draw_scene(server, scene)
         film = server.get_scene_serializer()
         for frame in range(_SCENE_FRAMES if joints else 0):
-            share = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
+            fraction = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
             objects: dict[str, dict[str, float]] = {}
             for (name, joint), (at, high) in joints.items():
-                objects.setdefault(name, {})[joint] = at + share * (high - at)
+                objects.setdefault(name, {})[joint] = at + fraction * (high - at)
             moved = scene_solids(scene.with_joints(objects))
-            for one, (_, solid) in zip(drawn, moved, strict=True):
-                place(one, solid.shape.pose)
+            for handle, (_, solid) in zip(drawn, moved, strict=True):
+                place(handle, solid.shape.pose)
             film.insert_sleep(1.0 / _SCENE_RATE)
         return server.titled(film.as_html())
 
@@ -53,8 +53,8 @@ def moments(times: Array) -> NDArray[np.intp]:
     """Return indices of the moments to show, at most 15 per second, with the last one."""
     seconds = float(times[-1] - times[0])
     count = int(np.clip(np.ceil(seconds * _RATE), 1, min(_MOST, len(times))))
-    wanted = np.linspace(times[0], times[-1], count)
-    return np.unique(np.append(np.searchsorted(times, wanted), len(times) - 1))
+    moment_times = np.linspace(times[0], times[-1], count)
+    return np.unique(np.append(np.searchsorted(times, moment_times), len(times) - 1))
 
 
 def replay_html(replay: Replay) -> str:
@@ -71,12 +71,14 @@ def replay_html(replay: Replay) -> str:
         text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
         position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
         label = server.scene.add_label("/result", text, position=position, visible=False)
-        film, shown = server.get_scene_serializer(), moments(times).tolist()
-        for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
+        film, shown_moments = server.get_scene_serializer(), moments(times).tolist()
+        for moment, after in zip(
+            shown_moments, [*shown_moments[1:], shown_moments[-1]], strict=True
+        ):
             poses = replay.links(moment)
             for link, frame in frames.items():
                 place(frame, poses[link])
-            label.visible = moment == shown[-1]
+            label.visible = moment == shown_moments[-1]
             film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
         return server.titled(film.as_html())
 

@@ -126,16 +126,16 @@ def solid_shapes(solids: Solids | None) -> dict[int, Solid]:
     """Return the solids of one row by place; high ones are translucent."""
     if solids is None:
         return {}
-    found = {}
-    for place in np.flatnonzero(solids.filled[0]).tolist():
-        x, y, low, high = solids.size[0, place].tolist()
-        height, centre = high - low, solids.centre[0, place]
-        if solids.cylinder[0, place]:
+    shapes = {}
+    for slot in np.flatnonzero(solids.filled[0]).tolist():
+        x, y, low, high = solids.size[0, slot].tolist()
+        height, centre = high - low, solids.centre[0, slot]
+        if solids.cylinder[0, slot]:
             shape = Shape("cylinder", (x, height), centre)
         else:
             shape = Shape("box", (2.0 * x, 2.0 * y, height), centre)
-        found[place] = Solid(shape, HIGH if high > HIGHEST else LOW)
-    return found
+        shapes[slot] = Solid(shape, HIGH if high > HIGHEST else LOW)
+    return shapes
 
 
 def side_heading(recording: Recording) -> float:
@@ -147,9 +147,9 @@ def side_heading(recording: Recording) -> float:
     return max(headings, key=lambda angle: float(arm @ [np.sin(angle), -np.cos(angle)]))
 
 
-def surrounds(scene: Scene, one: SceneObject) -> bool:
+def surrounds(scene: Scene, entry: SceneObject) -> bool:
     """Return whether an object, such as walls, is as large as the room."""
-    points = corners([Solid(shape, "") for _, shape in one.shapes()])
+    points = corners([Solid(shape, "") for _, shape in entry.shapes()])
     return bool(np.max(np.ptp(points, axis=0)) >= min(scene.size))
 
 
@@ -162,15 +162,15 @@ def faces(shape: Shape) -> list[Array]:
     """Return the polygons (k, 3) around a shape, their corners counter-clockwise from outside."""
     if shape.kind == "box":
         points = CORNERS * np.array(shape.size)
-        found = [points[list(face)] for face in _BOX_FACES]
+        polygons = [points[list(face)] for face in _BOX_FACES]
     elif shape.kind == "cylinder":
         radius, length = shape.size
-        found = _lathed(np.array([radius, radius]), np.array([-length / 2.0, length / 2.0]))
+        polygons = _lathed(np.array([radius, radius]), np.array([-length / 2.0, length / 2.0]))
     else:
         latitude = np.linspace(-np.pi / 2.0, np.pi / 2.0, 7)
-        found = _lathed(shape.size[0] * np.cos(latitude), shape.size[0] * np.sin(latitude))
+        polygons = _lathed(shape.size[0] * np.cos(latitude), shape.size[0] * np.sin(latitude))
     turn = rotation(shape.pose).as_matrix()
-    return [face @ turn.T + shape.pose[:3] for face in found]
+    return [face @ turn.T + shape.pose[:3] for face in polygons]
 
 
 def _lathed(radii: Array, heights: Array) -> list[Array]:
@@ -178,8 +178,8 @@ def _lathed(radii: Array, heights: Array) -> list[Array]:
     angle = np.linspace(0.0, 2.0 * np.pi, SIDES, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)], axis=1)
     rings = [radius * circle + [0, 0, z] for radius, z in zip(radii, heights, strict=True)]
-    found = [rings[0][::-1], rings[-1]]
+    polygons = [rings[0][::-1], rings[-1]]
     for low, high in pairwise(rings):
         after = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
-        found += list(np.stack([low, *after, high], axis=1))
-    return found
+        polygons += list(np.stack([low, *after, high], axis=1))
+    return polygons

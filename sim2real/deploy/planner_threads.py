@@ -110,11 +110,15 @@ class PathPlannerThread(PlannerThread, PathPlanner):
 
 def in_threads(filters: Iterable[CommandFilter]) -> list[CommandFilter]:
     """Return filters with their planners in threads."""
-    return [_in_thread(one) for one in filters]
+    return [_in_thread(command_filter) for command_filter in filters]
 
 
-def _in_thread(one: CommandFilter) -> CommandFilter:
-    if isinstance(one, RolloutPlanner):
-        settings = {each.name: getattr(one, each.name) for each in fields(one) if each.init}
+def _in_thread(command_filter: CommandFilter) -> CommandFilter:
+    if isinstance(command_filter, RolloutPlanner):
+        settings = {
+            each.name: getattr(command_filter, each.name)
+            for each in fields(command_filter)
+            if each.init
+        }
         return RolloutPlannerThread(**settings)
-    return PathPlannerThread() if isinstance(one, PathPlanner) else one
+    return PathPlannerThread() if isinstance(command_filter, PathPlanner) else command_filter

@@ -62,8 +62,8 @@ class LinkBackend:
         self.rate: Rate | None = None
         self.prepare: Callable[[], None] | None = None
         self._clock = clock or Clock()
-        given = names or {}
-        self._names = {joint.name: given.get(joint.name, joint.name) for joint in robot.arm}
+        aliases = names or {}
+        self._names = {joint.name: aliases.get(joint.name, joint.name) for joint in robot.arm}
         self._inbox = Inbox(robot, self._names, drift, self._clock.monotonic)
         self._seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
@@ -188,11 +188,11 @@ class LinkBackend:
         """Send the arm to joint positions, shape (j,), at a limited velocity from where it is."""
         measured = self._inbox.arm()
         # Continuous joints are measured with their turns and take the shorter way.
-        way = joint_displacement(self.robot, measured, targets)
+        displacement = joint_displacement(self.robot, measured, targets)
         # The peak velocity of a cubic from rest is 1.5 times its mean.
         longest = 1.5 * np.abs(joint_displacement(self.robot, start, targets)) / self._joint_speed
         seconds = max(self._seconds, float(np.max(longest)))
-        self._target, names = measured + way, self._names.values()
+        self._target, names = measured + displacement, self._names.values()
         self.link.move(dict(zip(names, self._target.tolist(), strict=True)), seconds)
 
     def _missing(self) -> str:
@@ -204,8 +204,8 @@ class LinkBackend:
         if len(joints) == len(self.robot.arm):
             return f"no joint positions came from {self.link.joint_source} {within}"
         if joints:
-            known, missing = ", ".join(sorted(self._inbox.positions())), ", ".join(joints)
-            return f"{self.link.joint_source} has no position of {missing}; it has {known}"
+            present, missing = ", ".join(sorted(self._inbox.positions())), ", ".join(joints)
+            return f"{self.link.joint_source} has no position of {missing}; it has {present}"
         return f"{self.link.waits_for()} has no subscriber {within}"
 
     def _check_other_joints(self) -> None:

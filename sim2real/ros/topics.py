@@ -164,7 +164,9 @@ def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topi
     """
     path = _find(robot.name if name is None else name, version)
     topics = config.load(Topics, path)
-    commanded = Counter(name for one in topics.joints.controllers for name in one.joints)
+    commanded = Counter(
+        name for controller in topics.joints.controllers for name in controller.joints
+    )
     arm = Counter(topics.joints.names.get(joint.name, joint.name) for joint in robot.arm)
     if commanded != arm:
         wrong = sorted((commanded - arm) + (arm - commanded))
@@ -180,8 +182,8 @@ def _find(name: str, version: Version) -> Path:
     if (own := Path(name)).is_file():
         return own
     folder = Path(str(files("kinfeas.sim2real.ros").joinpath(f"ros{version}_topics")))
-    known = sorted(path.stem for path in folder.glob("*.yaml"))
-    if name not in known:
+    names = sorted(path.stem for path in folder.glob("*.yaml"))
+    if name not in names:
         files_too = "; or a YAML file: --set backend.topics=FILE, --topics FILE"
-        raise KinfeasError(f"unknown topics {name!r}{no_such(name, known)}{files_too}")
+        raise KinfeasError(f"unknown topics {name!r}{no_such(name, names)}{files_too}")
     return folder / f"{name}.yaml"
