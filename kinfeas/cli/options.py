@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 DEFAULT_ROBOT = "pr2"
 
 _WRITERS = {
-    ".png": "matplotlib", ".gif": "PIL", ".mp4": "av", ".html": "viser", ".htm": "viser",
-    ".onnx": "onnx",
+    ".png": ("matplotlib",), ".gif": ("PIL", "pybullet"), ".mp4": ("av", "pybullet"),
+    ".html": ("viser",), ".htm": ("viser",), ".onnx": ("onnx",),
 }  # fmt: skip
 """Optional packages that write files, by suffix."""
 
@@ -56,8 +56,7 @@ def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
     def check(path: Path | None) -> Path | None:
         if path is not None:
             check_suffix(path, *suffixes)
-            if writer := _WRITERS.get(path.suffix.lower()):
-                require(writer)
+            require(*_WRITERS.get(path.suffix.lower(), ()))
         return check_file_path(path)
 
     return check

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from kinfeas.backends.physics.camera import View, open_camera
+from kinfeas.backends.pybullet.camera import Camera, View
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.evaluation.recording import Recording
@@ -47,7 +47,7 @@ class FilmCamera:
         floor = _floor(low[:2] - _BEYOND, high[:2] + _BEYOND)
         self._still = [shape.pose for shape, _ in floor]
         moving = [(shape.shape, shape.colour) for shape in replay.shapes]
-        self._camera = open_camera([*floor, *moving])
+        self._camera = Camera([*floor, *moving])
 
     def of(self, replay: Replay, moment: int) -> Image.Image:
         """Return the picture of a moment with the paths until then, 480 x 360 pixels."""
@@ -69,7 +69,7 @@ def write_film(replay: Replay, path: Path, on_done: Callable[[int], None] | None
     `on_done` is called with 1 after each picture, `count_pictures` times.
 
     Raises:
-        KinfeasError: If the suffix is another one, or no engine is installed.
+        KinfeasError: If the suffix is another one, or PyBullet is not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class RenderedMotionEnv(BaseMotionEnv):
-    """`BaseMotionEnv` with the render mode `rgb_array`, drawn by PyBullet or MuJoCo."""
+    """`BaseMotionEnv` with the render mode `rgb_array`, drawn by PyBullet."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
         "render_modes": ["rgb_array"],
