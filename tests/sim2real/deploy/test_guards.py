@@ -465,14 +465,6 @@ def test_an_old_or_blind_scan_stops_the_robot_that_uses_it(age, blind):
     assert backend.stops
 
 
-def test_a_scan_that_is_not_finite_stops_the_robot():
-    guard, backend = guarded(kind=Scanning)
-    backend.now.ranges[0, 1, 3] = np.inf
-    with pytest.raises(Fault, match="scan is not finite"):
-        guard.scan()
-    assert backend.stops
-
-
 @pytest.mark.parametrize("adapters", [(), (PluginSpec("scan_noise"),)])
 def test_the_base_does_not_drive_where_its_scan_is_blind(adapters):
     guard, backend = guarded(kind=Scanning, adapters=adapters)

@@ -11,7 +11,7 @@ from kinfeas.control.filters.rollout import RolloutPlanner
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.deploy.planner_threads import PlannerThread, in_threads
+from kinfeas.sim2real.deploy.planner_threads import in_threads
 from kinfeas.tasks.loading import load_task
 
 FAR = {"horizon": 10.0, "replan_interval": 0.5, "num_samples": 8}
@@ -66,13 +66,6 @@ def planner(loop):
     assert not any(thread.name.startswith("planner") for thread in threading.enumerate())
 
 
-def test_planners_may_overlap(planner):
-    fast, other = sys.getswitchinterval(), PlannerThread()
-    other.open()
-    other.close()
-    assert sys.getswitchinterval() == fast
-
-
 def settle(planner):
     planner._coming.exception()
 
@@ -93,14 +86,6 @@ def test_finds_the_offset_that_is_found_without_a_thread(planner, loop):
     settle(planner)
     np.testing.assert_array_equal(planner(BACKWARDS, loop.policy_input), expected)
     assert planner.offset.any()
-
-
-def test_commands_are_the_policys_until_there_is_a_plan(planner, loop, policy):
-    policy.free.clear()
-    np.testing.assert_array_equal(drive(planner, loop, 3), np.repeat(BACKWARDS, 3, axis=0))
-    policy.free.set()
-    settle(planner)
-    assert (drive(planner, loop, 1) != BACKWARDS).any()
 
 
 def test_an_offset_ends_where_the_next_plan_is_late(planner, loop, policy):

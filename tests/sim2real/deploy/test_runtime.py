@@ -1,7 +1,6 @@
 import os
 import signal
 import sys
-import threading
 from dataclasses import replace
 from itertools import chain, repeat
 from unittest.mock import MagicMock, Mock
@@ -31,7 +30,6 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy import runtime
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
-from kinfeas.sim2real.deploy.planner_threads import RolloutPlannerThread
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Code, Setup, deploy
 from kinfeas.sim2real.deploy.signals import Signals
@@ -193,26 +191,6 @@ def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, filters, drive):
         np.testing.assert_array_equal(values, getattr(recording, key), err_msg=key)
 
 
-class InPlace(AnalyticBackend):
-    """A backend that writes all its states into the same arrays."""
-
-    def reset(self, *arguments):
-        self.own = super().reset(*arguments)
-        return self.own
-
-    def step(self, *arguments):
-        new, self.state = super().step(*arguments), self.own
-        self.own.base_pose[:], self.own.joint_positions[:] = new.base_pose, new.joint_positions
-        return self.own
-
-
-def test_lines_that_are_written_later_are_of_their_time(run):
-    records = [run(backend(), Drive())[1] for backend in (AnalyticBackend, InPlace)]
-    assert np.ptp(records[0].base_pose[:, 0]) > 0.1
-    for name in ("time", "base_pose", "joint_positions"):
-        np.testing.assert_array_equal(*(getattr(record, name) for record in records))
-
-
 def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
     robot = RealTimeRobot(time)
     outcome, record = run(robot, Drive(), seconds=0.4)
@@ -328,13 +306,6 @@ def test_the_time_scale_is_that_of_the_motion_as_carried_out(run, scale):
     assert (f"time scale {scale:g}" in record.event) is (scale != 1.0)
 
 
-def test_ik_failures_in_a_row_end_a_run(run):
-    guards, away = Guards(max_consecutive_ik_failures=20), goal(-9.0, 0.0, 0.8)
-    outcome, _ = run(AnalyticBackend(), Drive(), away, seconds=60.0, real_time=False, guards=guards)
-    assert outcome.code is Code.FAULT
-    assert outcome.failures > 0
-
-
 @pytest.mark.parametrize("lost", [False, True])
 def test_a_watchdog_that_is_lost_ends_a_run_and_one_takes_over_where_stopping_fails(
     run, time, monkeypatch, lost
@@ -352,14 +323,6 @@ def test_a_watchdog_that_is_lost_ends_a_run_and_one_takes_over_where_stopping_fa
     assert outcome.code is (Code.FAULT if lost else Code.TIME_OVER)
     assert (dog.abandon.called, outcome.unstopped) == (not lost, "" if lost else "gone")
     assert outcome.timing.periods == pytest.approx(9 if lost else 100, abs=2)
-
-
-def test_the_rollout_planner_ends_with_the_run(run, trained):
-    before = sys.getswitchinterval()
-    planner = RolloutPlannerThread()
-    run(AnalyticBackend(), trained, seconds=0.2, real_time=False, filters=(planner,))
-    assert sys.getswitchinterval() == before
-    assert not any(thread.name.startswith("planner") for thread in threading.enumerate())
 
 
 @pytest.mark.parametrize("trouble", ["nan", "nothing", KeyError("boom")])
