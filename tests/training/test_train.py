@@ -207,9 +207,9 @@ def test_minutes_count_training_without_evaluations(tiny, tmp_path, monkeypatch)
     clock = {"now": 0.0}
 
     def tick(seconds, function):
-        def ticking(*arguments):
+        def ticking(*arguments, **options):
             clock["now"] += seconds
-            return function(*arguments)
+            return function(*arguments, **options)
 
         return ticking
 
@@ -233,9 +233,9 @@ class Engine(AnalyticBackend):
 def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch):
     clock = {"now": 0.0}
 
-    def step(*arguments):
+    def step(*arguments, **options):
         clock["now"] += 1.0
-        return explore(*arguments)
+        return explore(*arguments, **options)
 
     def within(seconds, pool, processes, *parts):
         build, policy, episodes, on_done = parts
