@@ -11,7 +11,8 @@ import threading
 
 import numpy as np
 
-from kinfeas.sim2real.link import BaseReading, JointPath, JointReading, StopCall
+from kinfeas.core.backend import StopCall
+from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
 
 OURS, ROBOTS = ("127.0.0.1", 14550), ("127.0.0.1", 14551)

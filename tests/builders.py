@@ -9,10 +9,10 @@ from kinfeas.core.spatial import canonical, distance, planar_pose
 from kinfeas.policies.network import Network
 
 
-def assert_near(one, other, metres, radians):
-    """Check that poses are at most so far apart; `other` may be one pose for all."""
-    found = [np.max(part) for part in distance(one, np.broadcast_to(other, np.shape(one)))]
-    assert np.all(np.array(found) <= [metres, radians]), found
+def assert_near(poses, expected, metres, radians):
+    """Check that poses are at most so far apart; `expected` may be one pose for all."""
+    apart = [np.max(part) for part in distance(poses, np.broadcast_to(expected, poses.shape))]
+    assert np.all(np.array(apart) <= [metres, radians]), apart
 
 
 def at(x=0.0, y=0.0, yaw=0.0):

@@ -13,6 +13,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 from hypothesis import settings
 
+from kinfeas.core import registry
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 
@@ -24,13 +25,13 @@ settings.load_profile("kinfeas")
 @pytest.fixture(autouse=True)
 def in_the_foreground():
     """Let signals through that processes ignore under nohup or in the background of a shell."""
-    wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: lambda *_: None}
-    ignored = [one for one in wanted if signal.getsignal(one) is signal.SIG_IGN]
-    for one in ignored:
-        signal.signal(one, wanted[one])
+    handlers = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: lambda *_: None}
+    ignored = [number for number in handlers if signal.getsignal(number) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, handlers[number])
     yield
-    for one in ignored:
-        signal.signal(one, signal.SIG_IGN)
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @pytest.fixture(scope="session", params=["pr2", "tiago", "hsr"])
@@ -60,6 +61,12 @@ def engine(request):
 
 
 @pytest.fixture
+def unregistered(monkeypatch):
+    """Take what a test registers out of the registry afterwards."""
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+
+
+@pytest.fixture
 def offer(tmp_path, monkeypatch):
     """A function that makes the distribution of a folder known, as an installation would."""
 
@@ -75,8 +82,8 @@ def offer(tmp_path, monkeypatch):
         for group, entries in project["entry-points"].items():
             lines += [f"[{group}]", *(f"{key} = {value}" for key, value in entries.items())]
         (info / "entry_points.txt").write_text("\n".join(lines))
-        for place in (site, folder):
-            monkeypatch.syspath_prepend(str(place))
+        for path in (site, folder):
+            monkeypatch.syspath_prepend(str(path))
 
     before = set(sys.modules)
     yield make

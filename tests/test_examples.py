@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
@@ -38,37 +37,24 @@ def test_every_example_is_run():
 
 
 @pytest.mark.parametrize("name", sorted(PRINTED))
-def test_runs(name, monkeypatch, tmp_path, capsys):
+def test_runs(name, monkeypatch, tmp_path, capsys, unregistered):
     *arguments, printed = PRINTED[name]
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(registry, "_REGISTERED", [])
     monkeypatch.setattr(sys, "argv", [name, *arguments])
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     assert printed in capsys.readouterr().out
     assert {path.name for path in tmp_path.iterdir()} <= {"shown"}
 
 
-ROOT = Path(__file__).parents[1]
-FOLDER = ROOT / "examples" / "own_robot"
-
-
-@pytest.fixture(scope="module")
-def solver():
-    return IkSolver(load_robot(str(FOLDER / "scout.yaml")))
-
-
-def test_ik_inverts_forward_kinematics(solver):
-    spread = spread_configurations(solver.robot, 1000)
+def test_the_robot_of_the_examples_has_ik_and_topics():
+    folder = EXAMPLES / "own_robot"
+    robot = load_robot(str(folder / "scout.yaml"))
+    solver, spread = IkSolver(robot), spread_configurations(robot, 1000)
     free = spread[~self_collides(solver.collision, spread)]
     assert len(free) > 850
     poses = forward(solver.chain, free)
     solution = solver.solve(poses, free[::-1])
-    found = solution.feasible
-    assert found.mean() >= 0.995
-    reached = forward(solver.chain, solution.joint_positions[found])
-    assert_near(reached, poses[found], 1e-4, 1e-3)
-
-
-def test_topics_fit_the_robot(solver):
-    topics = read_topics(solver.robot, 2, str(FOLDER / "scout_topics.yaml"))
-    assert len(topics.joints.controllers) == 2
+    assert solution.feasible.mean() >= 0.995
+    reached = forward(solver.chain, solution.joint_positions[solution.feasible])
+    assert_near(reached, poses[solution.feasible], 1e-4, 1e-3)
+    assert len(read_topics(robot, 2, str(folder / "scout_topics.yaml")).joints.controllers) == 2

@@ -14,8 +14,8 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("kinfeas", "plugins", "scenes", "sim2real", "configs")
-DATA = (".yaml", ".urdf", ".txt", ".json", ".safetensors", ".typed")
-DATA = (".py", ".yaml", ".urdf", ".txt", ".json", ".safetensors", ".typed")
+SHIPPED = (".py", ".yaml", ".urdf", ".txt", ".json", ".safetensors", ".typed")
+
 MESH_SHAPE = '<collision><geometry><mesh filename="a.stl"/></geometry></collision>'
 ARM = "".join(
     f'<link name="l{i}">{MESH_SHAPE}</link><joint name="j{i}" type="revolute">'
@@ -36,7 +36,7 @@ from kinfeas.training.config import TrainConfig
 for bare in ("plugins", "scenes", "sim2real", "configs"):
     assert importlib.util.find_spec(bare) is None, bare
 for group in registry.GROUPS:
-    own = [one.name for one in registry.plugins(group) if one.distribution == "kinfeas"]
+    own = [plugin.name for plugin in registry.plugins(group) if plugin.distribution == "kinfeas"]
     assert own, group
     for name in own:
         loaded = registry.load(group, name)
@@ -86,7 +86,7 @@ def test_wheel(wheel, home, tmp_path):
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert {name.split("/")[0] for name in names} == {"kinfeas"}
     for path in (path for folder in FOLDERS for path in (ROOT / folder).rglob("*")):
-        if path.suffix in DATA:
+        if path.suffix in SHIPPED:
             assert (
                 f"kinfeas/{path.relative_to(ROOT)}".replace("kinfeas/kinfeas", "kinfeas") in names
             )
@@ -104,9 +104,9 @@ def required(name, found):
     if name not in found:
         found[name] = distribution(name)
         for line in found[name].requires or ():
-            one = Requirement(line)
-            if one.marker is None or one.marker.evaluate({"extra": ""}):
-                required(one.name, found)
+            requirement = Requirement(line)
+            if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+                required(requirement.name, found)
     return found
 
 
@@ -133,9 +133,9 @@ LACKING = {
 
 @pytest.mark.slow
 def test_base_installation_names_the_extra_that_a_command_lacks(home, tmp_path):
-    for name, one in required("kinfeas", {}).items():
-        for top in {path.parts[0] for path in one.files or () if name != "kinfeas"} - {".."}:
-            (site(home) / top).symlink_to(one.locate_file(top))
+    for name, package in required("kinfeas", {}).items():
+        for top in {path.parts[0] for path in package.files or () if name != "kinfeas"} - {".."}:
+            (site(home) / top).symlink_to(package.locate_file(top))
     (tmp_path / "a.stl").touch()
     (tmp_path / "mesh.urdf").write_text(MESH)
     kinfeas = partial(run, home / "bin" / "kinfeas", cwd=tmp_path)

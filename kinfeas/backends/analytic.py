@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import ObstacleDistances, RobotState
+from kinfeas.core.backend import Backend, ObstacleDistances, RobotState, Scan
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.base_obstacles import base_obstacles, base_prisms
@@ -15,29 +15,28 @@ from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.robots.robot import Robot
 
 
-class AnalyticBackend:
-    """n robots without dynamics: the base integrates its twist, the arm is where it is sent.
+class AnalyticBackend(Backend):
+    """n robots without dynamics: the base integrates its twist, the arm is where it is sent."""
 
-    Attributes:
-        solids: Solids of all n robots.
-    """
+    solids: MovingSolids
 
     def __init__(self, robot: Robot | None = None) -> None:
         """Make an empty world; only with a robot does it measure distances to obstacles."""
         self._prisms = None if robot is None else base_prisms(build_collision_model(robot))
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
-        self.solids = MovingSolids()
+        self.solids, self.scanner, self.resumable = MovingSolids(), self, self
+        self.obstacles = None if robot is None else self
 
     def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
-        """Put solids around robots; arguments as in `SupportsSolids`."""
+        """Put solids around robots; arguments as in `Backend`."""
         self.solids.place(solids, env_ids, len(self.state.base_pose))
 
-    def scan(self) -> Array:
-        """Return the ranges to solids around the bases, as in `SupportsScan`."""
-        return scan_now(self.solids, self.state.base_pose)
+    def scan(self) -> Scan:
+        """Return the ranges to solids around the bases."""
+        return Scan(scan_now(self.solids, self.state.base_pose))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return the solids near the bases, as in `SupportsObstacleDistances`."""
+        """Return the solids near the bases, as in `ObstacleSensor`."""
         assert self._prisms is not None
         base = self.state.base_pose
         solids = self.solids.after() or Solids.empty(len(base))

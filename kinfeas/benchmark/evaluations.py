@@ -161,10 +161,10 @@ class WorkspaceSamples:
 
     def __call__(self, world: World, transition: Transition, rows: Rows, _: Rows) -> None:
         """Take in one step; called as `episodes.Watch`."""
-        loop, good = world.loop, transition.step.feasible[rows]
+        loop, good = world.loop, transition.outcome.feasible[rows]
         due = rows[good & (world.steps[rows] % self.EVERY == 0)]
         for kind, which in (("infeasible", rows[~good]), ("feasible", due)):
-            inside = spatial.relative(loop.desired[which], loop.state.base_pose[which])
+            inside = spatial.relative(loop.desired[which], loop.robots.base_pose[which])
             self._points[kind].append(inside[:, :3])
 
     def kept(self) -> dict[str, list[list[float]]]:

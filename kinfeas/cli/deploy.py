@@ -190,30 +190,23 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     **limits: Any,
 ) -> "Setup":
     """Return the parts of the run, after each has computed something."""
-    from kinfeas.control.filters import build_filters
-    from kinfeas.core.backend import RealTimeBackend, build_backend
+    from kinfeas.core.backend import build_backend
     from kinfeas.kinematics.ik import IkSolver
     from kinfeas.policies.loading import load_policy
     from kinfeas.scenes.scene import read_scene
     from kinfeas.scenes.solids import furniture_solids
-    from kinfeas.sim2real.deploy.planner_threads import in_threads
     from kinfeas.sim2real.deploy.preflight import warm_up
     from kinfeas.sim2real.deploy.runtime import Setup
-    from kinfeas.tasks.task import SupportsTaskScenes
 
     policy, solver = load_policy(policy_name, robot), IkSolver(robot, config.ik)
-    filters = build_filters(config.filters)
     solids = furniture_solids(read_scene(config.scene)) if config.scene else None
-    warm_up(solver, policy, task, dt, adapters, filters)
+    warm_up(solver, policy, task, dt, adapters, config.filters)
     backend = build_backend(backend_name, config.backend, robot=robot)
-    if isinstance(backend, SupportsTaskScenes):
-        task = backend.stage(task)
-    # Without a clock, planners run in the loop, so that runs are repeatable.
-    if real_time or isinstance(backend, RealTimeBackend):
-        filters = in_threads(build_filters(config.filters))
+    if backend.staging is not None:
+        task = backend.staging.stage(task)
     return Setup(
         solver=solver, policy=policy, task=task, backend=backend, execution=config,
-        filters=tuple(filters), guards=config.guards, adapters=adapters, dt=dt,
+        filters=config.filters, guards=config.guards, adapters=adapters, dt=dt,
         real_time=real_time, solids=solids, **limits,
     )  # fmt: skip
 
@@ -221,7 +214,6 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
 def _drawn_scene(setup: "Setup") -> dict[str, Any]:
     """Return scene, objects and solids of the record; the episode is drawn in advance."""
     from kinfeas.backends.physics.backend import PhysicsBackend
-    from kinfeas.core.backend import SupportsSolids
     from kinfeas.core.start import episode_rng
     from kinfeas.sim2real.deploy.runtime import TaskWithObjects
 
@@ -229,7 +221,7 @@ def _drawn_scene(setup: "Setup") -> dict[str, Any]:
     drawn: dict[str, Any] = {}
     if setup.solids is not None:
         return {"solids": tuple(map(tuple, setup.solids.table.tolist()))}
-    if not isinstance(setup.backend, SupportsSolids):  # a robot
+    if setup.backend.solids is None:  # a robot
         return drawn
     start = task.sample(setup.solver, episode_rng(setup.seed, 0))
     if start.solids is not None:

@@ -158,7 +158,7 @@ Filters = Annotated[
     str | None,
     typer.Option(
         metavar="NAMES",
-        help="Such as rollout_planner,feasibility, or none.  [default: the robot's]",
+        help="Such as path_planner,feasibility, or none.  [default: the robot's]",
     ),
 ]
 Overrides = Annotated[
@@ -202,7 +202,7 @@ def adapters_of_world(name: str | None) -> dict[str, object]:
 
 def read_adapters(name: str | None) -> "tuple[PluginSpec, ...]":
     """Return a list of adapters by name or path; none for None."""
-    from kinfeas.control.adapters import read_sim2real
+    from kinfeas.control.assemble import read_sim2real
 
     return () if name is None else read_sim2real(name).adapters
 

@@ -23,7 +23,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
         ),
     ] = "servo",
     filters: Annotated[
-        str, typer.Option(metavar="NAMES", help="Such as rollout_planner,feasibility, or none.")
+        str, typer.Option(metavar="NAMES", help="Such as path_planner,feasibility, or none.")
     ] = "time_scaling",
     backend: Annotated[
         str,

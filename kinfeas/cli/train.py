@@ -220,7 +220,7 @@ def write_evaluation(folder: Path) -> dict[str, Any]:
 
 def _show(done: "Progress", folder: Path) -> None:
     from kinfeas.config.recipes import recipes
-    from kinfeas.control.adapters import FOLDER, read_sim2real
+    from kinfeas.control.assemble import FOLDER, read_sim2real
     from kinfeas.evaluation import evaluate
     from kinfeas.training import run as training_run
 

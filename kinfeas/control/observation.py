@@ -1,4 +1,4 @@
-"""Observation and action terms of policies."""
+"""Observation terms and actions of policies."""
 
 import reprlib
 from collections.abc import Callable, Sequence
@@ -123,16 +123,9 @@ SURROUNDINGS = SCAN_TERMS | {"planned_base"}
 OBSERVATION = tuple(TERMS)[:7]
 """Terms of policies by default, in this order."""
 
-ACTIONS = ("base_velocity", "time_scale", "torso_velocity")
-"""Action terms, each number in [-1, 1]: the base velocity in the base frame, as shares of its
-limits, the share of the planned EE motion that a step carries out, from `SLOWEST` to 1, and the
-velocity of the torso, as a share of its limit."""
-
-ACTION: tuple[str, ...] = ACTIONS[:1]
-"""Action terms of policies by default."""
-
-SLOWEST = 0.05
-"""Smallest time scale that a policy commands."""
+ACTION = "base_velocity"
+"""Name of the action: velocity in the base frame, each number in [-1, 1], as a fraction of its
+limit."""
 
 
 def observe(seen: Seen, terms: Sequence[str] = OBSERVATION) -> Array:
@@ -162,29 +155,6 @@ def scaled(observation: Array, factors: NDArray[np.float32]) -> NDArray[np.float
     return np.minimum(np.maximum(observation.astype(np.float32) * factors, -CLIP), CLIP)
 
 
-def action_size(robot: Robot, terms: Sequence[str] = ACTION) -> int:
-    """Return the count of numbers in an action of a robot."""
-    if "torso_velocity" in terms and robot.torso is None:
-        raise KinfeasError(f"torso_velocity: the arm of robot {robot.name!r} has no torso")
-    return command_size(robot.base) + len(terms) - 1
-
-
-def split_action(action: Array, terms: Sequence[str]) -> tuple[Array, Array | None, Array | None]:
-    """Return base commands, shape (n, c), time scales and torso velocities, shape (n,).
-
-    Actions are clipped to [-1, 1]. The last two are None unless they are terms.
-    """
-    action = action.clip(-1.0, 1.0)
-    if len(terms) == 1:
-        return action, None, None
-    size = action.shape[1] - len(terms) + 1
-    others = dict(zip(terms[1:], action[:, size:].T, strict=True))
-    scale = others.get("time_scale")
-    if scale is not None:
-        scale = SLOWEST + (1.0 - SLOWEST) * (scale + 1.0) / 2
-    return action[:, :size], scale, others.get("torso_velocity")
-
-
 def describe_observation(robot: Robot, terms: Sequence[str]) -> tuple[TermInfo, ...]:
     """Return the description of observation terms for a robot."""
     joints = tuple(joint.name for joint in robot.arm)
@@ -196,43 +166,25 @@ def describe_observation(robot: Robot, terms: Sequence[str]) -> tuple[TermInfo, 
     )
 
 
-def describe_action(robot: Robot, terms: Sequence[str] = ACTION) -> tuple[TermInfo, ...]:
-    """Return the description of action terms for a robot."""
+def describe_action(robot: Robot) -> TermInfo:
+    """Return the description of the actions for a robot."""
     base = robot.base
     linear = ("forward", "left")[: command_size(base) - 1]
     scale = (*(base.max_velocity for _ in linear), base.max_rotation)
     entries = (*linear, "turn")
     unit = "m/s, turn in rad/s"
-    described = {
-        "base_velocity": TermInfo("base_velocity", len(entries), base.frame, unit, entries, scale)
-    }
-    slowest = f"share of the planned motion, {SLOWEST:g} at -1"
-    described["time_scale"] = TermInfo(
-        "time_scale", 1, robot.ee_frame, slowest, ("time_scale",), (1.0,)
-    )
-    if robot.torso is not None:
-        torso = robot.arm[robot.torso]
-        described["torso_velocity"] = TermInfo(
-            "torso_velocity", 1, "joint", "m/s", (torso.name,), (torso.velocity,)
-        )
-    return tuple(described[name] for name in terms)
+    return TermInfo(ACTION, len(entries), base.frame, unit, entries, scale)
 
 
-def check_names(observation: Sequence[str], action: Sequence[str], whose: str = "") -> None:
-    """Raise KinfeasError unless the terms of a policy are known, each once, the base first."""
-    named = ("observation", observation, tuple(TERMS)), ("action", action, ACTIONS)
-    for key, names, known in named:
-        if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
-            raise KinfeasError(f"{whose}'{key}' must be a list of names, not {reprlib.repr(names)}")
-        if not names or not set(names) <= set(known) or len(set(names)) < len(names):
-            raise KinfeasError(f"{whose}'{key}' must have some of {', '.join(known)}, each once")
-    if action[0] != ACTION[0]:
-        raise KinfeasError(f"{whose}'action' must begin with {ACTION[0]}")
+def check_terms(names: object, where: str) -> tuple[str, ...]:
+    """Return the names of observation terms.
 
-
-def check_terms(found: Sequence[TermInfo], known: Sequence[str], key: str) -> tuple[str, ...]:
-    """Return the names of the terms under `key` of a policy's file, all of them known."""
-    for term in found:
-        if term.name not in known:
-            raise KinfeasError(f"{key}: unknown term {term.name!r}; known are {', '.join(known)}")
-    return tuple(term.name for term in found)
+    Raises:
+        KinfeasError: If they are no list, or a term is unknown or there twice.
+    """
+    known = ", ".join(TERMS)
+    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise KinfeasError(f"{where} must be a list of names, not {reprlib.repr(names)}")
+    if not names or not set(names) <= TERMS.keys() or len(set(names)) < len(names):
+        raise KinfeasError(f"{where} must have some of {known}, each once, not {list(names)}")
+    return tuple(names)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinfeas.control.motion_sequence import MotionSequence, Plan
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import (
     AHEAD,
     HORIZON,
@@ -11,8 +11,11 @@ from kinfeas.control.observation import (
     Seen,
     observe,
 )
-from kinfeas.control.obstacles import Obstacles
+from kinfeas.control.sequence import MotionSequence
+from kinfeas.control.surroundings import Surroundings
 from kinfeas.core import spatial
+from kinfeas.core.backend import ObstacleSensor, RobotState
+from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array
 
 
@@ -21,60 +24,68 @@ class Observer:
 
     Attributes:
         terms: Names of the observation terms, in order.
-        plan: Next step of the motions.
-        planned: Desired world pose of the EE in `HORIZON` seconds, shape (n, 7).
     """
 
-    plan: Plan
-    planned: Array
-    _goal: Array
-
     def __init__(
-        self, sequence: MotionSequence, obstacles: Obstacles, dt: float, time_scale: float
+        self,
+        sequence: MotionSequence,
+        surroundings: Surroundings,
+        obstacles: ObstacleSensor | None,
+        dt: float,
+        execution: ExecutionConfig,
     ) -> None:
-        """Observe a sequence that is carried out in periods of `dt` seconds, slower by a scale."""
+        """Observe motions that are carried out in periods of `dt` seconds."""
         self.terms: tuple[str, ...] = OBSERVATION
-        self._sequence, self._obstacles = sequence, obstacles
-        self._motion_time, self._time_scale = dt * time_scale, time_scale
+        self._sequence, self._surroundings, self._obstacles = sequence, surroundings, obstacles
+        self._dt, self._time_scale = dt, execution.time_scale
         self._revision = -1
         self._ahead: Array | None = None
-        self._planned_base: Array | None = None
-        self._base_seen: Array | None = None
+        self._base_offset: Array | None = None
 
     def prepare(self) -> None:
         """Ask the motions for their next step and goals, once after each change."""
         sequence = self._sequence
-        if self._revision == sequence.revision:
-            return
-        self._goal, self.plan = sequence.goal, sequence.plan(self._motion_time)
-        self._ahead = sequence.ahead(AHEAD) if "planned_ahead" in self.terms else None
-        self._planned_base = sequence.planned_base if "planned_base" in self.terms else None
-        self._revision = sequence.revision
+        if self._revision != sequence.revision:
+            self._ahead = sequence.ahead(AHEAD) if "planned_ahead" in self.terms else None
+            self._revision = sequence.revision
+            sequence.prepare()
 
     def observe(
-        self, base_pose: Array, ee_in_base: Array, joints: Array, previous_command: Array
-    ) -> Array:
-        """Return the observation of robots at world poses of the bases, shape (n, d).
+        self, robots: RobotState, ee_in_base: Array, ee_pose: Array, previous_command: Array
+    ) -> Observation:
+        """Return the observation of robots.
 
-        EE poses have the shape (n, 7), arm joints (n, j), the last base commands (n, c).
+        EE poses in the base and in the world have the shape (n, 7), the last base commands (n, a).
         """
         self.prepare()
-        sequence, preview = self._sequence, self.plan.preview
-        seen = Seen(base_pose, ee_in_base, preview, self._goal, joints)
+        sequence, base_pose = self._sequence, robots.base_pose
+        preview = planned = sequence.next_step.preview
+        seen = Seen(base_pose, ee_in_base, preview, sequence.goal, robots.joint_positions)
         seen.previous_command = previous_command
         if not SCAN_TERMS.isdisjoint(self.terms):
-            seen.ranges = self._obstacles.scan()
+            seen.ranges = self._surroundings.ranges()
         if self._ahead is not None:
             ahead = spatial.relative(self._ahead, base_pose[:, np.newaxis])
             seen.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)
-        planned = self._planned_base
-        self._base_seen = None if planned is None else spatial.planar_offset(planned, base_pose)
-        seen.planned_base = self._base_seen
-        self.planned = preview
+        self._base_offset = None
+        if "planned_base" in self.terms:
+            self._base_offset = spatial.planar_offset(sequence.planned_base, base_pose)
+        seen.planned_base = self._base_offset
         if self._time_scale != 1.0:
             twist = spatial.twist_between(sequence.desired, preview, HORIZON)
-            self.planned = spatial.integrate(sequence.desired, twist, HORIZON * self._time_scale)
-        return observe(seen, self.terms)
+            planned = spatial.integrate(sequence.desired, twist, HORIZON * self._time_scale)
+        return Observation(
+            values=observe(seen, self.terms),
+            base_pose=base_pose,
+            ee_pose=ee_pose,
+            joint_positions=robots.joint_positions,
+            desired=sequence.desired,
+            planned=planned,
+            demonstrated_base=sequence.demonstrated_base,
+            planned_base=sequence.planned_base,
+            dt=self._dt,
+            obstacles=self._obstacles,
+        )
 
     @property
     def base_error(self) -> Array | None:
@@ -82,7 +93,7 @@ class Observer:
 
         Half a metre for each radian; 0 without a planned base. None unless a term observes it.
         """
-        if self._base_seen is None:
+        if self._base_offset is None:
             return None
-        x, y, angle = self._base_seen.T
+        x, y, angle = self._base_offset.T
         return np.hypot(x, y) + 0.5 * np.abs(angle)

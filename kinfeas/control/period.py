@@ -1,79 +1,137 @@
-"""One control period of n robots: what is asked of them, and arms that follow their bases."""
+"""One control period of n robots: a value from the motions, through the filters, to the arms."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.drive import base_twist
-from kinfeas.control.motion_sequence import Plan
+from kinfeas.core.motion import Rows, State
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import in_base
 
+if TYPE_CHECKING:
+    from kinfeas.control.filters.obstacle_distance import VelocityConstraints
+    from kinfeas.control.sequence import MotionSequence
 
-@dataclass(kw_only=True)
+
+@dataclass(frozen=True)
+class MotionStep:
+    """Next step of the motions of n EEs.
+
+    Attributes:
+        desired: Desired world poses of the EE after the step, shape (n, 7).
+        preview: The same after `HORIZON` seconds at the step's twist, shape (n, 7).
+        states: State of each generator after the step.
+        seconds: Motion time of the step, shape (n,).
+    """
+
+    desired: Array
+    preview: Array
+    states: list[State]
+    seconds: Array
+
+
+@dataclass(frozen=True, kw_only=True)
 class KinematicInputs:
-    """What bases and arms begin and end a control period with.
+    """Beginning and end of a control period of bases and arms.
 
     Attributes:
         base_pose: World pose of the base at the beginning, shape (n, 7).
-        joints: Arm joints at which IK begins, shape (n, j), radians or metres: the last command,
-            with the torso where the action moves it.
+        joints: Arm joints at which IK begins, shape (n, j), radians or metres: the last command.
         desired: World pose of the EE at the end, shape (n, 7).
         solids: World solids at the end, n rows, which the arms avoid.
-        guide: Arm joints that IK prefers, shape (n, j); NaN for none.
+        posture_guide: Arm joints that IK prefers, shape (n, j); NaN for none.
     """
 
     base_pose: Array
     joints: Array
     desired: Array
     solids: Solids | None = None
-    guide: Array | None = None
+    posture_guide: Array | None = None
 
-    def of(self, rows: NDArray[np.intp]) -> "KinematicInputs":
+    def of(self, rows: Rows) -> "KinematicInputs":
         """Return the inputs of some rows."""
         return KinematicInputs(
             base_pose=self.base_pose[rows],
             joints=self.joints[rows],
             desired=self.desired[rows],
             solids=None if self.solids is None else self.solids.of(rows),
-            guide=None if self.guide is None else self.guide[rows],
+            posture_guide=None if self.posture_guide is None else self.posture_guide[rows],
         )
 
 
-@dataclass(kw_only=True)
-class Period(KinematicInputs):
-    """A control period that a step is about to carry out; filters read it and change it.
+@dataclass(frozen=True)
+class Move:
+    """Commands of bases and arms for one control period.
 
     Attributes:
-        plan: Step of the motions. Change it by `Loop.slow_down`.
-        time_scale: Share of the planned motion that it makes, shape (n,).
-        paused: Whether base and motion pause while the arm reconfigures, shape (n,); None if none
-            does.
-        velocity_constraints: What an obstacle filter allows the bases, for the filters after it.
-        solved: A command with its base twists and IK solution, where a filter has computed them.
+        base_twist: World twists, shape (n, 6), m/s and rad/s.
+        arm: IK solutions.
+        command: Base commands of which they come, shape (n, a).
     """
 
-    plan: Plan
+    base_twist: Array
+    arm: IkSolution
+    command: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Period(KinematicInputs):
+    """A control period that a loop is about to carry out.
+
+    Attributes:
+        command: Base commands in [-1, 1], shape (n, 3) or (n, 2).
+        step: Step of the motions.
+        time_scale: Fraction of the planned motion that it carries out, shape (n,).
+        motions: Motions of the EEs, which do not change while filters read them.
+        paused: Whether base and motion pause while the arm reconfigures, shape (n,); None if none
+            does.
+        velocity_constraints: Constraints of an obstacle filter, for the filters after it.
+        move: Commands of bases and arms, where a filter has computed them.
+    """
+
+    command: Array
+    step: MotionStep
     time_scale: Array
+    motions: "MotionSequence"
     paused: NDArray[np.bool_] | None = None
-    velocity_constraints: Any = None
-    solved: tuple[Array, Array, IkSolution] | None = None
+    velocity_constraints: "VelocityConstraints | None" = None
+    move: Move | None = None
 
     @property
     def motion_seconds(self) -> Array:
         """Motion time of the step, seconds, shape (n,)."""
-        seconds = self.plan.seconds
+        seconds = self.step.seconds
         return seconds if self.paused is None else np.where(self.paused, 0.0, seconds)
 
-    def unless_paused(self, command: Array) -> Array:
-        """Return commands, shape (n, a), that are zero in paused rows."""
-        if self.paused is None:
-            return command
-        return np.where(self.paused[:, np.newaxis], 0.0, command)
+    def commanded(self, command: Array) -> "Period":
+        """Return the period with other base commands, which are zero in paused rows."""
+        if self.paused is not None:
+            command = np.where(self.paused[:, np.newaxis], 0.0, command)
+        return self if command is self.command else replace(self, command=command)
+
+    def slowed(self, time_scale: Array) -> "Period":
+        """Return the period with fractions, shape (n,), of the planned motion."""
+        step = self.motions.step(time_scale)
+        desired = self.motions.after(step, self.paused)
+        return replace(self, step=step, desired=desired, time_scale=time_scale, move=None)
+
+
+class CommandFilter(Protocol):
+    """Changes base commands before they are sent; entry points `kinfeas.filters`.
+
+    A filter is built from keyword parameters, and from those of `assemble.OFFERED` that it names.
+    One with a state has `reset(rows, n)`, as a `Policy`; `max_batch` limits the robots of a process
+    if it needs time or memory for each.
+    """
+
+    def __call__(self, period: Period) -> Period:
+        """Return the changed period."""
+        ...
 
 
 class KinematicStep:
@@ -82,35 +140,33 @@ class KinematicStep:
     Attributes:
         solver: IK of the robot.
         dt: Control period in seconds.
-        max_joint_step: Longest way of each arm joint in a period, shape (j,), radians or metres.
-        hold_torso: Whether the torso stays where the joints have it.
+        max_joint_step: Longest displacement of each arm joint in a period, shape (j,), radians or
+            metres.
     """
-
-    hold_torso: bool = False
 
     def __init__(self, solver: IkSolver, dt: float) -> None:
         self.solver, self.dt = solver, dt
         self.max_joint_step: Array = solver.robot.max_joint_velocity * dt
 
     def __call__(
-        self, action: Array, inputs: KinematicInputs, *, allow_reconfiguration: bool = True
-    ) -> tuple[Array, IkSolution]:
-        """Return world twists of the bases, shape (n, 6), and IK solutions of the arms.
+        self, command: Array, inputs: KinematicInputs, *, allow_reconfiguration: bool = True
+    ) -> Move:
+        """Return the commands of bases and arms.
 
         Args:
-            action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
+            command: Base commands in [-1, 1], shape (n, 3) or (n, 2).
             inputs: Of the same n rows.
             allow_reconfiguration: Whether IK also tries solutions out of reach in this period.
         """
-        twist = base_twist(self.solver.robot.base, inputs.base_pose, action, self.dt)
+        twist = base_twist(self.solver.robot.base, inputs.base_pose, command, self.dt)
         reached = integrate(inputs.base_pose, twist, self.dt)
         solids = inputs.solids
-        return twist, self.solver.solve(
+        arm = self.solver.solve(
             relative(inputs.desired, reached),
             inputs.joints,
             self.max_joint_step,
             allow_reconfiguration=allow_reconfiguration,
             solids=None if solids is None else in_base(solids, reached),
-            hold_torso=self.hold_torso,
-            guide=inputs.guide,
+            guide=inputs.posture_guide,
         )
+        return Move(twist, arm, command)

@@ -14,15 +14,38 @@ from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array
 
 
+@dataclass(frozen=True)
+class Progress:
+    """Progress of n motions at the end of a control period.
+
+    Attributes:
+        rows: Rows that begin a period, shape (m,).
+        periods: Control periods since the start of each motion, shape (n,).
+        desired: Desired world poses of the EEs, shape (n, 7).
+        base_pose: World poses of the bases, shape (n, 7).
+        time_scale: Fraction of the planned motion that the last period carried out, shape (n,).
+        dt: Control period, seconds.
+        motion_seconds: Planned motion time of a period.
+    """
+
+    rows: Rows
+    periods: NDArray[np.intp]
+    desired: Array
+    base_pose: Array
+    time_scale: Array
+    dt: float
+    motion_seconds: float
+
+
 class TargetStream(Protocol):
     """Targets of the EEs of a loop, which change while it runs."""
 
-    def start(self, loop: Any, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
-        """Begin new motions in the m `rows` of the `kinfeas.control.loop.Loop`."""
+    def start(self, desired: Array, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
+        """Begin new motions in m `rows`; the desired poses are those of all n, shape (n, 7)."""
         ...
 
-    def targets(self, loop: Any, rows: Rows) -> Array:
-        """Begin the next period of `rows`; return the EEs' targets in it, of all rows, (n, 7)."""
+    def targets(self, progress: Progress) -> Array:
+        """Begin the next period of some rows; return the targets of all rows in it, (n, 7)."""
         ...
 
     @property

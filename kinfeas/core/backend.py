@@ -1,9 +1,9 @@
-"""Backends that move robots: the contract, and protocols for the optional abilities of backends."""
+"""Backends that move robots: the contract, and the optional abilities of backends."""
 
-import inspect
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,86 +39,6 @@ class RobotState:
     age: Array | None = None
     ee_in_base: Array | None = None
     true_state: "RobotState | None" = None
-
-
-class Backend(Protocol):
-    """Moves n robots; real robots have n = 1."""
-
-    def reset(
-        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
-    ) -> RobotState:
-        """Put robots at rest and return the state of all n.
-
-        Args:
-            base_pose: World pose of the base, shape (m, 7).
-            joint_positions: Arm joints, shape (m, j).
-            env_ids: Indices of the m robots to reset; all n by default.
-        """
-        ...
-
-    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
-        """Command all n robots for `dt` seconds and return the measured state.
-
-        Args:
-            base_twist: World twist of the base, shape (n, 6), m/s and rad/s.
-            joint_targets: Joint positions to reach, shape (n, j), radians or metres.
-            dt: Seconds.
-        """
-        ...
-
-    def close(self) -> None:
-        """Free the resources; further calls do nothing."""
-        ...
-
-
-class BackendWrapper:
-    """A backend around another one, `backend`: the base class of adapters and guards."""
-
-    backend: Backend
-
-
-@runtime_checkable
-class Stochastic(Protocol):
-    """A backend or adapter that draws random numbers.
-
-    Equal seeds give equal draws of an episode in any batch.
-    """
-
-    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
-        """Begin new episodes with one seed each, shape (m,), in the m `env_ids`."""
-        ...
-
-
-@runtime_checkable
-class SupportsGripper(Protocol):
-    """A backend or adapter whose robots have grippers."""
-
-    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
-        """Begin to close or to open the grippers of the m robots `env_ids`."""
-        ...
-
-
-@runtime_checkable
-class SupportsDynamics(Protocol):
-    """A simulated backend whose robots can have other masses, frictions and motors."""
-
-    def scale_dynamics(
-        self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
-    ) -> None:
-        """Multiply masses and frictions of robots, and gains of their arms' motors, shape (m,).
-
-        Earlier factors of the m robots `env_ids` no longer apply. Motors keep their largest forces.
-        """
-        ...
-
-
-@runtime_checkable
-class NeedsAbility(Protocol):
-    """An adapter for some backends only."""
-
-    def check_backend(self) -> None:
-        """Raise KinfeasError if the wrapped backend lacks an ability."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -162,30 +82,6 @@ class ObstacleDistances:
             )
 
 
-@runtime_checkable
-class SupportsObstacleDistances(Protocol):
-    """A backend or adapter that measures distances to obstacles."""
-
-    def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return obstacles closer than `within` metres to the bases, without grasped objects."""
-        ...
-
-
-@runtime_checkable
-class SupportsSolids(Protocol):
-    """A simulated backend with solids around its robots.
-
-    Attributes:
-        solids: Solids of all n robots.
-    """
-
-    solids: MovingSolids
-
-    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
-        """Put solids around the m robots `env_ids` after their reset; None for none."""
-        ...
-
-
 SCAN_BANDS = ((0.0, 0.35), (0.35, 1.5))
 """Lowest and highest z of the bands of a scan, metres: the height of lasers, and that above."""
 
@@ -193,41 +89,21 @@ SCAN_BEAMS, SCAN_RANGE = 64, 3.0
 """Beams of a band, and their longest range in metres."""
 
 
-@runtime_checkable
-class SupportsScan(Protocol):
-    """A backend or adapter that measures ranges around the bases."""
-
-    def scan(self) -> Array:
-        """Return the ranges in `SCAN_BANDS`, shape (n, 2, `SCAN_BEAMS`), metres.
-
-        Beam i has the angle -pi + 2 pi i / `SCAN_BEAMS` to the base's heading. Ranges are at most
-        `SCAN_RANGE`.
-        """
-        ...
-
-
 @dataclass(frozen=True)
-class MeasuredScan:
-    """A scan by the sensors of one robot.
+class Scan:
+    """Ranges around the bases of n robots.
 
     Attributes:
-        ranges: As in `SupportsScan`, shape (1, 2, `SCAN_BEAMS`); blind beams are `SCAN_RANGE`.
-        blind: Whether no sensor covers a beam, shape (`SCAN_BEAMS`,).
-        age: Age of the oldest measurement in it, seconds.
+        ranges: In `SCAN_BANDS`, shape (n, 2, `SCAN_BEAMS`), metres, at most `SCAN_RANGE`. Beam i
+            has the angle -pi + 2 pi i / `SCAN_BEAMS` to the base's heading.
+        blind: Whether no sensor covers a beam, shape (`SCAN_BEAMS`,), of one robot; None if all are
+            covered. Blind beams have the longest range.
+        age: Seconds since the oldest part was measured.
     """
 
     ranges: Array
-    blind: NDArray[np.bool_]
-    age: float
-
-
-@runtime_checkable
-class SupportsMeasuredScan(SupportsScan, Protocol):
-    """A backend of one robot whose scan may be old or blind."""
-
-    def measured_scan(self) -> MeasuredScan:
-        """Return the newest scan."""
-        ...
+    blind: NDArray[np.bool_] | None = None
+    age: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -246,51 +122,68 @@ class Contacts:
     arm: frozenset[tuple[int, int, int]]
 
 
-@runtime_checkable
-class SupportsContacts(Protocol):
-    """A backend that measures contacts."""
+@dataclass(frozen=True)
+class StopCall:
+    """A function with which another process stops the base.
 
-    def contacts(self, env_id: int) -> Contacts:
+    Attributes:
+        path: Function `module:function`. It is called once, connects to the robot and returns a
+            function without arguments that commands zero velocity. If this raises, it is called
+            again.
+        arguments: Keyword arguments of the first call, which must fit into JSON.
+    """
+
+    path: str
+    arguments: Mapping[str, object] = field(default_factory=dict)
+
+
+class Gripper(Protocol):
+    """Grippers of n robots."""
+
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
+        """Begin to close or to open the grippers of the m robots `env_ids`."""
+        ...
+
+
+class Scanner(Protocol):
+    """Range sensors of n robots."""
+
+    def scan(self) -> Scan:
+        """Return the newest ranges around the bases."""
+        ...
+
+
+class ObstacleSensor(Protocol):
+    """Distances between bases and obstacles."""
+
+    def obstacle_distances(self, within: float) -> ObstacleDistances:
+        """Return obstacles closer than `within` metres to the bases, without grasped objects."""
+        ...
+
+
+class ContactSensor(Protocol):
+    """Contacts of robots with their surroundings."""
+
+    def touching(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
         ...
 
 
-@runtime_checkable
-class BatchLimited(Protocol):
-    """A backend or filter whose robots cost memory or time: a process has at most `max_batch`."""
+class Dynamics(Protocol):
+    """Simulated robots whose masses, frictions and motors can change."""
 
-    max_batch: int
+    def scale_dynamics(
+        self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
+    ) -> None:
+        """Multiply masses and frictions of robots, and gains of their arms' motors, shape (m,).
 
-
-@runtime_checkable
-class RealTimeBackend(Protocol):
-    """A backend whose robot moves in real time: a real robot, or a simulator process.
-
-    `reset` cannot move the robot: it returns its state. `step` sends the command, waits for the end
-    of the control period and returns the newest measurement.
-    """
-
-    def read(self) -> RobotState:
-        """Return the newest measurement, with its age."""
-        ...
-
-    def stop(self) -> None:
-        """Command zero base velocity and hold the arm; callable at any time, repeatedly."""
+        Earlier factors of the m robots `env_ids` no longer apply. Motors keep their largest forces.
+        """
         ...
 
 
-@runtime_checkable
-class ArmLimited(Protocol):
-    """A backend that controls the velocity of the arm toward its targets."""
-
-    def limit_arm(self, velocity: Array) -> None:
-        """Limit the velocities of the arm joints; shape (j,), rad/s or m/s."""
-        ...
-
-
-@runtime_checkable
 class Resumable(Protocol):
-    """A backend or adapter whose whole state can be saved as arrays."""
+    """Robots whose whole state can be saved as arrays."""
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all n robots by name."""
@@ -301,20 +194,176 @@ class Resumable(Protocol):
         ...
 
 
+class Staging(Protocol):
+    """A simulator that sets up the scenes of tasks."""
+
+    def stage(self, task: Any) -> Any:
+        """Return a `kinfeas.tasks.task.Task` that also places its objects in the simulator."""
+        ...
+
+
+class Backend(ABC):
+    """Moves n robots; real robots have n = 1.
+
+    An ability that a backend has is an object, which may be the backend itself; others are None.
+
+    Attributes:
+        gripper: Grippers.
+        scanner: Range sensors.
+        obstacles: Distances to obstacles.
+        solids: Solids around all n robots, which `place_solids` puts there.
+        contacts: Contact sensors.
+        dynamics: Masses, frictions and motors that can change.
+        resumable: Saves and restores the whole state.
+        staging: Sets up the scenes of tasks.
+        real_time: The robot that moves in real time, or None in a simulation that waits for `step`.
+        max_batch: Robots that a process should have at most, since each costs memory or time.
+    """
+
+    gripper: Gripper | None = None
+    scanner: Scanner | None = None
+    obstacles: ObstacleSensor | None = None
+    solids: MovingSolids | None = None
+    contacts: ContactSensor | None = None
+    dynamics: Dynamics | None = None
+    resumable: Resumable | None = None
+    staging: Staging | None = None
+    real_time: "RealTimeBackend | None" = None
+    max_batch: int | None = None
+
+    @abstractmethod
+    def reset(
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Put robots at rest and return the state of all n.
+
+        Args:
+            base_pose: World pose of the base, shape (m, 7).
+            joint_positions: Arm joints, shape (m, j).
+            env_ids: Indices of the m robots to reset; all n by default.
+        """
+
+    @abstractmethod
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Command all n robots for `dt` seconds and return the measured state.
+
+        Args:
+            base_twist: World twist of the base, shape (n, 6), m/s and rad/s.
+            joint_targets: Joint positions to reach, shape (n, j), radians or metres.
+            dt: Seconds.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free the resources; further calls do nothing."""
+
+    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:  # noqa: B027 - few need it
+        """Seed the random numbers of new episodes, shape (m,), in the m `env_ids`.
+
+        Equal seeds give equal numbers of an episode in any batch.
+        """
+
+    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
+        """Put solids around the m robots `env_ids` after their reset; None for none."""
+        if solids is not None:
+            raise KinfeasError(f"backend {self.name} has no solids, which the task needs")
+
+    def execution(self, execution: Any) -> Any:
+        """Return an `ExecutionConfig` as adapters within change it."""
+        return execution
+
+    @property
+    def name(self) -> str:
+        """Name of the innermost backend in errors."""
+        return type(self).__name__
+
+
+class RealTimeBackend(Backend):
+    """A backend whose robot moves in real time: a real robot, or a simulator process.
+
+    `reset` cannot move the robot: it returns its state. `step` sends the command, waits for the end
+    of the control period and returns the newest measurement.
+
+    Attributes:
+        prepare: Work without measurements, to be done while `step` waits; None for none.
+    """
+
+    prepare: Callable[[], None] | None = None
+
+    @property
+    def real_time(self) -> "RealTimeBackend":  # type: ignore[override]  # never replaced
+        """The robot itself."""
+        return self
+
+    @abstractmethod
+    def read(self) -> RobotState:
+        """Return the newest measurement, with its age."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Command zero base velocity and hold the arm; callable at any time, repeatedly."""
+
+    def limit_arm(self, velocity: Array) -> None:
+        """Limit the velocities of the arm joints, shape (j,), rad/s or m/s, if they are sent."""
+
+    def stop_call(self) -> StopCall | None:
+        """Return the call with which another process stops the base; None if there is none."""
+        return None
+
+
+ABILITIES = (
+    "gripper", "scanner", "obstacles", "solids", "contacts", "dynamics", "resumable",
+    "staging", "real_time", "max_batch",
+)  # fmt: skip
+"""Names of the abilities of a backend."""
+
+
+class BackendWrapper(Backend):
+    """A backend around another one, with its abilities: the base class of adapters and guards.
+
+    Attributes:
+        backend: The wrapped backend.
+    """
+
+    def __init__(self, backend: Backend) -> None:
+        self.backend = backend
+        for ability in ABILITIES:
+            setattr(self, ability, getattr(backend, ability))
+
+    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
+        """Seed the random numbers of the wrapped backend."""
+        self.backend.seed(seeds, env_ids)
+
+    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
+        """Put solids into the wrapped backend."""
+        self.backend.place_solids(solids, env_ids)
+
+    def execution(self, execution: Any) -> Any:
+        """Return the execution as the wrapped backend changes it."""
+        return self.backend.execution(execution)
+
+    def close(self) -> None:
+        """Close the wrapped backend."""
+        self.backend.close()
+
+    @property
+    def name(self) -> str:
+        """Name of the innermost backend."""
+        return self.backend.name
+
+
 def build_backend(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
     """Return a backend by its entry point and the keyword parameters of its constructor.
 
     Objects of the run, such as `robot`, are `offered`: passed on if the constructor names them.
 
     Raises:
-        KinfeasError: If the backend is unknown, or a parameter is wrong or offered by the run.
+        KinfeasError: If the backend is unknown or derives from another class than `Backend`, or a
+            parameter is wrong or offered by the run.
     """
-    factory = registry.load("kinfeas.backends", name)
-    known = inspect.signature(factory).parameters if callable(factory) else {}
-    given = {key: value for key, value in offered.items() if key in known}
-    for key in given.keys() & parameters.keys():
-        raise KinfeasError(f"backend {name!r}: the run sets the parameter {key!r}")
-    backend: Backend = registry.build("kinfeas.backends", name, {**given, **parameters})
+    backend = registry.build_with("kinfeas.backends", name, parameters, offered)
+    if not isinstance(backend, Backend):
+        raise KinfeasError(f"backend {name!r} must derive from kinfeas.core.backend.Backend")
     return backend
 
 
@@ -325,10 +374,9 @@ def build_simulator(name: str, parameters: Mapping[str, object], **offered: obje
         KinfeasError: Also if the backend moves a robot in real time; its class is not called.
     """
     factory = registry.load("kinfeas.backends", name)
-    real_time = isinstance(factory, type) and issubclass(factory, RealTimeBackend)
-    if not real_time:
+    if not (isinstance(factory, type) and issubclass(factory, RealTimeBackend)):
         backend = build_backend(name, parameters, **offered)
-        if not isinstance(backend, RealTimeBackend):
+        if backend.real_time is None:
             return backend
         backend.close()
     raise KinfeasError(f"backend {name!r} is for deployment; only simulators are possible here")

@@ -30,20 +30,20 @@ Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
 def check_array(
     value: object,
     shape: tuple[int, ...],
-    what: str,
+    name: str,
     *,
     finite: bool = True,
     error: type[KinfeasError] = KinfeasError,
 ) -> None:
-    """Raise an `error` whose message begins with `what` unless a value is an array of `shape`."""
+    """Raise an `error` whose message begins with `name` unless a value is an array of `shape`."""
     if not isinstance(value, np.ndarray):
-        raise error(f"{what} is a {type(value).__name__}, not an array of shape {shape}")
+        raise error(f"{name} is a {type(value).__name__}, not an array of shape {shape}")
     if value.shape != shape:
-        raise error(f"{what} has shape {value.shape}, not {shape}")
+        raise error(f"{name} has shape {value.shape}, not {shape}")
     if value.dtype.kind not in "iuf":
-        raise error(f"{what} is an array of {value.dtype}")
+        raise error(f"{name} is an array of {value.dtype}")
     if finite and not np.isfinite(value).all():
-        raise error(f"{what} is not finite")
+        raise error(f"{name} is not finite")
 
 
 def are_unit(poses: Array) -> bool:
@@ -55,7 +55,7 @@ def are_unit(poses: Array) -> bool:
 def check_state(state: object, robots: int, joints: int, source: str) -> None:
     """Raise KinfeasError unless a backend or adapter returns a valid `RobotState`.
 
-    Poses and joint positions must be finite; the message begins with `source`.
+    Poses and joint positions must be finite. The message begins with `source`.
     """
     if not isinstance(state, RobotState):
         raise KinfeasError(f"{source} must return a RobotState, not a {type(state).__name__}")
@@ -85,11 +85,11 @@ class ConformanceError(KinfeasError):
 
 
 class CheckedMotion:
-    """A motion generator that checks another one's return values.
+    """A motion generator that checks the return values of another generator.
 
-    Goals and twists are checked at each call; states and other values at the first call of each
-    method after a start, or at `every_step`. States keep the layout of the first one, so that rows
-    can be exchanged. Exceptions of the generator get a note with its `name`, by default its class.
+    Goals and twists are checked at each call, states and other values at the first call of each
+    method after a start, or at `every_step`. States keep the layout of the first, so that rows can
+    be exchanged. Exceptions of the generator get a note with its `name`, by default its class.
 
     Attributes:
         demonstrated: Whether the generator has demonstrated base poses.
@@ -216,8 +216,8 @@ class CheckedMotion:
         if self._ahead is None:
             goal = self.goal_pose(state, target_pose)
             metres = np.maximum(distance(ee_pose, goal)[0], 1e-9)[:, np.newaxis]
-            way = twist_between(ee_pose, goal, 1.0)[:, np.newaxis]
-            return integrate(ee_pose[:, np.newaxis], way, np.minimum(distances / metres, 1.0))
+            whole = twist_between(ee_pose, goal, 1.0)[:, np.newaxis]
+            return integrate(ee_pose[:, np.newaxis], whole, np.minimum(distances / metres, 1.0))
         with plugin_note(self.subject):
             poses = self._ahead(state, ee_pose, target_pose, distances)
         if self._due("ahead"):
@@ -237,8 +237,8 @@ class CheckedMotion:
     def _check_array(
         self, method: str, value: object, shape: tuple[int, ...], *, finite: bool = True
     ) -> None:
-        what = f"{self.subject} returns a value from {method} that"
-        check_array(value, shape, what, finite=finite, error=ConformanceError)
+        name = f"{self.subject} returns a value from {method} that"
+        check_array(value, shape, name, finite=finite, error=ConformanceError)
 
     def _check_state(self, method: str, state: Any, n: int) -> None:
         rule = f"must return a state from {method} that is a dict of numeric arrays"
@@ -251,13 +251,11 @@ class CheckedMotion:
                 raise self.error(f"{rule} with leading axis {n}; {key!r} has shape {value.shape}")
         if not n:  # a state without rows may have no keys
             return
-        found = _layout(state)
-        self._layout = first = self._layout or found
-        changed = sorted(
-            str(key) for key in found.keys() | first.keys() if found.get(key) != first.get(key)
-        )
-        if changed:
-            raise self.error(f"changes keys, shapes or types of its state: {changed}", "layout")
+        layout = _layout(state)
+        self._layout = first = self._layout or layout
+        if changed := {key for key, _ in layout.items() ^ first.items()}:
+            text = f"changes keys, shapes or types of its state: {sorted(map(str, changed))}"
+            raise self.error(text, "layout")
 
 
 def _layout(state: State) -> Layout:

@@ -54,19 +54,12 @@ def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., 
     return compile_alone
 
 
-def open_lock() -> int | None:
-    """Return the descriptor of the user's lock file, or None without a writable folder."""
-    try:
-        return os.open(_own_folder() / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
-    except (OSError, KinfeasError):
-        return None
-
-
 @contextmanager
 def _alone() -> Iterator[bool]:
-    """Wait for the lock; yield whether this process may write the cache."""
-    lock = open_lock()
-    if lock is None:
+    """Wait for the user's lock file; return whether this process may write the cache."""
+    try:
+        lock = os.open(_own_folder() / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except (OSError, KinfeasError):
         yield True  # without a folder there is no cache
         return
     try:
@@ -77,8 +70,7 @@ def _alone() -> Iterator[bool]:
         os.close(lock)
 
 
-def _any() -> None:
-    """Stand for any kernel."""
+def _any() -> None: ...  # stands for any kernel
 
 
 def _own_folder() -> Path:
@@ -101,5 +93,5 @@ def _private(folder: Path) -> Path:
     status = folder.lstat()
     others = not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid()
     if others or status.st_mode & 0o022 or not os.access(folder, os.W_OK | os.X_OK):
-        raise PermissionError(f"{folder} is not this user's alone")
+        raise PermissionError(f"other users can write {folder}")
     return folder

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypedDict
+from typing import Any, TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,14 @@ class EpisodeRecords:
             if the last sub-goal did not begin.
         joint_jumps: Steps in which a joint moved faster than its limit, shape (n,).
         steps: Length of the episode, shape (n,).
-        task_done: Whether the objects ended as the task asks for, or the goal was reached if the
-            task has no objects, shape (n,); None if the backend does not measure it.
+        task_done: Whether the objects meet the task's success condition, or the goal was reached if
+            the task has no objects, shape (n,); None if the backend does not measure it.
         base_collisions: Collisions of the base, shape (n,); None likewise.
         arm_collisions: Collisions of the arm, shape (n,); None likewise.
         rms_deviation: Root mean square of the deviation, metres, shape (n,), where the target is a
             stream.
-        way: Length of the EE's true way, metres, shape (n,), likewise.
-        planned_way: Length of the way that the stream asks for, metres, shape (n,), likewise.
+        path_length: Length of the EE's true path, metres, shape (n,), likewise.
+        target_path_length: Length of the stream's path, metres, shape (n,), likewise.
     """
 
     reached: NDArray[np.bool_]
@@ -50,8 +50,8 @@ class EpisodeRecords:
     base_collisions: NDArray[np.intp] | None = None
     arm_collisions: NDArray[np.intp] | None = None
     rms_deviation: Array | None = None
-    way: Array | None = None
-    planned_way: Array | None = None
+    path_length: Array | None = None
+    target_path_length: Array | None = None
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -67,21 +67,19 @@ class EpisodeRecords:
 def join(parts: Sequence[EpisodeRecords]) -> EpisodeRecords:
     """Return the episodes of all parts, one after the other; at least one part."""
     joined: dict[str, Any] = {}
-    for entry in fields(EpisodeRecords):
-        values = [getattr(part, entry.name) for part in parts]
-        known = [one for one in values if one is not None]
-        if known and len(known) < len(parts):  # a part without solids has no collisions
-            values = [
-                np.zeros(len(part.reached), known[0].dtype) if one is None else one
-                for part, one in zip(parts, values, strict=True)
-            ]
-        joined[entry.name] = np.concatenate(values) if known else None
+    for name in (field.name for field in fields(EpisodeRecords)):
+        values = [getattr(part, name) for part in parts]
+        types = [array.dtype for array in values if array is not None]
+        if types:  # a part without solids has no collisions
+            counts = zip(parts, values, strict=True)
+            values = [np.zeros(len(p.reached), types[0]) if v is None else v for p, v in counts]
+        joined[name] = np.concatenate(values) if types else None
     return EpisodeRecords(**joined)
 
 
 @dataclass(frozen=True)
 class Proportion:
-    """A share of episodes with its 95 % Wilson interval, all in 0-1."""
+    """A fraction of episodes with its 95 % Wilson interval, all in 0-1."""
 
     value: float
     low: float
@@ -89,25 +87,25 @@ class Proportion:
 
 
 def wilson(hits: int, trials: int) -> Proportion:
-    """Return the share `hits / trials` with its 95 % score interval; at least one trial.
+    """Return the fraction `hits / trials` with its 95 % score interval; at least one trial.
 
     Source: Wilson, J. Am. Stat. Assoc. 22 (1927).
     """
     z = 1.959963984540054  # quantile of the normal distribution
-    share, weight = hits / trials, z * z / trials
-    centre = (share + weight / 2.0) / (1.0 + weight)
-    half = z * np.sqrt(share * (1.0 - share) / trials + weight / (4.0 * trials)) / (1.0 + weight)
-    # Rounding must not put a share of 0 or 1 outside its interval.
-    low, high = min(share, max(0.0, centre - half)), max(share, min(1.0, centre + half))
-    return Proportion(share, float(low), float(high))
+    rate, weight = hits / trials, z * z / trials
+    centre = (rate + weight / 2.0) / (1.0 + weight)
+    half = z * np.sqrt(rate * (1.0 - rate) / trials + weight / (4.0 * trials)) / (1.0 + weight)
+    # Rounding must not put a fraction of 0 or 1 outside its interval.
+    low, high = min(rate, max(0.0, centre - half)), max(rate, min(1.0, centre + half))
+    return Proportion(rate, float(low), float(high))
 
 
 class Metrics(TypedDict):
-    """Metrics of episodes; `low` and `high` are the ends of the interval of a share.
+    """Metrics of episodes; `low` and `high` are the ends of the interval of a fraction.
 
     Task success and collisions are null if the backend does not measure them. The last five are
-    those of streams of targets: `smooth` is the share of episodes without IK failure and joint
-    jump, `speed_share` the mean speed of the EE as a share of the asked one.
+    those of streams of targets: `smooth` is the fraction of episodes without IK failure and joint
+    jump, `speed_share` the mean speed of the EE relative to the speed of the stream.
     """
 
     episodes: int
@@ -136,45 +134,41 @@ class Metrics(TypedDict):
 
 
 def summarize(records: EpisodeRecords) -> Metrics:
-    """Return the metrics of episodes: shares in 0-1, distances in metres."""
-    episodes = len(records.reached)
-    success = wilson(int(records.success.sum()), episodes)
-    within = wilson(int(records.within.sum()), episodes)
-    done, base, arm = records.task_done, records.base_collisions, records.arm_collisions
-    task = None if done is None else wilson(int(done.sum()), episodes)
-    smooth = speed = rms = None
+    """Return the metrics of episodes: fractions in 0-1, distances in metres."""
+    base, arm = records.base_collisions, records.arm_collisions
+    smooth = speed = rms = free = None
+    if base is not None and arm is not None:
+        free = base + arm == 0
     if (
-        records.way is not None
-        and records.planned_way is not None
+        records.path_length is not None
+        and records.target_path_length is not None
         and records.rms_deviation is not None
     ):
-        smooth = wilson(int((records.success & (records.joint_jumps == 0)).sum()), episodes)
-        speed = float(records.way.sum() / records.planned_way.sum())
+        smooth = records.success & (records.joint_jumps == 0)
+        speed = float(records.path_length.sum() / records.target_path_length.sum())
         rms = float(np.sqrt(np.average(records.rms_deviation**2, weights=records.steps)))
-    return {
-        "episodes": episodes,
-        "success": success.value,
-        "success_low": success.low,
-        "success_high": success.high,
+    summary = {
+        "episodes": len(records.reached),
+        **_fraction("success", records.success),
         "reached": float(records.reached.mean()),
-        "within_5cm": within.value,
-        "within_5cm_low": within.low,
-        "within_5cm_high": within.high,
+        **_fraction("within_5cm", records.within),
         "ik_failures_per_episode": float(records.failures.mean()),
         "mean_deviation_m": float(records.mean_deviation.mean()),
         "joint_jumps_per_episode": float(records.joint_jumps.mean()),
         "mean_steps": float(records.steps.mean()),
-        "task_success": task.value if task else None,
-        "task_success_low": task.low if task else None,
-        "task_success_high": task.high if task else None,
+        **_fraction("task_success", records.task_done),
         "base_collisions": None if base is None else float(base.mean()),
         "arm_collisions": None if arm is None else float(arm.mean()),
-        "collision_free_rate": (
-            None if base is None or arm is None else float(np.mean(base + arm == 0))
-        ),
-        "smooth": smooth.value if smooth else None,
-        "smooth_low": smooth.low if smooth else None,
-        "smooth_high": smooth.high if smooth else None,
+        "collision_free_rate": None if free is None else float(free.mean()),
+        **_fraction("smooth", smooth),
         "speed_share": speed,
         "rms_deviation_m": rms,
     }
+    return cast("Metrics", summary)
+
+
+def _fraction(name: str, hits: NDArray[np.bool_] | None) -> dict[str, float | None]:
+    if hits is None:
+        return dict.fromkeys((name, f"{name}_low", f"{name}_high"))
+    rate = wilson(int(hits.sum()), len(hits))
+    return {name: rate.value, f"{name}_low": rate.low, f"{name}_high": rate.high}

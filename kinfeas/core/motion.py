@@ -135,9 +135,8 @@ class FollowsWholeBodyPath(Protocol):
     ) -> tuple[State, Array]:
         """Return the state of n motions along their paths.
 
-        The second value has `WAYPOINTS` robots of each path, shape (n, 64, 3 + j), which
-        `robot_ahead` gets again. Called before `replan` of `AvoidsSolids`, which leaves these
-        motions as they are.
+        The second value has `WAYPOINTS` configurations of each path, shape (n, 64, 3 + j), for
+        `robot_ahead`. Called before `replan` of `AvoidsSolids`, which leaves these motions alone.
 
         Args:
             state: State of n motions.
@@ -160,7 +159,7 @@ class FollowsWholeBodyPath(Protocol):
 
 @runtime_checkable
 class LooksAhead(Protocol):
-    """A motion generator that knows the path of its motions."""
+    """A motion generator whose paths can be read in advance."""
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses that lie ahead on the motions, at most their ends, shape (n, d, 7).
@@ -169,7 +168,7 @@ class LooksAhead(Protocol):
             state: State of n motions.
             ee_pose: Current desired world pose, shape (n, 7).
             target_pose: Current poses of the targets, shape (n, 7).
-            distances: Lengths of the way of the position from here, shape (d,), metres.
+            distances: Lengths of the position's path from here, shape (d,), metres.
         """
         ...
 

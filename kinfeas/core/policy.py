@@ -1,33 +1,33 @@
-"""Protocols of policies, which command the base, and of filters, which change commands."""
+"""Policies, which command the base, and what they observe."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from kinfeas.core.backend import ObstacleSensor
 from kinfeas.core.spatial import Array
 
 
 @dataclass(frozen=True)
-class PolicyInput:
-    """Input of a policy for n robots.
+class Observation:
+    """Observation of n robots.
 
     Attributes:
-        observation: Observation terms that the policy names, shape (n, d).
+        values: Observation terms that the policy names, shape (n, d).
         base_pose: World pose of the base, shape (n, 7).
         ee_pose: Achieved world pose of the EE, shape (n, 7).
         joint_positions: Arm joints, shape (n, j), radians or metres.
         desired: Desired world pose of the EE now, shape (n, 7).
         planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7), at the time
-            scale of the execution; the observation shows the motion at full speed.
+            scale of the execution; the values show the motion at full speed.
         demonstrated_base: World pose of the base in the demonstration, shape (n, 7); NaN where the
             motion has none.
         planned_base: World pose of the base on a whole-body path, `LEAD` seconds ahead, shape
             (n, 7); NaN where the motion has none.
+        dt: Control period, seconds.
+        obstacles: Measures distances to obstacles, where the backend can.
     """
 
-    observation: Array
+    values: Array
     base_pose: Array
     ee_pose: Array
     joint_positions: Array
@@ -35,6 +35,8 @@ class PolicyInput:
     planned: Array
     demonstrated_base: Array
     planned_base: Array
+    dt: float
+    obstacles: ObstacleSensor | None = None
 
 
 @dataclass(frozen=True)
@@ -61,34 +63,11 @@ class TermInfo:
 class Policy(Protocol):
     """Commands the base.
 
-    The attributes `observation_terms` and `action_terms`, where there are any, name other terms
-    than the default ones.
+    The attribute `observation_terms`, if there is one, names other terms than the default ones. A
+    policy with a state of its own has `reset(rows, n)`: begin new episodes in `rows`, shape (m,),
+    of n robots.
     """
 
-    def act(self, policy_input: PolicyInput) -> Array:
-        """Return the action terms in [-1, 1], shape (n, a): at least the base's command."""
-        ...
-
-
-@runtime_checkable
-class RecurrentPolicy(Policy, Protocol):
-    """A policy with a state of its own."""
-
-    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
-        """Begin new episodes in `rows`, shape (m,), of the `kinfeas.control.loop.Loop`."""
-        ...
-
-
-class CommandFilter(Protocol):
-    """Changes base commands before they are sent.
-
-    The attribute `period` of its loop is what the step is about to carry out.
-    """
-
-    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
-        """Begin new episodes, as a `RecurrentPolicy`; raise KinfeasError for an unfit loop."""
-        ...
-
-    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
-        """Return base commands in [-1, 1] in place of `command`; both (n, 3) or (n, 2)."""
+    def act(self, observation: Observation) -> Array:
+        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         ...

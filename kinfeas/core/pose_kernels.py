@@ -34,8 +34,7 @@ def product(ax, ay, az, aw, bx, by, bz, bw):
 
 
 @inlined
-def _turn(x, y, z, w, vx, vy, vz):
-    """Return the vector v turned by a unit quaternion."""
+def _rotated(x, y, z, w, vx, vy, vz):
     tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
     return (
         vx + w * tx + y * tz - z * ty,
@@ -46,9 +45,9 @@ def _turn(x, y, z, w, vx, vy, vz):
 
 @compiled(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)")
 def compose(parent, child, out):
-    """Pose `child`, given in `parent`, in the frame of `parent`."""
+    """Pose `child`, which is relative to `parent`, in the frame of `parent`."""
     a, b = parent, child
-    x, y, z = _turn(a[3], a[4], a[5], a[6], b[0], b[1], b[2])
+    x, y, z = _rotated(a[3], a[4], a[5], a[6], b[0], b[1], b[2])
     quaternion = product(a[3], a[4], a[5], a[6], b[3], b[4], b[5], b[6])
     out[0], out[1], out[2] = a[0] + x, a[1] + y, a[2] + z
     out[3], out[4], out[5], out[6] = quaternion
@@ -57,14 +56,14 @@ def compose(parent, child, out):
 @inlined
 def _write_relative(pose, frame, out):
     a, b = frame, pose
-    x, y, z = _turn(-a[3], -a[4], -a[5], a[6], b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    x, y, z = _rotated(-a[3], -a[4], -a[5], a[6], b[0] - a[0], b[1] - a[1], b[2] - a[2])
     out[0], out[1], out[2] = x, y, z
     out[3], out[4], out[5], out[6] = product(-a[3], -a[4], -a[5], a[6], b[3], b[4], b[5], b[6])
 
 
 @compiled(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)")
 def relative(pose, frame, out):
-    """`pose` as seen from `frame`."""
+    """`pose` relative to `frame`."""
     _write_relative(pose, frame, out)
 
 
@@ -108,13 +107,13 @@ def twist_between(start, end, dt, like, out):
 
 
 @compiled(["void(f8[:], f8[:], f8[:], f8, f8[:])"], "(p),(p),(p),()->(p)")
-def catch_up(pose, wanted, frame, dt, out):
-    """Velocity (3) and rotation (4) that lead from a pose in `frame` to `wanted` in `dt` seconds.
+def catch_up(pose, target, frame, dt, out):
+    """Velocity (3) and rotation (4) that lead from a pose in `frame` to `target` in `dt` seconds.
 
-    `wanted` is given where `frame` is.
+    `target` and `frame` are in one frame.
     """
     twist = np.empty(6)
-    _write_relative(wanted, frame, out)
+    _write_relative(target, frame, out)
     write_twist(pose, out, dt, twist)
     write_reached(IDENTITY, twist, dt, out)
     for i in range(3):
@@ -142,17 +141,17 @@ def distance(a, b, metres, radians):
 
 
 @inlined
-def clipped(share):
+def clipped(value):
     """Return a number clipped to [-1, 1]; NaN stays."""
-    return 1.0 if share > 1.0 else -1.0 if share < -1.0 else share
+    return 1.0 if value > 1.0 else -1.0 if value < -1.0 else value
 
 
 @inlined
 def wrapped(angle):
     """Return the angle in (-pi, pi]."""
-    turn = 2.0 * math.pi
-    # Twice, because a tiny negative number modulo a turn rounds up to a whole turn.
-    return math.pi - (math.pi - angle) % turn % turn
+    circle = 2.0 * math.pi
+    # Twice, because a tiny negative number modulo a circle rounds up to a whole circle.
+    return math.pi - (math.pi - angle) % circle % circle
 
 
 @compiled(["void(f8, f8[:])"], "()->()")
@@ -175,7 +174,7 @@ def yaw(pose, out):
 
 @compiled(["void(f8[:], f8[:], f8[:], f8[:])"], "(p),(p),(v)->(v)")
 def planar_offset(pose, frame, like, out):
-    """x, y and yaw of a pose on the floor, as seen from another one; 0 for NaN."""
+    """x, y and yaw of a pose on the floor, relative to another pose; 0 for NaN."""
     out[:] = 0.0
     if not math.isnan(pose.sum()):
         angle, x, y = heading(frame), pose[0] - frame[0], pose[1] - frame[1]
@@ -186,19 +185,19 @@ def planar_offset(pose, frame, like, out):
 
 @compiled(["void(f8[:], f8[:], b1[:], f8[:])"], "(j),(j),(j)->(j)")
 def joint_displacement(before, after, continuous, out):
-    """Way of each joint; of continuous ones the shorter way."""
+    """Displacement of each joint; of continuous joints the shorter one."""
     for j in range(len(before)):
-        way = after[j] - before[j]
-        out[j] = wrapped(way) if continuous[j] else way
+        change = after[j] - before[j]
+        out[j] = wrapped(change) if continuous[j] else change
 
 
 @compiled(["void(f8[:], f8[:], b1[:], f8[:], b1[:])"], "(j),(j),(j),(j)->()")
 def moves_farther(before, after, continuous, longest, out):
-    """Whether a joint moves farther than its `longest` way; continuous ones the shorter way."""
+    """Whether a joint moves farther than its `longest` displacement; as `joint_displacement`."""
     out[0] = False
     for j in range(len(before)):
-        way = after[j] - before[j]
-        if abs(wrapped(way) if continuous[j] else way) > longest[j]:
+        change = after[j] - before[j]
+        if abs(wrapped(change) if continuous[j] else change) > longest[j]:
             out[0] = True
 
 

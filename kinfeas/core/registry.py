@@ -1,6 +1,6 @@
 """Plugins by name, from the entry points of installed distributions.
 
-Plugins are loaded one at a time when their name is used; a broken one does not affect the others.
+A plugin is loaded when its name is used, so that a broken plugin does not affect others.
 """
 
 import inspect
@@ -33,7 +33,7 @@ _MEMBERS = {
     "kinfeas.adapters": ("reset", "step", "close"),
     "kinfeas.backends": ("reset", "step", "close"),
     "kinfeas.policies": ("act",),
-    "kinfeas.filters": ("reset", "__call__"),
+    "kinfeas.filters": ("__call__",),
     "kinfeas.target_sources": ("start", "close"),
 }
 """Required members; those of motion generators are called before an episode begins."""
@@ -84,8 +84,8 @@ def register(group: str, name: str, factory: type | FunctionType) -> None:
 
 def plugins(group: str) -> list[Plugin]:
     """Return all entries of a group, sorted by name, without importing any of them."""
-    found = [_plugin(entry) for entry in _entries(group)]
-    return sorted(found, key=lambda plugin: (plugin.name, plugin.distribution))
+    entries = map(_plugin, _entries(group))
+    return sorted(entries, key=lambda plugin: (plugin.name, plugin.distribution))
 
 
 def names(group: str) -> list[str]:
@@ -110,6 +110,22 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
     return _build(_find(group, name), parameters)
 
 
+def build_with(
+    group: str, name: str, parameters: Mapping[str, object], offered: Mapping[str, object]
+) -> Any:
+    """Return what `build` does, with those of the objects `offered` that the factory names.
+
+    Raises:
+        KinfeasError: Also if a parameter has the name of an object that is offered.
+    """
+    factory = load(group, name)
+    known = inspect.signature(factory).parameters if callable(factory) else {}
+    objects = {key: value for key, value in offered.items() if key in known}
+    for key in objects.keys() & parameters.keys():
+        raise KinfeasError(f"{GROUPS[group]} {name!r}: the run sets the parameter {key!r}")
+    return build(group, name, {**objects, **parameters})
+
+
 def build_target(group: str, target: str, parameters: Mapping[str, object]) -> Any:
     """Return the object of a class or function `module:name`, as `build` does of entry points."""
     return _build(EntryPoint(target, target, group), parameters)
@@ -132,8 +148,7 @@ def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
         raise KinfeasError(f"{subject}: {missing_extra(error) or error}") from error
     except SystemExit as error:
         raise KinfeasError(f"{subject} raised SystemExit: {error}") from error
-    lacks = [name for name in _MEMBERS.get(group, ()) if not hasattr(built, name)]
-    if lacks:
+    if lacks := [name for name in _MEMBERS.get(group, ()) if not hasattr(built, name)]:
         raise KinfeasError(
             f"{subject} must return an object with {', '.join(lacks)}, not {type(built).__name__}"
         )
@@ -154,14 +169,14 @@ def _signature(factory: Any) -> inspect.Signature:
 
 
 def _in_types(
-    signature: inspect.Signature, given: Mapping[str, object], subject: str
+    signature: inspect.Signature, values: Mapping[str, object], subject: str
 ) -> dict[str, object]:
-    typed, known = dict(given), signature.parameters
-    if all(one.kind is not one.VAR_KEYWORD for one in known.values()):
-        for name in sorted(given.keys() - known.keys()):
-            raise KinfeasError(f"{subject}: unknown parameter {name!r}{no_such(name, known)}")
-    for name in given.keys() & known.keys():
-        value, parameter = given[name], known[name]
+    typed, parameters = dict(values), signature.parameters
+    if all(parameter.kind is not parameter.VAR_KEYWORD for parameter in parameters.values()):
+        for name in sorted(values.keys() - parameters.keys()):
+            raise KinfeasError(f"{subject}: unknown parameter {name!r}{no_such(name, parameters)}")
+    for name in values.keys() & parameters.keys():
+        value, parameter = values[name], parameters[name]
         if value is not parameter.default:
             typed[name] = convert(parameter.annotation, value, subject, name)
     return typed

@@ -121,21 +121,19 @@ def _stacked(states: list[Mapping[str, ArrayLike]]) -> State:
 
 
 def _finished(self: RowByRow, state: State, target_pose: Array) -> NDArray[np.bool_]:
-    """Return whether the motions are at the end of their paths, shape (n,)."""
     finished = cast("Any", self.single).finished
-    answers = [finished(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
-    return np.array(answers) if answers else np.zeros(0, dtype=np.bool_)
+    ends = [finished(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
+    return np.array(ends) if ends else np.zeros(0, dtype=np.bool_)
 
 
 def _base_pose(self: RowByRow, state: State, target_pose: Array) -> Array:
-    """Return the demonstrated world poses of the base, shape (n, 7)."""
     return _poses(cast("Any", self.single).base_pose, state, target_pose)
 
 
 def _poses(
-    ask: Callable[[dict[str, Any], Array], Array], state: State, target_pose: Array
+    method: Callable[[dict[str, Any], Array], Array], state: State, target_pose: Array
 ) -> Array:
-    poses = [ask(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
+    poses = [method(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
     return np.stack(poses) if poses else np.zeros((0, 7))
 
 

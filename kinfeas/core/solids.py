@@ -26,9 +26,9 @@ class Solids:
         pose: World x, y and yaw of each centre, shape (n, k, 3), metres and radians.
         size: Half extents along the solid's own x and y (of a cylinder, its radius twice), lowest
             and highest z, shape (n, k, 4), metres. A place with half extents of 0 is empty.
-        cylinder: Whether it is a cylinder and no box, shape (n, k).
-        velocity: World velocity at the start, shape (n, k, 2), m/s; 0 if it stands.
-        span: Way after which a moving solid turns back, shape (n, k), metres.
+        cylinder: Whether it is a cylinder instead of a box, shape (n, k).
+        velocity: World velocity at the start, shape (n, k, 2), m/s; 0 if it does not move.
+        span: Path length after which a moving solid turns back, shape (n, k), metres.
     """
 
     pose: Array
@@ -61,8 +61,9 @@ class Solids:
 
         A line has the values of pose, size, cylinder (0 or 1), velocity and span.
         """
-        parts = (getattr(self, one.name)[0, self.filled[0]] for one in fields(self))
-        return np.column_stack([*parts])
+        return np.column_stack(
+            [getattr(self, field.name)[0, self.filled[0]] for field in fields(self)]
+        )
 
     @property
     def places(self) -> int:
@@ -84,7 +85,7 @@ class Solids:
 
     def of(self, rows: NDArray[np.intp]) -> "Solids":
         """Return the solids of some rows."""
-        return Solids(*(getattr(self, one.name)[rows] for one in fields(self)))
+        return Solids(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def repeated(self, n: int) -> "Solids":
         """Return the solids of the first row in each of n rows."""
@@ -96,15 +97,15 @@ class Solids:
 
     def only(self, places: slice | NDArray[np.intp]) -> "Solids":
         """Return the solids of some places of each row."""
-        return Solids(*(getattr(self, one.name)[:, places] for one in fields(self)))
+        return Solids(*(getattr(self, field.name)[:, places] for field in fields(self)))
 
     def wider(self, margin: float, above: float = 0.0) -> "Solids":
-        """Return the solids grown by a margin sideways and by another one above and below.
+        """Return the solids grown by a margin sideways and by `above` above and below.
 
         Where a negative margin leaves nothing, they stay `THIN`.
         """
-        by = np.where(self.filled[..., np.newaxis], [margin, margin, -above, above], 0.0)
-        size = self.size + by
+        growth = np.where(self.filled[..., np.newaxis], [margin, margin, -above, above], 0.0)
+        size = self.size + growth
         size[..., :2] = np.maximum(size[..., :2], np.minimum(self.size[..., :2], THIN))
         return replace(self, size=size)
 
@@ -112,11 +113,11 @@ class Solids:
         """Return these solids with other ones in some rows."""
         places = max(self.places, other.places)
         changed = Solids.empty(len(self.size), places)
-        for one in fields(self):
-            values, given = getattr(changed, one.name), getattr(other, one.name)
-            values[:, : self.places] = getattr(self, one.name)
+        for field in fields(self):
+            values = getattr(changed, field.name)
+            values[:, : self.places] = getattr(self, field.name)
             values[rows] = 0
-            values[rows, : other.places] = given
+            values[rows, : other.places] = getattr(other, field.name)
         return changed
 
     def at(self, seconds: Array) -> "Solids":
@@ -126,11 +127,11 @@ class Solids:
             return self
         moves = (speed > 0.0) & (self.span > 0.0)
         span = np.where(moves, self.span, 1.0)
-        way = speed * np.asarray(seconds)[:, np.newaxis] % (2.0 * span)
-        share = np.where(moves, np.minimum(way, 2.0 * span - way) / np.maximum(speed, 1e-12), 0.0)
+        path = speed * np.asarray(seconds)[:, np.newaxis] % (2.0 * span)
+        time = np.where(moves, np.minimum(path, 2.0 * span - path) / np.maximum(speed, 1e-12), 0.0)
         pose = self.pose.copy()
-        pose[:, :, :2] += self.velocity * share[:, :, np.newaxis]
-        back = (moves & (way > span))[:, :, np.newaxis]
+        pose[:, :, :2] += self.velocity * time[:, :, np.newaxis]
+        back = (moves & (path > span))[:, :, np.newaxis]
         velocity = np.where(moves[:, :, np.newaxis], self.velocity, 0.0)
         return replace(self, pose=pose, velocity=np.where(back, -velocity, velocity))
 
@@ -193,14 +194,14 @@ class MovingSolids:
         """Return the state as arrays by name."""
         if not self.start.places:
             return {}
-        arrays = {f"{_SOLIDS}{one.name}": getattr(self.start, one.name) for one in fields(Solids)}
+        arrays = {_SOLIDS + field.name: getattr(self.start, field.name) for field in fields(Solids)}
         return {**arrays, f"{_SOLIDS}seconds": self.seconds}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]], n: int) -> None:
         """Continue from a state of n rows that `snapshot` returned."""
         self.start, self.seconds = Solids.empty(n), np.zeros(n)
         if f"{_SOLIDS}seconds" in snapshot:
-            self.start = Solids(*(snapshot[f"{_SOLIDS}{one.name}"] for one in fields(Solids)))
+            self.start = Solids(*(snapshot[_SOLIDS + field.name] for field in fields(Solids)))
             self.seconds = snapshot[f"{_SOLIDS}seconds"]
         self._find_moving()
 
@@ -211,13 +212,7 @@ class MovingSolids:
 
 def stacked_solids(solids: Sequence[Solids]) -> Solids:
     """Return rows of solids as one batch; empty places fill up those with fewer."""
-    places = max(one.pose.shape[1] for one in solids)
-    joined = Solids.empty(sum(len(one.pose) for one in solids), places)
-    row = 0
-    for one in solids:
-        rows = slice(row, row + len(one.pose))
-        for entry in fields(Solids):
-            values = getattr(one, entry.name)
-            getattr(joined, entry.name)[rows, : values.shape[1]] = values
-        row = rows.stop
-    return joined
+    places, none = max(rows.places for rows in solids), np.arange(0)
+    padded = [rows.put(none, Solids.empty(0, places)) for rows in solids]
+    parts = ([getattr(rows, field.name) for rows in padded] for field in fields(Solids))
+    return Solids(*map(np.concatenate, parts))

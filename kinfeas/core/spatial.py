@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 IDENTITY: Array = pose_kernels.IDENTITY
 
 UNIT = 1e-2
-"""Largest deviation of the norm of a measured or given quaternion from 1."""
+"""Largest deviation of the norm of a quaternion in an input from 1."""
 
 _POSE, _TWIST = (7,), (6,)
 
@@ -40,7 +40,7 @@ def rpy(pose: Array) -> Array:
 
 
 def make_pose(position: Array, orientation: Rotation) -> Array:
-    """Return the pose at `position`, shape (..., 3) in metres, turned by `orientation`."""
+    """Return the pose at `position`, shape (..., 3) in metres, with an `orientation`."""
     return np.concatenate([position, canonical(orientation.as_quat())], axis=-1)
 
 
@@ -50,15 +50,15 @@ def canonical(quaternion: Array) -> Array:
 
 
 def compose(parent: Array, child: Array) -> Array:
-    """Return `child`, given relative to `parent`, in the frame of `parent`; shapes (..., 7)."""
+    """Return `child`, which is relative to `parent`, in the frame of `parent`; shapes (..., 7)."""
     composed: Array = _call(pose_kernels.compose, parent, child)
     return composed
 
 
 def relative(pose: Array, frame: Array) -> Array:
-    """Return `pose` in the frame `frame`; both of shape (..., 7), given in the same frame."""
-    seen: Array = _call(pose_kernels.relative, pose, frame)
-    return seen
+    """Return `pose` relative to `frame`; both of shape (..., 7), in the same frame."""
+    child: Array = _call(pose_kernels.relative, pose, frame)
+    return child
 
 
 def integrate(pose: Array, twist: Array, dt: ArrayLike) -> Array:
@@ -83,13 +83,13 @@ def twist_between(start: Array, end: Array, dt: ArrayLike) -> Array:
     return twist
 
 
-def catch_up(pose: Array, wanted: Array, frame: Array, dt: float) -> tuple[Array, Array]:
-    """Return velocity (n, 3), m/s, and rotation (n, 4) from poses to wanted ones in `dt` seconds.
+def catch_up(pose: Array, target: Array, frame: Array, dt: float) -> tuple[Array, Array]:
+    """Return velocity (n, 3), m/s, and rotation (n, 4) from poses to targets in `dt` seconds.
 
-    The poses are given in `frame`, the wanted ones where `frame` is; shapes (n, 7).
+    The poses are relative to `frame`, targets and `frame` are in one frame; shapes (n, 7).
     """
-    way: Array = _call(pose_kernels.catch_up, pose, wanted, frame, dt)
-    return way[:, :3], way[:, 3:]
+    motion: Array = _call(pose_kernels.catch_up, pose, target, frame, dt)
+    return motion[:, :3], motion[:, 3:]
 
 
 def distance(a: Array, b: Array) -> tuple[Array, Array]:
@@ -125,32 +125,29 @@ def wrap(angle: Array) -> Array:
 
 
 def _call(
-    kernel: Callable[..., Any], one: Array, other: Array, *more: object, last: tuple[int] = _POSE
+    kernel: Callable[..., Any], pose: Array, other: Array, *more: object, last: tuple[int] = _POSE
 ) -> Any:
     # Kernels would read or write past arrays of another last axis.
-    if one.shape[-1:] != _POSE or other.shape[-1:] != last:
+    if pose.shape[-1:] != _POSE or other.shape[-1:] != last:
         kinds = "poses (..., 7)" if last == _POSE else "a pose (..., 7) and a twist (..., 6)"
-        raise KinfeasError(
-            f"the shapes must be those of {kinds}, not {one.shape} and {other.shape}"
-        )
+        raise KinfeasError(f"the shapes must be {kinds}, not {pose.shape} and {other.shape}")
     try:
-        return kernel(one, other, *more)
+        return kernel(pose, other, *more)
     except ValueError as error:
-        raise KinfeasError(
-            f"the leading axes of {one.shape} and {other.shape} do not broadcast"
-        ) from error
+        shapes = f"{pose.shape} and {other.shape}"
+        raise KinfeasError(f"the leading axes of {shapes} do not broadcast") from error
 
 
-def interpolated(times: Array, known: Array, poses: Array) -> Array:
-    """Return poses (m, 7) at `times` between those (t, 7) at ascending `known` times."""
-    position = np.stack([np.interp(times, known, column) for column in poses[:, :3].T], axis=1)
-    return make_pose(position, Slerp(known, rotation(poses))(times))
+def interpolated(times: Array, samples: Array, poses: Array) -> Array:
+    """Return poses (m, 7) at `times` between those (t, 7) at ascending times `samples`."""
+    position = np.stack([np.interp(times, samples, column) for column in poses[:, :3].T], axis=1)
+    return make_pose(position, Slerp(samples, rotation(poses))(times))
 
 
 def continuous(quaternions: Array) -> Array:
-    """Return the same rotations with signs as those of the ones before, shape (..., k, 4)."""
-    near = np.sum(quaternions[..., 1:, :] * quaternions[..., :-1, :], axis=-1)
-    signs = np.cumprod(np.where(near < 0.0, -1.0, 1.0), axis=-1)
-    same = quaternions.copy()
-    same[..., 1:, :] *= signs[..., np.newaxis]
-    return same
+    """Return quaternions of the same rotations whose signs never change, shape (..., k, 4)."""
+    cosine = np.sum(quaternions[..., 1:, :] * quaternions[..., :-1, :], axis=-1)
+    signs = np.cumprod(np.where(cosine < 0.0, -1.0, 1.0), axis=-1)
+    smooth = quaternions.copy()
+    smooth[..., 1:, :] *= signs[..., np.newaxis]
+    return smooth

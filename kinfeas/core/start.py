@@ -18,7 +18,7 @@ class Start:
         base_pose: World pose of the base, shape (n, 7).
         joint_positions: Arm joints, shape (n, j), radians or metres.
         target_poses: World target pose of each sub-goal, shape (n, sub-goals, 7).
-        solids: Solids around the robots, n rows, a single one for starts without leading axes; None
+        solids: Solids around the robots, n rows, a single row for starts without leading axes; None
             for none.
     """
 
@@ -35,14 +35,14 @@ class Start:
 
 
 def stacked(starts: Sequence[Start]) -> Start:
-    """Return starts without leading axes as one with a leading axis."""
+    """Return starts without leading axes as one batch."""
     solids = None
-    if any(one.solids is not None for one in starts):
-        solids = stacked_solids([one.solids or Solids.empty(1) for one in starts])
+    if any(start.solids is not None for start in starts):
+        solids = stacked_solids([start.solids or Solids.empty(1) for start in starts])
     return Start(
-        np.stack([one.base_pose for one in starts]),
-        np.stack([one.joint_positions for one in starts]),
-        np.stack([one.target_poses for one in starts]),
+        np.stack([start.base_pose for start in starts]),
+        np.stack([start.joint_positions for start in starts]),
+        np.stack([start.target_poses for start in starts]),
         solids,
     )
 

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import Resumable, SupportsContacts
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World
 
@@ -81,7 +80,7 @@ class Batch:
             if over.all():
                 break
         infos = step_info(self.world, transition) if self.infos else {}
-        observation = self.world.loop.policy_input.observation
+        observation = self.world.loop.observation.values
         if ends:
             rows = np.array(sorted(ends))
             observation = self.world.start_next(rows.size, rows)
@@ -93,7 +92,7 @@ class Batch:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state to resume from, by name."""
-        world = self.world.snapshot() if self._resumable else {}
+        world = {} if self.world.loop.backend.resumable is None else self.world.snapshot()
         return {**world, "next_episode": np.array(self.number())}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Array:
@@ -102,13 +101,10 @@ class Batch:
         Without a state of the world the next episodes begin.
         """
         self.world.next_episode = int(snapshot["next_episode"])
-        if self._resumable and snapshot.keys() > {"next_episode"}:
+        resumable = self.world.loop.backend.resumable is not None
+        if resumable and snapshot.keys() > {"next_episode"}:
             return self.world.restore(snapshot)
         return self.start()
-
-    @property
-    def _resumable(self) -> bool:
-        return isinstance(self.world.loop.backend, Resumable)
 
 
 def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
@@ -117,20 +113,20 @@ def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
     `failures` counts from the beginning of the episode; `is_success` is a goal reached without a
     failure. Backends that measure contacts add the numbers of contacts of base and arm.
     """
-    step, failures = transition.step, world.failures.copy()
+    outcome, failures = transition.outcome, world.failures.copy()
     info: dict[str, NDArray[Any]] = {
-        "subgoal": step.subgoal,
-        "feasible": step.feasible,
+        "subgoal": outcome.subgoal,
+        "feasible": outcome.feasible,
         "failures": failures,
-        "deviation": step.deviation,
-        "goal_distance": step.goal_distance,
-        "goal_angle": step.goal_angle,
-        "joint_jump": step.joint_jump,
+        "deviation": outcome.deviation,
+        "goal_distance": outcome.goal_distance,
+        "goal_angle": outcome.goal_angle,
+        "joint_jump": outcome.joint_jump,
         "reached": transition.reached,
         "is_success": transition.reached & (failures == 0),
     }
-    if isinstance(world.backend, SupportsContacts):
-        contacts = [world.backend.contacts(row) for row in range(len(failures))]
+    if (sensor := world.backend.contacts) is not None:
+        contacts = [sensor.touching(row) for row in range(len(failures))]
         info["base_contacts"] = np.array([len(contact.base) for contact in contacts])
         info["arm_contacts"] = np.array([len(contact.arm) for contact in contacts])
     return info

@@ -13,8 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from kinfeas.core.backend import BatchLimited, SupportsContacts
-from kinfeas.core.errors import KinfeasError, plugin_note
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, join
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy
@@ -58,9 +57,7 @@ def run_episodes(
     world.start(running.tolist())
     waiting = first + len(running)
     while (live := np.flatnonzero(running >= 0)).size:
-        with plugin_note(f"policy {type(policy).__name__}"):
-            action = policy.act(world.loop.policy_input)
-        transition = world.step(action)
+        transition = world.step()
         if watch is not None:
             watch(world, transition, live, running[live])
         tally.add(transition, live, running[live])
@@ -204,7 +201,8 @@ def _run_part(
 
 def _batch(world: World) -> int:
     parts = world.backend, *world.loop.filters
-    return min([BATCH, *(one.max_batch for one in parts if isinstance(one, BatchLimited))])
+    limits = (getattr(part, "max_batch", None) for part in parts)
+    return min([BATCH, *(limit for limit in limits if limit is not None)])
 
 
 class _Tally:
@@ -215,47 +213,47 @@ class _Tally:
         self.reached = np.zeros(episodes, dtype=np.bool_)
         self.failures, self.joint_jumps, self.steps = np.zeros((3, episodes), dtype=np.intp)
         self.deviation_sum, self.deviation_max, self.final = np.zeros((3, episodes))
-        self.deviation_squares, self.way, self.planned_way = np.zeros((3, episodes))
+        self.deviation_squares, self.length, self.planned_length = np.zeros((3, episodes))
         self.base, self.arm = (Collisions(episodes, world.loop.dt) for _ in range(2))
         self.task_done: list[bool | None] = [None] * episodes
 
     def add(self, transition: Transition, rows: Rows, episodes: Rows) -> None:
-        step, episodes = transition.step, episodes - self.first
+        outcome, episodes = transition.outcome, episodes - self.first
         self.reached[episodes] = transition.reached[rows]
-        self.failures[episodes] += ~step.feasible[rows]
-        self.joint_jumps[episodes] += step.joint_jump[rows]
+        self.failures[episodes] += ~outcome.feasible[rows]
+        self.joint_jumps[episodes] += outcome.joint_jump[rows]
         self.steps[episodes] += 1
-        self.deviation_sum[episodes] += step.deviation[rows]
-        if transition.way is not None and transition.planned_way is not None:
-            self.deviation_squares[episodes] += step.deviation[rows] ** 2
-            self.way[episodes] += transition.way[rows]
-            self.planned_way[episodes] += transition.planned_way[rows]
+        self.deviation_sum[episodes] += outcome.deviation[rows]
+        if transition.path_length is not None and transition.planned_length is not None:
+            self.deviation_squares[episodes] += outcome.deviation[rows] ** 2
+            self.length[episodes] += transition.path_length[rows]
+            self.planned_length[episodes] += transition.planned_length[rows]
         self.deviation_max[episodes] = np.maximum(
-            self.deviation_max[episodes], step.deviation[rows]
+            self.deviation_max[episodes], outcome.deviation[rows]
         )
         # An episode that never began the last sub-goal did not end near its goal. A stream has
         # no goal.
-        stream = self.world.loop.target_stream is not None
-        end = step.deviation if stream else step.goal_distance
-        self.final[episodes] = np.where(step.subgoal == self.last, end, np.inf)[rows]
-        backend = self.world.backend
-        if isinstance(backend, SupportsContacts):
+        stream = self.world.loop.stream is not None
+        end = outcome.deviation if stream else outcome.goal_distance
+        self.final[episodes] = np.where(outcome.subgoal == self.last, end, np.inf)[rows]
+        sensor = self.world.backend.contacts
+        if sensor is not None:
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
-                contacts = backend.contacts(row)
+                contacts = sensor.touching(row)
                 base = {body for _, body, _ in contacts.base}
                 # Geometry, which ends the episode, sees a touch just before the engine does.
-                if not base and step.collision is not None and step.collision[row, 0]:
+                if not base and outcome.collision is not None and outcome.collision[row, 0]:
                     base = {-1}
                 self.base.add(episode, base)
                 self.arm.add(episode, {body for _, body, _ in contacts.arm})
-        elif step.collision is not None:
+        elif outcome.collision is not None:
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
-                self.base.add(episode, {0} if step.collision[row, 0] else set())
-                self.arm.add(episode, {0} if step.collision[row, 1] else set())
+                self.base.add(episode, {0} if outcome.collision[row, 0] else set())
+                self.arm.add(episode, {0} if outcome.collision[row, 1] else set())
         task = self.world.task
         if isinstance(task, ReportsTaskSuccess):
             loop = self.world.loop
-            joints = (loop.state.true_state or loop.state).joint_positions
+            joints = (loop.robots.true_state or loop.robots).joint_positions
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
                 if transition.done[row]:
                     reached = bool(transition.reached[row])
@@ -263,9 +261,9 @@ class _Tally:
                     self.task_done[episode] = done
 
     def records(self) -> EpisodeRecords:
-        loop, backend = self.world.loop, self.world.backend
-        contacts = isinstance(backend, SupportsContacts) or loop.obstacles.after(0.0) is not None
-        stream = loop.target_stream is not None
+        loop, sensor = self.world.loop, self.world.backend.contacts
+        contacts = sensor is not None or loop.surroundings.after(0.0) is not None
+        stream = loop.stream is not None
         steps = np.maximum(self.steps, 1)
         return EpisodeRecords(
             reached=self.reached,
@@ -279,8 +277,8 @@ class _Tally:
             base_collisions=self.base.count if contacts else None,
             arm_collisions=self.arm.count if contacts else None,
             rms_deviation=np.sqrt(self.deviation_squares / steps) if stream else None,
-            way=self.way if stream else None,
-            planned_way=self.planned_way if stream else None,
+            path_length=self.length if stream else None,
+            target_path_length=self.planned_length if stream else None,
         )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 from kinfeas.config.quantities import NotNegative, PositiveShare
-from kinfeas.control.loop import Step
+from kinfeas.control.loop import Outcome
 from kinfeas.core.metrics import WITHIN
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -34,7 +34,6 @@ class RewardConfig:
             the arm, a tenth of it.
         base_penalty: Cost of a step with the base 0.5 m or more from the planned base, which is
             ahead of it; less, with the square of the distance, where it is nearer.
-        slow_penalty: Factor on the squared share of the planned motion that a step leaves out.
     """
 
     failure: Literal["indicator", "graded"] = "graded"
@@ -45,13 +44,12 @@ class RewardConfig:
     deviation_penalty: NotNegative = 0.0
     collision_penalty: NotNegative = 10.0
     base_penalty: NotNegative = 0.0
-    slow_penalty: NotNegative = 0.0
 
 
 def reward(
     config: RewardConfig,
     robot: Robot,
-    step: Step,
+    outcome: Outcome,
     action: Array,
     joint_positions: Array,
     base_error: Array | None = None,
@@ -61,7 +59,7 @@ def reward(
     Args:
         config: Weights.
         robot: Robot with its joint limits and pose tolerance.
-        step: Result of the loop's step.
+        outcome: Result of the loop's step.
         action: Base commands in [-1, 1], shape (n, a).
         joint_positions: Arm joints after the step, shape (n, j).
         base_error: Distance from the planned base, metres, shape (n,); as `Observer.base_error`.
@@ -75,15 +73,14 @@ def reward(
             config.deviation_penalty, config.limit_penalty, config.limit_margin,
         ),
         (0.0, 0.0) if tolerance is None else (tolerance.position, tolerance.rotation),
-        step.feasible, step.position_error, step.rotation_error, step.deviation, step.joint_jump,
+        outcome.feasible, outcome.position_error, outcome.rotation_error, outcome.deviation,
+        outcome.joint_jump,
         np.ascontiguousarray(action), np.ascontiguousarray(joint_positions), lower, upper, earned,
     )  # fmt: skip
-    if step.collision is not None:
-        earned -= config.collision_penalty * (step.collision @ np.array([1.0, 0.1]))
+    if outcome.collision is not None:
+        earned -= config.collision_penalty * (outcome.collision @ np.array([1.0, 0.1]))
     if config.base_penalty and base_error is not None:
         earned -= config.base_penalty * np.minimum(base_error / _BASE_METRES, 1.0) ** 2
-    if config.slow_penalty > 0.0:
-        earned -= config.slow_penalty * np.square(1.0 - step.time_scale)
     return earned
 
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import section
-from kinfeas.control.adapters import chain, execution_of, with_adapters
+from kinfeas.control.assemble import assemble
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.control.filters import build_filters
-from kinfeas.control.loop import Loop, Step
-from kinfeas.core.backend import NeedsAbility, build_simulator
+from kinfeas.control.loop import Outcome
+from kinfeas.core.backend import build_simulator
 from kinfeas.core.checks import check_array
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
@@ -26,10 +25,10 @@ from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import (
     StagedTask,
     StreamTask,
-    SupportsTaskScenes,
     Task,
     build_subgoals,
     sample_start,
+    target_stream,
 )
 
 
@@ -88,9 +87,9 @@ class Transition:
         truncated: Whether it ended by the time limit.
         reached: Whether the end of the last sub-goal was reached on a feasible step, or that of a
             stream of targets.
-        step: Result of the loop's step.
-        way: True way of the EE in a stream of targets, metres.
-        planned_way: The way that the stream asks for, metres.
+        outcome: Result of the loop's step.
+        path_length: True path length of the EE in a stream of targets, metres.
+        planned_length: That which the stream asks for, metres.
     """
 
     observation: Array
@@ -98,9 +97,9 @@ class Transition:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     reached: NDArray[np.bool_]
-    step: Step
-    way: Array | None = None
-    planned_way: Array | None = None
+    outcome: Outcome
+    path_length: Array | None = None
+    planned_length: Array | None = None
 
     @property
     def done(self) -> NDArray[np.bool_]:
@@ -134,33 +133,29 @@ class World:
         self.solver = IkSolver(robot, config.ik)
         self.backend = build_simulator(config.backend, config.backend_parameters, robot=robot)
         self.task = task
-        if isinstance(self.backend, SupportsTaskScenes):
-            self.task = self.backend.stage(task)
+        if self.backend.staging is not None:
+            self.task = self.backend.staging.stage(task)
         self._staged = isinstance(self.task, StagedTask)
-        wrapped = with_adapters(self.backend, config.adapters, robot)
-        for link in chain(wrapped):
-            if isinstance(link, NeedsAbility):
-                link.check_backend()
-        execution = execution_of(wrapped, config)
-        seconds = task.seconds if isinstance(task, StreamTask) else config.max_seconds
-        self._max_steps = max(1, round(seconds / execution.time_scale / config.dt))
-        self.loop = Loop(
+        self.loop = assemble(
             self.solver,
             build_subgoals(task.subgoals),
-            wrapped,
-            config.dt,
-            execution,
-            build_filters(config.filters),
+            self.backend,
+            dt=config.dt,
+            execution=config,
+            adapters=config.adapters,
+            filters=config.filters,
+            stream=target_stream(task, self.solver),
         )
-        if isinstance(task, StreamTask):
-            self.loop.target_stream = task.target_stream(self.solver)
+        seconds = task.seconds if isinstance(task, StreamTask) else config.max_seconds
+        time_scale = self.loop.execution.time_scale
+        self._max_steps = max(1, round(seconds / time_scale / config.dt))
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
 
     @property
     def action_size(self) -> int:
         """Length of an action."""
-        return self.loop.action_size
+        return self.loop.command_size
 
     def rng(self, episode: int) -> np.random.Generator:
         """Return the random generator of an episode, at its beginning."""
@@ -187,52 +182,58 @@ class World:
             self.steps = np.zeros(len(episodes), dtype=np.intp)
         else:
             self.failures[rows], self.steps[rows] = 0, 0
-        return self.loop.policy_input.observation
+        return self.loop.observation.values
 
     def start_next(self, count: int, rows: Rows | None = None) -> Array:
         """Begin the next `count` episodes, as `start` does."""
         first, self.next_episode = self.next_episode, self.next_episode + count
         return self.start(range(first, self.next_episode), rows)
 
-    def step(self, action: Array) -> Transition:
+    def step(self, action: Array | None = None) -> Transition:
         """Advance all n episodes by one control period.
 
         Args:
-            action: Action terms, clipped to [-1, 1], shape (n, a).
+            action: Base commands, clipped to [-1, 1], shape (n, a); those of the policy by default.
 
         Raises:
             KinfeasError: If the action has another shape or is not finite.
         """
-        check_array(action, (len(self.steps), self.action_size), "the action")
         loop = self.loop
-        way = planned_way = None
-        if loop.target_stream is not None:
+        if action is not None:
+            check_array(action, (len(self.steps), self.action_size), "the action")
+        path_length = planned_length = None
+        if loop.stream is not None:
             before = loop.true_state[1]
-            planned_way = loop.target_stream.speed * loop.dt * loop.execution.time_scale
-        step = self.loop.step(action)
+            planned_length = loop.stream.speed * loop.dt * loop.execution.time_scale
+        outcome = loop.step(action)
         self.steps += 1
-        self.steps[self.loop.sequence.subgoal != step.subgoal] = 0
-        self.failures += ~step.feasible
-        terminated = step.finished | (self.failures > self.config.max_failures)
-        reached = step.finished
-        if step.collision is not None:
-            terminated |= step.collision[:, 0]
-            reached = reached & ~step.collision[:, 0]
+        self.steps[loop.sequence.subgoal != outcome.subgoal] = 0
+        self.failures += ~outcome.feasible
+        terminated = outcome.finished | (self.failures > self.config.max_failures)
+        reached = outcome.finished
+        if outcome.collision is not None:
+            terminated |= outcome.collision[:, 0]
+            reached = reached & ~outcome.collision[:, 0]
         truncated = (self.steps >= self._max_steps) & ~terminated
-        if planned_way is not None:
-            way = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
+        if loop.stream is not None:
+            path_length = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
             reached = truncated
-        joints, command = loop.state.joint_positions, action[:, : loop.command_size].clip(-1.0, 1.0)
-        base_error = loop.observer.base_error
         return Transition(
-            observation=loop.policy_input.observation,
-            reward=reward(self.config.reward, self.robot, step, command, joints, base_error),
+            observation=loop.observation.values,
+            reward=reward(
+                self.config.reward,
+                self.robot,
+                outcome,
+                loop.action,
+                loop.robots.joint_positions,
+                loop.observer.base_error,
+            ),
             terminated=terminated,
             truncated=truncated,
             reached=reached,
-            step=step,
-            way=way,
-            planned_way=planned_way,
+            outcome=outcome,
+            path_length=path_length,
+            planned_length=planned_length,
         )
 
     def close(self) -> None:
@@ -249,4 +250,4 @@ class World:
         """Continue from a `snapshot` and return the observation, shape (n, d)."""
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
-        return self.loop.policy_input.observation
+        return self.loop.observation.values

@@ -5,9 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from kinfeas.config import PluginSpec, from_mapping
-from kinfeas.control.adapters import execution_of, with_adapters
-from kinfeas.control.filters import build_filters
-from kinfeas.core.backend import build_backend
+from kinfeas.control.assemble import adapted_execution
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
 from kinfeas.core.policy import Policy
 from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes
@@ -91,9 +89,6 @@ def prepare(  # noqa: PLR0913 - the options of the command
     """
     model = load_robot(robot)
     settings = read_settings(model.name, backend, overrides)
-    # They raise their errors early.
-    with_adapters(build_backend("analytic", {}), settings.world.adapters, model)
-    build_filters(settings.world.filters)
     count = default_episodes(backend) if episodes is None else episodes
     config = EvalConfig(model, load_task(task, settings.task), count, seed, settings.world)
     return config, load_policy(policy, model)
@@ -129,9 +124,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     """
     records = run(config, policy, processes, on_done, watch)
     world = config.world
-    execution = execution_of(
-        with_adapters(build_backend("analytic", {}), world.adapters, config.robot), world
-    )
+    execution = adapted_execution(world, world.adapters, config.robot)
     return {
         "robot": config.robot.name,
         "task": config.task.name,

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.execution import SubgoalMotion
-from kinfeas.control.motion_sequence import MotionSequence, begin_motions, subgoal_ends
 from kinfeas.control.observation import HORIZON
+from kinfeas.control.sequence import MotionSequence, begin_motions, subgoal_ends
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
@@ -156,7 +156,7 @@ def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]
     finished = np.zeros(len(left), dtype=np.bool_)
     while not finished.all():
         subgoal = sequence.subgoal
-        sequence.move(sequence.plan(HORIZON))
+        sequence.move(sequence.step_of(HORIZON))
         yield sequence.desired, np.where(finished, -1, subgoal)
         metres, radians = spatial.distance(sequence.desired, sequence.goal)
         left -= 1
@@ -165,7 +165,7 @@ def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]
         ends = sequence.ended(near) | (left <= 0)
         finished |= ends & sequence.last
         left[ends] = _PERIODS
-        sequence.advance(ends)
+        sequence.begin_next(ends)
 
 
 def _spread(subgoal: NDArray[np.intp], number: int) -> NDArray[np.intp]:

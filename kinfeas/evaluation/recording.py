@@ -98,9 +98,9 @@ class _Kept:
 
     def add(self, world: World, transition: Transition, row: int) -> None:
         loop, (base, ee) = world.loop, world.loop.true_state
-        joints = (loop.state.true_state or loop.state).joint_positions
+        joints = (loop.robots.true_state or loop.robots).joint_positions
         poses = (base[row], joints[row], loop.desired[row], ee[row])
-        feasible = bool(transition.step.feasible[row])
+        feasible = bool(transition.outcome.feasible[row])
         self.moments.append((*(pose.copy() for pose in poses), feasible))
         self.goals[int(loop.sequence.subgoal[row])] = loop.sequence.goal[row].copy()
         self.reached = bool(transition.reached[row])

@@ -46,7 +46,7 @@ def _rays(bands: tuple[tuple[float, float], ...], beams: int) -> tuple[Array, Ar
 
 
 def scan_now(solids: MovingSolids, base_pose: Array) -> Array:
-    """Return the present ranges around bases, shape (n, 7), as in `SupportsScan`."""
+    """Return the present ranges around bases, shape (n, 7), as in `Scan`."""
     present = solids.after() or Solids.empty(len(base_pose))
     return scan(present, base_pose, SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE)
 

@@ -51,7 +51,7 @@ def export(folder: Path, robot: Robot, out: Path) -> tuple[OnnxPolicy, float]:
         version=__version__,
         robot=onnx_policy.describe_robot(robot),
         observation=describe_observation(robot, network.observation_terms),
-        action=describe_action(robot, network.action_terms),
+        action=(describe_action(robot),),
         control=Control(trained.period, HORIZON),
         training=_training(trained),
         success=_success(trained, folder),

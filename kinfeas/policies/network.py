@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
+from kinfeas.control.drive import command_size
 from kinfeas.control.observation import (
-    ACTION,
-    ACTIONS,
     OBSERVATION,
-    TERMS,
-    action_size,
     check_terms,
     describe_action,
     describe_observation,
@@ -26,16 +23,13 @@ from kinfeas.control.observation import (
     size,
 )
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import reading, write_folder
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
 from kinfeas.robots.robot import Robot, fingerprint
 
 WEIGHTS = "policy.safetensors"
-
-_FULL = 2.0
-"""Bias of a new output, whose tangent is nearly 1."""
 
 # Exceptions of truncated or foreign files, and of types that NumPy lacks.
 _BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError)
@@ -52,22 +46,20 @@ class Network:
         weights: Weights of each layer, shape (inputs, outputs), float32.
         biases: Biases of each layer, shape (outputs,), float32.
         observation_terms: Names of its observation terms, in order.
-        action_terms: Names of its action terms, in order.
     """
 
     scale: NDArray[np.float32]
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]
     observation_terms: tuple[str, ...] = OBSERVATION
-    action_terms: tuple[str, ...] = ACTION
 
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return actions in [-1, 1], shape (n, actions)."""
-        return self(policy_input.observation)
+        return self(observation.values)
 
-    def __call__(self, seen: Array) -> Array:
+    def __call__(self, observation: Array) -> Array:
         """Return the network's output for observations of shape (n, inputs)."""
-        values = scaled(seen, self.scale)
+        values = scaled(observation, self.scale)
         last = len(self.weights) - 1
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             out = np.empty((len(values), len(bias)), dtype=np.float32)
@@ -75,31 +67,19 @@ class Network:
             values = out
         return np.tanh(values).astype(np.float64)
 
-    def widened(self, robot: Robot, observation: Sequence[str], action: Sequence[str]) -> "Network":
-        """Return a network with more terms that have no effect yet: a new time scale is nearly 1.
-
-        A new torso velocity is 0: the torso rests until the policy learns to move it.
+    def widened(self, robot: Robot, terms: Sequence[str]) -> "Network":
+        """Return a network with more observation terms, which have no effect yet.
 
         Raises:
             KinfeasError: If the first terms are not those of this network.
         """
-        known = self.observation_terms, self.action_terms
-        begin = tuple(observation[: len(known[0])]), tuple(action[: len(known[1])])
-        if begin != known:
-            raise KinfeasError(f"the policy has the terms {known}, not {begin}")
-        rows = size(robot, observation) - len(self.scale)
+        begin = tuple(terms[: len(self.observation_terms)])
+        if begin != self.observation_terms:
+            raise KinfeasError(f"the policy has the terms {self.observation_terms}, not {begin}")
         first, *others = self.weights
-        weights = [np.pad(first, ((0, rows), (0, 0))), *others]
-        weights[-1] = np.pad(weights[-1], ((0, 0), (0, len(action) - len(known[1]))))
-        added = [_FULL if name == "time_scale" else 0.0 for name in action[len(known[1]) :]]
-        biases = [*self.biases[:-1], np.append(self.biases[-1], np.array(added, dtype=np.float32))]
-        return Network(
-            scale(robot, observation).astype(np.float32),
-            tuple(weights),
-            tuple(biases),
-            tuple(observation),
-            tuple(action),
-        )
+        added = size(robot, terms) - len(self.scale)
+        weights = (np.pad(first, ((0, added), (0, 0))), *others)
+        return Network(scale(robot, terms).astype(np.float32), weights, self.biases, tuple(terms))
 
     def equals(self, other: "Network") -> bool:
         """Return whether both networks have equal weights and biases."""
@@ -122,7 +102,7 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
         layers=len(network.weights),
         kinematics=fingerprint(robot),
         observation=describe_observation(robot, network.observation_terms),
-        action=describe_action(robot, network.action_terms),
+        action=(describe_action(robot),),
         **known,
     )
     write_trained(trained, folder)
@@ -154,8 +134,7 @@ def read_network(folder: Path, robot: Robot) -> Network:
             tensors["scale"],
             tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
             tuple(tensors[f"bias.{i}"] for i in range(trained.layers)),
-            check_terms(trained.observation, tuple(TERMS), f"{place}: observation"),
-            check_terms(trained.action, ACTIONS, f"{place}: action"),
+            check_terms([term.name for term in trained.observation], f"{place}: observation"),
         )
     except KinfeasError:
         raise
@@ -169,7 +148,7 @@ def read_network(folder: Path, robot: Robot) -> Network:
 def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) -> None:
     wanted = (
         size(robot, network.observation_terms),
-        action_size(robot, network.action_terms),
+        command_size(robot.base),
     )
     found = (len(network.scale), len(network.biases[-1]))
     if trained.robot != robot.name or found != wanted:

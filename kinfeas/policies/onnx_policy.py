@@ -16,16 +16,14 @@ import numpy as np
 
 from kinfeas import config
 from kinfeas.control.observation import (
-    ACTIONS,
     CLIP,
     HORIZON,
-    TERMS,
     check_terms,
     describe_action,
     describe_observation,
 )
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput, TermInfo
+from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import read_file
 from kinfeas.policies.network import Network, check_network
@@ -108,7 +106,6 @@ class OnnxPolicy:
     Attributes:
         metadata: Description of the policy.
         observation_terms: Names of its observation terms, in order.
-        action_terms: Names of its action terms, in order.
 
     Raises:
         KinfeasError: If `kinfeas export` did not write the bytes, they were changed, or the
@@ -124,16 +121,14 @@ class OnnxPolicy:
         entries, self._network = _read_model(content)
         check_network(self._network, "its graph")
         self._content, self.metadata = content, _metadata(entries)
-        self.observation_terms = check_terms(
-            self.metadata.observation, tuple(TERMS), "its observation"
-        )
-        self.action_terms = check_terms(self.metadata.action, ACTIONS, "its action")
+        names = [term.name for term in self.metadata.observation]
+        self.observation_terms = check_terms(names, "its observation")
         self._check_sizes()
         self._check_golden_pairs()
 
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return actions in [-1, 1], shape (n, actions)."""
-        return self(policy_input.observation)
+        return self(observation.values)
 
     def __call__(self, observation: Array) -> Array:
         """Return the actions, shape (n, actions), for observations of shape (n, inputs).
@@ -161,7 +156,7 @@ class OnnxPolicy:
                 f"{wanted.kinematics[:15]!r} here, {found.kinematics[:15]!r} in the file"
             )
         observation = describe_observation(robot, self.observation_terms)
-        action = describe_action(robot, self.action_terms)
+        action = (describe_action(robot),)
         here = wanted, observation, action, HORIZON
         if here != (found, metadata.observation, metadata.action, metadata.control.horizon):
             raise KinfeasError("its observation or action differs from this version's of kinfeas")

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from kinfeas import config
 from kinfeas.config.quantities import Positive, PositiveSeconds, Seconds, Share
-from kinfeas.control.targets import TargetInbox, TargetRules
+from kinfeas.control.targets import Progress, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.errors import check_ascending
 from kinfeas.core.motion import Rows
@@ -106,11 +106,11 @@ class SimulatedStream:
         self._begun = np.empty((0, 7))
         self._drawn: dict[str, Array] = {}
 
-    def start(self, loop: Any, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
+    def start(self, desired: Array, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
         """Draw the messages of new episodes."""
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        everyone = len(rows) == len(loop.desired)
-        begun = loop.desired[rows]
+        everyone = len(rows) == len(desired)
+        begun = desired[rows]
         for one in (self.inbox, self.asked):
             one.start(begun, None if everyone else rows)
         drawn = self._draw(seeds, begun)
@@ -122,20 +122,21 @@ class SimulatedStream:
         for key, values in drawn.items():
             self._drawn[key][rows] = values
 
-    def targets(self, loop: Any, rows: Rows) -> Array:
-        """Deliver the messages until now and begin the next period of `rows`."""
-        now = loop.periods * loop.dt
+    def targets(self, progress: Progress) -> Array:
+        """Deliver the messages until now and begin the next period of some rows."""
+        rows, desired, dt = progress.rows, progress.desired, progress.dt
+        now: Array = np.asarray(progress.periods * dt, dtype=np.float64)
         received, last = self._drawn["received"], self._drawn["received"].shape[1] - 1
         while True:
             due = received[np.arange(len(now)), np.minimum(self._read, last)] <= now
             sent = np.flatnonzero(due & (self._read <= last))
             if not sent.size:
                 break
-            self._deliver(sent, now[sent], loop.desired[sent])
+            self._deliver(sent, now[sent], desired[sent])
             self._read[sent] += 1
-        self.inbox.wait(rows, loop.time_scale[rows], loop.desired[rows])
+        self.inbox.wait(rows, progress.time_scale[rows], desired[rows])
         for one in (self.inbox, self.asked):
-            one.advance(rows, now[rows], loop.dt, loop.dt * loop.execution.time_scale)
+            one.advance(rows, now[rows], dt, progress.motion_seconds)
         return self.inbox.target
 
     @property

@@ -93,15 +93,6 @@ class StagedTask(Protocol):
 
 
 @runtime_checkable
-class SupportsTaskScenes(Protocol):
-    """A backend that sets up the scene of a task."""
-
-    def stage(self, task: Task) -> Task:
-        """Return the task, set up in this backend: a `StagedTask`."""
-        ...
-
-
-@runtime_checkable
 class StreamTask(Protocol):
     """A task whose targets move until the end of the episode.
 
@@ -173,6 +164,11 @@ def _check_solids(solids: Solids, what: str) -> None:
         raise KinfeasError(f"{what}.cylinder has shape {solids.cylinder.shape}, not {(1, places)}")
     if np.any(solids.size[..., :2] < 0.0) or np.any(solids.size[..., 3] < solids.size[..., 2]):
         raise KinfeasError(f"{what}.size has a negative extent")
+
+
+def target_stream(task: Task, solver: IkSolver) -> TargetStream | None:
+    """Return the targets of a task that move; None for others."""
+    return task.target_stream(solver) if isinstance(task, StreamTask) else None
 
 
 def build_subgoals(subgoals: Sequence[Subgoal]) -> tuple[SubgoalMotion, ...]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinfeas.core.checks import ConformanceError, check_array
 from kinfeas.core.errors import plugin_note
-from kinfeas.core.policy import Policy, RecurrentPolicy
+from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.robot import Robot
@@ -48,8 +48,9 @@ def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
     world.start(list(episodes))
     actions = []
     for _ in range(_STEPS):
-        observed = world.loop.policy_input
-        before = {key: value.copy() for key, value in vars(observed).items()}
+        observed = world.loop.observation
+        arrays = {k: value for k, value in vars(observed).items() if isinstance(value, np.ndarray)}
+        before = {key: value.copy() for key, value in arrays.items()}
         with plugin_note(_name(policy)):
             action = policy.act(observed)
         _check_action(policy, action, (len(episodes), world.action_size))
@@ -68,5 +69,4 @@ def _check_action(policy: Policy, action: object, shape: tuple[int, int]) -> Non
 
 
 def _name(policy: Policy) -> str:
-    kind = "recurrent policy" if isinstance(policy, RecurrentPolicy) else "policy"
-    return f"{kind} {type(policy).__name__}"
+    return f"policy {type(policy).__name__}"

@@ -18,7 +18,7 @@ from kinfeas.config.quantities import (
     Share,
 )
 from kinfeas.config.recipes import merged, read_recipe, section
-from kinfeas.control.observation import ACTION, OBSERVATION, check_names
+from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.envs.world import WorldConfig
 from kinfeas.robots.loading import load_robot
 
@@ -106,7 +106,6 @@ class TrainConfig:
             times and a longer horizon. In an evaluation and on a robot each period has its own
             action.
         observation: Observation terms of the policy, in order.
-        action: Action terms of the policy.
         world: Control period, limits of an episode, adapters, reward and IK.
         evaluation_adapters: Adapters of the evaluations, which select and measure the best policy,
             in place of those of `world`, which may be there for exploration only.
@@ -125,7 +124,6 @@ class TrainConfig:
     processes: Processes = 1
     action_repeat: Annotated[int, Interval(ge=1, le=1000)] = 1
     observation: tuple[str, ...] = OBSERVATION
-    action: tuple[str, ...] = ACTION
     world: WorldConfig = field(default_factory=WorldConfig)
     evaluation_adapters: tuple[PluginSpec, ...] = ()
     trackers: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
@@ -139,7 +137,7 @@ class TrainConfig:
             raise ValueError(
                 f"'processes' must be at most 'num_envs', {self.num_envs}, not {self.processes}"
             )
-        check_names(self.observation, self.action)
+        check_terms(self.observation, "'observation'")
 
 
 def load_recipe(

@@ -107,7 +107,6 @@ def network_of(learner: SAC, env: EpisodesVecEnv) -> Network:
         tuple(layer.weight.detach().numpy().T.copy() for layer in linear),
         tuple(layer.bias.detach().numpy().copy() for layer in linear),
         env.observation_terms,
-        env.action_terms,
     )
 
 

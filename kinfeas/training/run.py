@@ -231,8 +231,8 @@ def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None
             f"nor {pretrained.NAME!r}"
         )
     network = read_network(folder, robot)
-    if (config.observation, config.action) != (network.observation_terms, network.action_terms):
-        network = network.widened(robot, config.observation, config.action)
+    if config.observation != network.observation_terms:
+        network = network.widened(robot, config.observation)
     if scale is not None and not np.array_equal(network.scale, scale):
         raise KinfeasError(f"init: {init}: its observations have another scale")
     return network

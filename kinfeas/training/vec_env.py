@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from kinfeas.control import observation
+from kinfeas.control.drive import command_size
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.batch import Batch, BatchStep
@@ -38,24 +39,24 @@ class EpisodesVecEnv(VecEnv):
     def __init__(
         self,
         robot: Robot,
-        terms: tuple[Sequence[str], Sequence[str]],
+        terms: Sequence[str],
         sizes: Sequence[int],
         workers: Sequence[Executor],
         call: Callable[..., Any],
     ) -> None:
         """Set the spaces of batches of `sizes` episodes, one a worker.
 
-        `terms` are those of observation and action.
-        `call` calls a method of the worker's batch: its name, then its arguments.
+        `terms` are those of the observation. `call` calls a method of the worker's batch: its name,
+        then its arguments.
         """
         super().__init__(
             sum(sizes),
-            spaces.Box(-np.inf, np.inf, (observation.size(robot, terms[0]),), np.float32),
-            spaces.Box(-1.0, 1.0, (observation.action_size(robot, terms[1]),), np.float32),
+            spaces.Box(-np.inf, np.inf, (observation.size(robot, terms),), np.float32),
+            spaces.Box(-1.0, 1.0, (command_size(robot.base),), np.float32),
         )
         self.robot = robot
-        self.observation_terms, self.action_terms = map(tuple, terms)
-        self.scale = observation.scale(robot, terms[0]).astype(np.float32)
+        self.observation_terms = tuple(terms)
+        self.scale = observation.scale(robot, terms).astype(np.float32)
         ends = np.cumsum(sizes)
         self._rows = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
         self._workers, self._call = list(workers), call
@@ -155,7 +156,7 @@ class WorldVecEnv(EpisodesVecEnv):
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         self.world, self.batch = world, Batch(world, num_envs, action_repeat)
-        terms = world.loop.observer.terms, world.loop.action_terms
+        terms = world.loop.observer.terms
         super().__init__(world.robot, terms, [num_envs], [ThreadPoolExecutor(1)], self._call_batch)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
@@ -197,7 +198,7 @@ class ProcessVecEnv(EpisodesVecEnv):
             for i, part in enumerate(parts)
         ]
         sizes = [len(part) for part in parts]
-        terms = config.observation, config.action
+        terms = config.observation
         super().__init__(load_robot(config.robot), terms, sizes, self._pools, call_batch)
         try:
             self._ask("number")

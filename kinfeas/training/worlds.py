@@ -36,7 +36,7 @@ def training_world(config: TrainConfig) -> World:
     task = load_task(config.task, config.task_parameters)
     world = World(load_robot(config.robot), task, config.world, config.seed)
     world.stream = TRAINING
-    world.loop.observer.terms, world.loop.action_terms = config.observation, config.action
+    world.loop.observer.terms = config.observation
     return world
 
 

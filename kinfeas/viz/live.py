@@ -6,8 +6,7 @@ import numpy as np
 
 from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import load_section
-from kinfeas.control.filters import build_filters
-from kinfeas.control.loop import Loop
+from kinfeas.control.assemble import assemble
 from kinfeas.core import spatial
 from kinfeas.core.backend import build_simulator
 from kinfeas.core.spatial import Array
@@ -17,7 +16,6 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim2real.deploy.config import ServoConfig
-from kinfeas.sim2real.deploy.planner_threads import PlannerThread, in_threads
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.tasks.task import MotionSpec, build_subgoals
 from kinfeas.viz.choice import DT, Choice
@@ -54,16 +52,18 @@ class Episode:
         self.controller = TargetController(robot, rules, clock=lambda: self.seconds)
         spec = MotionSpec(choice.generator, limits if self.follows else {})
         self._task = ServoTask(self.controller, spec)
-        self._solver, self._policy = IkSolver(robot, config.ik), load_policy(policy, robot)
-        filters = in_threads(build_filters([PluginSpec(name) for name in choice.filters]))
-        self._threads = [one for one in filters if isinstance(one, PlannerThread)]
+        self._solver = IkSolver(robot, config.ik)
         self.backend = build_simulator(choice.backend, config.backend, robot=robot, scene=scene)
-        self.loop = Loop(
-            self._solver, build_subgoals(self._task.subgoals), self.backend, DT, config,
-            (self.controller, *filters),
-        )  # fmt: skip
-        self.loop.set_policy(self._policy)
-        self.loop.target_stream = self.controller
+        self.loop = assemble(
+            self._solver,
+            build_subgoals(self._task.subgoals),
+            self.backend,
+            dt=DT,
+            execution=config,
+            filters=(self.controller, *(PluginSpec(name) for name in choice.filters)),
+            stream=self.controller,
+            policy=load_policy(policy, robot),
+        )
         self.restart()
 
     @property
@@ -84,7 +84,7 @@ class Episode:
     @property
     def joint_positions(self) -> Array:
         """Arm joints, shape (j,)."""
-        return self.loop.state.joint_positions[0]
+        return self.loop.robots.joint_positions[0]
 
     def restart(self) -> None:
         """Put the robot at the origin, with the arm at home."""
@@ -104,17 +104,15 @@ class Episode:
         if metres > _NEAR[0] or radians > _NEAR[1]:  # otherwise the base comes to rest
             self.controller.set_target(self._goal)
         before = self.joint_positions.copy()
-        step = self.loop.step(self._policy.act(self.loop.policy_input))
+        outcome = self.loop.step()
         if begins:
             self.loop.sequence.begin_again(np.zeros(1, dtype=np.intp))
         self._steps += 1
-        self.feasible, self.deviation = bool(step.feasible[0]), float(step.deviation[0])
+        self.feasible, self.deviation = bool(outcome.feasible[0]), float(outcome.deviation[0])
         robot = self._solver.robot
         way = np.abs(joint_displacement(robot, before, self.joint_positions))
         self.joint_speeds = way / DT / robot.max_joint_velocity
 
     def close(self) -> None:
-        """End threads and simulations."""
-        for one in self._threads:
-            one.close()
+        """End the simulation."""
         self.backend.close()

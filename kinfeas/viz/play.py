@@ -101,7 +101,7 @@ class _Shown:
 
     def report(self) -> str:
         """Return how the arm keeps up, in words."""
-        scale = float(self._episode.loop.time_scale[0])
+        scale = float(self._episode.loop.sequence.time_scale[0])
         reached = "the arm reached every pose"
         if self._failures:
             reached = f"{self._failures} poses were out of the arm's reach"

@@ -132,13 +132,13 @@ def _scene_of(record: Record) -> Scene | None:
 def present(world: World) -> Replay:
     """Return the present moment of the first robot of a world."""
     loop, backend = world.loop, world.backend
-    state = loop.state
+    state = loop.robots
     now = Recording(
         0, state.base_pose[:1], state.joint_positions[:1], loop.desired[:1], loop.ee_pose[:1],
         np.array([True]), loop.sequence.goal[:1], reached=False, dt=loop.dt,
     )  # fmt: skip
     if not isinstance(backend, PhysicsBackend):
-        solids = loop.obstacles.after(0.0)
+        solids = None if backend.solids is None else backend.solids.after()
         now = replace(now, solids=None if solids is None else solids.of(np.array([0])))
         return replay_of(now, world.robot, "")
     shapes, names = _visible(backend)

@@ -9,9 +9,8 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from kinfeas.config import convert
-from kinfeas.control.adapters import chain
 from kinfeas.core import spatial
-from kinfeas.core.backend import Backend, BackendWrapper, Resumable, RobotState, Stochastic
+from kinfeas.core.backend import Backend, BackendWrapper, RobotState
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import with_rows
@@ -51,9 +50,8 @@ class Adapter(BackendWrapper):
     `on_reset` returns the memory of new episodes, `modify_command` changes the command, `on_step`
     updates the memory with the measurement, and `modify_state` changes the measurement.
     `modify_state` may only depend on the state, the memory and the random numbers, and may be
-    called twice. Rows must not depend on each other. The optional methods `grip`,
-    `obstacle_distances`, `scan`, `read`, `stop`, `snapshot` and `restore` exist if the backend has
-    them.
+    called twice. Rows must not depend on each other. An adapter has the abilities of its backend;
+    a subclass replaces the one that it changes, and names those that it `needs`.
 
     Random numbers depend on the episode's seed, the step, the class and the number of adapters of
     the same class within: adding an adapter does not change the random numbers of the others.
@@ -68,6 +66,9 @@ class Adapter(BackendWrapper):
 
     stream: ClassVar[str | None] = None
     """Name of the random stream; the class by default."""
+
+    needs: ClassVar[str] = ""
+    """Ability of `Backend` that the adapter cannot do without; empty for none."""
 
     def __init__(
         self,
@@ -84,24 +85,23 @@ class Adapter(BackendWrapper):
             numbers: Parameters by name: a number, or a range to draw each episode's number from.
             within: Interval of allowed numbers; [0, 10,000] by default.
         """
-        self.backend, self.robot, self.memory = backend, robot, Memory()
+        super().__init__(backend)
+        self.robot, self.memory = robot, Memory()
         self.continuous = robot.continuous
         allowed = within or Interval(ge=0.0, le=_LIMIT)
         self.ranges: dict[str, Range] = {
             name: read_range(name, value, allowed) for name, value in (numbers or {}).items()
         }
-        number = sum(type(link) is type(self) for link in chain(backend))
+        number, inner = 0, backend
+        while isinstance(inner, BackendWrapper):
+            number, inner = number + (type(inner) is type(self)), inner.backend
         name = type(self).__name__ if self.stream is None else self.stream
         self._salt = random_numbers.salt(name, number)
         self._prefix = f"{type(self).__name__}.{number}."
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
         self._subject, self._unchecked = f"adapter {type(self).__name__}", True
-        for ability in ("grip", "obstacle_distances", "scan", "read", "stop"):
-            if hasattr(backend, ability):
-                setattr(self, ability, getattr(backend, ability))
-        if isinstance(backend, Resumable):
-            self.snapshot, self.restore = self._snapshot, self._restore
+        self._inner_state, self.resumable = backend.resumable, backend.resumable and self
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return the memory at the start of an episode in each row of `state`."""
@@ -139,8 +139,7 @@ class Adapter(BackendWrapper):
         if len(env_ids):
             self._fit(max(int(env_ids.max()) + 1, len(self._seeds)))
         self._seeds[env_ids], self._steps[env_ids] = seeds, 0
-        if isinstance(self.backend, Stochastic):
-            self.backend.seed(seeds, env_ids)
+        super().seed(seeds, env_ids)
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -182,20 +181,16 @@ class Adapter(BackendWrapper):
             self.on_step(state, dt)
             return self.modify_state(state)
 
-    def close(self) -> None:
-        """Close the wrapped backend."""
-        self.backend.close()
-
-    def _snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return memory, seeds and steps with the backend's snapshot."""
-        assert isinstance(self.backend, Resumable)
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return memory, seeds and steps with the backend's snapshot, if it is resumable."""
+        assert self._inner_state is not None
         own = {"seeds": self._seeds, "steps": self._steps, **self.memory}
         named = {f"{self._prefix}{key}": values.copy() for key, values in own.items()}
-        return {**self.backend.snapshot(), **named}
+        return {**self._inner_state.snapshot(), **named}
 
-    def _restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Restore a snapshot and return the changed state."""
-        assert isinstance(self.backend, Resumable)
+        assert self._inner_state is not None
         own = {
             name.removeprefix(self._prefix): values.copy()
             for name, values in snapshot.items()
@@ -204,7 +199,7 @@ class Adapter(BackendWrapper):
         self._seeds, self._steps = own.pop("seeds"), own.pop("steps")
         self.memory = own
         self._draw()
-        return self.modify_state(self.backend.restore(snapshot))
+        return self.modify_state(self._inner_state.restore(snapshot))
 
     def _fit(self, n: int) -> None:
         """Resize seeds and steps to n rows; the seed of a new row is 0."""

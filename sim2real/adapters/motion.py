@@ -21,11 +21,11 @@ class HeadStart(Adapter):
 
     def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
         """Return the execution with a longer head start, drawn for each episode from a range."""
-        seconds = self.ranges["seconds"]
+        seconds, within = self.ranges["seconds"], super().execution(execution)
         return replace(
-            execution,
-            head_start=execution.head_start + seconds.low,
-            head_start_jitter=execution.head_start_jitter + seconds.high - seconds.low,
+            within,
+            head_start=within.head_start + seconds.low,
+            head_start_jitter=within.head_start_jitter + seconds.high - seconds.low,
         )
 
 
@@ -44,4 +44,5 @@ class TimeScale(Adapter):
 
     def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
         """Return the slower execution."""
-        return replace(execution, time_scale=execution.time_scale * self.ranges["factor"].low)
+        within = super().execution(execution)
+        return replace(within, time_scale=within.time_scale * self.ranges["factor"].low)

@@ -1,10 +1,12 @@
 """Noise on commands and measurements, and errors of localisation."""
 
+from dataclasses import replace
+
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, Backend, RobotState, SupportsScan
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, Backend, RobotState, Scan
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
@@ -162,9 +164,7 @@ class ScanNoise(Adapter):
     ) -> None:
         numbers = {"deviation": deviation, "lost": lost, "seconds": seconds}
         super().__init__(backend, robot, numbers, Interval(ge=0.0, le=1.0))
-        if isinstance(backend, SupportsScan):
-            self._exact = backend.scan
-            self.scan = self._scan
+        self._exact, self.scanner = backend.scanner, backend.scanner and self
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return buffers without a scan: obstacles may be placed after the reset."""
@@ -176,24 +176,27 @@ class ScanNoise(Adapter):
     def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Keep the scan of before the step; return the command."""
         slots = round(self.ranges["seconds"].high / dt)
-        if slots and hasattr(self, "_exact"):
-            now, before = self._exact(), self.memory["scans"]
+        if slots and self._exact is not None:
+            now, before = self._exact.scan().ranges, self.memory["scans"]
             before = np.where(np.isnan(before), filled(now, before.shape[1]), before)
             delay: NDArray[np.intp] = np.rint(self.number("seconds")[:, 0] / dt).astype(np.intp)
             self.remember(scans=pushed(before, now, slots), delay=delay)
         return twist, targets
 
-    def _scan(self) -> Array:
-        """Return the late ranges with noise, as in `SupportsScan`."""
+    def scan(self) -> Scan:
+        """Return the late ranges with noise."""
+        assert self._exact is not None
+        exact = self._exact.scan()
         scans, delay = self.memory["scans"], self.memory["delay"]
         rows, slots = np.arange(len(delay)), scans.shape[1]
         late = scans[rows, np.maximum(slots - delay, 0) % slots]
-        ranges: Array = np.where(delay[:, np.newaxis, np.newaxis] > 0, late, self._exact())
+        ranges: Array = np.where(delay[:, np.newaxis, np.newaxis] > 0, late, exact.ranges)
         shape = ranges.shape
         noise = self.normal(2 * SCAN_BEAMS) * self.number("deviation")
         noisy = np.clip(ranges + noise.reshape(shape), 0.0, SCAN_RANGE)
         lost = self.uniform(2 * SCAN_BEAMS) <= self.number("lost")
-        return np.where(lost.reshape(shape) | (ranges >= SCAN_RANGE), SCAN_RANGE, noisy)
+        lost_or_far = lost.reshape(shape) | (ranges >= SCAN_RANGE)
+        return replace(exact, ranges=np.where(lost_or_far, SCAN_RANGE, noisy))
 
 
 def displaced(pose: Array, by: Array) -> Array:

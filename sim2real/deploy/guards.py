@@ -13,21 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.adapters import with_adapters
+from kinfeas.control.assemble import with_adapters
 from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core.backend import (
     SCAN_BEAMS,
-    ArmLimited,
     Backend,
     BackendWrapper,
     Grip,
-    RealTimeBackend,
     RobotState,
-    Stochastic,
-    SupportsGripper,
-    SupportsMeasuredScan,
-    SupportsObstacleDistances,
-    SupportsScan,
+    Scan,
 )
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
@@ -43,32 +37,7 @@ _CREEP = 0.02  # m/s up to which the base may drive into a blind direction
 _ROUNDING = 1e-12  # m, rad and their rates up to which the limits change a command by rounding only
 
 
-class _Wrapper(BackendWrapper):
-    """A wrapper that passes on seeds, grips, obstacle distances and scans."""
-
-    def __init__(self, backend: Backend) -> None:
-        self.backend = backend
-        if isinstance(backend, SupportsObstacleDistances):
-            self.obstacle_distances = backend.obstacle_distances
-        if isinstance(backend, SupportsScan):
-            self._inner_scan, self.scan = backend.scan, self._scan
-
-    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
-        """Seed a backend that draws random numbers."""
-        if isinstance(self.backend, Stochastic):
-            self.backend.seed(seeds, env_ids)
-
-    def _scan(self) -> Array:
-        """Return the ranges that the backend measures, as in `SupportsScan`."""
-        return self._inner_scan()
-
-    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
-        """Close or open the grippers of a backend that has them."""
-        if isinstance(self.backend, SupportsGripper):
-            self.backend.grip(grip, env_ids)
-
-
-class SafetyFilter(_Wrapper):
+class SafetyFilter(BackendWrapper):
     """The backend of one robot, which is sent finite and recent commands within its limits only.
 
     After `stop` nothing is sent until the next reset.
@@ -94,15 +63,15 @@ class SafetyFilter(_Wrapper):
         self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
         self.hold, self.brake, self.stopped, self.steps = "", False, True, 0
         self._blind = np.zeros(SCAN_BEAMS, dtype=np.bool_)
-        # Once, since protocols are checked by looking up each of their members.
-        self._measuring = backend if isinstance(backend, SupportsMeasuredScan) else None
+        self._inner_scanner, self.scanner = backend.scanner, backend.scanner and self
+        self._inner_gripper, self.gripper = backend.gripper, backend.gripper and self
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Start a run; shapes as in `Backend`. Raises KinfeasError if there is no valid state."""
-        if isinstance(self.backend, ArmLimited):
-            self.backend.limit_arm(self._joint_speed)
+        if self.real_time is not None:
+            self.real_time.limit_arm(self._joint_speed)
         state = self.backend.reset(base_pose, joint_positions, env_ids)
         check_state(state, 1, len(self._robot.arm), f"backend {type(self.backend).__name__}: reset")
         self._state, self._measured = state, self._clock.monotonic()
@@ -152,33 +121,33 @@ class SafetyFilter(_Wrapper):
             self._state = state
         self._measured = self._clock.monotonic()
 
-    def _scan(self) -> Array:
+    def scan(self) -> Scan:
         """Return the ranges that the backend measures; raise Fault if they are old or blind.
 
         Ranges that are no finite numbers are a Fault, too.
         """
-        if self._measuring is None:
-            ranges = super()._scan()
-        else:
-            scan = self._measuring.measured_scan()
-            check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
+        assert self._inner_scanner is not None
+        scan = self._inner_scanner.scan()
+        check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
+        if scan.blind is not None:
             if scan.blind.all():
                 raise Fault("the scan is blind in all directions")
-            self._blind, ranges = scan.blind, scan.ranges
-        check_array(ranges, (1, 2, SCAN_BEAMS), "the scan", error=Fault)
-        return ranges
+            self._blind = scan.blind
+        check_array(scan.ranges, (1, 2, SCAN_BEAMS), "the scan", error=Fault)
+        return scan
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Close or open the gripper; raise Fault after a stop."""
         self._check_running()
-        super().grip(grip, env_ids)
+        assert self._inner_gripper is not None
+        self._inner_gripper.grip(grip, env_ids)
 
     def stop(self) -> None:
         """Command the base to zero and the arm to hold; it may be called at any time."""
         moved, self.stopped = not self.stopped, True
         self.base_twist, self._velocity = np.zeros((1, 6)), np.zeros(3)
-        if isinstance(self.backend, RealTimeBackend):
-            self.backend.stop()
+        if self.real_time is not None:
+            self.real_time.stop()
         elif moved and self._dt > 0.0:  # nothing moves before the first step
             self.backend.step(self.base_twist, self.joint_targets, self._dt)
 
@@ -211,7 +180,7 @@ class SafetyFilter(_Wrapper):
         return before if self.hold else _unrounded(after, targets)
 
 
-class Guarded(_Wrapper):
+class Guarded(BackendWrapper):
     """The backend that a deployed loop sees: it stops the robot if anything raises.
 
     Attributes:
@@ -240,7 +209,8 @@ class Guarded(_Wrapper):
         self.guards, clock = guards or Guards(), clock or Clock()
         self.commands = SafetyFilter(backend, robot, self.guards, clock, rate)
         super().__init__(with_adapters(self.commands, adapters, robot))
-        self._robot_backend, self._rate = backend, rate
+        self._inner_scanner, self.scanner = self.backend.scanner, self.backend.scanner and self
+        self._rate = rate
         self._name = f"backend {type(backend).__name__}"
         self._monitor = StateMonitor(backend, robot, self.guards, clock)
         self._failures = 0
@@ -261,10 +231,10 @@ class Guarded(_Wrapper):
 
     def read(self) -> RobotState | None:
         """Return the state of a robot that moves in real time; None of a simulated world."""
-        if not isinstance(self._robot_backend, RealTimeBackend):
+        if self.real_time is None:
             return None
         with plugin_note(self._name):
-            state = self._robot_backend.read()
+            state = self.real_time.read()
         self._monitor.begin(state)
         return state
 
@@ -296,9 +266,11 @@ class Guarded(_Wrapper):
                 self.stop()
         return state
 
-    def _scan(self) -> Array:
+    def scan(self) -> Scan:
+        """Return the newest ranges; before any error the robot is stopped."""
+        assert self._inner_scanner is not None
         try:
-            return super()._scan()
+            return self._inner_scanner.scan()
         except PLUGIN_ERRORS:
             self.stop()
             raise

@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from kinfeas.config import PluginSpec
+from kinfeas.control.assemble import assemble
 from kinfeas.control.loop import Loop
-from kinfeas.control.motion_sequence import subgoal_ends
+from kinfeas.control.period import CommandFilter
+from kinfeas.control.sequence import subgoal_ends
 from kinfeas.core import registry, spatial
 from kinfeas.core.backend import build_backend
-from kinfeas.core.errors import KinfeasError, plugin_note
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
-from kinfeas.core.policy import CommandFilter, Policy
+from kinfeas.core.policy import Policy
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
@@ -56,7 +58,7 @@ def warm_up(
     task: Task,
     dt: float,
     adapters: Sequence[PluginSpec] = (),
-    filters: Sequence[CommandFilter] = (),
+    filters: Sequence[PluginSpec | CommandFilter] = (),
 ) -> None:
     """Compile the kernels of a run by a few steps in the analytic world.
 
@@ -67,16 +69,14 @@ def warm_up(
     target = forward(solver.chain, joints) + _WARM_UP_WAY
     targets = np.stack([target] * len(task.subgoals), axis=1)
     analytic = build_backend("analytic", {}, robot=robot)
-    kinds = {one.name: registry.load("kinfeas.adapters", one.name) for one in adapters}
-    general = [one for one in adapters if not hasattr(kinds[one.name], "check_backend")]
+    kinds = [(spec, registry.load("kinfeas.adapters", spec.name)) for spec in adapters]
+    general = [spec for spec, kind in kinds if not getattr(kind, "needs", "")]
     backend = Guarded(analytic, robot, Guards().timeless(), adapters=general)
-    loop = Loop(solver, build_subgoals(task.subgoals), backend, dt, filters=filters)
-    loop.set_policy(policy)
+    subgoals = build_subgoals(task.subgoals)
+    loop = assemble(solver, subgoals, backend, dt=dt, filters=filters, policy=policy)
     loop.start(Start(spatial.IDENTITY[np.newaxis], joints, targets, _WARM_UP_SOLIDS), [rng])
     for _ in range(_WARM_UP_STEPS):
-        with plugin_note(f"policy {type(policy).__name__}"):
-            action = policy.act(loop.policy_input)
-        loop.step(action)
+        loop.step()
 
 
 def _check_reach(solver: IkSolver, goals: Array) -> None:

@@ -4,6 +4,7 @@ import logging
 import math
 import signal
 import sys
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -13,14 +14,13 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.adapters import execution_of
+from kinfeas.control.assemble import assemble
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.control.loop import Loop
 from kinfeas.control.observation import SCAN_TERMS
-from kinfeas.core.backend import Backend, RealTimeBackend, SupportsScan
-from kinfeas.core.checks import check_array
+from kinfeas.control.period import CommandFilter
+from kinfeas.core.backend import Backend
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, describe, plugin_note
-from kinfeas.core.policy import CommandFilter, Policy
+from kinfeas.core.policy import Policy
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.core.start import episode_rng
@@ -29,13 +29,11 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin
 from kinfeas.sim2real.deploy.guards import Guarded
-from kinfeas.sim2real.deploy.planner_threads import PlannerThread
 from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.sim2real.deploy.signals import Signals
 from kinfeas.sim2real.deploy.watchdog import Watchdog
-from kinfeas.sim2real.link import Watched
-from kinfeas.sim2real.link.rate import Clock, Prepares, Rate, Timing
-from kinfeas.tasks.task import StreamTask, Task, build_subgoals
+from kinfeas.sim2real.link.rate import Clock, Rate, Timing
+from kinfeas.tasks.task import Task, build_subgoals, target_stream
 
 _log = logging.getLogger(__name__)
 
@@ -130,7 +128,7 @@ class Setup:
     seed: int = 0
     solids: Solids | None = None
     execution: ExecutionConfig = field(default_factory=ExecutionConfig)
-    filters: tuple[CommandFilter, ...] = ()
+    filters: tuple[PluginSpec | CommandFilter, ...] = ()
     guards: Guards = field(default_factory=Guards)
     real_time: bool = True
     clock: Clock = field(default_factory=Clock)
@@ -144,7 +142,7 @@ class Setup:
     @cached_property
     def live(self) -> bool:
         """Whether the robot moves in real time by itself."""
-        return isinstance(self.backend, RealTimeBackend)
+        return self.backend.real_time is not None
 
 
 def deploy(setup: Setup, recorder: Recorder) -> Outcome:
@@ -152,11 +150,9 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
 
     The base is commanded to zero at the end in any case.
     """
-    run = _Run(setup, recorder)
     with ExitStack() as stack:
-        for one in setup.filters:
-            if isinstance(one, PlannerThread):
-                stack.enter_context(closing(one))
+        executor = stack.enter_context(ThreadPoolExecutor(1))
+        run = _Run(setup, recorder, executor)
         signals = stack.enter_context(Signals())
         stack.enter_context(closing(run.guarded))
         if setup.live:  # the watchdog needs the connection
@@ -171,7 +167,7 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
 class _Run:
     """State of a run."""
 
-    def __init__(self, setup: Setup, recorder: Recorder) -> None:
+    def __init__(self, setup: Setup, recorder: Recorder, executor: Executor) -> None:
         self.setup, self.recorder = setup, recorder
         self.robot, self.clock = setup.solver.robot, setup.clock
         self.rate = Rate(setup.dt, self.clock, waits=setup.real_time and not setup.live)
@@ -183,22 +179,22 @@ class _Run:
             rate=self.rate,
             clock=self.clock,
         )
-        execution = execution_of(self.guarded, setup.execution)
-        self.loop = Loop(
+        self.loop = assemble(
             setup.solver,
             build_subgoals(setup.task.subgoals),
             self.guarded,
-            setup.dt,
-            execution,
-            setup.filters,
+            dt=setup.dt,
+            execution=setup.execution,
+            filters=setup.filters,
+            stream=target_stream(setup.task, setup.solver),
+            policy=setup.policy,
+            # Without a clock, planners run in the loop, so that runs are repeatable.
+            executor=executor if setup.real_time or setup.live else None,
         )
         self.loop.finds_collisions = False  # nothing here asks for them
-        self.loop.set_policy(setup.policy)
-        if isinstance(setup.task, StreamTask):
-            self.loop.target_stream = setup.task.target_stream(setup.solver)
-        for part in (self.rate, setup.backend):
-            if isinstance(part, Prepares):
-                part.prepare = self.prepare
+        self.rate.prepare = self.prepare
+        if setup.backend.real_time is not None:
+            setup.backend.real_time.prepare = self.prepare
         self._unwritten: Moment | None = None
         self.steps = self.failures = 0
         self.time_scale, self.scales, self.began = 1.0, 0.0, 0.0
@@ -206,16 +202,17 @@ class _Run:
     def watchdog(self) -> Watchdog | nullcontext[None]:
         """Return the watchdog, if guards and backend have one."""
         backend, seconds = self.setup.backend, self.setup.guards.watchdog
-        if seconds is not None and isinstance(backend, Watched):
-            with plugin_note(f"backend {type(backend).__name__}"):
-                return Watchdog(backend.stop_call(), seconds)
-        if seconds is not None and self.setup.live:
-            name = type(backend).__name__
-            _log.warning(
-                "no watchdog: nothing stops the base if this process dies or hangs; backend "
-                "%s has no stop_call",
-                name,
-            )
+        if seconds is None or backend.real_time is None:
+            return nullcontext()
+        with plugin_note(f"backend {backend.name}"):
+            stop_call = backend.real_time.stop_call()
+        if stop_call is not None:
+            return Watchdog(stop_call, seconds)
+        _log.warning(
+            "no watchdog: nothing stops the base if this process dies or hangs; backend %s has no "
+            "stop_call",
+            backend.name,
+        )
         return nullcontext()
 
     def start(self) -> None:
@@ -223,10 +220,10 @@ class _Run:
         setup, rng = self.setup, episode_rng(self.setup.seed, 0)
         start = begin(setup.task, setup.solver, rng, self.guarded.read(), setup.solids)
         scans = SCAN_TERMS & set(self.loop.observer.terms)
-        if setup.live and scans and isinstance(self.guarded, SupportsScan):
+        if setup.live and scans and self.guarded.scanner is not None:
             self.guarded.scan()  # waits for the first one
-        stream = self.loop.target_stream is not None  # its targets are not known yet
-        if not stream and (warning := preflight(self.loop, start, rng, setup.guards)):
+        # The targets of a stream are not known yet.
+        if self.loop.stream is None and (warning := preflight(self.loop, start, rng, setup.guards)):
             _log.warning("%s", warning)
         self.loop.start(start, [rng])
         self.loop.measure(self.guarded.refresh())  # planning a motion takes time
@@ -271,7 +268,6 @@ class _Run:
     def run(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
         """Step until the end; return its code and reason."""
         setup, loop = self.setup, self.loop
-        shape, named = (1, loop.action_size), plugin_note(f"policy {type(setup.policy).__name__}")
         # Half a period, since none ends to the microsecond.
         while self.seconds() + 0.5 * setup.dt < setup.seconds:
             if (caught := signals.caught) is not None:
@@ -281,17 +277,13 @@ class _Run:
             if watchdog is not None and not watchdog.beat():
                 raise Fault("the watchdog has stopped the base, or has died or stalled")
             goal = loop.sequence.goal[0]
-            with named:
-                action = setup.policy.act(loop.policy_input)
-            # Before a filter can replace it.
-            check_array(action, shape, "the policy's action", error=Fault)
-            if loop.target_stream is not None:
-                self.guarded.commands.brake = not loop.target_stream.live[0]
-            step = loop.step(action)
-            feasible, subgoal = bool(step.feasible[0]), int(step.subgoal[0])
+            if loop.stream is not None:
+                self.guarded.commands.brake = not loop.stream.live[0]
+            outcome = loop.step()
+            feasible, subgoal = bool(outcome.feasible[0]), int(outcome.subgoal[0])
             self.steps, self.failures = self.steps + 1, self.failures + (not feasible)
             before = self.time_scale
-            self.time_scale = loop.execution.time_scale * float(step.time_scale[0])
+            self.time_scale = loop.execution.time_scale * float(outcome.time_scale[0])
             self.scales += self.time_scale
             after = int(loop.sequence.subgoal[0])
             event = f"time scale {self.time_scale:g}" if self.time_scale != before else ""
@@ -299,9 +291,9 @@ class _Run:
                 event = f"sub-goal {after + 1} begins"
             self.record(event, goal, subgoal, feasible=feasible)
             self.guarded.count(feasible=feasible)
-            if step.finished[0]:
+            if outcome.finished[0]:
                 return Code.REACHED, REACHED
-        if loop.target_stream is not None:
+        if loop.stream is not None:
             return Code.REACHED, f"followed the targets for {setup.seconds:g} s"
         return Code.TIME_OVER, f"the goal was not reached within {setup.seconds:g} s"
 

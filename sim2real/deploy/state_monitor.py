@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from kinfeas.core import spatial
-from kinfeas.core.backend import Backend, RealTimeBackend, RobotState
+from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.checks import check_state
 from kinfeas.core.errors import Fault
 from kinfeas.core.spatial import Array
@@ -20,7 +20,7 @@ class StateMonitor:
     def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
         self._source = f"backend {type(backend).__name__}"
         self._robot, self._guards, self._clock = robot, guards, clock
-        self._needs_age = isinstance(backend, RealTimeBackend)
+        self._needs_age = backend.real_time is not None
         self._start: Array | None = None
         self._last: Array = np.empty(7)
         self._times = (math.nan, math.nan)

@@ -16,9 +16,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
-from kinfeas.sim2real.link import StopCall
+
+if TYPE_CHECKING:  # takes long to import
+    from kinfeas.core.backend import StopCall
 
 INTERVAL, REPEATS = 0.05, 10
 """Seconds between stops, which are repeated since messages may be lost, and stops after a death."""
@@ -34,7 +37,7 @@ _CONNECT_TIMEOUT, _EXIT_TIMEOUT = 60.0, LAST_TRY + 2.0  # s
 class Watchdog:
     """The watchdog from the side of the run; a context."""
 
-    def __init__(self, stop: StopCall, seconds: float) -> None:
+    def __init__(self, stop: "StopCall", seconds: float) -> None:
         """Start the process and wait until it can stop the base; raise KinfeasError if it cannot.
 
         After `seconds` without a heartbeat it stops the base; after as many without an answer

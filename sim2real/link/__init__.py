@@ -183,27 +183,3 @@ class Hosted(Protocol):
             topics: Name or path of the file with the names on the bus; the robot's by default.
         """
         ...
-
-
-@dataclass(frozen=True)
-class StopCall:
-    """A function with which another process stops the base.
-
-    Attributes:
-        path: Function `module:function`. It is called once, connects to the robot and returns a
-            function without arguments that commands zero velocity. If this raises, it is called
-            again.
-        arguments: Keyword arguments of the first call, which must fit into JSON.
-    """
-
-    path: str
-    arguments: Mapping[str, object] = field(default_factory=dict)
-
-
-@runtime_checkable
-class Watched(Protocol):
-    """A backend whose robot moves on if this process dies, and that another process can stop."""
-
-    def stop_call(self) -> StopCall:
-        """Return the call with which the watchdog stops the base."""
-        ...

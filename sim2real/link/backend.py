@@ -1,6 +1,5 @@
 """A robot behind a link as a backend of the loop, the same for every transport."""
 
-from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
@@ -8,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.control.drive import base_velocity
-from kinfeas.core.backend import Grip, MeasuredScan, RobotState
+from kinfeas.core.backend import Grip, RealTimeBackend, RobotState, Scan
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
@@ -21,10 +20,8 @@ _OFFSET = 0.02  # rad or m that a joint outside the arm may deviate from the kin
 _CHECK = "is the robot on, its controllers running, and do the names in the topics file fit?"
 
 
-class LinkBackend:
-    """A robot that moves in real time: a `RealTimeBackend` with a gripper.
-
-    It is a `SupportsMeasuredScan` if its link is a `ScanLink`.
+class LinkBackend(RealTimeBackend):
+    """A robot with a gripper that moves in real time, and with a scan if its link is a `ScanLink`.
 
     Commands are sent as they are: `kinfeas.sim2real.deploy.guards` limits them and checks their
     age.
@@ -33,7 +30,6 @@ class LinkBackend:
         robot: Robot model.
         link: Transport.
         rate: Ends the control periods; None before the first step.
-        prepare: As in `Prepares`.
     """
 
     def __init__(  # noqa: PLR0913 - keyword parameters of a YAML file
@@ -60,7 +56,7 @@ class LinkBackend:
         """
         self.robot, self.link = robot, link
         self.rate: Rate | None = None
-        self.prepare: Callable[[], None] | None = None
+        self.gripper = self
         self._clock = clock or Clock()
         aliases = names or {}
         self._names = {joint.name: aliases.get(joint.name, joint.name) for joint in robot.arm}
@@ -71,7 +67,7 @@ class LinkBackend:
         self._opened = False
         if isinstance(link, ScanLink):
             self._scan_sources = link.scan_sources
-            self.scan, self.measured_scan = self._scan, self._measured_scan
+            self.scanner = self
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -153,11 +149,7 @@ class LinkBackend:
                 self.link.close()
                 self._opened = False
 
-    def _scan(self) -> Array:
-        """Return the newest ranges, as in `SupportsScan`."""
-        return self._measured_scan().ranges
-
-    def _measured_scan(self) -> MeasuredScan:
+    def scan(self) -> Scan:
         """Return the newest scan; raise KinfeasError if none can come.
 
         The first call waits for it: other policies do not need one.

@@ -12,7 +12,7 @@ import numpy as np
 from annotated_types import Interval
 
 from kinfeas.control.drive import world_twist
-from kinfeas.core.backend import MeasuredScan, RobotState
+from kinfeas.core.backend import RobotState, Scan
 from kinfeas.core.spatial import Array, planar_pose, wrap
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Readings
@@ -145,7 +145,7 @@ class Inbox:
         with self._lock:
             return {type(scan[0]) for scan in (self._laser, self._costmap) if scan is not None}
 
-    def scan(self) -> MeasuredScan:
+    def scan(self) -> Scan:
         """Return the newest scan; a base pose, and a laser or costmap, must have arrived."""
         with self._lock:
             assert self._base is not None

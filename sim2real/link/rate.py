@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -57,22 +56,14 @@ class Timing:
     work_p99: float | None = None
 
 
-@runtime_checkable
-class Prepares(Protocol):
-    """What waits for the ends of control periods, and has work done shortly before them.
-
-    Attributes:
-        prepare: Does the work, which needs no measurement; None for none.
-    """
-
-    prepare: Callable[[], None] | None
-
-
 class Rate:
     """Measures control periods, and waits for their ends unless the robot times them.
 
     Deadlines are multiples of the period: a late period does not shift later ones, and deadlines
-    that have passed are skipped. `prepare` is as in `Prepares`.
+    that have passed are skipped.
+
+    Attributes:
+        prepare: Work without measurements, done shortly before the end of a period; None for none.
     """
 
     def __init__(self, dt: float, clock: Clock | None = None, *, waits: bool = True) -> None:

@@ -1,11 +1,11 @@
-"""Scans around a base from planar lasers and costmaps; beams as in `SupportsScan`."""
+"""Scans around a base from planar lasers and costmaps; beams as in `Scan`."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, MeasuredScan
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, Scan
 from kinfeas.core.spatial import Array, wrap
 
 ANGLES = -np.pi + 2.0 * np.pi / SCAN_BEAMS * np.arange(SCAN_BEAMS)
@@ -122,7 +122,7 @@ def costmap_ranges(costmap: CostmapReading, base: tuple[float, float, float]) ->
     return np.where(blind, np.nan, reached)
 
 
-def combined(low: Array | None, high: Array | None, age: float) -> MeasuredScan:
+def combined(low: Array | None, high: Array | None, age: float) -> Scan:
     """Return the scan of the ranges of a laser and of a costmap, shape (b,), NaN where blind.
 
     Where one of them is missing or blind, its band has the ranges of the other. If a laser measures
@@ -136,7 +136,7 @@ def combined(low: Array | None, high: Array | None, age: float) -> MeasuredScan:
     if low is not None and np.isnan(low).all():
         blind = np.ones_like(blind)
     ranges = np.where(np.isnan(bands), SCAN_RANGE, bands)
-    return MeasuredScan(ranges[np.newaxis], blind, age)
+    return Scan(ranges[np.newaxis], blind, age)
 
 
 def costmap_of(

@@ -9,18 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kinfeas.config.quantities import PositiveSeconds
-from kinfeas.core.backend import SCAN_RANGE, Grip
+from kinfeas.core.backend import SCAN_RANGE, Grip, StopCall
 from kinfeas.core.errors import Fault
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.link import (
-    BaseReading,
-    JointReading,
-    Orders,
-    Readings,
-    RobotLink,
-    StopCall,
-)
+from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings, RobotLink
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.measurements import DRIFT, Drift
 from kinfeas.sim2real.link.scans import CostmapReading, LaserReading, costmap_of

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinfeas.control.drive import command_size
-from kinfeas.control.targets import RULES, TargetInbox, TargetRules
+from kinfeas.control.period import Period
+from kinfeas.control.targets import RULES, Progress, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.errors import Fault
 from kinfeas.core.motion import Rows
-from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
@@ -136,13 +135,13 @@ class TargetController:
         """Let the next period raise Fault with a reason, from any thread."""
         self._failure = reason
 
-    def start(self, loop: Any, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
+    def start(self, desired: Array, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
         """Rest where the EE is; earlier messages are dropped."""
         with self._lock:
             self._queue.clear()
-        self._inbox.start(loop.desired)
+        self._inbox.start(desired)
 
-    def targets(self, loop: Any, rows: Rows) -> Array:
+    def targets(self, progress: Progress) -> Array:
         """Return the target of the next period, shape (1, 7); raise Fault after `fail`."""
         if self._failure:
             raise Fault(self._failure)
@@ -150,14 +149,16 @@ class TargetController:
             messages = list(self._queue)
             self._queue.clear()
         now = np.array([self._clock()])
-        self.base_pose, self.pose, self.running = loop.state.base_pose[0], loop.desired[0], True
+        self.base_pose, self.pose = progress.base_pose[0], progress.desired[0]
+        self.running = True
         if messages:
             before = self.counts
             for message in messages:
                 self._read(message, now)
             self._watch(before, float(now[0]))
-        self._inbox.wait(rows, loop.time_scale, loop.desired)
-        self._inbox.advance(rows, now, loop.dt, loop.dt * loop.execution.time_scale)
+        rows, dt = progress.rows, progress.dt
+        self._inbox.wait(rows, progress.time_scale, progress.desired)
+        self._inbox.advance(rows, now, dt, progress.motion_seconds)
         return self._inbox.target
 
     @property
@@ -173,12 +174,9 @@ class TargetController:
         """Continue from a state that `snapshot` returned."""
         self._inbox.restore(snapshot)
 
-    def reset(self, loop: Any, rows: Rows) -> None:
-        """Do nothing: the state is that of the stream."""
-
-    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
-        """Return the command, or zero after the end of the stream."""
-        return command if self.live[0] else np.zeros((1, command_size(self.robot.base)))
+    def __call__(self, period: Period) -> Period:
+        """Return the period, with a base at rest after the end of the stream."""
+        return period if self.live[0] else period.commanded(np.zeros_like(period.command))
 
     def _put(
         self, values: ArrayLike, stamp: float | None, times: ArrayLike | None, frame: str

@@ -12,7 +12,7 @@ from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config.recipes import default_engine
 from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core import registry
-from kinfeas.core.backend import Grip, RobotState, SupportsScan, build_backend
+from kinfeas.core.backend import Grip, RobotState, build_backend
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.core.start import episode_rng
@@ -163,7 +163,8 @@ class SimulatedRobot:
 
     def scan(self) -> Array | None:
         """Return the ranges around the robot, as in `ScanRobotLink`; None if it has no scan."""
-        return self._backend.scan()[0] if isinstance(self._backend, SupportsScan) else None
+        scanner = self._backend.scanner
+        return None if scanner is None else scanner.scan().ranges[0]
 
     def _drive(self, velocity: Array) -> None:
         with self._lock:

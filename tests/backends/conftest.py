@@ -1,27 +1,31 @@
+"""Worlds of both physics engines, and a scene for them."""
+
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 
-from kinfeas.control.execution import tool_pose
-from kinfeas.core import registry, spatial
-from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkSolver
+from kinfeas.core import registry
+from kinfeas.robots.loading import read_robot
 from kinfeas.scenes.scene import read_scene
 from tests.builders import at, twist
 
-INERTIA = "<mass value='{}'/><inertia ixx='{}' iyy='{}' izz='{}' ixy='0' ixz='0' iyz='0'/>"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "own_robot"
+INERTIA = (
+    "<inertial>{}<mass value='{}'/>"
+    "<inertia ixx='{i}' iyy='{i}' izz='{i}' ixy='0' ixz='0' iyz='0'/></inertial>"
+)
+BOX = "<collision>{}<geometry><box size='{}'/></geometry></collision>"
 URDFS = {
-    "bar": f"""
-<robot name="bar"><link name="bar"><inertial>{INERTIA.format(0.3, 3e-4, 3e-4, 3e-4)}</inertial>
-  <collision><geometry><box size="0.04 0.04 0.1"/></geometry></collision></link></robot>""",
-    "wall": f"""
-<robot name="wall"><link name="wall">
-  <inertial><origin xyz="0.1 0.2 0.5"/>{INERTIA.format(10, 1, 1, 1)}</inertial>
-  <collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 6 1"/></geometry></collision>
-  </link></robot>""",
-    "chest": f"""
-<robot name="chest"><link name="chest"><inertial>{INERTIA.format(10, 1, 1, 1)}</inertial>
-    <collision><geometry><box size="0.5 0.5 0.5"/></geometry></collision></link>
-  <link name="drawer"><inertial>{INERTIA.format(2, 1, 1, 1)}</inertial></link>
+    "bar": f"""<robot name="bar"><link name="bar">{INERTIA.format("", 0.3, i=3e-4)}
+  {BOX.format("", "0.04 0.04 0.1")}</link></robot>""",
+    "wall": f"""<robot name="wall"><link name="wall">
+  {INERTIA.format("<origin xyz='0.1 0.2 0.5'/>", 10, i=1)}
+  {BOX.format("<origin xyz='0 0 0.5'/>", "0.1 6 1")}</link></robot>""",
+    "chest": f"""<robot name="chest"><link name="chest">{INERTIA.format("", 10, i=1)}
+  {BOX.format("", "0.5 0.5 0.5")}</link>
+  <link name="drawer">{INERTIA.format("", 2, i=1)}</link>
   <joint name="slide" type="prismatic"><parent link="chest"/><child link="drawer"/>
     <axis xyz="1 0 0"/><limit lower="-0.4" upper="0.4" velocity="1" effort="50"/>
     <dynamics damping="1" friction="3"/></joint></robot>""",
@@ -31,6 +35,7 @@ name: small
 size: [10, 10]
 objects:
   bar: {urdf: bar.urdf, position: [3, 3, 0.05], fixed: false}
+  post: {urdf: bar.urdf, position: [4, 4, 0.05]}
   wall: {urdf: wall.urdf, position: [-3, 0, 0]}
   chest: {urdf: chest.urdf, position: [0, -4, 0.5]}
 """
@@ -38,6 +43,7 @@ objects:
 
 @pytest.fixture(scope="session", params=["pybullet", "mujoco"])
 def engine(request):
+    """Class of the backend; modules of one engine replace it."""
     pytest.importorskip(request.param)
     return registry.load("kinfeas.backends", request.param)
 
@@ -80,8 +86,8 @@ def opened(engine):
     """A function that builds a world, which is closed after the test."""
     worlds = []
 
-    def build(robot, scene=None):
-        worlds.append(engine(robot, scene))
+    def build(robot, scene=None, **options):
+        worlds.append(engine(robot, scene, **options))
         return worlds[-1]
 
     yield build
@@ -89,11 +95,24 @@ def opened(engine):
         world.close()
 
 
-@pytest.fixture(scope="session")
-def between_fingers(hsr):
-    """World pose of the tool tip at home, x along the approach."""
-    ee = forward(IkSolver(hsr).chain, hsr.home["home"])
-    return spatial.compose(ee, tool_pose(hsr))
+@pytest.fixture
+def scout(tmp_path):
+    """A function that reads the example robot with changes of its URDF and its settings.
+
+    Its URDF lies in `rover/urdf`.
+    """
+    folder = tmp_path / "rover" / "urdf"
+
+    def read(change=lambda urdf: urdf, **settings):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "scout.urdf").write_text(change((EXAMPLE / "scout.urdf").read_text()))
+        spec = yaml.safe_load((EXAMPLE / "scout.yaml").read_text())
+        for key, values in settings.items():
+            spec[key] |= values
+        (folder / "scout.yaml").write_text(yaml.safe_dump(spec, sort_keys=False))
+        return read_robot(folder / "scout.yaml")
+
+    return read
 
 
 def place(world, x=0.0, y=0.0, yaw=0.0, joints=None, scene=None):
@@ -106,6 +125,7 @@ def place(world, x=0.0, y=0.0, yaw=0.0, joints=None, scene=None):
 
 
 def stay(world, ticks, base_twist=None, dt=0.02):
+    """Hold the arm at home for some control periods; return the states."""
     home = world.robot.home["home"][np.newaxis]
     command = twist() if base_twist is None else base_twist
     return [world.step(command, home, dt) for _ in range(ticks)]

@@ -10,7 +10,7 @@ import yaml
 
 from kinfeas.cli.train import read_settings
 from kinfeas.config.recipes import default_engine
-from kinfeas.control.adapters import read_sim2real
+from kinfeas.control.assemble import read_sim2real
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.training import train as training

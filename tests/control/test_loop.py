@@ -4,23 +4,21 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.config import PluginSpec
+from kinfeas.control.assemble import assemble
 from kinfeas.control.drive import base_twist
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion
-from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON, Seen, observe
 from kinfeas.core import spatial
-from kinfeas.core.backend import RobotState
+from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.errors import KinfeasError, raised_by
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
-from kinfeas.robots.loading import load_robot
 from tests.builders import random_poses, rngs
 
 
-class Recorder:
+class Recorder(Backend):
     """A backend that records commands; tests may displace its robots by `disturb` in each step."""
 
     def __init__(self, disturb=lambda: None) -> None:
@@ -60,7 +58,7 @@ def starts(robot, n, seed=0):
 
 
 def make_loop(solver, n, backend=None, **options):
-    loop = Loop(solver, [SubgoalMotion(Linear())], backend or AnalyticBackend(), **options)
+    loop = assemble(solver, [SubgoalMotion(Linear())], backend or AnalyticBackend(), **options)
     loop.start(starts(solver.robot, n), rngs(n))
     return loop
 
@@ -81,7 +79,7 @@ def test_desired_pose_is_the_generators_integrated_whatever_the_base_does(solver
     for _ in range(30):
         twist, state = generator.twist(state, desired, target, dt)
         desired = spatial.integrate(desired, twist, HORIZON)
-        np.testing.assert_array_equal(loop.policy_input.planned, desired)
+        np.testing.assert_array_equal(loop.observation.planned, desired)
         loop.step(actions(loop, 4, rng))
         np.testing.assert_array_equal(loop.desired, desired)
 
@@ -121,9 +119,9 @@ def test_observations_are_of_the_measured_state(solver):
     )
     in_base = forward(solver.chain, recorder.joints)
     expected = observe(
-        Seen(recorder.base, in_base, loop.observer.planned, loop.sequence.goal, recorder.joints)
+        Seen(recorder.base, in_base, loop.observation.planned, loop.sequence.goal, recorder.joints)
     )
-    np.testing.assert_array_equal(loop.policy_input.observation, expected)
+    np.testing.assert_array_equal(loop.observation.values, expected)
 
 
 def test_an_infeasible_step_keeps_the_arm_still(solver):
@@ -132,7 +130,7 @@ def test_an_infeasible_step_keeps_the_arm_still(solver):
     loop.step(still(loop))
     recorder.base[1, :2] += 6.0  # far beyond reach of its desired pose
     loop.start(starts(solver.robot, 1), rngs(1), np.array([0]))  # measures all rows
-    joints, planned = recorder.joints.copy(), loop.observer.planned.copy()
+    joints, planned = recorder.joints.copy(), loop.observation.planned.copy()
     step = loop.step(still(loop))
     np.testing.assert_array_equal(recorder.joints[1], joints[1])
     np.testing.assert_array_equal(loop.desired, planned)
@@ -147,14 +145,16 @@ def test_an_infeasible_step_keeps_the_arm_still(solver):
 @pytest.mark.parametrize("dt", [0.02, 0.05])
 def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
     fine, coarse = make_loop(solver, 4, dt=dt), make_loop(solver, 4)
-    np.testing.assert_array_equal(fine.policy_input.observation, coarse.policy_input.observation)
+    np.testing.assert_array_equal(fine.observation.values, coarse.observation.values)
     for _ in range(round(HORIZON / dt)):
         fine.step(still(fine))
     coarse.step(still(coarse))
     # The motion is a dynamic system of its own time: close, whatever the rate.
     np.testing.assert_allclose(fine.desired, coarse.desired, atol=1e-3)
-    metres = np.linalg.norm(fine.observer.planned[:, :3] - fine.desired[:, :3], axis=1)
-    coarse_metres = np.linalg.norm(coarse.observer.planned[:, :3] - coarse.desired[:, :3], axis=1)
+    metres = np.linalg.norm(fine.observation.planned[:, :3] - fine.desired[:, :3], axis=1)
+    coarse_metres = np.linalg.norm(
+        coarse.observation.planned[:, :3] - coarse.desired[:, :3], axis=1
+    )
     np.testing.assert_allclose(metres, coarse_metres, rtol=0.02)
 
 
@@ -187,7 +187,7 @@ def chained(solver, n, subgoals, shifts, backend=None, **execution):
     linear = Linear()
     motions = [SubgoalMotion(linear, **subgoal) for subgoal in subgoals]
     execution = ExecutionConfig(**execution)
-    loop = Loop(solver, motions, backend or Recorder(), execution=execution)
+    loop = assemble(solver, motions, backend or Recorder(), execution=execution)
     loop.start(start, rngs(n))
     return loop
 
@@ -205,9 +205,7 @@ def test_preparing_a_step_while_the_robot_moves_changes_nothing(solver):
     for prepares in (False, True):
         recorder = Recorder(lambda: loop.prepare() if prepares else None)  # noqa: B023
         loop = chained(solver, 2, ({}, {"dwell": 0.2}, {}), (-0.01, -0.02, -0.02), recorder)
-        seen.append(
-            [(loop.step(still(loop)).subgoal, loop.policy_input.observation) for _ in range(5)]
-        )
+        seen.append([(loop.step(still(loop)).subgoal, loop.observation.values) for _ in range(5)])
     for one, other in zip(*seen, strict=True):
         np.testing.assert_array_equal(one[0], other[0])
         np.testing.assert_array_equal(one[1], other[1])
@@ -238,7 +236,7 @@ def test_only_a_feasible_step_ends_a_subgoal(solver):
     recorder = Recorder()
     loop = chained(solver, 1, ({},), (0.0,), recorder)
     away = np.array([5.0, 0, 0, 0, 0, 0, 0])
-    loop.state = RobotState(loop.state.base_pose + away, loop.state.joint_positions)
+    loop.robots = RobotState(loop.robots.base_pose + away, loop.robots.joint_positions)
     step = loop.step(still(loop))
     assert not step.feasible.any()
     assert np.all(step.goal_distance <= 0.025)
@@ -250,6 +248,7 @@ class Hands(Recorder):
 
     def __init__(self) -> None:
         super().__init__()
+        self.gripper = self
         self.grips: list[tuple] = []
 
     def grip(self, grip, env_ids):
@@ -275,10 +274,10 @@ def test_time_scale_changes_the_motion_but_not_the_observation(solver):
     plain, slow = loops = [
         make_loop(solver, 3, execution=ExecutionConfig(time_scale=scale)) for scale in (1.0, 0.5)
     ]
-    np.testing.assert_array_equal(slow.policy_input.observation, plain.policy_input.observation)
+    np.testing.assert_array_equal(slow.observation.values, plain.observation.values)
     # Policies that do not learn read the motion as it will be.
-    metres, radians = spatial.distance(slow.desired, slow.observer.planned)
-    full_metres, full_radians = spatial.distance(plain.desired, plain.observer.planned)
+    metres, radians = spatial.distance(slow.desired, slow.observation.planned)
+    full_metres, full_radians = spatial.distance(plain.desired, plain.observation.planned)
     np.testing.assert_allclose(2.0 * metres, full_metres)
     np.testing.assert_allclose(2.0 * radians, full_radians)
     start = plain.desired
@@ -294,31 +293,19 @@ def test_ik_starts_from_the_last_joint_command(solver):
     for _ in range(5):
         loop.step(still(loop))
         expected.step(still(expected))
-        loop.state = RobotState(loop.state.base_pose, loop.state.joint_positions - 0.05)
+        loop.robots = RobotState(loop.robots.base_pose, loop.robots.joint_positions - 0.05)
     joint_command, same = (one.backend.steps[-1][1] for one in (loop, expected))
     np.testing.assert_array_equal(joint_command, same)
-    loop.backend.joints -= 0.05
-    loop.start(starts(solver.robot, 1), rngs(1), np.array([1]))
-    np.testing.assert_array_equal(loop.joint_command[0], joint_command[0])
-
-
-def test_the_torso_moves_as_the_action_says():
-    solver = IkSolver(load_robot("tiago"))
-    loop = make_loop(solver, 3)
-    loop.action_terms = ("base_velocity", "torso_velocity")
-    step, before = solver.robot.max_joint_velocity[0] * loop.dt, loop.joint_command[:, 0]
-    loop.step(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -0.5], [0.0, 0.0, 0.0]]))
-    moved = loop.state.joint_positions[:, 0] - before
-    np.testing.assert_allclose(moved, [step, -0.5 * step, 0.0], atol=1e-12)
-    for _ in range(100):
-        loop.step(np.full((3, 3), [0.0, 0.0, 1.0]))
-    assert np.all(loop.joint_command[:, 0] == solver.robot.joint_limits[1][0])
 
 
 class Swinging(Recorder):
     """The first arm is on its way to another configuration, or there."""
 
-    there = False
+    there = True
+
+    def __init__(self):
+        super().__init__()
+        self.resumable = self
 
     @property
     def state(self):
@@ -338,7 +325,8 @@ def test_base_and_motion_pause_while_an_arm_reconfigures(solver):
     pausing = ExecutionConfig(arm_settle_timeout=0.5)
     backend, resumed = Swinging(), Swinging()
     loop, other = (make_loop(solver, 2, one, execution=pausing) for one in (backend, resumed))
-    loop.joint_command = backend.joints.copy()
+    backend.there = resumed.there = False
+    loop.measure(backend.state)
     moves = []
     for period in range(10):
         if period == 3:
@@ -362,10 +350,10 @@ class Counter:
     def __init__(self):
         self.calls = np.zeros(3, dtype=int)
 
-    def reset(self, loop, rows):
+    def reset(self, rows, n):
         self.calls[rows] = 0
 
-    def act(self, policy_input):
+    def act(self, observation):
         self.calls += 1
         return np.zeros((3, 3))
 
@@ -376,30 +364,30 @@ class Halves:
     def __init__(self):
         self.fresh = []
 
-    def reset(self, loop, rows):
+    def reset(self, rows, n):
         self.fresh.append(rows.tolist())
 
-    def __call__(self, command, policy_input):
-        return 0.5 * command
+    def __call__(self, period):
+        return period.commanded(0.5 * period.command)
 
 
 def test_policies_and_filters_are_reset_for_rows_that_begin_anew(solver):
     policy, halves = Counter(), Halves()
-    loop = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend(), filters=[halves])
-    loop.set_policy(policy)
+    motions = [SubgoalMotion(Linear())]
+    loop = assemble(solver, motions, AnalyticBackend(), filters=[halves], policy=policy)
     loop.start(starts(solver.robot, 3), rngs(3))
-    np.testing.assert_array_equal(loop.policy_input.observation, loop.state.joint_positions)
+    np.testing.assert_array_equal(loop.observation.values, loop.robots.joint_positions)
     for _ in range(2):
-        loop.step(policy.act(loop.policy_input))
+        loop.step()
     loop.start(starts(solver.robot, 1), rngs(1), np.array([1]))
     assert policy.calls.tolist() == [2, 0, 2]
-    assert loop.periods.tolist() == [2, 0, 2]
+    assert loop.sequence.periods.tolist() == [2, 0, 2]
     assert halves.fresh == [[0, 1, 2], [1]]
 
 
 class Ones(Halves):
-    def __call__(self, command, policy_input):
-        return np.ones_like(command)
+    def __call__(self, period):
+        return period.commanded(np.ones_like(period.command))
 
 
 def test_filters_apply_in_order(solver):
@@ -411,29 +399,25 @@ def test_filters_apply_in_order(solver):
         sent.append(recorder.steps[-1][0][:, 5])
     np.testing.assert_allclose(2.0 * sent[0], sent[1])
     assert np.all(sent[1] == solver.robot.base.max_rotation)
-    loop = make_loop(solver, 2, filters=[FeasibilityFilter(), Halves()])
-    before = loop.state.base_pose
+    loop = make_loop(solver, 2, filters=[PluginSpec("feasibility"), Halves()])
+    before = loop.robots.base_pose
     loop.step(np.ones((2, 3)))
     twist = base_twist(loop.robot.base, before, loop.previous_command, loop.dt)
     moved = spatial.integrate(before, twist, loop.dt)
-    np.testing.assert_array_equal(loop.state.base_pose, moved)
+    np.testing.assert_array_equal(loop.robots.base_pose, moved)
 
 
 class AtHalfSpeed(Ones):
-    def reset(self, loop, rows):
-        self.loop = loop
-
-    def __call__(self, command, policy_input):
-        self.loop.slow_down(np.full(len(command), 0.5))
-        return command
+    def __call__(self, period):
+        return period.slowed(np.full(len(period.command), 0.5))
 
 
 def test_a_motion_that_slows_down_gets_arms_of_its_own(solver):
     arms = []
-    for filters in ([AtHalfSpeed()], [FeasibilityFilter(), AtHalfSpeed()]):
+    for filters in ([AtHalfSpeed()], [PluginSpec("feasibility"), AtHalfSpeed()]):
         loop = make_loop(solver, 8, filters=filters)
         assert loop.step(still(loop)).feasible.all()
-        arms.append(loop.joint_command)
+        arms.append(loop.robots.joint_positions)
     np.testing.assert_array_equal(*arms)
 
 
@@ -443,8 +427,8 @@ def test_a_motion_that_slows_down_gets_arms_of_its_own(solver):
 ])  # fmt: skip
 def test_wrong_commands_of_a_filter_are_refused(solver, answer, named):
     class Wrong(Ones):
-        def __call__(self, command, policy_input):
-            return answer(command)
+        def __call__(self, period):
+            return replace(period, command=answer(period.command))
 
     loop = make_loop(solver, 2, filters=[Wrong()])
     with pytest.raises(KinfeasError, match=f"command filter Wrong.*{named}"):
@@ -453,10 +437,10 @@ def test_wrong_commands_of_a_filter_are_refused(solver, answer, named):
 
 def test_exceptions_of_filters_and_policies_name_them(solver):
     class Broken(Counter):
-        def __call__(self, command, policy_input):
+        def __call__(self, period):
             raise LookupError("boom")
 
-        def reset(self, loop, rows):
+        def reset(self, rows, n):
             raise LookupError("boom")
 
     loop = make_loop(solver, 2)
@@ -470,13 +454,11 @@ def test_exceptions_of_filters_and_policies_name_them(solver):
 
 
 @pytest.mark.parametrize("terms", [
-    {"action_terms": ("time_scale", "base_velocity")}, {"action_terms": ("nope",)},
     {"observation_terms": ("goal_positon",)}, {"observation_terms": "goal_position"},
     {"observation_terms": ()}, {"observation_terms": 5}, {"observation_terms": [["ee_position"]]},
-    {"action_terms": {"base_velocity": 1}}, {"action_terms": None},
 ])  # fmt: skip
-def test_terms_of_policies_are_known_and_begin_with_the_base(solver, terms):
+def test_terms_of_policies_are_known(solver, terms):
     loop, policy = make_loop(solver, 1), Counter()
     vars(policy).update(terms)
-    with pytest.raises(KinfeasError, match=r"policy Counter: '(observation|action)'"):
+    with pytest.raises(KinfeasError, match="policy Counter: 'observation'"):
         loop.set_policy(policy)

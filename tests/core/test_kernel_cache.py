@@ -3,60 +3,58 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numba
 import pytest
 
-from kinfeas.core import kernel_cache
-from kinfeas.core.errors import KinfeasError
-
-USE = """
+PROGRAM = """
 import numba
 from kinfeas.core import kernel_cache
 kernel_cache.settle()
 print(numba.config.CACHE_DIR)
-double = numba.njit(cache=True)(kernel_cache._any)
-double()
+
+@numba.njit(cache=True)
+def double(x):
+    return 2 * x
+
+double(1)
 """
-NOWHERE = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": ""}
-"""What numba finds where neither the sources nor the home can be written."""
 
 
 @pytest.fixture
-def nowhere(monkeypatch, tmp_path):
-    """Numba with nowhere to cache, and a folder for temporary files."""
-
-    def refuse(**_):
-        def decorate(_):
-            raise RuntimeError("no locator available")
-
-        return decorate
-
-    monkeypatch.setattr(numba, "njit", refuse)
-    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(tmp_path))
-    monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
-    return tmp_path
+def folder(tmp_path):
+    return tmp_path / f"kinfeas-{os.getuid()}"
 
 
-def test_kernels_are_cached_in_the_temporary_folder_without_another(tmp_path):
-    environment = {**os.environ, **NOWHERE, "TMPDIR": str(tmp_path), "XDG_CACHE_HOME": os.devnull}
-    done = subprocess.run(
-        [sys.executable, "-c", USE], env=environment, check=True, capture_output=True, text=True
-    )
-    folder = tmp_path / f"kinfeas-{os.getuid()}"
-    assert Path(done.stdout.strip()) == folder
+@pytest.fixture
+def program(tmp_path):
+    """A function that compiles a kernel where only the folder for temporary files is writable."""
+
+    def run():
+        (tmp_path / "program.py").write_text(PROGRAM)
+        writable = {"TMPDIR": str(tmp_path), "XDG_CACHE_HOME": os.devnull, "NUMBA_CACHE_DIR": ""}
+        environment = (
+            os.environ | writable | {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
+        )
+        command = [sys.executable, tmp_path / "program.py"]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+    return run
+
+
+def test_kernels_are_cached_in_the_temporary_folder_without_another(program, folder):
+    done = program()
+    assert Path(done.stdout.strip()) == folder, done.stderr
     assert folder.stat().st_mode & 0o777 == 0o700
     assert list(folder.rglob("*.nbc"))
 
 
-def test_nothing_is_run_that_another_user_may_have_written(nowhere):
-    folder = nowhere / f"kinfeas-{os.getuid()}"
-    folder.mkdir()
-    folder.chmod(0o777)
-    with pytest.raises(KinfeasError, match="NUMBA_CACHE_DIR"):
-        kernel_cache.settle()
-    folder.rmdir()
-    folder.symlink_to(nowhere)
-    with pytest.raises(KinfeasError, match="NUMBA_CACHE_DIR"):
-        kernel_cache.settle()
-    assert not numba.config.CACHE_DIR
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_folder_that_others_can_write_is_an_error(program, folder, tmp_path, linked):
+    if linked:
+        folder.symlink_to(tmp_path)
+    else:
+        folder.mkdir()
+        folder.chmod(0o777)
+    done = program()
+    assert done.returncode == 1
+    assert "KinfeasError" in done.stderr
+    assert "NUMBA_CACHE_DIR" in done.stderr

@@ -1,5 +1,4 @@
 import re
-import sys
 import textwrap
 import tomllib
 from importlib.util import find_spec
@@ -13,7 +12,6 @@ from kinfeas.core.extras import EXTRAS, require
 from kinfeas.core.registry import Plugin
 
 MOTIONS, ROBOTS = "kinfeas.motion_generators", "kinfeas.robots"
-
 SOUND = """
     from dataclasses import dataclass
     from pathlib import Path
@@ -31,7 +29,6 @@ SOUND = """
         def __init__(self, height, *, width=1.0):
             if height < 0.0:
                 raise ValueError(f"height must be positive, not {height}")
-            self.size = (height, width)
 
     class Lenient:
         def __init__(
@@ -41,39 +38,28 @@ SOUND = """
         ):
             self.kept = (lag, count, name, on, ends, file, rest)
 
-    def anything(**parameters):
-        return parameters
-
     NUMBER = 3
 
     def my_robot():
         return Path(__file__).with_name("my_robot.yaml")
 """
+ENTRIES = {"wave": "Wave", "lenient": "Lenient", "shaped": "Shaped", "number": "NUMBER"}
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 
 
 @pytest.fixture
-def install(tmp_path, monkeypatch):
-    def make(name: str, module: str, source: str, entries: dict[str, list[str]]) -> None:
-        site = tmp_path / name
-        info = site / f"{name}-1.2.dist-info"
-        info.mkdir(parents=True)
-        (site / f"{module}.py").write_text(textwrap.dedent(source))
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
-        lines = [line for group, rows in entries.items() for line in (f"[{group}]", *rows)]
-        (info / "entry_points.txt").write_text("\n".join(lines))
-        monkeypatch.delitem(sys.modules, module, raising=False)
-        monkeypatch.syspath_prepend(str(site))
-
-    return make
-
-
-@pytest.fixture
-def sound(install):
-    motions = ["wave = sound_module:Wave", "any = sound_module:anything"]
-    motions += ["lenient = sound_module:Lenient", "shaped = sound_module:Shaped"]
-    motions += ["number = sound_module:NUMBER", "absent = sound_module:Absent"]
-    robots = ["mine = sound_module:my_robot"]
-    install("sound", "sound_module", SOUND, {MOTIONS: motions, "kinfeas.robots": robots})
+def sound(offer, tmp_path):
+    """Install a distribution with motion generators and a robot."""
+    (tmp_path / "kinfeas_sound.py").write_text(textwrap.dedent(SOUND))
+    entries = "\n".join(
+        f'{name} = "kinfeas_sound:{member}"'
+        for name, member in {**ENTRIES, "absent": "Absent"}.items()
+    )
+    (tmp_path / "pyproject.toml").write_text(
+        f'[project]\nname = "sound"\nversion = "1.2"\n[project.entry-points."{MOTIONS}"]\n'
+        f'{entries}\n[project.entry-points."{ROBOTS}"]\nmine = "kinfeas_sound:my_robot"\n'
+    )
+    offer(tmp_path)
 
 
 def message(call, *arguments) -> str:
@@ -93,11 +79,9 @@ def test_built_in_and_outside_plugins_are_listed(sound):
     assert str(plugin) == "motion generator 'wave' (sound 1.2)"
 
 
-def test_unknown_names_and_groups(sound):
+def test_errors_of_unknown_names_and_groups_show_the_known_ones(sound):
     text = message(registry.load, MOTIONS, "wav")
-    assert "'wav'" in text
-    assert "'wave'" in text
-    assert "linear" in text
+    assert all(word in text for word in ("'wav'", "'wave'", "linear"))
     assert "'kinfeas.robot'" in message(registry.names, "kinfeas.robot")
 
 
@@ -112,55 +96,49 @@ def test_unknown_names_and_groups(sound):
     ("number", {}, "int"),
     ("absent", {}, "Absent"),
 ])  # fmt: skip
-def test_invalid_parameters_name_plugin_and_key(sound, name, parameters, key):
+def test_errors_of_parameters_name_plugin_and_key(sound, name, parameters, key):
     text = message(registry.build, MOTIONS, name, parameters)
     assert text.startswith(f"motion generator '{name}' (sound 1.2)")
     assert re.search(key, text)
 
 
 def test_parameters_are_converted_to_their_annotations(sound):
-    given = {"lag": 1, "count": 2, "ends": [1, 2], "file": "a", "rest": None, "shape": [1]}
-    built = registry.build(MOTIONS, "lenient", {**given, "table": {1: 2.0}})
+    values = {"lag": 1, "count": 2, "ends": [1, 2], "file": "a", "rest": None, "shape": [1]}
+    built = registry.build(MOTIONS, "lenient", {**values, "table": {1: 2.0}})
     assert built.kept == (1, 2, "", False, (1, 2), Path("a"), None)
-    given = {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
-    shape, file = registry.build(MOTIONS, "shaped", given).kept
+    values = {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
+    shape, file = registry.build(MOTIONS, "shaped", values).kept
     assert (shape.width, shape.ends, file) == (1.0, (1.0, 2.0), Path("a.yaml"))
-    assert given == {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
+    assert values == {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
 
 
 class Hop:
     pass
 
 
-@pytest.fixture
-def registered(monkeypatch):
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-    registry.register(MOTIONS, "hop", Hop)
-
-
-def test_register_raises_for_used_names_inner_classes_and_unknown_groups(registered):
+def test_names_are_registered_once_in_known_groups_by_top_level_classes(unregistered):
     class Inner:
         pass
 
-    assert "'linear'" in message(registry.register, MOTIONS, "linear", Hop)
-    assert "Inner" in message(registry.register, MOTIONS, "inner", Inner)
-    assert "lambda" in message(registry.register, MOTIONS, "lambda", lambda: Hop())
-    assert "kinfeas.hops" in message(registry.register, "kinfeas.hops", "hop", Hop)
-
-
-PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    registry.register(MOTIONS, "hop", Hop)
+    assert registry.load(MOTIONS, "hop") is Hop
+    for group, name, factory, word in (
+        (MOTIONS, "linear", Hop, "'linear'"),
+        (MOTIONS, "inner", Inner, "Inner"),
+        (MOTIONS, "lambda", lambda: Hop(), "lambda"),
+        ("kinfeas.hops", "hop", Hop, "kinfeas.hops"),
+    ):
+        assert word in message(registry.register, group, name, factory)
 
 
 def test_the_extras_are_those_of_the_distribution():
-    distribution = set(PROJECT["optional-dependencies"])
-    assert set(EXTRAS) == distribution - {"all", "docs", "test", "dev"}
+    extras = set(PROJECT["optional-dependencies"]) - {"all", "docs", "test", "dev"}
+    assert set(EXTRAS) == extras
 
 
 def test_missing_packages_are_named_with_their_extras(monkeypatch):
-    monkeypatch.setattr(
-        "kinfeas.core.extras.find_spec",
-        lambda name: None if name in ("torch", "av") else find_spec(name),
-    )
+    installed = lambda name: None if name in ("torch", "av") else find_spec(name)  # noqa: E731
+    monkeypatch.setattr("kinfeas.core.extras.find_spec", installed)
     require("numpy")
     with pytest.raises(KinfeasError, match=r"'kinfeas\[train,video\]'"):
         require("torch", "numpy", "av")

@@ -2,13 +2,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.core.solids import MovingSolids, Solids
+from kinfeas.core.solids import MovingSolids, Solids, stacked_solids
 
 
-def row(*places):
+def row(*positions):
     """Return one row of boxes at (x, y), each half a metre wide."""
-    solids = Solids.empty(1, len(places))
-    solids.pose[0, :, :2], solids.size[0] = places, [0.25, 0.25, 0.0, 1.0]
+    solids = Solids.empty(1, len(positions))
+    solids.pose[0, :, :2], solids.size[0] = positions, [0.25, 0.25, 0.0, 1.0]
     return solids
 
 
@@ -23,7 +23,7 @@ def test_moving_solids_stay_on_their_span_and_keep_their_speed(seconds, speed, s
     np.testing.assert_allclose(period, at[0], atol=1e-6)
 
 
-def test_solids_that_do_not_move_have_no_velocity():
+def test_solids_without_a_span_have_no_velocity():
     solids = row((1.0, 2.0), (3.0, 2.0))
     solids.velocity[0, :, 0], solids.span[0, 1] = 0.1, 1.0
     then = solids.at(np.array([1.0]))
@@ -34,9 +34,19 @@ def test_solids_that_do_not_move_have_no_velocity():
 def test_no_margin_removes_a_solid_or_makes_one():
     solids = row((1.0, 2.0), (3.0, 2.0), (4.0, 2.0))
     solids.size[0, 1, 0], solids.size[0, 2, 1] = 0.02, 0.0
-    np.testing.assert_array_equal(solids.wider(-0.03).filled, [[True, True, False]])
-    np.testing.assert_array_equal(solids.wider(0.03).filled, [[True, True, False]])
+    for margin in (-0.03, 0.03):
+        np.testing.assert_array_equal(solids.wider(margin).filled, [[True, True, False]])
     assert np.isinf(solids.gaps(np.zeros((1, 1, 3)))[0][0, 0]).tolist() == [False, False, True]
+
+
+def test_stacked_rows_are_filled_up_with_empty_places():
+    one, two = row((1.0, 2.0)), row((3.0, 4.0), (5.0, 6.0))
+    together = stacked_solids([one, Solids.empty(1), two])
+    assert together.filled.tolist() == [[True, False], [False, False], [True, True]]
+    for i, part in ((0, one), (2, two)):
+        np.testing.assert_array_equal(together.of(np.array([i])).table, part.table)
+        again = Solids.from_table(part.table)
+        np.testing.assert_array_equal(again.table, part.table)
 
 
 def test_rows_get_solids_and_times_of_their_own():

@@ -67,13 +67,13 @@ def test_records_are_sums_over_the_steps(world, policy, records, episode):
     world.start([episode])
     seen = []
     while not seen or not seen[-1].done.any():
-        seen.append(world.step(policy.act(world.loop.policy_input)))
-    deviation = np.array([one.step.deviation[0] for one in seen])
+        seen.append(world.step(policy.act(world.loop.observation)))
+    deviation = np.array([one.outcome.deviation[0] for one in seen])
     assert records.steps[episode] == len(seen)
-    assert records.failures[episode] == sum(not one.step.feasible[0] for one in seen)
-    assert records.joint_jumps[episode] == sum(one.step.joint_jump[0] for one in seen)
+    assert records.failures[episode] == sum(not one.outcome.feasible[0] for one in seen)
+    assert records.joint_jumps[episode] == sum(one.outcome.joint_jump[0] for one in seen)
     assert records.reached[episode] == seen[-1].reached[0]
-    assert records.final_distance[episode] == seen[-1].step.goal_distance[0]
+    assert records.final_distance[episode] == seen[-1].outcome.goal_distance[0]
     assert records.max_deviation[episode] == deviation.max()
     assert records.mean_deviation[episode] == pytest.approx(deviation.mean())
 

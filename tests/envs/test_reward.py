@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.control.loop import Step
+from kinfeas.control.loop import Outcome
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.spec import PoseTolerance
@@ -16,7 +16,7 @@ def step(feasible, metres=0.0, radians=0.0):
     n = len(feasible)
     zero, no = np.zeros(n), np.zeros(n, dtype=bool)
     subgoal = np.zeros(n, dtype=np.intp)
-    return Step(
+    return Outcome(
         feasible, zero + metres, zero + radians, zero, subgoal, zero, zero, no, no, zero + 1.0
     )
 
@@ -99,13 +99,12 @@ def test_continuous_joints_have_no_limit():
     np.testing.assert_allclose(earned, 0.0, atol=1e-12)
 
 
-def test_collisions_and_slow_motions_cost(exact_robot):
-    weights = RewardConfig("indicator", 0.0, limit_penalty=0.0, slow_penalty=0.5)
+def test_collisions_cost(exact_robot):
+    weights = RewardConfig("indicator", 0.0, limit_penalty=0.0)
     touched = np.array([[True, False], [False, True], [False, False]])
-    scale = np.array([1.0, 1.0, 0.2])
-    seen = replace(step(np.ones(3, dtype=bool)), collision=touched, time_scale=scale)
+    seen = replace(step(np.ones(3, dtype=bool)), collision=touched)
     earned = reward(weights, exact_robot, seen, np.zeros((3, 2)), middle(exact_robot, 3))
-    np.testing.assert_allclose(earned, [-10.0, -1.0, -0.32])
+    np.testing.assert_allclose(earned, [-10.0, -1.0, 0.0])
 
 
 def test_the_distance_from_the_planned_base_costs(exact_robot):

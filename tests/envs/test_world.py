@@ -7,7 +7,7 @@ from kinfeas import config
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.core import registry
-from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, RealTimeBackend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import planar_pose, relative, yaw
@@ -62,7 +62,7 @@ def trace(world, episodes, steps=40, policy=None):
     policy, found = policy or random_network(world.robot, 64), []
     world.start(episodes)
     for _ in range(steps):
-        transition = world.step(policy.act(world.loop.policy_input))
+        transition = world.step(policy.act(world.loop.observation))
         found.append(np.column_stack([transition.observation, transition.reward]))
     return np.stack(found, axis=1)
 
@@ -104,10 +104,10 @@ def test_an_episode_is_the_same_in_any_row_and_after_others(hsr):
     expected, policy = trace(world, range(8)), random_network(hsr, 64)
     world.start(range(100, 105))
     for _ in range(13):
-        world.step(policy.act(world.loop.policy_input))
+        world.step(policy.act(world.loop.observation))
     world.start([7, 2], np.array([4, 0]))
     for i in range(40):
-        transition = world.step(policy.act(world.loop.policy_input))
+        transition = world.step(policy.act(world.loop.observation))
         seen = np.column_stack([transition.observation, transition.reward])
         np.testing.assert_array_equal(seen[[4, 0]], expected[[7, 2], i])
 
@@ -125,9 +125,9 @@ def test_a_world_continues_from_a_snapshot_to_the_bit(hsr, task, config, terms):
     trace(world, range(4), 60, policy)
     world.failures += np.arange(4)
     kept = {key: values.copy() for key, values in world.snapshot().items()}
-    np.testing.assert_array_equal(other.restore(kept), world.loop.policy_input.observation)
+    np.testing.assert_array_equal(other.restore(kept), world.loop.observation.values)
     for _ in range(60):
-        action = policy.act(world.loop.policy_input)
+        action = policy.act(world.loop.observation)
         one, two = world.step(action), other.step(action)
         for key in ("observation", "reward", "done"):
             np.testing.assert_array_equal(getattr(one, key), getattr(two, key))
@@ -189,11 +189,10 @@ def test_the_time_limit_truncates_and_is_in_motion_time(hsr, changes, steps):
 def test_the_time_limit_is_that_of_a_sub_goal(hsr):
     world = make(hsr, CHAIN, WorldConfig(max_seconds=4.0, max_failures=999), seed=0)
     world.start([0, 1])
-    real = world.loop.sequence.advance
     # The first row ends each sub-goal, its dwell included, on its last step; the second one none.
     for i in range(80):
         ends = np.array([i in (34, 79), False])
-        world.loop.sequence.advance = lambda *_, ends=ends: real(ends)
+        world.loop.sequence.ended = lambda _, ends=ends: ends
         transition = world.step(idle(world, 2))
         assert not transition.truncated[0]
         assert transition.truncated[1] == (i >= 39)
@@ -220,7 +219,7 @@ def test_a_restart_counts_from_zero(world):
     np.testing.assert_array_equal(world.failures, [10, 0])
 
 
-class RealRobot(AnalyticBackend):
+class RealRobot(AnalyticBackend, RealTimeBackend):
     closed = False
 
     def read(self):
@@ -252,12 +251,12 @@ def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):
     world.start(range(4))
     ahead = np.tile([1.0, 0.0, 0.0], (4, 1))
     for _ in range(200):
-        before = world.loop.state.base_pose
+        before = world.loop.robots.base_pose
         transition = world.step(ahead)
         if transition.terminated.any():
             break
     assert transition.terminated.all()
-    assert transition.step.collision[:, 0].all()
+    assert transition.outcome.collision[:, 0].all()
     assert not transition.reached.any()
     assert transition.reward.max() < -9.0
     # The wall's near side is 0.9 m ahead, and HSR's base has a radius of about 0.22 m.
@@ -279,14 +278,14 @@ def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
     world = World(hsr, load_task("ggr_obstacles"), evaluation_world(), 1)
     world.loop.observer.terms = ("planned_base",)
     seen = world.start(range(8))
-    base = world.loop.policy_input.planned_base
-    expected = relative(base, world.loop.state.base_pose)
+    base = world.loop.observation.planned_base
+    expected = relative(base, world.loop.robots.base_pose)
     np.testing.assert_allclose(seen[:, :2], expected[:, :2])
     assert np.isfinite(base).sum() >= 6 * 7
     along = FollowBase(hsr.base, source="planned_base")
     off = []
     for _ in range(100):
-        world.step(along.act(world.loop.policy_input))
+        world.step(along.act(world.loop.observation))
         off.append(world.loop.observer.base_error)
     assert np.median(off) < 0.25
     still = World(hsr, load_task("ggr"), WorldConfig(), 1)
@@ -305,9 +304,9 @@ def test_redundant_arms_follow_their_whole_body_plan():
     world.start(range(8))
     along = FollowBase(robot.base, source="planned_base")
     for _ in range(100):
-        world.step(along.act(world.loop.policy_input))
+        world.step(along.act(world.loop.observation))
     planned = world.loop.sequence.planned_joints
-    way = joint_displacement(robot, world.loop.joint_command, planned)
+    way = joint_displacement(robot, world.loop.robots.joint_positions, planned)
     assert np.nanmedian(np.abs(way)) < 0.1  # 0.21 where IK does not know the plan
 
 
@@ -316,7 +315,7 @@ def test_furniture_is_scanned_and_has_distances_in_the_analytic_world(hsr):
     world.start([0])
     before_shelf = planar_pose(np.array([2.0]), np.zeros(1), np.zeros(1))
     world.backend.reset(before_shelf, hsr.home["home"][np.newaxis], np.zeros(1, dtype=np.intp))
-    ahead = world.backend.scan()[0, :, SCAN_BEAMS // 2]
+    ahead = world.backend.scan().ranges[0, :, SCAN_BEAMS // 2]
     np.testing.assert_allclose(ahead, 0.5)
     found = world.backend.obstacle_distances(1.0)
     assert found.distance.min() == pytest.approx(0.5 - 0.226, abs=0.01)  # the base's radius

@@ -8,14 +8,13 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import SimpleNamespace
 
 import numpy as np
 import onnxruntime
 
 from kinfeas.config.recipes import load_section
 from kinfeas.control.drive import command_size
-from kinfeas.control.filters.obstacle_distance import ObstacleFilter
+from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.evaluation.evaluate import prepare, run
@@ -32,7 +31,7 @@ from kinfeas.training.train import train
 ROBOTS = ("pr2", "tiago", "hsr")
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 FEASIBILITY_FILTER = 'world.filters=[{"name": "feasibility"}]'
-ROLLOUT_PLANNER = 'world.filters=[{"name": "rollout_planner"}]'
+PATH_PLANNER = 'world.filters=[{"name": "path_planner"}, {"name": "feasibility"}]'
 SEED = 1
 
 
@@ -56,10 +55,8 @@ def obstacle_filter(robot, count=300, obstacles=3):
             found = np.where(distances < within, distances, np.inf)
             return ObstacleDistances(0.3 * directions, directions, found)
 
-    loop = SimpleNamespace(robot=SimpleNamespace(base=base), backend=Around(), dt=0.1)
-    one = ObstacleFilter(0.03)
-    one.reset(loop, np.arange(count))
-    return {"commands": commands, "filtered": one.constraints(count).hold(commands)}
+    constraints = VelocityDamper(base, 0.1, 0.03).constraints(Around(), count)
+    return {"commands": commands, "filtered": constraints.hold(commands)}
 
 
 def ik(robot, count=1000):
@@ -95,8 +92,8 @@ def policy(robot, count=8, steps=5):
         world = World(known, load_task(task, {}), evaluation_world(), SEED)
         observations.append(world.start(range(count)).copy())
         for _ in range(steps):
-            world.step(network.act(world.loop.policy_input))
-        observations.append(world.loop.policy_input.observation.copy())
+            world.step(network.act(world.loop.observation))
+        observations.append(world.loop.observation.values.copy())
     seen = np.concatenate(observations)
     with TemporaryDirectory() as temporary:
         file = Path(temporary) / "policy.onnx"
@@ -146,7 +143,7 @@ FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         for r in ROBOTS
         for t in TASKS
     },
-    **{f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, ROLLOUT_PLANNER) for r in ROBOTS},
+    **{f"path_planner-{r}": partial(episodes, r, "drawer", 2, PATH_PLANNER) for r in ROBOTS},
     **{f"physics-{r}": partial(episodes, r, "drawer", 2, backend="pybullet") for r in ROBOTS},
     **{f"obstacle_filter-{r}": partial(obstacle_filter, r) for r in ROBOTS},
     **{f"ik-{r}": partial(ik, r) for r in ROBOTS},

@@ -10,7 +10,7 @@ import pytest
 from tests.golden.figures import FIGURES
 from tests.golden.renew import DATA
 
-SLOW = ("rollout_planner", "physics")
+SLOW = ("path_planner", "physics")
 CLOSE = 1e-6
 OTHER_SOLUTIONS = 0.002
 """Share of IK targets for which another restart may win."""

@@ -23,8 +23,8 @@ def test_a_stream_is_followed_to_its_end_without_failure_and_jump(name):
     assert (records.steps == 80).all()
     assert records.success.all()
     assert not records.joint_jumps.any()
-    assert records.way is not None
-    assert (records.way > 0.0).all()
+    assert records.path_length is not None
+    assert (records.path_length > 0.0).all()
     assert (records.final_distance <= records.max_deviation).all()
 
 
@@ -32,7 +32,7 @@ def test_a_stream_is_followed_to_its_end_without_failure_and_jump(name):
 def test_targets_keep_their_speed_and_heights(name):
     made = world(name, seconds=20.0)
     made.start(range(8))
-    inbox = made.loop.target_stream.inbox
+    inbox = made.loop.stream.inbox
     low, high = made.robot.goal_heights["ggr_restricted"]
     offset = 0.1 if name == "chunks" else 0.0
     for _ in range(150):
@@ -50,7 +50,7 @@ def test_targets_wait_for_the_head_start_of_the_ee():
     made.start(range(4))
     for _ in range(15):
         made.step(np.zeros((4, 3)))
-    ahead = spatial.distance(made.loop.target_stream.inbox.target, made.loop.desired)[0]
+    ahead = spatial.distance(made.loop.stream.inbox.target, made.loop.desired)[0]
     assert ahead.max() <= 0.2 * 0.1
 
 
@@ -60,7 +60,7 @@ def test_messages_of_slow_streams_begin_at_the_begin_of_the_path():
     begun = made.loop.desired[:, :3]
     for periods in range(1, 21):
         made.step(np.zeros((16, 3)))
-        sent = np.linalg.norm(made.loop.target_stream.inbox._asked[:, :3] - begun, axis=1)
+        sent = np.linalg.norm(made.loop.stream.inbox._asked[:, :3] - begun, axis=1)
         assert (sent <= 0.2 * 0.1 * (periods + 1)).all()
 
 
@@ -75,7 +75,7 @@ def test_targets_are_not_moved_by_other_rows_that_start_again(name):
         for made, n in ((one, 1), (many, 2)):
             made.step(np.full((n, 3), 0.1))
     np.testing.assert_array_equal(one.loop.desired[0], many.loop.desired[0])
-    np.testing.assert_array_equal(one.loop.target_stream.speed[0], many.loop.target_stream.speed[0])
+    np.testing.assert_array_equal(one.loop.stream.speed[0], many.loop.stream.speed[0])
 
 
 def test_an_episode_is_the_same_in_any_batch_and_after_a_restore():

@@ -66,7 +66,7 @@ def test_steps_are_the_worlds_repeated_with_the_mean_reward_until_the_end(repeat
             following += len(ended)
         np.testing.assert_array_equal(np.flatnonzero(dones), ended)
         np.testing.assert_allclose(rewards, [np.mean(row) for row in earned], rtol=1e-6)
-        np.testing.assert_array_equal(seen, scaled(beside.loop.policy_input.observation, env.scale))
+        np.testing.assert_array_equal(seen, scaled(beside.loop.observation.values, env.scale))
         for row in range(n):
             if row in ended:
                 last = scaled(lasts[row], env.scale)

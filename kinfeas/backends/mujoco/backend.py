@@ -50,6 +50,11 @@ class MuJoCoBackend(PhysicsBackend):
         """End the simulations; a second call does nothing."""
         self.__dict__.pop("sims", None)
 
+    @property
+    def resumable(self) -> "MuJoCoBackend":  # type: ignore[override]  # never replaced
+        """Saves and restores the state: the backend itself."""
+        return self
+
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all robots, their rooms and their motors."""
         n = len(self._positions)
@@ -91,7 +96,7 @@ class MuJoCoBackend(PhysicsBackend):
         self.sims.dynamics[env_ids] = np.stack([mass, friction, motor_gain], axis=1)
         self.sims.scale_dynamics(env_ids)
 
-    def contacts(self, env_id: int) -> Contacts:
+    def touching(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
         if self.sims.touches[env_id] == 0.0:
             return Contacts(frozenset(), frozenset())

@@ -35,7 +35,7 @@ LAG = 0.02
 
 _BASE_LAG = 0.005  # s, of the base's velocity
 _FINGER_COUPLING = 0.5  # of a finger's effort: largest force that keeps both equally far open
-_UNUSED = (0.1, 0.1, 0.0, 0.2)  # size of an empty place
+_UNUSED = (0.1, 0.1, 0.0, 0.2)  # m, size of an empty place
 
 
 class Model:
@@ -77,7 +77,7 @@ class Model:
         arm = ArmSetpoints(robot, config.arm_horizon)
         self.robot, self.scene, self.objects = robot, scene, dict(scene.objects) if scene else {}
         self.servos = servos_of(robot, arm)
-        self.velocity = np.array([one.velocity for one in self.servos])
+        self.velocity = np.array([servo.velocity for servo in self.servos])
         bodies = bodies_of(robot)
         spec = room_spec(robot, bodies, self.servos, self.objects, places, config)
         if grasped is not None:
@@ -106,15 +106,15 @@ class Model:
         return int(self.engine.joint(f"{name}:{joint}").qposadr[0])
 
     def write(self, scene: Scene, qpos: Array, mocap: Array) -> None:
-        """Write objects into `qpos` and poses of fixed ones, (mocap, 7), quaternions w first."""
-        for name, one in scene.objects.items():
-            pose = [*one.pose[:3], one.pose[6], *one.pose[3:6]]
-            if one.fixed:
+        """Write loose objects into `qpos`, and fixed objects into `mocap`, quaternions w first."""
+        for name, item in scene.objects.items():
+            pose = [*item.pose[:3], item.pose[6], *item.pose[3:6]]
+            if item.fixed:
                 mocap[self.engine.body_mocapid[self.root(name)]] = pose
             else:
                 at = self.address(name, "free")
                 qpos[at : at + 7] = pose
-            for joint, position in one.joint_positions.items():
+            for joint, position in item.joint_positions.items():
                 qpos[self.address(name, joint)] = position
 
     def shapes(self, solids: Solids) -> dict[str, Array]:
@@ -142,7 +142,6 @@ class Model:
         return np.asarray(rows[self.solid_bodies], dtype=np.intp)
 
     def _find_joints(self, arm: ArmSetpoints) -> None:
-        """Find the addresses of the robot's joints."""
         engine, robot = self.engine, self.robot
         joints = [engine.joint(number) for number in range(engine.njnt)]
         self.joints = {
@@ -150,7 +149,7 @@ class Model:
             for joint in joints
             if joint.name.startswith(OWN)
         }
-        driven = (*PLANAR_JOINTS, *(one.joint for one in self.servos))
+        driven = (*PLANAR_JOINTS, *(servo.joint for servo in self.servos))
         self.at = np.array([self.joints[name] for name in driven]).T
         self.arm_at = np.array([self.joints[name][0] for name in arm.names])
         self.rest = engine.qpos0.copy()
@@ -158,7 +157,6 @@ class Model:
             self.rest[self.joints[name][0]] = robot.fixed_joints[name]
 
     def _find_bodies(self, bodies: RobotBodies, places: int) -> None:
-        """Find what each body belongs to."""
         engine, solids = self.engine, [f"{SOLID}{place}" for place in range(places)]
         names = [engine.body(number).name for number in range(engine.nbody)]
         owners = {name: number for number, name in enumerate((*self.objects, *solids))}
@@ -177,7 +175,7 @@ class Model:
         limit, and it does not chatter where its effort is limited.
         """
         engine = self.engine
-        strongest = np.array([one.effort for one in self.servos])
+        strongest = np.array([servo.effort for servo in self.servos])
         finite = np.where(np.isfinite(strongest), strongest, 0.0)
         engine.dof_armature[self.at[1, 3:]] = LAG / 4.0 * finite / self.velocity
         mujoco.mj_setConst(engine, mujoco.MjData(engine))
@@ -204,16 +202,16 @@ class Model:
     def _inertia(self, arm: ArmSetpoints) -> Array:
         """Return the largest inertia at each actuator in the robot's named configurations."""
         engine, data = self.engine, mujoco.MjData(self.engine)
-        moved, found = np.zeros((len(self.at[1]), engine.nv)), []
+        moved, inertias = np.zeros((len(self.at[1]), engine.nv)), []
         moved[np.arange(len(moved)), self.at[1]] = 1.0
-        driven = [*PLANAR_JOINTS, *(one.joint for one in self.servos)]
-        for one in (*arm_followers(self.robot), *finger_followers(self.robot)):
-            moved[driven.index(one.leader), self.joints[one.name][1]] = one.multiplier
+        driven = [*PLANAR_JOINTS, *(servo.joint for servo in self.servos)]
+        for mimic in (*arm_followers(self.robot), *finger_followers(self.robot)):
+            moved[driven.index(mimic.leader), self.joints[mimic.name][1]] = mimic.multiplier
         for joints in self.robot.home.values():
             data.qpos[:] = self.rest
             data.qpos[self.arm_at] = arm.follow(joints)
             mujoco.mj_forward(engine, data)
             matrix = np.zeros((engine.nv, engine.nv))
             mujoco.mj_fullM(engine, data, matrix)
-            found.append(np.einsum("ij,jk,ik->i", moved, matrix, moved))
-        return np.max(found, axis=0)
+            inertias.append(np.einsum("ij,jk,ik->i", moved, matrix, moved))
+        return np.max(inertias, axis=0)

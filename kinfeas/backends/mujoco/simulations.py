@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.backends.mujoco.model import LAG, ROBOT, Model
 from kinfeas.backends.physics.config import PhysicsConfig
-from kinfeas.backends.physics.drives import ArmSetpoints
-from kinfeas.backends.physics.kernels import base_path
+from kinfeas.backends.physics.drives import ArmSetpoints, base_path
 from kinfeas.control.execution import tool_pose
 from kinfeas.core.backend import Grip
 from kinfeas.core.errors import KinfeasError
@@ -45,7 +44,7 @@ class Simulations:
         self.model, self.n, self.batch = model, n, Batch(model.engine, n)
         self._config, engine, robot = config, model.engine, model.robot
         self._arm = ArmSetpoints(robot, config.arm_horizon, n)
-        names = [one.joint for one in model.servos[len(robot.arm) :]]
+        names = [servo.joint for servo in model.servos[len(robot.arm) :]]
         self._at_rest = np.array([robot.fixed_joints[name] for name in names])
         self.fingers = np.tile(self._at_rest, (n, 1))
         self.dynamics = np.ones((n, len(_SCALED)))
@@ -90,11 +89,11 @@ class Simulations:
 
     def adopt(self, other: "Simulations") -> None:
         """Continue from fewer simulations, or from a model with fewer places for solids."""
-        states = [one.state() | one._shapes for one in (self, other)]
-        for mine in states[0].keys() & states[1].keys() - {"physics_state"}:
-            _write(states[0][mine], states[1][mine])
-        for name in _FIELDS:
-            _write(getattr(self.batch, name), getattr(other.batch, name))
+        own, old = self.state() | self._shapes, other.state() | other._shapes
+        pairs = [(own[key], old[key]) for key in own.keys() & old.keys() - {"physics_state"}]
+        pairs += [(getattr(self.batch, name), getattr(other.batch, name)) for name in _FIELDS]
+        for mine, values in pairs:  # at least as long along each axis
+            mine[tuple(slice(size) for size in values.shape)] = values
         self.scale_dynamics(np.arange(other.n))
 
     def scale_dynamics(self, rows: _Rows) -> None:
@@ -103,8 +102,8 @@ class Simulations:
             return
         model = self.model
         arm = 3 + np.arange(len(model.robot.arm))  # after the base
-        changed = (np.flatnonzero(model.owner == ROBOT), np.arange(model.engine.ngeom), arm)
-        for factors, names, at in zip(self.dynamics[rows].T, _SCALED, changed, strict=True):
+        indices = (np.flatnonzero(model.owner == ROBOT), np.arange(model.engine.ngeom), arm)
+        for factors, names, at in zip(self.dynamics[rows].T, _SCALED, indices, strict=True):
             for name in names:
                 nominal = getattr(model.engine, name)
                 if name not in self._scaled:
@@ -209,18 +208,17 @@ class Simulations:
         hand_pose, link_pose = (self._pose(body) for body in (hand, link))
         tip = compose(hand_pose, self._tip)
         in_hand, in_link = self._tip[:3], relative(tip, link_pose)[:3]
-        turn = np.roll(relative(link_pose, hand_pose)[3:], 1)
+        rotation = np.roll(relative(link_pose, hand_pose)[3:], 1)
         if model.turns:
             self._ends[row, :6] = [*in_hand, *in_link]
         else:
-            self._ends[row, :10] = [*in_link, *in_hand, *turn]
+            self._ends[row, :10] = [*in_link, *in_hand, *rotation]
         self._active[row, model.grasp] = 1.0
         # The fingers stay where they are: the constraint holds, not their force.
         self.fingers[row] = self.qpos[row, model.at[0, -2:]]
         return True
 
     def _grasp_force(self, row: int) -> float:
-        """Return the force between hand and object, N."""
         engine, data, grasp = self.model.engine, self._scratch, self.model.grasp
         engine.eq_data[grasp] = self._ends[row]
         self._take(row)
@@ -250,8 +248,3 @@ class Simulations:
         for name, values in self._shapes.items():
             at = self.model.solid_rows(name)
             getattr(self.model.engine, name)[at] = values[row, at]
-
-
-def _write(mine: Array, other: Array) -> None:
-    """Write an array into the beginning of one that has at least its size along each axis."""
-    mine[tuple(slice(size) for size in other.shape)] = other

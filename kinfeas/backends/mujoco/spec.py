@@ -57,7 +57,7 @@ class RobotBodies(NamedTuple):
 def servos_of(robot: Robot, arm: ArmSetpoints) -> list[Servo]:
     """Return the motors of the arm, and of the fingers; mimicking joints have none."""
     limits = zip(arm.names, arm.effort, arm.velocity, strict=True)
-    servos = [Servo(*one) for one, _ in zip(limits, robot.arm, strict=False)]
+    servos = [Servo(*limit) for limit, _ in zip(limits, robot.arm, strict=False)]
     if robot.gripper is not None:
         for name in robot.gripper.fingers:
             servos.append(Servo(name, robot.gripper.effort, robot.urdf.joints[name].velocity))
@@ -104,8 +104,8 @@ def room_spec(
                 geom.condim = _PAD_DIMENSIONS
                 geom.friction = [config.finger_friction, *_FRICTION[1:]]
     spec.attach(own, prefix=OWN, frame=spec.worldbody.add_frame())
-    for name, one in objects.items():
-        spec.attach(_object_spec(one), prefix=f"{name}:", frame=spec.worldbody.add_frame())
+    for name, item in objects.items():
+        spec.attach(_object_spec(item), prefix=f"{name}:", frame=spec.worldbody.add_frame())
     for place in range(places):
         _add_solid(spec, place)
     return spec
@@ -132,24 +132,24 @@ def _robot_spec(robot: Robot, urdf: str, servos: Iterable[Servo]) -> Any:
             joint.limited = joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         # Motors carry the weight with their effort, springs carry it beside them.
         joint.actgravcomp = joint.name not in robot.counterbalanced
-    for one in (*arm_followers(robot), *finger_followers(robot)):
+    for mimic in (*arm_followers(robot), *finger_followers(robot)):
         coupling = spec.add_equality(
-            type=mujoco.mjtEq.mjEQ_JOINT, name1=one.name, name2=one.leader, solref=_COUPLING
+            type=mujoco.mjtEq.mjEQ_JOINT, name1=mimic.name, name2=mimic.leader, solref=_COUPLING
         )
-        coupling.data[:2] = one.offset, one.multiplier
-    for name in (*PLANAR_JOINTS, *(one.joint for one in servos)):
-        spec.add_actuator(
-            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        )  # fmt: skip
+        coupling.data[:2] = mimic.offset, mimic.multiplier
+    transmissions = dict.fromkeys(PLANAR_JOINTS, mujoco.mjtTrn.mjTRN_JOINT)
+    transmissions |= {servo.joint: mujoco.mjtTrn.mjTRN_JOINT for servo in servos}
     if robot.gripper is not None:
         # Both fingers open equally far, up to a force: they also close round an object off centre.
         tendon = spec.add_tendon(name="fingers")
-        shares = 1.0, -1.0 / robot.gripper.ratio
-        for finger, share in zip(robot.gripper.fingers, shares, strict=True):
-            tendon.wrap_joint(finger, share)
+        for finger, factor in zip(
+            robot.gripper.fingers, (1.0, -1.0 / robot.gripper.ratio), strict=True
+        ):
+            tendon.wrap_joint(finger, factor)
+        transmissions["fingers"] = mujoco.mjtTrn.mjTRN_TENDON
+    for name, transmission in transmissions.items():
         spec.add_actuator(
-            name="fingers", target="fingers", trntype=mujoco.mjtTrn.mjTRN_TENDON,
+            name=name, target=name, trntype=transmission,
             gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         )  # fmt: skip
     touch = spec.add_sensor(
@@ -160,15 +160,15 @@ def _robot_spec(robot: Robot, urdf: str, servos: Iterable[Servo]) -> Any:
     return spec
 
 
-def _object_spec(one: SceneObject) -> Any:
-    """Return an object; the pose of a fixed one is part of the state of a simulation."""
-    spec = _read(one.urdf_path.read_text(), str(one.urdf_path))
+def _object_spec(item: SceneObject) -> Any:
+    """Return an object; the pose of a fixed object is part of the state of a simulation."""
+    spec = _read(item.urdf_path.read_text(), str(item.urdf_path))
     for body in spec.bodies:
         for geom in body.geoms:
             geom.friction = _FRICTION
-        _collide(body.geoms, *((_FIXED,) if one.fixed else (_LOOSE, _GROUND | _FIXED | _LOOSE)))
+        _collide(body.geoms, *((_FIXED,) if item.fixed else (_LOOSE, _GROUND | _FIXED | _LOOSE)))
     root = spec.bodies[1]
-    if one.fixed:
+    if item.fixed:
         root.mocap = True
     else:
         root.add_freejoint(name="free")

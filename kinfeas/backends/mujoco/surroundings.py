@@ -24,7 +24,6 @@ class Surroundings:
     """Measures the obstacles around the bases of a model's robots."""
 
     def __init__(self, model: Model) -> None:
-        """Find the shapes of base and objects."""
         self._model, engine = model, model.engine
         owner, base = model.owner[engine.geom_bodyid], ~model.on_arm[engine.geom_bodyid]
         self._base = np.flatnonzero((owner == ROBOT) & base)
@@ -42,46 +41,46 @@ class Surroundings:
         ]
 
     def around(self, batch: Any, row: int, data: Any, within: float) -> list[Obstacle]:
-        """Return the obstacles within a distance of one robot.
+        """Return the obstacles within a distance (m) of the robot in a `row` of MuJoCo's `batch`.
 
-        Args:
-            batch: MuJoCo's batch.
-            row: Simulation of the robot.
-            data: Its data at the present positions.
-            within: Metres.
+        `data` are those of the row at the present positions.
         """
         engine, owner = self._model.engine, self._model.owner
 
-        def cast(places: Array, ahead: Array, height: float) -> Iterator[Obstacle]:
-            starts = np.column_stack([places + _OUTSIDE * ahead, np.full(len(places), height)])
-            found = batch.ray(starts, [*ahead, 0.0], _OTHERS, ids=[row], normal=True)
-            for place, reach, geom, normal in zip(places, *(one[0] for one in found), strict=True):
+        def cast(corners: Array, ahead: Array, height: float) -> Iterator[Obstacle]:
+            starts = np.column_stack([corners + _OUTSIDE * ahead, np.full(len(corners), height)])
+            lengths, geoms, normals = batch.ray(
+                starts, [*ahead, 0.0], _OTHERS, ids=[row], normal=True
+            )
+            hits = zip(corners, lengths[0], geoms[0], normals[0], strict=True)
+            for corner, length, geom, normal in hits:
                 entered = normal[:2] @ ahead < 0.0  # else it starts inside an object
-                near = self._is_object[geom] and reach <= within - _OUTSIDE
+                near = self._is_object[geom] and length <= within - _OUTSIDE
                 if near and entered and is_beside(normal):
                     toward = -normal[:2]
-                    yield Obstacle(
-                        place, toward, float((reach + _OUTSIDE) * ahead @ toward), height
-                    )
+                    distance = float((length + _OUTSIDE) * ahead @ toward)
+                    yield Obstacle(corner, toward, distance, height)
 
         # Rigidly connected parts are one body in MuJoCo: of each part, a point is needed.
         nearest: dict[int, dict[tuple[int, int], Obstacle]] = {}
         for own, other, least in self._near(data, within):
             body = int(engine.geom_bodyid[other])
-            found = nearest.setdefault(int(owner[body]), {})
-            farthest = min((one.distance for one in found.values()), default=within) + AS_NEAR
-            farthest = min(farthest, found[own, body].distance if (own, body) in found else within)
-            one = _closest(engine, data, own, other, farthest) if least < farthest else None
-            if one is not None:
-                found[own, body] = one
+            points = nearest.setdefault(int(owner[body]), {})
+            limits = [within, *(point.distance + AS_NEAR for point in points.values())]
+            if (own, body) in points:
+                limits.append(points[own, body].distance)
+            farthest = min(limits)
+            point = _closest(engine, data, own, other, farthest) if least < farthest else None
+            if point is not None:
+                points[own, body] = point
         x, y, heading = data.qpos[self._model.at[0, :3]].tolist()
         closest = ([*nearest[number].values()] for number in sorted(nearest))
         return obstacles_around((x, y, heading), closest, self._shapes, cast)
 
     def _near(self, data: Any, within: float) -> Iterator[tuple[int, int, float]]:
-        """Yield pairs of geoms of base and objects, and the least distance that they can have.
+        """Return pairs of geoms of base and objects, and lower bounds of their distances.
 
-        Pairs beyond `within` metres are left out; the nearest ones come first.
+        Pairs beyond `within` metres are left out; the nearest pairs come first.
         """
         engine, base, objects = self._model.engine, self._base, self._objects
         least = np.empty((len(base), len(objects)))
@@ -99,17 +98,12 @@ class Surroundings:
     ["void(f8[:,:], f8[:,:], f8[:,:], i8[:], i8[:], f8[:,:])"], "(g,p),(g,t),(g,s),(b),(k)->(b,k)"
 )
 def _distances_to_boxes(
-    places: Array, turns: Array, boxes: Array, base: Rows, objects: Rows, out: Array
+    positions: Array, matrices: Array, boxes: Array, base: Rows, objects: Rows, out: Array
 ) -> None:
-    """Write the distances from the places of geoms to the bounding boxes of others, metres.
+    """Write the distances from geoms `base` to the bounding boxes of `objects`, (b, k), metres.
 
-    Args:
-        places: Positions of all geoms, shape (g, 3).
-        turns: Their orientations, shape (g, 9).
-        boxes: Centres and half sizes of their bounding boxes, shape (g, 6).
-        base: Numbers of geoms, shape (b,).
-        objects: Numbers of those with the boxes, shape (k,).
-        out: Shape (b, k).
+    Positions, rotation matrices and boxes (centres and half sizes) are those of all geoms, shapes
+    (g, 3), (g, 9) and (g, 6).
     """
     for i, own in enumerate(base):
         for k, other in enumerate(objects):
@@ -117,25 +111,26 @@ def _distances_to_boxes(
             for axis in range(3):
                 along = -boxes[other, axis]
                 for j in range(3):
-                    along += turns[other, 3 * j + axis] * (places[own, j] - places[other, j])
+                    offset = positions[own, j] - positions[other, j]
+                    along += matrices[other, 3 * j + axis] * offset
                 beyond = max(abs(along) - boxes[other, 3 + axis], 0.0)
                 squared += beyond * beyond
             out[i, k] = math.sqrt(squared)
 
 
 def _closest(engine: Any, data: Any, own: int, other: int, within: float) -> Obstacle | None:
-    """Return the nearest points of two geoms; None if further apart or above each other."""
+    """Return the nearest points of two geoms; None if beyond `within` or above each other."""
     ends = np.zeros((2, 3))
     distance = mujoco.mj_geomDistance(engine, data, own, other, within, ends.reshape(6))
-    way = np.sign(distance) * (ends[1] - ends[0])
-    length = float(np.linalg.norm(way))
-    if distance >= within or length == 0.0 or not is_beside(way / length):
+    gap = np.sign(distance) * (ends[1] - ends[0])
+    length = float(np.linalg.norm(gap))
+    if distance >= within or length == 0.0 or not is_beside(gap / length):
         return None
-    return Obstacle(ends[0, :2].copy(), way[:2] / length, float(distance), float(ends[0, 2]))
+    return Obstacle(ends[0, :2].copy(), gap[:2] / length, float(distance), float(ends[0, 2]))
 
 
 def _corners(engine: Any, geom: int) -> Array | None:
-    """Return the corners of a geom in its frame, shape (k, 3); None for a round one."""
+    """Return the corners of a geom in its frame, shape (k, 3); None for a sphere."""
     kind, size = engine.geom_type[geom], engine.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return _UNIT_BOX * size

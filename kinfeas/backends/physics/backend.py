@@ -13,7 +13,7 @@ from kinfeas.backends.physics.obstacles import Obstacle, closing_speeds, obstacl
 from kinfeas.backends.physics.robot import robot_state
 from kinfeas.backends.physics.stage import Stage, StageBackend, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
-from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
+from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState, Scan
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, planar_pose
@@ -35,10 +35,10 @@ class PhysicsBackend(StageBackend):
     Attributes:
         engine: Name of the engine in errors.
         config: Numbers of the physics.
-        solids: Solids of all n robots.
     """
 
     engine: ClassVar[str]
+    solids: MovingSolids
 
     def __init__(
         self,
@@ -57,11 +57,8 @@ class PhysicsBackend(StageBackend):
         self._objects, self._gui = objects, gui
         self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
         self.solids, self.furniture = MovingSolids(), 0
-
-    @property
-    def max_batch(self) -> int:
-        """Episodes that one process should simulate side by side; one if there is a window."""
-        return 1 if self._gui else _MAX_BATCH
+        self.gripper = self.scanner = self.obstacles = self.contacts = self.dynamics = self
+        self.staging, self.max_batch = self, 1 if gui else _MAX_BATCH
 
     def stage(self, task: Task) -> Stage:
         """Return a task whose episodes also place its objects; call it before any other method."""
@@ -92,7 +89,7 @@ class PhysicsBackend(StageBackend):
         return self._measure(rows)
 
     def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
-        """Put solids around robots; arguments as in `SupportsSolids`."""
+        """Put solids around robots; arguments as in `Backend`."""
         self.solids.place(solids, env_ids, len(self._positions))
         if (bodies := self.solid_bodies()) is not None:
             self._place_solids(env_ids, bodies)
@@ -104,9 +101,9 @@ class PhysicsBackend(StageBackend):
             return None
         return present.beyond(self.furniture)
 
-    def scan(self) -> Array:
-        """Return the ranges to solids around the true bases, as in `SupportsScan`."""
-        return scan_now(self.solids, planar_pose(*self._positions[:, :3].T))
+    def scan(self) -> Scan:
+        """Return the ranges to solids around the true bases."""
+        return Scan(scan_now(self.solids, planar_pose(*self._positions[:, :3].T)))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the obstacles nearer than `within` metres to the bases, except grasped links.
@@ -169,10 +166,10 @@ class PhysicsBackend(StageBackend):
     def scale_dynamics(
         self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
     ) -> None:
-        """Change the dynamics of robots, as in `SupportsDynamics`."""
+        """Change the dynamics of robots, as in `Dynamics`."""
 
     @abstractmethod
-    def contacts(self, env_id: int) -> Contacts:
+    def touching(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
 
     @abstractmethod

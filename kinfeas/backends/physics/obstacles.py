@@ -11,7 +11,7 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.base_obstacles import AS_NEAR
 
-_AT_SIDE = 0.02  # m beyond which a point is of no solid
+_AT_SIDE = 0.02  # m, largest distance of a point on the side of a solid
 _STEEP = 0.5  # horizontal part of a unit normal below which an obstacle is above or beneath
 
 
@@ -41,7 +41,7 @@ class Obstacle:
 
 
 Cast = Callable[[Array, Array, float], Iterable[Obstacle]]
-"""Returns what rays hit from places (c, 2) in a direction (2,) at a height, metres."""
+"""Returns the hits of rays from points (c, 2) in a direction (2,) at a height, metres."""
 
 
 def obstacles_around(
@@ -62,55 +62,54 @@ def obstacles_around(
         cast: Engine's rays.
     """
     x, y, heading = planar
-    found: list[Obstacle] = []
-    for closest in nearest:
-        if not closest:
+    obstacles: list[Obstacle] = []
+    for points in nearest:
+        if not points:
             continue
-        found += closest
-        one = min(closest, key=lambda one: one.distance)
-        corners = [shape.corners for shape in shapes if shape.low <= one.height <= shape.high]
+        obstacles += points
+        closest = min(points, key=lambda point: point.distance)
+        corners = [shape.corners for shape in shapes if shape.low <= closest.height <= shape.high]
         if corners:
-            places = np.concatenate(corners) @ turn(heading).T + [x, y]
-            ahead = one.normal / np.linalg.norm(one.normal)
-            near = (one.closest_point - places) @ ahead <= AS_NEAR
-            found += cast(places[near], ahead, one.height)
-    return found
+            starts = np.concatenate(corners) @ rotation_matrix(heading).T + [x, y]
+            ahead = closest.normal / np.linalg.norm(closest.normal)
+            near = (closest.closest_point - starts) @ ahead <= AS_NEAR
+            obstacles += cast(starts[near], ahead, closest.height)
+    return obstacles
 
 
-def obstacle_distances(planar: Array, found: Sequence[Sequence[Obstacle]]) -> ObstacleDistances:
+def obstacle_distances(planar: Array, around: Sequence[Sequence[Obstacle]]) -> ObstacleDistances:
     """Return the obstacles around n bases in their frames.
 
     `planar` are x, y and yaw of the bases, shape (n, 3); the obstacles are in the world frame.
     """
-    width = max(map(len, found))
-    place, toward = np.zeros((2, len(found), width, 2))
-    distance = np.full((len(found), width), np.inf)
-    for row, obstacles in enumerate(found):
-        for k, one in enumerate(obstacles):
-            place[row, k] = one.closest_point - planar[row, :2]
-            toward[row, k], distance[row, k] = one.normal, one.distance
-    to_base = turn(planar[:, 2])
-    return ObstacleDistances(place @ to_base, toward @ to_base, distance)
+    width = max(map(len, around))
+    point, normal = np.zeros((2, len(around), width, 2))
+    distance = np.full((len(around), width), np.inf)
+    for row, obstacles in enumerate(around):
+        for k, obstacle in enumerate(obstacles):
+            point[row, k] = obstacle.closest_point - planar[row, :2]
+            normal[row, k], distance[row, k] = obstacle.normal, obstacle.distance
+    to_base = rotation_matrix(planar[:, 2])
+    return ObstacleDistances(point @ to_base, normal @ to_base, distance)
 
 
-def closing_speeds(found: ObstacleDistances, planar: Array, solids: Solids) -> Array:
+def closing_speeds(obstacles: ObstacleDistances, planar: Array, solids: Solids) -> Array:
     """Return the speeds at which solids move towards the bases' points, shape (n, k), m/s.
 
     Args:
-        found: Obstacles of n robots.
+        obstacles: Obstacles of n robots.
         planar: x, y and yaw of the bases, shape (n, 3).
         solids: n rows; from above, an obstacle is the solid whose side is nearest to its point.
     """
-    near = np.isfinite(found.distance)
-    way = np.where(near, found.distance, 0.0)[..., np.newaxis] * found.normal
-    to_world = turn(planar[:, 2]).swapaxes(1, 2)
-    points = (found.closest_point + way) @ to_world + planar[:, np.newaxis, :2]
-    gap = solids.gaps(np.concatenate([points, np.zeros_like(points[..., :1])], axis=2))[0]
-    owner = gap.argmin(axis=2)
-    toward = found.normal @ to_world
+    near = np.isfinite(obstacles.distance)
+    gap = np.where(near, obstacles.distance, 0.0)[..., np.newaxis] * obstacles.normal
+    to_world = rotation_matrix(planar[:, 2]).swapaxes(1, 2)
+    points = (obstacles.closest_point + gap) @ to_world + planar[:, np.newaxis, :2]
+    sideways = solids.gaps(np.concatenate([points, np.zeros_like(points[..., :1])], axis=2))[0]
+    owner = sideways.argmin(axis=2)
     velocity = np.take_along_axis(solids.velocity, owner[..., np.newaxis], axis=1)
-    known = near & (gap.min(axis=2) < _AT_SIDE)
-    return np.where(known, -(velocity * toward).sum(axis=2), 0.0)
+    closing = -(velocity * (obstacles.normal @ to_world)).sum(axis=2)
+    return np.where(near & (sideways.min(axis=2) < _AT_SIDE), closing, 0.0)
 
 
 def is_beside(normal: Sequence[float] | Array) -> bool:
@@ -118,7 +117,7 @@ def is_beside(normal: Sequence[float] | Array) -> bool:
     return bool(np.hypot(normal[0], normal[1]) >= _STEEP)
 
 
-def turn(heading: float | Array) -> Array:
+def rotation_matrix(heading: float | Array) -> Array:
     """Return rotation matrices of angles in radians, shape (...) -> (..., 2, 2)."""
     cosine, sine = np.cos(heading), np.sin(heading)
     return np.stack([cosine, -sine, sine, cosine], axis=-1).reshape(*np.shape(heading), 2, 2)

@@ -55,7 +55,7 @@ def moving_joints(robot: Robot) -> frozenset[str]:
     fingers = robot.gripper.fingers if robot.gripper else ()
     followers = (*arm_followers(robot), *finger_followers(robot))
     names = (joint.name for joint in robot.arm)
-    return frozenset((*names, *fingers, *(one.name for one in followers)))
+    return frozenset((*names, *fingers, *(follower.name for follower in followers)))
 
 
 def arm_followers(robot: Robot) -> tuple[Follower, ...]:
@@ -75,7 +75,7 @@ def finger_followers(robot: Robot) -> tuple[Follower, ...]:
 
     In a URDF all may mimic one joint; here each finger has its own motor.
     """
-    found = []
+    followers = []
     for finger in robot.gripper.fingers if robot.gripper else ():
         links = robot.urdf.below(finger)
         motor, scale, shift = robot.urdf.followed(robot.urdf.joints[finger])
@@ -83,8 +83,8 @@ def finger_followers(robot: Robot) -> tuple[Follower, ...]:
             leader, multiplier, offset = robot.urdf.followed(joint)
             if leader is motor and joint.parent in links:
                 ratio = multiplier / scale
-                found.append(Follower(joint.name, finger, ratio, offset - ratio * shift))
-    return tuple(found)
+                followers.append(Follower(joint.name, finger, ratio, offset - ratio * shift))
+    return tuple(followers)
 
 
 def _mimics(urdf: Urdf) -> Iterator[Joint]:
@@ -158,7 +158,7 @@ def merge_fixed_links(robot: Any, keep: Collection[str]) -> dict[str, str]:
 
 
 def _merge(link: Any, part: Any, pose: Array) -> None:
-    """Add shapes and inertia of `part` to a link in whose frame it has the pose."""
+    """Add shapes and inertia of `part` to a link; `pose` is that of `part` in the link's frame."""
     for tag in ("visual", "collision"):
         for element in part.findall(tag):
             set_origin(element, compose(pose, Element(element, "").origin()))
@@ -166,8 +166,9 @@ def _merge(link: Any, part: Any, pose: Array) -> None:
     own, added = read_inertia(link), read_inertia(part)
     if added is None:
         return
-    turn = rotation(pose).as_matrix()
-    moved = Inertia(added.mass, pose[:3] + turn @ added.centre, turn @ added.moments @ turn.T)
+    matrix = rotation(pose).as_matrix()
+    centre, moments = pose[:3] + matrix @ added.centre, matrix @ added.moments @ matrix.T
+    moved = Inertia(added.mass, centre, moments)
     write_inertia(link, moved if own is None else own.plus(moved))
 
 
@@ -202,17 +203,17 @@ class Inertia:
 
 
 FRAME = Inertia(0.001, np.zeros(3), 1e-6 * np.eye(3))
-"""Of links without shape; PyBullet's default is 1 kg and 1 kg m^2."""
+"""Inertia of links without shape; PyBullet's default is 1 kg and 1 kg m^2."""
 
 
 def read_inertia(link: Any) -> Inertia | None:
-    """Return the inertia in an element <link> of a URDF, None if it has none."""
+    """Return the inertia in an element <link> of a URDF; None without an inertia."""
     inertial = Element(link, "").child("inertial")
     if inertial is None:
         return None
     pose, moments = inertial.origin(), read_moments(inertial.need("inertia"))
-    turn = rotation(pose).as_matrix()
-    return Inertia(inertial.need("mass").number("value"), pose[:3], turn @ moments @ turn.T)
+    matrix = rotation(pose).as_matrix()
+    return Inertia(inertial.need("mass").number("value"), pose[:3], matrix @ moments @ matrix.T)
 
 
 def write_inertia(link: Any, inertia: Inertia) -> None:
@@ -233,18 +234,19 @@ def physical(inertia: Inertia) -> Inertia:
     first contact. The missing moment is added about all axes.
     """
     small, middle, large = np.linalg.eigvalsh(inertia.moments)
-    excess, none = large - small - middle, small <= 0.0
-    if excess <= SLACK * large and not none:
+    excess = large - small - middle
+    if excess <= SLACK * large and small > 0.0:
         return inertia
-    lacking = max(excess, inertia.mass * _SMALLEST**2 - small if none else 0.0) * (1.0 + SLACK)
-    return replace(inertia, moments=inertia.moments + lacking * np.eye(3))
+    least = inertia.mass * _SMALLEST**2 - small if small <= 0.0 else 0.0
+    added = max(excess, least) * (1.0 + SLACK)
+    return replace(inertia, moments=inertia.moments + added * np.eye(3))
 
 
 def repair_inertias(robot: Any, where: str) -> None:
     """Make the inertia of every link of the element <robot> physical.
 
-    Links without inertia get that of a mere frame if they have no shape or are on a fixed joint.
-    Links of mass 0 are left alone.
+    Links without inertia get `FRAME` if they have no shape or are on a fixed joint. Links of mass 0
+    do not change.
     """
     fixed = (joint for joint in robot.findall("joint") if joint.get("type") == "fixed")
     on_fixed = {joint.find("child").get("link") for joint in fixed}

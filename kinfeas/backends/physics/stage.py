@@ -1,10 +1,11 @@
 """A task in a physics world: its episodes, with the objects placed for each of them."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 
 import numpy as np
 
 from kinfeas.control.targets import TargetStream
+from kinfeas.core.backend import Backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
@@ -20,7 +21,7 @@ _REST = 0.05  # m/s, largest speed at rest
 _UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright unit vector
 
 
-class StageBackend(ABC):
+class StageBackend(Backend):
     """What a stage needs of a backend: objects that it places, holds and measures.
 
     Attributes:
@@ -180,7 +181,6 @@ class Stage:
         return speed <= _REST and supported and tilt >= _UPRIGHT
 
     def _in(self, row: int) -> Scene:
-        """Return the scene of the episode in a row."""
         assert self.scene is not None
         return self._placed.get(row, self.scene)
 

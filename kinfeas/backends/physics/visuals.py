@@ -34,14 +34,14 @@ def visual_shapes(robot: Robot, scene: Scene | None) -> list[VisualShape]:
     """Return the visible primitives of robot and scene; meshes are left out."""
     urdf, _ = physics_urdf(robot)
     shapes = list(urdf_visuals(ROBOT, parse_xml(urdf, "robot", str(robot.urdf_path))))
-    for name, one in scene.objects.items() if scene else ():
-        shapes += urdf_visuals(name, read_xml(one.urdf_path, "robot"))
+    for name, item in scene.objects.items() if scene else ():
+        shapes += urdf_visuals(name, read_xml(item.urdf_path, "robot"))
     return shapes
 
 
 def urdf_visuals(owner: str, urdf: Element) -> Iterator[VisualShape]:
-    """Yield the visible primitives of a URDF, whose object is named `owner`."""
-    colours = {one.get("name"): _colour(one) for one in urdf.xml.findall("material")}
+    """Return the visible primitives of a URDF, whose object is named `owner`."""
+    colours = {item.get("name"): _colour(item) for item in urdf.xml.findall("material")}
     for link in urdf.children("link"):
         for visual in link.children("visual"):
             material = visual.xml.find("material")

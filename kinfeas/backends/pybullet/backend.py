@@ -50,7 +50,7 @@ class PyBulletBackend(PhysicsBackend):
         """Build the first simulation, and its window; a second call does nothing."""
         self.simulation(0)
 
-    def contacts(self, env_id: int) -> Contacts:
+    def touching(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
         return self.sims[env_id].contacts()
 
@@ -68,7 +68,7 @@ class PyBulletBackend(PhysicsBackend):
     def scale_dynamics(
         self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
     ) -> None:
-        """Change the dynamics of robots, as in `SupportsDynamics`."""
+        """Change the dynamics of robots, as in `Dynamics`."""
         for row, *factors in zip(env_ids.tolist(), mass, friction, motor_gain, strict=True):
             self._sims[row].scale_dynamics(*factors)
 

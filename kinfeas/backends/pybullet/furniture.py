@@ -20,11 +20,10 @@ class Furniture:
     """
 
     def __init__(self, physics: Physics, scene: Scene) -> None:
-        """Put all objects of a scene into the world."""
         self._physics, self.scene = physics, scene
         self.bodies = {
-            name: physics.load(one.urdf_path, fixed=one.fixed)
-            for name, one in scene.objects.items()
+            name: physics.load(item.urdf_path, fixed=item.fixed)
+            for name, item in scene.objects.items()
         }
         self._joints = {name: physics.joints(body) for name, body in self.bodies.items()}
         self._links = {name: physics.links(body) for name, body in self.bodies.items()}
@@ -33,8 +32,8 @@ class Furniture:
 
     def apply_step_time(self) -> None:
         """Set joint friction again: PyBullet keeps impulses, which depend on the step time."""
-        for name, one in self.scene.objects.items():
-            for joint in free_joints(one.urdf).values():
+        for name, item in self.scene.objects.items():
+            for joint in free_joints(item.urdf).values():
                 number = self._joints[name][joint.name]
                 self._physics.client.setJointMotorControl2(
                     self.bodies[name], number, self._physics.client.VELOCITY_CONTROL,
@@ -43,9 +42,9 @@ class Furniture:
 
     def place(self) -> None:
         """Place all objects as in the scene, at rest."""
-        for name, one in self.scene.objects.items():
-            self._physics.place(self.bodies[name], one.pose)
-            for joint, position in one.joint_positions.items():
+        for name, item in self.scene.objects.items():
+            self._physics.place(self.bodies[name], item.pose)
+            for joint, position in item.joint_positions.items():
                 self._physics.client.resetJointState(
                     self.bodies[name], self._joints[name][joint], position, 0.0
                 )
@@ -79,19 +78,18 @@ class Furniture:
 
 
 class SolidBodies:
-    """The solids of a robot, one row of `Solids`, as bodies that no force moves.
+    """The solids of a robot, a row of `Solids`, as bodies that no force moves.
 
     Attributes:
         bodies: PyBullet's numbers by place.
     """
 
     def __init__(self, physics: Physics) -> None:
-        """Begin without solids."""
         self._client = physics.client
         self.bodies: dict[int, int] = {}
 
     def place(self, solids: Solids) -> None:
-        """Put solids into the world in place of those there."""
+        """Replace the solids in the world."""
         self.clear()
         client = self._client
         (places,) = np.nonzero(solids.filled[0])
@@ -107,7 +105,7 @@ class SolidBodies:
             self.bodies[place] = client.createMultiBody(0.0, shape, -1, pose[:3], pose[3:])
 
     def move(self, solids: Solids) -> None:
-        """Move those that move to where they stand now."""
+        """Move moving solids to their present poses."""
         centre = solids.centre[0].tolist()
         for place in np.flatnonzero(solids.velocity[0].any(axis=1)).tolist():
             if place in self.bodies:

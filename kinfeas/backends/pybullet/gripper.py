@@ -26,7 +26,6 @@ class GripperDrive:
     """
 
     def __init__(self, body: RobotBody, gripper: Gripper) -> None:
-        """Connect to the fingers of a robot."""
         robot = body.robot
         self._body, self._gripper = body, gripper
         self._followers = finger_followers(robot)
@@ -50,13 +49,10 @@ class GripperDrive:
         self._targets = {name: fixed[name] for name in self._gripper.fingers}
         self._exert(self._gripper.effort)
 
-    def open(self) -> None:
-        """Start to open."""
-        self._move("open")
-
-    def close(self) -> None:
-        """Start to close."""
-        self._move("close")
+    def move(self, grip: Grip) -> None:
+        """Start to close or to open."""
+        self._targets = self._gripper.positions(grip)
+        self._exert(self._gripper.effort)
 
     def relax(self) -> None:
         """Hold each finger where it is, with little effort."""
@@ -68,9 +64,9 @@ class GripperDrive:
     def drive(self) -> None:
         """Command the mimicking joints for one physics step."""
         client, body = self._body.physics.client, self._body
-        for one in self._followers:
-            leader = client.getJointState(body.body, body.joints[one.leader])[0]
-            self._motor(one.name, one.multiplier * leader + one.offset)
+        for mimic in self._followers:
+            leader = client.getJointState(body.body, body.joints[mimic.leader])[0]
+            self._motor(mimic.name, mimic.multiplier * leader + mimic.offset)
 
     def touching(self, body: int, link: int) -> frozenset[int]:
         """Return which fingers, 0 and 1, touch a link of a body."""
@@ -84,10 +80,6 @@ class GripperDrive:
     def apply_step_time(self) -> None:
         """Command the motors again: PyBullet keeps impulses, which depend on the step time."""
         self._exert(self._effort)
-
-    def _move(self, grip: Grip) -> None:
-        self._targets = self._gripper.positions(grip)
-        self._exert(self._gripper.effort)
 
     def _exert(self, effort: float) -> None:
         self._effort = effort
@@ -119,7 +111,6 @@ class Grasp:
     """
 
     def __init__(self, body: RobotBody, gripper: GripperDrive) -> None:
-        """Make an empty hand."""
         self._physics, self._gripper = body.physics, gripper
         self._hand = (body.body, body.links[body.robot.ee_frame])
         self._tip = tool_pose(body.robot)
@@ -128,9 +119,9 @@ class Grasp:
         self.force = 0.0
 
     def hold(self, body: int, link: int, *, rigid: bool = True) -> bool:
-        """Hold a link of a body if both fingers touch it; if not `rigid`, it can turn in the hand.
+        """Hold a link if both fingers touch it, and return whether they do.
 
-        Returns whether they touch it.
+        If not `rigid`, the link can turn in the hand.
         """
         if self._gripper.touching(body, link) != {0, 1}:
             return False
@@ -151,9 +142,9 @@ class Grasp:
             return
         config, client = self._physics.config, self._physics.client
         (hand, hand_speed), (link, link_speed) = (self._motion(*end) for end in self._ends)
-        share = 1.0 / len(hand)
-        forces = config.grasp_stiffness * share * (hand - link)
-        forces += config.grasp_damping * share * (hand_speed - link_speed)
+        fraction = 1.0 / len(hand)
+        forces = config.grasp_stiffness * fraction * (hand - link)
+        forces += config.grasp_damping * fraction * (hand_speed - link_speed)
         self.force = float(np.linalg.norm(forces.sum(axis=0)))
         for point_in_hand, point, force in zip(hand, link, forces, strict=True):
             for end, at, pull in ((self._hand, point_in_hand, -force), (self.held, point, force)):
@@ -173,5 +164,5 @@ class Grasp:
         pose, linear, (x, y, z) = self._physics.motion(*end)
         positions = compose(pose, points)[:, :3]
         # Cross product as a matrix: numpy's function takes ten times as long.
-        turning = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        return positions, linear + (positions - pose[:3]) @ turning
+        cross = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        return positions, linear + (positions - pose[:3]) @ cross

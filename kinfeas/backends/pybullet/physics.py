@@ -44,7 +44,7 @@ class Physics:
         self.config, self.client, self._gui = config, connect(gui=gui), gui
         self.client.configureDebugVisualizer(self.client.COV_ENABLE_GUI, 0)
         self.client.setGravity(0.0, 0.0, -config.gravity)
-        # Without the second one, the order of pairs depends on what happened before a reset.
+        # Without the second parameter, the order of pairs depends on the history before a reset.
         self.client.setPhysicsEngineParameter(
             numSolverIterations=config.iterations, deterministicOverlappingPairs=1
         )
@@ -69,8 +69,8 @@ class Physics:
 
             def messages() -> list[str]:
                 output.seek(0)
-                found = _MESSAGE.split(output.read().decode(errors="replace"))
-                return [" ".join(one.split()) for one in found if one.strip()]
+                texts = _MESSAGE.split(output.read().decode(errors="replace"))
+                return [" ".join(text.split()) for text in texts if text.strip()]
 
             source = str(path) if urdf is None else file.name
             try:
@@ -79,7 +79,7 @@ class Physics:
             except client.error as error:
                 reason = "; ".join(messages()) or error
                 raise KinfeasError(f"{path}: PyBullet cannot load it: {reason}") from error
-            unread = [one for one in messages() if _UNREAD_MESH.search(one)]
+            unread = [text for text in messages() if _UNREAD_MESH.search(text)]
         if unread:  # PyBullet loads the link without the shape
             raise KinfeasError(
                 f"{path}: PyBullet: {unread[0]}; meshes must be binary STL, OBJ or DAE files"
@@ -90,14 +90,15 @@ class Physics:
     def links(self, body: int) -> dict[str, int]:
         """Return the indices of a body's links by name."""
         root, _ = self.client.getBodyInfo(body)
-        infos = (self.client.getJointInfo(body, i) for i in range(self.client.getNumJoints(body)))
-        return {root.decode(): ROOT, **{info[12].decode(): info[0] for info in infos}}
+        return {root.decode(): ROOT, **{info[12].decode(): info[0] for info in self._infos(body)}}
 
     def joints(self, body: int) -> dict[str, int]:
         """Return the indices of a body's moving joints by name, in order."""
-        infos = (self.client.getJointInfo(body, i) for i in range(self.client.getNumJoints(body)))
         fixed = self.client.JOINT_FIXED
-        return {info[1].decode(): info[0] for info in infos if info[2] != fixed}
+        return {info[1].decode(): info[0] for info in self._infos(body) if info[2] != fixed}
+
+    def _infos(self, body: int) -> list[Any]:
+        return [self.client.getJointInfo(body, i) for i in range(self.client.getNumJoints(body))]
 
     def link_pose(self, body: int, link: int) -> Array:
         """Return the world pose of a link's frame, shape (7,)."""
@@ -182,8 +183,8 @@ def connect(*, gui: bool) -> Any:
     class Client(BulletClient):  # type: ignore[misc]  # it has no types
         def __getattr__(self, name: str) -> Any:
             # Cached, because it binds functions anew at each use: thirty in a physics step.
-            self.__dict__[name] = found = super().__getattr__(name)
-            return found
+            self.__dict__[name] = function = super().__getattr__(name)
+            return function
 
         def leave(self) -> None:
             # Cached functions must not reach the next connection with the same number.
@@ -196,7 +197,7 @@ def connect(*, gui: bool) -> Any:
         with silence():
             return Client(pybullet.GUI if gui else pybullet.DIRECT)
     except pybullet.error as error:
-        raise KinfeasError(f"PyBullet opens no world: {error}") from error
+        raise KinfeasError(f"PyBullet cannot create a world: {error}") from error
 
 
 def _check_display() -> None:

@@ -1,17 +1,17 @@
 """The feasibility filter: base commands that the arm can follow."""
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config.quantities import NotNegative
-from kinfeas.control.loop import Loop
-from kinfeas.control.period import KinematicInputs
-from kinfeas.core.motion import Rows
-from kinfeas.core.policy import PolicyInput
+from kinfeas.control.drive import command_size
+from kinfeas.control.period import KinematicInputs, KinematicStep, Move, Period
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array, integrate
-from kinfeas.kinematics.ik import IkSolution, spread
+from kinfeas.kinematics.ik import IkSolver, spread
 from kinfeas.kinematics.solids import base_collides
 from kinfeas.robots.robot import exceeds_joint_velocity
 
@@ -29,72 +29,74 @@ class FeasibilityFilter:
     velocity constraints of the obstacle filters before this one.
 
     Args:
+        solver: IK of the robot.
+        dt: Control period, seconds.
         max_deviation: Largest position error of an arm with a pose tolerance, metres.
     """
 
     speeds: ClassVar[tuple[float, ...]] = (1.0,)
-    """Shares of the speed of the candidates, which are tried with each."""
+    """Fractions of the speed of the candidates, which are tried with each."""
 
-    def __init__(self, max_deviation: NotNegative = 0.02) -> None:
+    def __init__(self, solver: IkSolver, dt: float, max_deviation: NotNegative = 0.02) -> None:
         self.max_deviation = max_deviation
-
-    def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
-        """Use the kinematics of a loop; arguments as in `CommandFilter`."""
-        self._loop, self._robot = loop, loop.robot
-        fast = 2.0 * spread(_CANDIDATES, loop.command_size) - 1.0
+        self._step, self._robot = KinematicStep(solver, dt), solver.robot
+        fast = 2.0 * spread(_CANDIDATES, command_size(solver.robot.base)) - 1.0
         self.candidates: Array = np.concatenate([speed * fast for speed in self.speeds])
 
-    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
-        """Return feasible commands where there are any; arguments as in `CommandFilter`."""
-        period = self._loop.period
-        twist, arm, good = self._follow(command, period)
-        late = (~good).nonzero()[0]
-        if late.size:
-            command = command.copy()
-            self._replace(command, late if period.paused is None else late[~period.paused[late]])
-            twist[late], found = self._loop.kinematic_step(command[late], period.of(late))
-            arm.put(late, found)
-        period.solved = command, twist, arm
-        return command
+    def __call__(self, period: Period) -> Period:
+        """Return the period with feasible commands where there are any."""
+        move, good = self._tried(period.command, period)
+        failed = (~good).nonzero()[0]
+        if failed.size:
+            free = failed if period.paused is None else failed[~period.paused[failed]]
+            command = period.command.copy()
+            self._replace(period, command, free)
+            retried = self._step(command[failed], period.of(failed))
+            move = replaced(move, failed, retried, command)
+        return replace(period, command=move.command, move=move)
 
-    def _replace(self, command: Array, rows: Rows) -> Rows:
+    def _replace(self, period: Period, command: Array, rows: Rows) -> Rows:
         """Put the nearest feasible candidates into some rows of the commands, shape (n, a).
 
         Rows without a feasible candidate are returned.
         """
-        constraints = self._loop.period.velocity_constraints
-        away = np.linalg.norm(self.candidates - command[rows, np.newaxis], axis=2)
-        order = away.argsort(axis=1, kind="stable")
+        constraints = period.velocity_constraints
+        distances = np.linalg.norm(self.candidates - command[rows, np.newaxis], axis=2)
+        order = distances.argsort(axis=1, kind="stable")
         for first, last in _ROUNDS:
             if not rows.size:
                 break
             tries = self.candidates[order[:, first:last]]
             if constraints is not None:
                 tries = constraints.of(rows).hold(tries)
-            feasible = self._feasible(tries, rows)
-            found = feasible.any(axis=1)
-            command[rows[found]] = tries[found, feasible[found].argmax(axis=1)]
-            rows, order = rows[~found], order[~found]
+            feasible = self._feasible(period, tries, rows)
+            solved = feasible.any(axis=1)
+            command[rows[solved]] = tries[solved, feasible[solved].argmax(axis=1)]
+            rows, order = rows[~solved], order[~solved]
         return rows
 
-    def _feasible(self, tries: Array, rows: Rows) -> NDArray[np.bool_]:
+    def _feasible(self, period: Period, tries: Array, rows: Rows) -> NDArray[np.bool_]:
         """Return whether commands of m rows, shape (m, k, a), are feasible, shape (m, k)."""
         m, k, size = tries.shape
-        inputs = self._loop.period.of(rows.repeat(k))
-        return self._follow(tries.reshape(m * k, size), inputs)[2].reshape(m, k)
+        inputs = period.of(rows.repeat(k))
+        return self._tried(tries.reshape(m * k, size), inputs)[1].reshape(m, k)
 
-    def _follow(
-        self, command: Array, inputs: KinematicInputs
-    ) -> tuple[Array, IkSolution, NDArray[np.bool_]]:
-        """Return twists, arms and feasibility, shape (m,), of one command for each of m rows."""
-        step = self._loop.kinematic_step
-        twist, arm = step(command, inputs, allow_reconfiguration=False)
-        good = self._in_time(inputs.joints, arm)
+    def _tried(self, command: Array, inputs: KinematicInputs) -> tuple[Move, NDArray[np.bool_]]:
+        """Return the moves of commands, one for each of m rows, and whether they are feasible."""
+        step = self._step
+        move = step(command, inputs, allow_reconfiguration=False)
+        jumps = exceeds_joint_velocity(
+            self._robot, inputs.joints, move.arm.joint_positions, step.dt
+        )
+        good = move.arm.feasible & ~jumps & (move.arm.position_error <= self.max_deviation)
         if inputs.solids is not None:
-            reached = integrate(inputs.base_pose, twist, step.dt)
+            reached = integrate(inputs.base_pose, move.base_twist, step.dt)
             good &= ~base_collides(step.solver.collision, reached, inputs.solids)
-        return twist, arm, good
+        return move, good
 
-    def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:
-        jumps = exceeds_joint_velocity(self._robot, joints, arm.joint_positions, self._loop.dt)
-        return arm.feasible & ~jumps & (arm.position_error <= self.max_deviation)
+
+def replaced(move: Move, rows: Rows, other: Move, command: Array) -> Move:
+    """Return a move with another one in some rows; `command` is that of all rows."""
+    twist = with_rows(move.base_twist, rows, other.base_twist)
+    move.arm.put(rows, other.arm)
+    return Move(twist, move.arm, command)

@@ -1,21 +1,23 @@
 """The obstacle filter: base commands that keep a distance from obstacles."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.control.adapters import chain
 from kinfeas.control.drive import command_size
 from kinfeas.control.filters.half_spaces import LEVER, allowed, approach, hold
-from kinfeas.control.loop import Loop
-from kinfeas.core.backend import ObstacleDistances, SupportsObstacleDistances
+from kinfeas.control.period import Period
+from kinfeas.core.backend import Backend, ObstacleDistances, ObstacleSensor
 from kinfeas.core.errors import KinfeasError, plugin_note
-from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Base
+
+MIN_DISTANCE = 0.03
+"""Distance that bases keep from obstacles by default, metres."""
 
 _RIM = 0.5
 """Radius in metres at which a turning base is assumed to have its rim."""
@@ -53,68 +55,80 @@ class VelocityConstraints:
         return held
 
 
-class ObstacleFilter:
-    """Limits the velocity towards near obstacles, so that the base can brake in time.
+class VelocityDamper:
+    """Velocity constraints that let bases brake before they reach obstacles.
 
-    The base restores a distance that is too small and, where the backend measures closing speeds,
-    gives way to obstacles that move towards it.
-
-    A velocity damper (Faverjon and Tournassoud, "A local based approach for path planning of
-    manipulators with a high number of degrees of freedom", 1987). The backend must measure
-    distances to obstacles.
+    Faverjon and Tournassoud, "A local based approach for path planning of manipulators with a high
+    number of degrees of freedom", 1987.
 
     Args:
-        min_distance: Distance that the base keeps from obstacles, metres.
+        base: Drive and limits of the bases.
+        dt: Control period, seconds.
+        min_distance: Distance that bases keep from obstacles, metres.
     """
 
-    def __init__(self, min_distance: Annotated[float, Interval(ge=0.0, le=10.0)] = 0.03) -> None:
-        self.min_distance = min_distance
-
-    def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
-        """Use the backend and the base of a loop; arguments as in `CommandFilter`."""
-        self._loop, base = loop, loop.robot.base
-        *_, innermost = chain(loop.backend)
-        name = type(innermost).__name__
-        if not isinstance(loop.backend, SupportsObstacleDistances):
-            raise KinfeasError(
-                "the filter obstacle_distance needs a backend that measures distances to "
-                f"obstacles; {name} does not"
-            )
-        self._measure = loop.backend.obstacle_distances
-        self._note = plugin_note(f"backend {name}")
+    def __init__(self, base: Base, dt: float, min_distance: float = MIN_DISTANCE) -> None:
         self._full = _full_velocity(base)
         fastest = base.max_velocity + base.max_rotation * _RIM
         braking = min(base.max_acceleration, base.max_rotation_acceleration * _RIM)
         # Obstacles further away do not limit the base.
-        way = max(fastest**2 / braking, 2.0 * loop.dt * fastest)
-        self._range = self.min_distance + way
-        self._rules = np.array([self.min_distance, braking, 2.0 * loop.dt])
+        self._range = min_distance + max(fastest**2 / braking, 2.0 * dt * fastest)
+        self._rules = np.array([min_distance, braking, 2.0 * dt])
 
-    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
-        """Return commands that keep the distance; arguments as in `CommandFilter`."""
-        constraints = self.constraints(len(command))
-        self._loop.period.velocity_constraints = constraints
-        return constraints.hold(command[:, np.newaxis])[:, 0]
-
-    def constraints(self, n: int) -> VelocityConstraints:
+    def constraints(self, sensor: ObstacleSensor, n: int) -> VelocityConstraints:
         """Return the velocity constraints of n bases now.
 
         Half of the braking that the base is capable of suffices, and a control period uses at most
         half of the remaining distance.
         """
-        with self._note:
-            found = self._measure(self._range)
-        if not isinstance(found, ObstacleDistances) or len(found.distance) != n:
-            raise KinfeasError(f"{self._note.plugin} must return ObstacleDistances of {n} robots")
-        k, full = found.distance.shape[1], self._full
+        near = sensor.obstacle_distances(self._range)
+        if not isinstance(near, ObstacleDistances) or len(near.distance) != n:
+            raise KinfeasError(f"the backend must return ObstacleDistances of {n} robots")
+        k, full = near.distance.shape[1], self._full
         normal, limit = np.empty((n, k + 2, len(full))), np.empty((n, k + 2))
-        closing = np.zeros(k) if found.closing_speed is None else found.closing_speed
-        approach(found.closest_point, found.normal, full, out=normal[:, :k])
-        allowed(found.distance, closing, self._rules, out=limit[:, :k])
+        closing = np.zeros(k) if near.closing_speed is None else near.closing_speed
+        approach(near.closest_point, near.normal, full, out=normal[:, :k])
+        allowed(near.distance, closing, self._rules, out=limit[:, :k])
         # The rotation limit is a constraint as well, so that a projection does not exceed it.
         normal[:, k:], limit[:, k:] = 0.0, full[-1]
         normal[:, k:, -1] = 1.0, -1.0
         return VelocityConstraints(full, normal, limit)
+
+
+class ObstacleFilter:
+    """Limits the velocity towards near obstacles, so that the base can brake in time.
+
+    The base restores a distance that is too small and, where the backend measures closing speeds,
+    gives way to obstacles that move towards it. The backend must measure distances to obstacles.
+
+    Args:
+        solver: IK of the robot.
+        backend: Measures the distances.
+        dt: Control period, seconds.
+        min_distance: Distance that the base keeps from obstacles, metres.
+    """
+
+    def __init__(
+        self,
+        solver: IkSolver,
+        backend: Backend,
+        dt: float,
+        min_distance: Annotated[float, Interval(ge=0.0, le=10.0)] = MIN_DISTANCE,
+    ) -> None:
+        if backend.obstacles is None:
+            raise KinfeasError(
+                "the filter obstacle_distance needs a backend that measures distances to "
+                f"obstacles; {backend.name} does not"
+            )
+        self._sensor, self._note = backend.obstacles, plugin_note(f"backend {backend.name}")
+        self._damper = VelocityDamper(solver.robot.base, dt, min_distance)
+
+    def __call__(self, period: Period) -> Period:
+        """Return the period with commands that keep the distance."""
+        with self._note:
+            constraints = self._damper.constraints(self._sensor, len(period.command))
+        command = constraints.hold(period.command[:, np.newaxis])[:, 0]
+        return replace(period, command=command, velocity_constraints=constraints)
 
 
 def _full_velocity(base: Base) -> Array:

@@ -1,16 +1,19 @@
 """The path planner: base and arm follow a path that is planned for the whole EE motion."""
 
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.base_path import BasePath, BasePathPlanner
-from kinfeas.control.loop import Loop
-from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.period import Period
+from kinfeas.control.targets import TargetStream
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows, with_rows
-from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, distance, wrap, yaw
+from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Base, joint_displacement
 
 _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.1, 0.7
@@ -29,106 +32,128 @@ class PathPlanner:
     """Plans base and arm along each EE motion when it begins, and follows these paths.
 
     The EE slows down where the robot needs more time. A path that the robot has left is planned
-    again. The policy acts where no path is found, and after the end of a path.
+    again. The policy acts where no path is found, and after the end of a path. With an executor
+    robots rest until their paths are found.
+
+    Args:
+        solver: IK of the robot.
+        dt: Control period, seconds.
+        execution: Execution of the motions.
+        stream: Targets that move, with which there is nothing to plan.
+        executor: Runs the searches beside the loop.
 
     Attributes:
         max_batch: Episodes side by side, whose plans take about as many seconds.
     """
 
     max_batch = 32
-    _planner: BasePathPlanner | None = None
 
-    def __init__(self) -> None:
-        self._paths: dict[int, BasePath] = {}
-
-    def reset(self, loop: Loop, rows: NDArray[np.intp]) -> None:
-        """Plan for the motions of a loop; arguments as in `CommandFilter`."""
-        if loop.target_stream is not None:
+    def __init__(
+        self,
+        solver: IkSolver,
+        dt: float,
+        execution: ExecutionConfig,
+        stream: TargetStream | None = None,
+        executor: Executor | None = None,
+    ) -> None:
+        if stream is not None:
             raise KinfeasError("the filter path_planner needs motions that are known in advance")
-        self._loop = loop
-        if self._planner is None:
-            self._planner = BasePathPlanner(loop.solver)
-        if len(rows) == len(loop.desired):
-            self._subgoal, self._again_at = np.zeros((2, len(rows)), dtype=np.intp)
-            self._wait, self._paths = np.zeros(len(rows)), {}
+        self._planner, self._robot = BasePathPlanner(solver), solver.robot
+        self._dt, self._time_scale, self._executor = dt, execution.time_scale, executor
+        self._paths: dict[int, BasePath] = {}
+        self._search: Future[dict[int, BasePath]] | None = None
+        self._subgoal = self._again_at = np.empty(0, dtype=np.intp)
+        self._wait: Array = np.empty(0)
+
+    def reset(self, rows: Rows, n: int) -> None:
+        """Forget the paths of new episodes in `rows` of n."""
+        if len(rows) == n:
+            self._subgoal, self._again_at = np.zeros((2, n), dtype=np.intp)
+            self._wait, self._paths, self._search = np.zeros(n), {}, None
         self._subgoal[rows] = -1
 
-    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
-        """Return the commands along the paths; arguments as in `CommandFilter`."""
-        loop, elapsed = self._loop, self._loop.sequence.elapsed
-        if (due := self._due()).size:
-            self.plan(due)
-        self._paths = {i: one for i, one in self._paths.items() if elapsed[i] < one.seconds[-1]}
+    def __call__(self, period: Period) -> Period:
+        """Return the period with commands along the paths."""
+        if (due := self._due(period)).size:
+            self._plan(due, period)
+        if self._search is not None:
+            if not self._search.done():
+                return period.slowed(np.zeros(1)).commanded(np.zeros_like(period.command))
+            self._paths |= self._search.result()
+            self._search = None
+        elapsed = period.motions.elapsed
+        self._paths = {
+            row: path for row, path in self._paths.items() if elapsed[row] < path.seconds[-1]
+        }
         rows = np.array(list(self._paths), dtype=np.intp)
         if not rows.size:
-            return command
-        period = loop.period
+            return period
         scale = period.time_scale.copy()
-        scale[rows] *= [one.time_scale_at(elapsed[i]) for i, one in self._paths.items()]
+        scale[rows] *= [path.time_scale_at(elapsed[row]) for row, path in self._paths.items()]
         if (scale != period.time_scale).any():
-            loop.slow_down(scale)
-        now, then = self._robots(rows, 0.0), self._robots(rows, period.motion_seconds[rows])
-        guide = np.full_like(period.joints, np.nan) if period.guide is None else period.guide
-        period.guide = with_rows(guide, rows, then[:, 3:])
-        base_pose = period.base_pose[rows]
-        along = follow(loop.robot.base, base_pose, now[:, :3], then[:, :3], loop.dt)
-        return with_rows(command, rows, along)
+            period = period.slowed(scale)
+        now = self._robots(rows, elapsed[rows])
+        then = self._robots(rows, elapsed[rows] + period.motion_seconds[rows])
+        guide = period.posture_guide
+        guide = np.full_like(period.joints, np.nan) if guide is None else guide
+        base, base_pose = self._robot.base, period.base_pose[rows]
+        along = follow(base, base_pose, now[:, :3], then[:, :3], self._dt)
+        return replace(
+            period,
+            command=with_rows(period.command, rows, along),
+            posture_guide=with_rows(guide, rows, then[:, 3:]),
+        )
 
-    def plan(self, rows: Rows) -> None:
+    def _plan(self, rows: Rows, period: Period) -> None:
         """Plan the motions of rows from now on."""
-        loop = self._loop
-        subgoal = loop.sequence.subgoal[rows]
-        wait = 2.0 * self._wait[rows]
+        motions = period.motions
+        subgoal, wait = motions.subgoal[rows], 2.0 * self._wait[rows]
         self._wait[rows] = np.where(self._subgoal[rows] == subgoal, wait, _REPLAN_SECONDS)
         self._subgoal[rows] = subgoal
-        self._again_at[rows] = loop.periods[rows] + np.ceil(self._wait[rows] / loop.dt)
-        self._paths = {row: one for row, one in self._paths.items() if row not in rows}
-        self.put(self.search(rows, loop.period, loop.sequence.copied()))
+        self._again_at[rows] = motions.periods[rows] + np.ceil(self._wait[rows] / self._dt)
+        self._paths = {row: path for row, path in self._paths.items() if row not in rows}
+        copied = replace(period, motions=motions.copied())
+        if self._executor is None:
+            self._paths |= self._searched(rows, copied)
+        else:
+            self._search = self._executor.submit(self._searched, rows, copied)
 
-    def put(self, paths: dict[int, BasePath]) -> None:
-        """Follow paths in some rows."""
-        self._paths |= paths
-
-    def search(self, rows: Rows, period: Period, sequence: MotionSequence) -> dict[int, BasePath]:
-        """Return the paths that are found for rows, shape (m,), from a period of a sequence on.
-
-        Neither changes meanwhile.
-        """
-        assert self._planner is not None
-        found, solids = {}, period.solids
-        for row, ee in zip(rows.tolist(), sequence.to_the_end(rows), strict=True):
+    def _searched(self, rows: Rows, period: Period) -> dict[int, BasePath]:
+        """Return the paths that are found for rows, shape (m,), from a period on."""
+        paths, motions, solids = {}, period.motions, period.solids
+        for row, ee in zip(rows.tolist(), motions.to_the_end(rows), strict=True):
             path = self._planner.plan(
                 period.base_pose[row],
                 period.joints[row],
                 ee,
-                begin=sequence.elapsed[row],
-                time_scale=self._loop.execution.time_scale,
+                begin=motions.elapsed[row],
+                time_scale=self._time_scale,
                 solids=None if solids is None else solids.of(np.array([row])),
             )
             if path is not None:
-                found[row] = path
-        return found
+                paths[row] = path
+        return paths
 
-    def _due(self) -> Rows:
+    def _due(self, period: Period) -> Rows:
         """Return the rows that need a path now."""
-        loop, sequence = self._loop, self._loop.sequence
-        due: NDArray[np.bool_] = self._subgoal != sequence.subgoal
+        motions = period.motions
+        due: NDArray[np.bool_] = self._subgoal != motions.subgoal
         rows = np.array([row for row in self._paths if not due[row]], dtype=np.intp)
-        rows = rows[loop.periods[rows] >= self._again_at[rows]]
+        rows = rows[motions.periods[rows] >= self._again_at[rows]]
         if rows.size:
-            robots, elapsed = self._robots(rows, 0.0), sequence.elapsed
+            elapsed = motions.elapsed
+            robots = self._robots(rows, elapsed[rows])
             ee = np.stack([self._paths[row].ee_at(elapsed[row]) for row in rows.tolist()])
-            arm = joint_displacement(loop.robot, loop.joint_command[rows], robots[:, 3:])
-            base = robots[:, :2] - loop.state.base_pose[rows, :2]
-            due[rows] = distance(ee, sequence.desired[rows])[0] > _OFF_EE
+            arm = joint_displacement(self._robot, period.joints[rows], robots[:, 3:])
+            base = robots[:, :2] - period.base_pose[rows, :2]
+            due[rows] = distance(ee, motions.desired[rows])[0] > _OFF_EE
             due[rows] |= np.linalg.norm(base, axis=1) > _OFF_BASE
             due[rows] |= np.abs(arm).max(axis=1) > _OFF_ARM
         return np.flatnonzero(due)
 
-    def _robots(self, rows: Rows, seconds: Array | float) -> Array:
-        """Return base and arm on the paths of m rows some motion time ahead, (m, 3 + j)."""
-        then = self._loop.sequence.elapsed[rows] + seconds
-        pairs = zip(rows.tolist(), then.tolist(), strict=True)
+    def _robots(self, rows: Rows, seconds: Array) -> Array:
+        """Return base and arm on the paths of m rows at motion times (m,), shape (m, 3 + j)."""
+        pairs = zip(rows.tolist(), seconds.tolist(), strict=True)
         return np.stack([self._paths[row].robot_at(when) for row, when in pairs])
 
 

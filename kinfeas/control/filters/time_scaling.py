@@ -1,14 +1,16 @@
 """Time scaling: the EE slows down or waits where no base command lets the arm follow."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from kinfeas.config.quantities import NotNegative
-from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.core.policy import PolicyInput
-from kinfeas.core.spatial import Array
+from kinfeas.control.filters.feasibility import FeasibilityFilter, replaced
+from kinfeas.control.period import Period
+from kinfeas.kinematics.ik import IkSolver
 
-_SHARES = (0.5, 0.25, 0.0)
-"""Shares of the planned step that are tried, until there is a feasible command."""
+_FRACTIONS = (0.5, 0.25, 0.0)
+"""Fractions of the planned step that are tried, until there is a feasible command."""
 
 
 class TimeScalingFilter(FeasibilityFilter):
@@ -19,36 +21,34 @@ class TimeScalingFilter(FeasibilityFilter):
     and arm hold. Thus no IK failure and no joint jump is commanded. It must be the last filter.
 
     Args:
+        solver: IK of the robot.
+        dt: Control period, seconds.
         max_deviation: As of the feasibility filter; the EE waits where no candidate is within it.
     """
 
     # Near joint limits the arm only follows a slow base.
     speeds = (1.0, 0.3, 0.1)
 
-    def __init__(self, max_deviation: NotNegative = 0.01) -> None:
-        super().__init__(max_deviation)
+    def __init__(self, solver: IkSolver, dt: float, max_deviation: NotNegative = 0.01) -> None:
+        super().__init__(solver, dt, max_deviation)
 
-    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
-        """Return feasible commands; arguments as in `CommandFilter`."""
-        loop, period, command = self._loop, self._loop.period, command.copy()
-        twist, arm, good = self._follow(command, period)
-        late = np.flatnonzero(~good)
+    def __call__(self, period: Period) -> Period:
+        """Return the period with feasible commands, and slower where there are none."""
+        move, good = self._tried(period.command, period)
+        failed = (~good).nonzero()[0]
         if period.paused is not None:
-            late = late[~period.paused[late]]
-        if late.size:
-            planned = period.time_scale
-            scale, left = planned.copy(), self._replace(command, late)
-            for share in _SHARES:
-                if not left.size:
-                    break
-                scale[left] = share * planned[left]
-                loop.slow_down(scale.copy())
-                slow = left[~self._feasible(command[left, np.newaxis], left)[:, 0]]
-                left = self._replace(command, slow)
-            command[left] = 0.0
-            twist[late], found = loop.kinematic_step(
-                command[late], period.of(late), allow_reconfiguration=False
-            )
-            arm.put(late, found)
-        period.solved = command, twist, arm
-        return command
+            failed = failed[~period.paused[failed]]
+        if not failed.size:
+            return replace(period, move=move)
+        planned, command = period.time_scale, period.command.copy()
+        scale, left = planned.copy(), self._replace(period, command, failed)
+        for fraction in _FRACTIONS:
+            if not left.size:
+                break
+            scale[left] = fraction * planned[left]
+            period = period.slowed(scale.copy())
+            slow = left[~self._feasible(period, command[left, np.newaxis], left)[:, 0]]
+            left = self._replace(period, command, slow)
+        command[left] = 0.0
+        retried = self._step(command[failed], period.of(failed), allow_reconfiguration=False)
+        return replace(period, command=command, move=replaced(move, failed, retried, command))

@@ -11,7 +11,7 @@ from kinfeas.control.drive import action_toward, command_size
 from kinfeas.control.drive_kernels import write_action_toward
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.kernel_cache import compiled
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import Observation
 from kinfeas.core.pose_kernels import TWIST, clipped, heading, wrapped
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Base, Robot
@@ -39,11 +39,11 @@ class FollowEe:
     base: Base
     feedback: bool = False
 
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        start = policy_input.ee_pose if self.feedback else policy_input.desired
-        velocity = (policy_input.planned[:, :2] - start[:, :2]) / HORIZON
-        return action_toward(self.base, policy_input.base_pose, velocity, HORIZON)
+        start = observation.ee_pose if self.feedback else observation.desired
+        velocity = (observation.planned[:, :2] - start[:, :2]) / HORIZON
+        return action_toward(self.base, observation.base_pose, velocity, HORIZON)
 
 
 def follow_ee(robot: Robot) -> FollowEe:
@@ -62,9 +62,9 @@ class Stationary:
 
     base: Base
 
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return zero commands, shape (n, 3) or (n, 2)."""
-        return np.zeros((len(policy_input.base_pose), command_size(self.base)))
+        return np.zeros((len(observation.base_pose), command_size(self.base)))
 
 
 def stationary(robot: Robot) -> Stationary:
@@ -99,11 +99,11 @@ class FollowBase:
     forward_shift: float = 0.0
     source: Literal["demonstrated_base", "planned_base"] = "demonstrated_base"
 
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        base, pose = self.base, policy_input.base_pose
-        wanted: Array = getattr(policy_input, self.source)
-        motion = policy_input.planned[:, :3] - policy_input.desired[:, :3]
+        base, pose = self.base, observation.base_pose
+        wanted: Array = getattr(observation, self.source)
+        motion = observation.planned[:, :3] - observation.desired[:, :3]
         rules = np.array([base.max_velocity, base.max_rotation, self.forward_shift])
         like = TWIST[: command_size(base)]
         action: Array = _follow_base(wanted, pose, motion, rules, like)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.control.drive import action_toward
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array, make_pose, rotation, wrap, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread, spread_configurations
@@ -223,17 +223,17 @@ class GeometricModulation:
     robot: Robot
     ellipses: ReachEllipses
 
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        base, ee = self.robot.base, policy_input.ee_pose
-        offset = policy_input.base_pose[:, :2] - ee[:, :2]
-        velocity = (policy_input.planned[:, :2] - ee[:, :2]) / HORIZON
-        velocity = velocity + self._correction(ee, policy_input.planned, offset)
-        heading = yaw(policy_input.base_pose)
+        base, ee = self.robot.base, observation.ee_pose
+        offset = observation.base_pose[:, :2] - ee[:, :2]
+        velocity = (observation.planned[:, :2] - ee[:, :2]) / HORIZON
+        velocity = velocity + self._correction(ee, observation.planned, offset)
+        heading = yaw(observation.base_pose)
         off = wrap(np.arctan2(-offset[:, 1], -offset[:, 0]) - heading - self.ellipses.bearing)
         turn = _HEADING_GAIN * np.sign(off) * np.maximum(np.abs(off) - _CONE, 0.0)
         if base.drive == "omnidirectional":
-            action = action_toward(base, policy_input.base_pose, velocity, HORIZON)
+            action = action_toward(base, observation.base_pose, velocity, HORIZON)
             action[:, 2] = turn / base.max_rotation
         else:
             seen = turned(velocity, -heading)

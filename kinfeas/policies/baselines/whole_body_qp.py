@@ -5,20 +5,18 @@ a preferred posture of the arm.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinfeas.control.drive import command_size
-from kinfeas.control.filters.obstacle_distance import ObstacleFilter, VelocityConstraints
+from kinfeas.control.filters.obstacle_distance import VelocityConstraints, VelocityDamper
 from kinfeas.control.observation import HORIZON
-from kinfeas.core.backend import SupportsObstacleDistances
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array, relative
 from kinfeas.kinematics.forward import build_chain
 from kinfeas.robots.robot import Robot
@@ -47,25 +45,18 @@ class WholeBodyQp:
     """
 
     robot: Robot
-    _barriers: ObstacleFilter | None = field(default=None, init=False, repr=False)
 
-    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
-        """Use the obstacles of a loop; arguments as in `RecurrentPolicy`."""
-        self._barriers = None
-        if isinstance(loop.backend, SupportsObstacleDistances):
-            self._barriers = ObstacleFilter()
-            self._barriers.reset(loop, rows)
-
-    def act(self, policy_input: PolicyInput) -> Array:
+    def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        joints = policy_input.joint_positions
-        targets = relative(policy_input.planned, policy_input.base_pose)
+        joints = observation.joint_positions
+        targets = relative(observation.planned, observation.base_pose)
         actions = np.zeros((len(joints), command_size(self.robot.base)))
         barriers: list[tuple[Barriers, ...]] = [()] * len(joints)
-        if self._barriers is not None:
-            found = self._barriers.constraints(len(joints))
-            actions = found.hold(actions[:, np.newaxis])[:, 0]
-            barriers = [(Barriers(found, row),) for row in range(len(joints))]
+        if observation.obstacles is not None:
+            damper = VelocityDamper(self.robot.base, observation.dt)
+            constraints = damper.constraints(observation.obstacles, len(joints))
+            actions = constraints.hold(actions[:, np.newaxis])[:, 0]
+            barriers = [(Barriers(constraints, row),) for row in range(len(joints))]
         for row, one in enumerate(zip(targets, joints, barriers, strict=True)):
             action = self._step(*one)
             if action is not None:

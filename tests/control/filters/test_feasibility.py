@@ -1,13 +1,11 @@
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.motion_sequence import Plan
-from kinfeas.control.period import KinematicStep, Period
+from kinfeas.control.period import MotionStep, Period
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.evaluation.evaluate import evaluate, prepare
@@ -28,45 +26,30 @@ def solver():
 
 
 @pytest.fixture(params=[0, 6], ids=["empty floor", "solids"])
-def loop(solver, request):
-    """Arms anywhere, EEs that are to rest, and the parts of a loop that the filter reads."""
+def period(solver, request):
+    """Arms anywhere and EEs that are to rest, with random commands."""
     robot, rng = solver.robot, np.random.default_rng(0)
     lower, upper = robot.finite_joint_limits
     joints = rng.uniform(lower, upper, (ROWS, len(robot.arm)))
     base_pose = spatial.planar_pose(*rng.uniform(-3.0, 3.0, (3, ROWS)))
     desired = spatial.compose(base_pose, forward(solver.chain, joints))
-    return SimpleNamespace(
-        robot=robot,
-        dt=DT,
-        command_size=command_size(robot.base),
-        kinematic_step=KinematicStep(solver, DT),
-        period=Period(
-            base_pose=base_pose,
-            joints=joints,
-            desired=desired,
-            solids=draw_solids(ROWS, request.param, reach=4.0) if request.param else None,
-            plan=Plan(desired, desired, [], np.full(ROWS, DT)),
-            time_scale=np.ones(ROWS),
-        ),
+    size = ROWS, command_size(robot.base)
+    return Period(
+        command=np.random.default_rng(1).uniform(-1.0, 1.0, size),
+        base_pose=base_pose,
+        joints=joints,
+        desired=desired,
+        solids=draw_solids(ROWS, request.param, reach=4.0) if request.param else None,
+        step=MotionStep(desired, desired, [], np.full(ROWS, DT)),
+        time_scale=np.ones(ROWS),
+        motions=None,
     )
 
 
-@pytest.fixture
-def command(loop):
-    return np.random.default_rng(1).uniform(-1.0, 1.0, (ROWS, loop.command_size))
-
-
-def filtered(loop, command):
-    one = FeasibilityFilter()
-    one.reset(loop, np.arange(ROWS))
-    return one(command, None), one.candidates
-
-
-def feasible(loop, command, rows):
+def feasible(solver, period, command, rows):
     """Return whether IK without restarts finds an arm in time, and the base is free, shape (m,)."""
-    solver = loop.kinematic_step.solver
     local = IkSolver(solver.robot, replace(solver.options, restarts=0))
-    given = loop.period.of(rows)
+    given = period.of(rows)
     base, joints = given.base_pose, given.joints
     twist = base_twist(solver.robot.base, base, command, DT)
     reached = spatial.integrate(base, twist, DT)
@@ -80,14 +63,15 @@ def feasible(loop, command, rows):
     return arm.feasible & ~jumps & ~touches[:, 0]
 
 
-def test_feasible_commands_stay_and_others_become_the_nearest_candidate(loop, command):
-    found, candidates = filtered(loop, command)
-    able = feasible(loop, command, np.arange(ROWS))
+def test_feasible_commands_stay_and_others_become_the_nearest_candidate(solver, period):
+    command_filter, command = FeasibilityFilter(solver, DT), period.command
+    found, candidates = command_filter(period).command, command_filter.candidates
+    able = feasible(solver, period, command, np.arange(ROWS))
     assert 0 < able.sum() < ROWS
     np.testing.assert_array_equal(found[able], command[able])
     helped = 0
     for row in np.flatnonzero(~able):
-        fits = candidates[feasible(loop, candidates, np.repeat(row, len(candidates)))]
+        fits = candidates[feasible(solver, period, candidates, np.repeat(row, len(candidates)))]
         away = np.linalg.norm(fits - command[row], axis=1)
         expected = fits[away.argmin()] if len(fits) else command[row]
         np.testing.assert_array_equal(found[row], expected)
@@ -95,12 +79,12 @@ def test_feasible_commands_stay_and_others_become_the_nearest_candidate(loop, co
     assert helped > 0
 
 
-def test_paused_rows_stay_and_change_no_other(loop, command):
-    together, _ = filtered(loop, command)
-    loop.period.paused = np.arange(ROWS) % 2 == 0
-    found, _ = filtered(loop, command)
-    np.testing.assert_array_equal(found[loop.period.paused], command[loop.period.paused])
-    np.testing.assert_array_equal(found[~loop.period.paused], together[~loop.period.paused])
+def test_paused_rows_stay_and_change_no_other(solver, period):
+    command_filter, paused = FeasibilityFilter(solver, DT), np.arange(ROWS) % 2 == 0
+    together = command_filter(period).command
+    found = command_filter(replace(period, paused=paused)).command
+    np.testing.assert_array_equal(found[paused], period.command[paused])
+    np.testing.assert_array_equal(found[~paused], together[~paused])
 
 
 def mean_deviation_of_hsr(most):

@@ -1,15 +1,14 @@
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.config import PluginSpec
+from kinfeas.control.assemble import assemble
 from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.execution import SubgoalMotion
-from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.filters.obstacle_distance import ObstacleFilter
-from kinfeas.control.loop import Loop
+from kinfeas.control.filters.obstacle_distance import ObstacleFilter, VelocityDamper
 from kinfeas.core import spatial
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.errors import KinfeasError
@@ -20,6 +19,7 @@ from kinfeas.plugins.linear import Linear
 from kinfeas.robots.loading import load_robot
 
 KEPT, DT, RADIUS = 0.05, 0.1, 0.3
+KEEP = PluginSpec("obstacle_distance", {"min_distance": KEPT})
 ROBOTS = pytest.mark.parametrize("robot", ["hsr", "tiago"], indirect=True)
 
 
@@ -31,6 +31,7 @@ def robot(request):
 class Pillars(AnalyticBackend):
     def __init__(self, *pillars):
         super().__init__()
+        self.obstacles = self
         self.pillars = np.array(pillars).reshape(-1, 2)
 
     def obstacle_distances(self, within):
@@ -50,15 +51,10 @@ class Pillars(AnalyticBackend):
         return np.linalg.norm(way, axis=2).min(axis=1) - RADIUS
 
 
-class Blind:
-    def __init__(self):
-        world = AnalyticBackend()
-        self.reset, self.step, self.close = world.reset, world.step, world.close
-
-
 class Fixed(AnalyticBackend):
     def __init__(self, answer):
         super().__init__()
+        self.obstacles = self
         self.obstacle_distances = lambda within: answer()
 
 
@@ -68,10 +64,10 @@ def start_of(robot, n):
     return base, np.tile(robot.home["home"], (n, 1))
 
 
-def loop_among(robot, backend, n, filters=None):
+def loop_among(robot, backend, n, filters=()):
     base, joints = start_of(robot, n)
-    filters = [ObstacleFilter(KEPT)] if filters is None else filters
-    loop = Loop(IkSolver(robot), [SubgoalMotion(Linear())], backend, DT, filters=filters)
+    filters = [KEEP, *filters]
+    loop = assemble(IkSolver(robot), [SubgoalMotion(Linear())], backend, dt=DT, filters=filters)
     ee = spatial.compose(base, forward(loop.solver.chain, joints))
     goal = spatial.integrate(ee, np.tile([1.0, 0, 0, 0, 0, 0], (n, 1)), 1.0)
     rngs = [np.random.default_rng(i) for i in range(n)]
@@ -80,9 +76,7 @@ def loop_among(robot, backend, n, filters=None):
 
 
 def constraints(robot, backend, n=1):
-    one = ObstacleFilter(KEPT)
-    one.reset(SimpleNamespace(robot=robot, backend=backend, dt=DT), np.arange(n))
-    return one.constraints(n)
+    return VelocityDamper(robot.base, DT, KEPT).constraints(backend, n)
 
 
 @ROBOTS
@@ -99,7 +93,7 @@ def test_no_base_comes_nearer_than_its_distance(robot):
         nearest = np.minimum(nearest, backend.nearest)
     # A turn and a drive at once lead a little off the straight way.
     assert KEPT - 0.005 < nearest.min() < KEPT + 0.02
-    assert np.linalg.norm(loop.state.base_pose[:, :2], axis=1).max() > 0.3
+    assert np.linalg.norm(loop.robots.base_pose[:, :2], axis=1).max() > 0.3
 
 
 def test_a_base_may_leave_an_obstacle_that_it_touches(robot):
@@ -115,9 +109,7 @@ def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, rotation):
     way, ahead = 0.02, np.array([[[1.0, 0.0]]])
     near = Fixed(lambda: ObstacleDistances(0.3 * ahead, ahead, np.array([[KEPT + way]])))
     robot = replace(robot, base=replace(robot.base, max_rotation_acceleration=rotation))
-    one = ObstacleFilter(KEPT)
-    one.reset(SimpleNamespace(robot=robot, backend=near, dt=dt), np.arange(1))
-    velocity = one.constraints(1).limit[0, 0]
+    velocity = VelocityDamper(robot.base, dt, KEPT).constraints(near, 1).limit[0, 0]
     base = robot.base
     braking = min(base.max_acceleration, 0.5 * base.max_rotation_acceleration)
     expected = way / (2.0 * dt) if dt == 1.0 else np.sqrt(2.0 * 0.5 * braking * way)
@@ -151,14 +143,14 @@ def test_a_base_that_cannot_turn_fast_enough_slows_down(robot):
 
 def test_candidates_of_the_feasibility_filter_keep_the_distance(robot):
     backend = Pillars(*([RADIUS + KEPT, y] for y in np.linspace(-1.0, 1.0, 21)))
-    filters = [ObstacleFilter(KEPT), FeasibilityFilter()]
-    loop = loop_among(robot, backend, 64, filters)
-    rng, lower_upper = np.random.default_rng(0), robot.finite_joint_limits
-    loop.joint_command = rng.uniform(*lower_upper, (64, len(robot.arm)))
+    loop, rng = (
+        loop_among(robot, backend, 64, [PluginSpec("feasibility")]),
+        np.random.default_rng(0),
+    )
     backend.state.base_pose[:] = spatial.IDENTITY
-    before = loop.state.base_pose[:, 0].copy()
+    before = loop.robots.base_pose[:, 0].copy()
     loop.step(rng.uniform(-1.0, 1.0, (64, 3)))
-    assert (loop.state.base_pose[:, 0] - before).max() < 1e-4
+    assert (loop.robots.base_pose[:, 0] - before).max() < 1e-4
 
 
 @ROBOTS
@@ -185,9 +177,11 @@ def test_held_commands_are_within_the_base_limits_and_do_not_depend_on_other_row
     lambda: ObstacleDistances(*np.zeros((2, 1, 1, 2)), np.ones((1, 1)), np.full((1, 1), np.nan)),
 ])  # fmt: skip
 def test_wrong_answers_of_a_backend_raise_errors_that_name_it(robot, answer):
-    with pytest.raises(KinfeasError, match="Blind"):
-        constraints(robot, Blind())
+    solver = IkSolver(robot)
+    with pytest.raises(KinfeasError, match="AnalyticBackend"):
+        ObstacleFilter(solver, AnalyticBackend(), DT)
+    loop = loop_among(robot, Fixed(answer), 1)
     with pytest.raises((KinfeasError, ZeroDivisionError, ValueError)) as caught:
-        constraints(robot, Fixed(answer))
+        loop.step(np.zeros((1, 3)))
     told = [str(caught.value), *getattr(caught.value, "__notes__", [])]
     assert any("Fixed" in text for text in told)

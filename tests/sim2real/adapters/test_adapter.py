@@ -7,7 +7,7 @@ from scipy.stats import kstest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
-from kinfeas.control.adapters import read_sim2real, with_adapters
+from kinfeas.control.assemble import read_sim2real, with_adapters
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.adapter import Adapter

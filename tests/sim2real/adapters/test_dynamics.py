@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.adapters import read_sim2real, with_adapters
+from kinfeas.control.assemble import read_sim2real, with_adapters
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import planar_pose

@@ -16,6 +16,7 @@ from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.loop import Loop
 from kinfeas.control.observation import OBSERVATION
 from kinfeas.core import spatial
+from kinfeas.core.backend import StopCall
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.envs.world import World
@@ -33,7 +34,6 @@ from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Code, Setup, deploy
 from kinfeas.sim2real.deploy.signals import Signals
-from kinfeas.sim2real.link import StopCall
 from kinfeas.sim2real.link.rate import Rate
 from kinfeas.tasks.task import MotionSpec
 

@@ -6,9 +6,9 @@ import time
 
 import pytest
 
+from kinfeas.core.backend import StopCall
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.deploy.watchdog import REPEATS, Watchdog
-from kinfeas.sim2real.link import StopCall
 from tests.sim2real.doubles import wait
 
 pytestmark = pytest.mark.slow
@@ -36,8 +36,8 @@ def broken(error):
 
 RUN = """
 import sys, time
+from kinfeas.core.backend import StopCall
 from kinfeas.sim2real.deploy.watchdog import Watchdog
-from kinfeas.sim2real.link import StopCall
 
 watchdog = Watchdog(StopCall("stand_in:connect", {"path": sys.argv[1]}), 0.2)
 print("ready", flush=True)

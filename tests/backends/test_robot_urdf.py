@@ -1,9 +1,7 @@
 import re
-import shutil
 import struct
 from dataclasses import replace
 from functools import reduce
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,11 +25,9 @@ from kinfeas.backends.physics.robot import (
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose
 from kinfeas.robots.elements import read_xml
-from kinfeas.robots.loading import load_robot, read_robot
 from kinfeas.robots.urdf_file import parse_urdf
 from tests.backends.conftest import place, stay
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "own_robot"
 MOMENTS = st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)
 BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
 ARM = (
@@ -57,7 +53,7 @@ def test_the_urdf_is_the_robot_on_planar_joints(robot, tmp_path):
     assert {joint.name for joint in robot.arm} <= movable
     assert urdf.joints[PLANAR_JOINTS[-1]].child == robot.urdf.root
     assert not any(joint.mimic for joint in urdf.joints.values())
-    assert {one.child for one in urdf.joints.values() if not one.moves} <= {robot.ee_frame}
+    assert {joint.child for joint in urdf.joints.values() if not joint.moves} <= {robot.ee_frame}
     still = {name: at for name, at in robot.fixed_joints.items() if name not in movable}
     for link in (*(robot.urdf.joints[name].child for name in movable), robot.ee_frame):
         np.testing.assert_allclose(
@@ -103,10 +99,8 @@ def test_merged_links_have_the_same_dynamics_and_shapes(robot, tmp_path):
             for model in models
         )
         np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-6)
-    before, after = (
-        shape_placements(model, path, configuration)
-        for model, path in zip(models, (robot.urdf_path, merged), strict=True)
-    )
+    before = shape_placements(models[0], robot.urdf_path, configuration)
+    after = shape_placements(models[1], merged, configuration)
     np.testing.assert_allclose(after, before, atol=1e-9)
 
 
@@ -115,18 +109,14 @@ def shape_placements(model, path, configuration):
     shapes = pinocchio.buildGeomFromUrdf(model, str(path), pinocchio.GeometryType.COLLISION)
     data, geometry = model.createData(), shapes.createData()
     pinocchio.updateGeometryPlacements(model, data, shapes, geometry, configuration)
-    places = np.array([one.homogeneous[:3].ravel() for one in geometry.oMg])
-    return places[np.lexsort(places.T.round(6))]
-
-
-def tensor(moments, seed):
-    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
-    return turn @ np.diag(moments) @ turn.T
+    placements = np.array([pose.homogeneous[:3].ravel() for pose in geometry.oMg])
+    return placements[np.lexsort(placements.T.round(6))]
 
 
 @given(MOMENTS, st.integers(0, 1000), st.floats(1e-3, 100.0))
 def test_repaired_moments_satisfy_the_triangle_inequality(moments, seed, mass):
-    repaired = physical(Inertia(mass, np.zeros(3), tensor(moments, seed)))
+    axes = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    repaired = physical(Inertia(mass, np.zeros(3), axes @ np.diag(moments) @ axes.T))
     small, middle, large = np.linalg.eigvalsh(repaired.moments)
     assert small > 0.0
     assert small + middle >= large * (1.0 - 1e-9)
@@ -134,50 +124,38 @@ def test_repaired_moments_satisfy_the_triangle_inequality(moments, seed, mass):
 
 
 @pytest.mark.parametrize(("tool", "joint"), [("", "fixed"), (BOX, "fixed"), ("", "revolute")])
-def test_a_link_without_inertia_is_a_frame(tool, joint):
+def test_only_a_moving_link_with_a_shape_needs_an_inertia(tool, joint):
     xml = ElementTree.fromstring(ARM.format(tool=tool, type=joint))
     repair_inertias(xml, "r.urdf")
     arm, frame = (read_inertia(link) for link in xml.findall("link"))
     assert (arm.mass, frame.mass) == (2.0, FRAME.mass)
     np.testing.assert_array_equal(frame.moments, FRAME.moments)
-
-
-def test_a_moving_link_with_a_shape_needs_an_inertia():
-    xml = ElementTree.fromstring(ARM.format(tool=BOX, type="revolute"))
+    moving = ElementTree.fromstring(ARM.format(tool=BOX, type="revolute"))
     with pytest.raises(KinfeasError, match=r"r\.urdf: link 'tool'"):
-        repair_inertias(xml, "r.urdf")
-
-
-def own_robot(folder, kind, mesh):
-    """Return the example robot with a mesh in place of the shapes of its mast, in a package."""
-    for name in ("rover/urdf", "rover/meshes"):
-        (folder / name).mkdir(parents=True)
-    (folder / "rover" / "meshes" / "part.stl").write_bytes(STL)
-    text, urdf = (EXAMPLE / "scout.urdf").read_text(), folder / "rover" / "urdf" / "scout.urdf"
-    start = text.index(f"<{kind}>", text.index('<link name="mast_link">'))
-    end = text.index(f"</{kind}>", start)
-    text = f'{text[:start]}<{kind}><geometry><mesh filename="{mesh}"/></geometry>{text[end:]}'
-    urdf.write_text(text)
-    urdf.with_suffix(".yaml").write_text((EXAMPLE / "scout.yaml").read_text())
-    return load_robot(str(urdf.with_suffix(".yaml")))
+        repair_inertias(moving, "r.urdf")
 
 
 @pytest.mark.parametrize(
     ("kind", "mesh"),
     [("visual", "../meshes/part.stl"), ("collision", "package://rover/meshes/part.stl")],
 )
-def test_meshes_are_loaded(tmp_path, kind, mesh, capfd, opened):
-    world = opened(own_robot(tmp_path, kind, mesh))
+def test_meshes_are_loaded(scout, kind, mesh, tmp_path, capfd, opened):
+    def of_the_mast(urdf):
+        start = urdf.index(f"<{kind}>", urdf.index('<link name="mast_link">'))
+        shape = f'<{kind}><geometry><mesh filename="{mesh}"/></geometry>'
+        return urdf[:start] + shape + urdf[urdf.index(f"</{kind}>", start) :]
+
+    (tmp_path / "rover" / "meshes").mkdir(parents=True)
+    (tmp_path / "rover" / "meshes" / "part.stl").write_bytes(STL)
+    world = opened(scout(of_the_mast))
     place(world)
     stay(world, 5)
     assert capfd.readouterr().out == ""
 
 
-def test_a_robot_without_collision_shapes_stands_among_obstacles(opened, scene, tmp_path):
-    text = (EXAMPLE / "scout.urdf").read_text()
-    (tmp_path / "scout.urdf").write_text(re.sub("<collision>.*?</collision>", "", text, flags=re.S))
-    shutil.copy(EXAMPLE / "scout.yaml", tmp_path)
-    world = opened(read_robot(tmp_path / "scout.yaml"), scene)
+def test_a_robot_without_collision_shapes_stands_among_obstacles(opened, scene, scout):
+    bare = scout(lambda urdf: re.sub("<collision>.*?</collision>", "", urdf, flags=re.S))
+    world = opened(bare, scene)
     place(world, scene=scene)
     stay(world, 3)
     assert world.obstacle_distances(1.0).distance.size == 0

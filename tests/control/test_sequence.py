@@ -2,14 +2,16 @@ import numpy as np
 import pytest
 
 from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
-from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON
+from kinfeas.control.sequence import MotionSequence
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
 from kinfeas.plugins.waypoints import Waypoints
 from tests.builders import random_poses
+
+FAR = np.zeros(1, dtype=bool)  # from where a grip needs the EE
 
 
 class Wander:
@@ -60,10 +62,10 @@ def follow(sequence, steps, arrived=None):
     """Move on, arriving where a row is near or as told, and return all desired poses."""
     seen = []
     for i in range(steps):
-        sequence.move(sequence.plan(HORIZON))
+        sequence.move(sequence.step_of(HORIZON))
         metres, radians = spatial.distance(sequence.desired, sequence.goal)
         near = (metres < 0.02) & (radians < 0.2)
-        sequence.advance(near if arrived is None else arrived(i))
+        sequence.end_subgoals(near if arrived is None else arrived(i), FAR)
         seen.append(sequence.desired)
     return np.stack(seen)
 
@@ -76,7 +78,7 @@ def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
     for _ in range(100):
         twist, state = linear.twist(state, tip, random_poses(6, 1), np.full(6, HORIZON))
         tip = spatial.integrate(tip, twist, HORIZON)
-        sequence.move(sequence.plan(HORIZON))
+        sequence.move(sequence.step_of(HORIZON))
         error = spatial.distance(spatial.compose(sequence.desired, tool), tip)
         np.testing.assert_allclose(np.stack(error), 0.0, atol=1e-6)
 
@@ -86,20 +88,20 @@ def test_a_dwell_keeps_its_time(robot, dt, periods):
     linear = Linear()
     subgoals = [SubgoalMotion(linear, dwell=1.12), SubgoalMotion(linear)]
     sequence = begin(robot, 2, subgoals, dt, grasp_settle_time=1.0)  # they have no grip
-    sequence.move(sequence.plan(dt))
-    sequence.advance(np.array([True, False]))
-    assert sequence.waiting.tolist() == [periods, 0]
+    sequence.move(sequence.step_of(dt))
+    sequence.end_subgoals(np.array([True, False]), FAR)
+    assert sequence.dwelling.tolist() == [periods, 0]
     stood = sequence.desired[0]
     for i in range(periods):
         assert sequence.subgoal[0] == 0
-        np.testing.assert_array_equal(sequence.plan(HORIZON).desired[0], stood)
+        np.testing.assert_array_equal(sequence.step_of(HORIZON).desired[0], stood)
         before = sequence.desired
-        sequence.move(sequence.plan(dt))
+        sequence.move(sequence.step_of(dt))
         np.testing.assert_array_equal(sequence.desired[0], stood)
         assert np.linalg.norm(sequence.desired[1] - before[1]) > 0.0
-        sequence.advance(np.array([i % 2 == 0, False]))
+        sequence.end_subgoals(np.array([i % 2 == 0, False]), FAR)
     assert sequence.subgoal.tolist() == [1, 0]
-    sequence.move(sequence.plan(dt))
+    sequence.move(sequence.step_of(dt))
     assert np.linalg.norm(sequence.desired[0] - stood) > 0.0
 
 
@@ -128,7 +130,7 @@ def test_snapshot_goes_on_to_the_bit(robot, subgoal):
     while not np.any(sequence.subgoal == subgoal):
         follow(sequence, 1)
     again.restore(sequence.snapshot())
-    for key in ("subgoal", "waiting", "goal", "demonstrated_base"):
+    for key in ("subgoal", "dwelling", "goal", "demonstrated_base"):
         np.testing.assert_array_equal(getattr(again, key), getattr(sequence, key))
     np.testing.assert_array_equal(follow(again, 500), follow(sequence, 500))
 
@@ -147,7 +149,7 @@ def test_a_head_start_delays_the_first_subgoal_only(robot):
     seen = follow(sequence, 8, lambda i: np.array([i == 6, False]))
     assert np.all(seen[:5] == random_poses(2))
     assert np.all(np.any(seen[5] != seen[4], axis=1))
-    assert sequence.waiting.tolist() == [1, 0]
+    assert sequence.dwelling.tolist() == [1, 0]
     follow(sequence, 1, lambda _: np.array([False, False]))
     assert sequence.subgoal.tolist() == [1, 0]
 
@@ -159,9 +161,11 @@ def test_a_subgoal_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled
     stops, moves = [], []
     for i in range(7):
         before = sequence.desired
-        sequence.move(sequence.plan(HORIZON))
+        sequence.move(sequence.step_of(HORIZON))
         moves.append(bool(np.any(sequence.desired != before)))
-        stops.append(bool(sequence.advance(np.ones(1, dtype=bool), np.array([i >= settled_at]))[0]))
+        stops.append(
+            bool(sequence.end_subgoals(np.ones(1, dtype=bool), np.array([i >= settled_at]))[0])
+        )
     assert stops == [i == stops_at for i in range(7)]
     assert moves[: stops_at + 4] == ([True] * (stops_at + 1) + [False] * 3)[: len(moves)]
 
@@ -183,15 +187,15 @@ def test_motions_avoid_the_solids_of_their_row_now_and_at_later_subgoals(robot):
         solids.size[row, :row, 3] = 1.0
     sequence.avoid(solids)
     at_once = np.ones(3, dtype=bool)
-    sequence.advance(at_once)
+    sequence.end_subgoals(at_once, FAR)
     assert told() == [0.0, 1.0, 2.0]
     solids.size[:, :, 3] = 1.0
     sequence.avoid(solids, np.array([1]))
     assert told() == [0.0, 4.0, 2.0]
-    sequence.advance(np.array([True, False, False]))
+    sequence.end_subgoals(np.array([True, False, False]), FAR)
     assert told() == [4.0, 4.0, 2.0]
     sequence.start(random_poses(1), random_poses(3, 1)[np.newaxis], rngs([0]))  # without solids
-    sequence.advance(at_once[:1])
+    sequence.end_subgoals(at_once[:1], FAR)
     assert told() == [0.0]
 
 
@@ -210,14 +214,14 @@ def test_poses_ahead_lie_between_the_desired_pose_and_the_goal(robot):
 def test_paused_rows_stay(robot):
     sequence, paused = begin(robot), np.array([True, False] * 3)
     for subgoal in range(4):
-        before, moves = sequence.desired, sequence.plan(HORIZON)
+        before, moves = sequence.desired, sequence.step_of(HORIZON)
         kept = sequence.snapshot()
         sequence.move(moves, paused)
         expected = np.where(paused[:, None], before, moves.desired)
         np.testing.assert_array_equal(sequence.desired, expected)
         for key, values in sequence.snapshot().items():
             np.testing.assert_array_equal(values[paused], kept[key][paused], err_msg=key)
-        sequence.advance(np.ones(6, dtype=bool))
+        sequence.end_subgoals(np.ones(6, dtype=bool), FAR)
         if subgoal == 1:
             follow(sequence, 3)
 
@@ -228,7 +232,7 @@ def test_randomness_differs_between_rows_and_subgoals(robot):
     )
     sequence.start(random_poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
     first = sequence.goal
-    sequence.advance(np.ones(2, dtype=bool))
+    sequence.end_subgoals(np.ones(2, dtype=bool), FAR)
     assert len(np.unique(np.concatenate([first, sequence.goal])[:, 0])) == 4
 
 
@@ -250,7 +254,7 @@ def test_the_rest_of_a_closed_path_is_looked_at_to_its_end_and_resumes_there(rob
         if step == 50:
             again.restore(sequence.snapshot())
         for one in (sequence, again) if step >= 50 else (sequence,):
-            one.move(one.plan(HORIZON))
+            one.move(one.step_of(HORIZON))
         ends.append(sequence.ended(near))
         if step >= 50:
             np.testing.assert_array_equal(again.ended(near), ends[-1])

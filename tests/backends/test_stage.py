@@ -3,26 +3,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.backends.physics.stage import task_scene
+from kinfeas.backends.physics.stage import Stage, task_scene
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.collision import SceneCollision, robot_touches
-from kinfeas.tasks.chain import (
-    ChainSubgoal,
-    ChainTask,
-    Place,
-    SuccessCondition,
-    TaskScene,
-)
+from kinfeas.scenes.scene import read_scene
+from kinfeas.tasks.chain import ChainSubgoal, ChainTask, Place, SuccessCondition, TaskScene
 from kinfeas.tasks.loading import load_task
-from tests.backends.conftest import stay
+from tests.backends.conftest import place, stay
 
 
 @pytest.fixture(scope="module")
 def solver():
     return IkSolver(load_robot("tiago"))
+
+
+@pytest.fixture(scope="module")
+def room_stage(hsr, engine):
+    """A task without objects in a room with furniture."""
+    backend = engine(hsr, read_scene("room"))
+    yield Stage(load_task("ggr"), backend)
+    backend.close()
 
 
 @pytest.fixture(scope="module", params=["pick_place", "door", "drawer"])
@@ -44,8 +47,8 @@ def test_episodes_start_free_of_collisions_and_not_done(stage, solver):
     for seed in range(5):
         start = begin(stage, solver, seed)
         poses = stage.task.object_poses(start.target_poses)
-        there = SceneCollision(stage.scene.with_poses(poses))
-        assert not robot_touches(there, solver.robot, start.base_pose, start.joint_positions)
+        furniture = SceneCollision(stage.scene.with_poses(poses))
+        assert not robot_touches(furniture, solver.robot, start.base_pose, start.joint_positions)
         assert not stage.backend.touched()
         assert stage.done() is False
         for name, pose in poses.items():
@@ -95,14 +98,35 @@ def test_the_success_condition_is_measured(stage, solver, monkeypatch):
 def test_a_joint_opens_in_the_direction_of_its_threshold(
     hsr, scene_path, threshold, opened, engine
 ):
-    wanted = TaskScene(scene_path, SuccessCondition("chest", joint="slide", threshold=threshold))
+    success = SuccessCondition("chest", joint="slide", threshold=threshold)
     here = {"here": Place((1.0, 0.0, 0.8))}
-    task = ChainTask("pull", (ChainSubgoal(place="here"),), here, scene=wanted)
+    subgoals = (ChainSubgoal(place="here"),)
+    task = ChainTask("pull", subgoals, here, scene=TaskScene(scene_path, success))
     stage, solver = engine(hsr).stage(task), IkSolver(hsr)
     for position, done in ((0.0, False), (-opened, False), (opened, True)):
         arrange(stage, solver, stage.scene.with_joints({"chest": {"slide": position}}))
         assert stage.done() is done
     stage.backend.close()
+
+
+# The place table is 0.52 m high at (0.25, -2.75), one of its legs ends at x = 0.58, y = -2.42.
+@pytest.mark.parametrize(("position", "quaternion", "stands"), [
+    ((0.25, -2.75, 0.636), (0.0, 0.0, 0.0, 1.0), True),
+    ((0.25, -2.75, 0.636), (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)), True),
+    ((0.25, -2.75, 0.60), (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)), False),  # on its side
+    ((0.6295, -2.42, 0.115), (0.0, 0.0, 0.0, 1.0), False),  # on the floor, touching a leg
+    ((-0.5, -2.0, 0.115), (0.0, 0.0, 0.0, 1.0), False),  # on the floor
+])  # fmt: skip
+def test_an_object_stands_if_upright_at_rest_on_another(
+    room_stage, monkeypatch, position, quaternion, stands
+):
+    world = room_stage.backend
+    place(world, scene=world.scene.with_poses({"box": np.array([*position, *quaternion])}))
+    stay(world, 100)
+    assert room_stage.stands(0, "box", "place_table") is stands
+    pose, _ = world.object_motion(0, "box")
+    monkeypatch.setattr(world, "object_motion", lambda *_: (pose, 0.2))
+    assert not room_stage.stands(0, "box", "place_table")
 
 
 def test_a_task_without_objects_has_no_success_condition(hsr, engine):

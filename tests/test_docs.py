@@ -11,53 +11,47 @@ from pathlib import Path
 import pytest
 import typer
 from markdown_it import MarkdownIt
+from typer.testing import CliRunner
 
 from kinfeas.cli.main import app
+from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-RECORDS = ("study", "physics", "mujoco")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
-# Pages with Python blocks that need files; their tests are beside the code.
-BLOCKS_TESTED_ELSEWHERE = {"demonstrations.md", "plugins.md"}
+COMMAND = typer.main.get_command(app)
+# Pages whose Python needs files: `test_the_page_on_plugins`, and tests/plugins/test_fit.py.
+NEED_FILES = {"demonstrations.md", "plugins.md"}
 
 
-def blocks(text):
+def blocks(page):
     """Return kind and contents of each block of code, fenced or indented."""
-    tokens = MarkdownIt().parse(text)
-    return [(one.info, one.content) for one in tokens if one.type in ("fence", "code_block")]
+    tokens = MarkdownIt().parse(page.read_text())
+    return [
+        (token.info, token.content) for token in tokens if token.type in ("fence", "code_block")
+    ]
 
 
-def commands(text):
+def commands(page):
     """Return the commands in blocks, a line each; a backslash continues one."""
-    lines = "".join(code for _, code in blocks(text)).replace("\\\n", " ").splitlines()
+    lines = "".join(code for _, code in blocks(page)).replace("\\\n", " ").splitlines()
     whole = {" ".join(line.split("  #")[0].split()) for line in lines}
     return {line for line in whole if re.match(r"kinfeas [a-z]", line)}
 
 
 def examples(command):
+    """Return the examples in the help of a command and of those below it."""
     own = re.findall(r"Example: (kinfeas .*)", command.help or "")
-    inner = getattr(command, "commands", {}).values()
-    return [*own, *(line for one in inner for line in examples(one))]
-
-
-COMMANDS = {line for page in PAGES for line in commands(page.read_text())}
-COMMANDS |= set(examples(typer.main.get_command(app)))
-PYTHON = [
-    pytest.param(code, id=f"{page.stem}-{number}")
-    for page in PAGES
-    if page.name not in BLOCKS_TESTED_ELSEWHERE
-    for number, (kind, code) in enumerate(blocks(page.read_text()))
-    if kind == "python"
-]
+    below = getattr(command, "commands", {}).values()
+    return [*own, *(line for inner in below for line in examples(inner))]
 
 
 def resolved(line):
     """Return the name, the command and the other arguments of a line."""
-    command, name = typer.main.get_command(app), ""
+    command, name = COMMAND, ""
     arguments = shlex.split(line)[1:]
     while hasattr(command, "commands"):
         name, *arguments = arguments
@@ -65,7 +59,7 @@ def resolved(line):
     return name, command, arguments
 
 
-@pytest.mark.parametrize("line", sorted(COMMANDS))
+@pytest.mark.parametrize("line", sorted({*examples(COMMAND)}.union(*map(commands, PAGES))))
 def test_every_command_parses(line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plugins" / "models").mkdir(parents=True)  # as in the project's root
@@ -76,27 +70,25 @@ def test_every_command_parses(line, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_options_in_sentences(page):
-    for line in re.findall(r"`(kinfeas [a-z][^`]*)`", page.read_text()):
-        _, command, arguments = resolved(line)
-        options = {
-            name
-            for parameter in command.params
-            for name in parameter.opts + parameter.secondary_opts
-        }
-        assert {one for one in arguments if one.startswith("--")} <= options, line
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links(page):
+def test_options_links_and_targets_exist(page):
     text = page.read_text()
+    for line in re.findall(r"`(kinfeas [a-z][^`]*)`", text):
+        _, command, arguments = resolved(line)
+        options = {name for one in command.params for name in one.opts + one.secondary_opts}
+        assert {word for word in arguments if word.startswith("--")} <= options, line
     for path in re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", text):
         assert (page.parent / path).is_file(), path
     for target in re.findall(r"^make ([\w-]+)", text, re.MULTILINE):
         assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
 
 
-@pytest.mark.parametrize("code", PYTHON)
+@pytest.mark.parametrize("code", [
+    pytest.param(code, id=f"{page.stem}-{number}")
+    for page in PAGES
+    if page.name not in NEED_FILES
+    for number, (kind, code) in enumerate(blocks(page))
+    if kind == "python"
+])  # fmt: skip
 def test_python_runs(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shorter = code.replace("100_000", "256").replace(
@@ -110,15 +102,49 @@ def test_python_runs(code, tmp_path, monkeypatch):
 
 def test_task_of_the_page_on_tasks(tmp_path):
     path = tmp_path / "page.yaml"
-    path.write_text(dict(reversed(blocks((DOCS / "tasks.md").read_text())))["yaml"])
-    task = load_task(str(path))
-    assert [subgoal.dwell for subgoal in task.subgoals] == [0.0, 2.0, 0.0]
+    path.write_text(dict(reversed(blocks(DOCS / "tasks.md")))["yaml"])
+    assert [subgoal.dwell for subgoal in load_task(str(path)).subgoals] == [0.0, 2.0, 0.0]
 
 
-def test_the_pages_hold_what_the_record_says():
+SHORTER = {
+    "evaluate": ["--episodes", "2", "--set", "world.max_seconds=2.0"],
+    "ceiling": ["--episodes", "2"],
+}
+
+
+@pytest.mark.slow
+def test_the_page_on_plugins(tmp_path, monkeypatch, offer):
+    """The packages that its commands write, with its code, are installed and used."""
+    monkeypatch.chdir(tmp_path)
+    page = blocks(DOCS / "plugins.md")
+    lines = [shlex.split(line) for kind, code in page if not kind for line in code.splitlines()]
+    new = [line for line in lines if line[:3] == ["kinfeas", "plugins", "new"]]
+
+    def run(words):
+        result = CliRunner().invoke(app, words[1:], catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+
+    for words in new:
+        run(words)
+    for code in (code for kind, code in page if kind == "python"):
+        Path(code.split("\n")[0].removeprefix("# ")).write_text(code)
+    for project in sorted(tmp_path.glob("*/pyproject.toml")):
+        offer(project.parent)
+    for words in lines:
+        if words[0] == "kinfeas" and words not in new:
+            run([*words, *SHORTER.get(words[1], [])])
+    assert Path("arc.png").read_bytes().startswith(b"\x89PNG")
+    check_motion_generator(registry.build("kinfeas.motion_generators", "arc", {}))
+    for name, function in runpy.run_path("arc/test_arc.py").items():
+        if name.startswith("test_"):
+            function()
+
+
+def test_tables_are_those_of_the_records():
     script = runpy.run_path(str(DOCS / "results_tables.py"))
     study, bullet, mujoco = (
-        json.loads((DOCS / f"figures/{one}.json").read_text()) for one in RECORDS
+        json.loads((DOCS / f"figures/{name}.json").read_text())
+        for name in ("study", "physics", "mujoco")
     )
     tables, physics = (DOCS / "reference/tables.md").read_text(), (DOCS / "physics.md").read_text()
     assert script["tables_page"](study, bullet, mujoco) == tables

@@ -6,8 +6,9 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import recipes
-from kinfeas.control.adapters import chain, execution_of, read_sim2real, with_adapters
+from kinfeas.control.assemble import adapted_execution, read_sim2real, with_adapters
 from kinfeas.control.execution import ExecutionConfig
+from kinfeas.core.backend import BackendWrapper
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -19,21 +20,20 @@ def test_shipped_lists_suit_any_robot():
     assert recipes("sim2real") == sorted(f"sim2real/{name}" for name in LADDER)
     for name, robot in product(LADDER, ("pr2", "tiago", "hsr")):
         adapters = read_sim2real(name).adapters
-        links = list(chain(with_adapters(AnalyticBackend(), adapters, load_robot(robot))))
-        assert len(links) == 1 + len(adapters)
-        assert isinstance(links[-1], AnalyticBackend)
+        adapted = adapted_execution(ExecutionConfig(time_scale=0.5), adapters, load_robot(robot))
+        assert adapted.time_scale <= 0.5
 
 
 def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2):
-    names, innermost = ("time_scale", "time_scale", "base_noise", "head_start"), AnalyticBackend()
+    names = "time_scale", "time_scale", "base_noise", "head_start"
     jittered = PluginSpec("head_start", {"seconds": [0.5, 1.5]})
-    backend = with_adapters(innermost, [*(PluginSpec(name) for name in names), jittered], pr2)
-    kinds = [type(link).__name__ for link in chain(backend)]
-    scales = ["TimeScale", "TimeScale", "AnalyticBackend"]
-    assert kinds == ["HeadStart", "HeadStart", "BaseNoise", *scales]
-    found = execution_of(backend, ExecutionConfig(time_scale=0.8, head_start=1.0))
+    adapters = [*(PluginSpec(name) for name in names), jittered]
+    backend, kinds = with_adapters(AnalyticBackend(), adapters, pr2), []
+    while isinstance(backend, BackendWrapper):
+        kinds, backend = [*kinds, type(backend).__name__], backend.backend
+    assert kinds == ["HeadStart", "HeadStart", "BaseNoise", "TimeScale", "TimeScale"]
+    found = adapted_execution(ExecutionConfig(time_scale=0.8, head_start=1.0), adapters, pr2)
     assert found == ExecutionConfig(time_scale=0.2, head_start=4.5, head_start_jitter=1.0)
-    assert execution_of(innermost, ExecutionConfig()) == ExecutionConfig()
 
 
 def test_observations_are_measured_and_the_deviation_is_true(pr2):
@@ -41,7 +41,7 @@ def test_observations_are_measured_and_the_deviation_is_true(pr2):
     world = World(pr2, ggr(), config, seed=0)
     world.start(range(20))
     for _ in range(5):
-        step = world.step(np.zeros((20, 3))).step
+        step = world.step(np.zeros((20, 3))).outcome
     assert step.goal_distance == pytest.approx(
         np.linalg.norm((world.loop.ee_pose - world.loop.sequence.goal)[:, :3], axis=1)
     )

@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,37 +12,32 @@ from numpy.typing import NDArray
 from kinfeas.control.ee_motions import EeMotions, Motions
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
+from kinfeas.control.period import MotionStep
+from kinfeas.control.surroundings import Surroundings
+from kinfeas.control.targets import Progress, TargetStream
 from kinfeas.control.whole_body_motion import WholeBodyMotions
 from kinfeas.core import spatial
+from kinfeas.core.backend import Gripper, RobotState
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.metrics import GOAL_RADIANS
-from kinfeas.core.motion import Rows, State, with_rows
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 
-
-@dataclass(frozen=True)
-class Plan:
-    """Next step of the motions of n EEs.
-
-    Attributes:
-        desired: Desired world poses of the EE after the step, shape (n, 7).
-        preview: The same after `HORIZON` seconds at the step's twist, shape (n, 7).
-        states: State of each generator after the step.
-        seconds: Motion time of the step, shape (n,).
-    """
-
-    desired: Array
-    preview: Array
-    states: list[State]
-    seconds: Array
-
-
 _PATHS = "waypoints"
-_ROWS = "desired", "subgoal", "waiting", "seeds", "targets", "elapsed"
+_ROWS = (
+    "desired", "subgoal", "head_start", "settling", "dwelling", "seeds", "targets", "elapsed",
+    "periods", "time_scale",
+)  # fmt: skip
+_STREAM = "target_stream."
+
+_REPLAN_SECONDS = 1.0
+"""Control time between plans around moving solids."""
+
+_NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
 _LONGEST = 300.0
 """Seconds after which a motion counts as ended where it is looked at in advance."""
@@ -58,10 +53,13 @@ class MotionSequence:
     Attributes:
         desired: Desired world pose of the EE, shape (n, 7).
         subgoal: Number of the sub-goal that each row is at, shape (n,).
-        waiting: Control periods until it begins the next sub-goal, shape (n,): first those in which
-            the motion settles, then those of its dwell. Below zero, periods until it
-            begins the first one.
+        head_start: Control periods until each row begins the first sub-goal, shape (n,).
+        settling: Control periods in which it still settles at the end of a sub-goal, shape (n,).
+        dwelling: Control periods after those until it begins the next one, shape (n,).
         elapsed: Motion time since the motion of each row's sub-goal began, seconds, shape (n,).
+        periods: Control periods since the start of each row, shape (n,).
+        time_scale: Fraction of the planned motion that the last period carried out, shape (n,).
+        stream: Targets that move; then no sub-goal ends. None for those of the start.
         revision: Number of changes of the motions so far.
         avoids_solids: Whether the generator of any sub-goal plans around solids.
         whole_body: Paths of base and arm that the motions follow among solids.
@@ -73,19 +71,32 @@ class MotionSequence:
         solver: IkSolver,
         dt: float,
         execution: ExecutionConfig | None = None,
+        gripper: Gripper | None = None,
+        stream: TargetStream | None = None,
     ) -> None:
-        """Set out the sub-goals, at least one; call `start` before anything else."""
+        """Set out the sub-goals, at least one; call `start` before anything else.
+
+        Args:
+            subgoals: Motions that every EE makes one after the other.
+            solver: IK of the robot.
+            dt: Control period in seconds.
+            execution: As planned by default.
+            gripper: Grippers, if the robots have any.
+            stream: Targets that move, if there are any.
+        """
         execution = execution or ExecutionConfig()
+        self.stream, self._gripper = stream, gripper
+        self._motion_time = dt * execution.time_scale
         distinct = {id(one.generator): CheckedMotion(one.generator, one.name) for one in subgoals}
         order = list(distinct)
         self.subgoals, self._motions = tuple(subgoals), EeMotions(list(distinct.values()))
         self._which = np.array([order.index(id(one.generator)) for one in subgoals])
-        self._dt, self._head_start = dt, execution.head_start
+        self.dt, self._head_start = dt, execution.head_start
         self._head_start_jitter = execution.head_start_jitter
         grasp_settle_time = _periods(execution.grasp_settle_time / execution.time_scale, dt)
         self._periods = np.array([_periods(one.dwell, dt) for one in subgoals], dtype=np.intp)
         settling = [grasp_settle_time if one.grip else 0 for one in subgoals]
-        self._grasp_settle_time = np.array(settling, dtype=np.intp)
+        self._settle_periods = np.array(settling, dtype=np.intp)
         tool, nothing = tool_pose(solver.robot), np.tile(spatial.IDENTITY, (len(subgoals), 1))
         tips = np.array([one.frame == "tip" for one in subgoals])
         self._tips, self._tool = bool(tips.any()), np.where(tips[:, np.newaxis], tool, nothing)
@@ -95,13 +106,15 @@ class MotionSequence:
         self._solids: Solids | None = None
         self.whole_body = WholeBodyMotions(solver, dt, execution.time_scale, distinct.values())
         self.desired: Array = np.empty((0, 7))
-        self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
+        self.subgoal = self.head_start = self.settling = self.dwelling = _NO_ROWS
+        self.periods, self.time_scale = _NO_ROWS, np.empty(0)
         self._seeds = np.empty(0, dtype=np.uint64)
         self._targets: Array = np.empty((0, len(subgoals), 7))
         self.elapsed: Array = np.empty(0)
         self.revision = 0
         # Until something changes:
         self._goal: Array | None = None
+        self._next: MotionStep | None = None
         self._robot_soon: tuple[Array, Array | None] | None = None
 
     def start(
@@ -121,8 +134,9 @@ class MotionSequence:
         """
         none = np.zeros(len(rngs), dtype=np.intp)
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        waiting = none - self._head_starts(rngs)
-        fresh = (ee_pose, none, waiting, seeds, target_poses, np.zeros(len(rngs)))
+        zeros, ones = np.zeros(len(rngs)), np.ones(len(rngs))
+        head_start, rest = self._head_starts(rngs), (seeds, target_poses, zeros, none, ones)
+        fresh = (ee_pose, none, head_start, none, none, *rest)
         if rows is None:
             self._put(fresh)
             self._motions.clear(self._which[none])
@@ -132,6 +146,12 @@ class MotionSequence:
             pairs = zip(self._arrays(), fresh, strict=True)
             self._put(tuple(with_rows(old, rows, new) for old, new in pairs))
         self._begin(rows)
+
+    def start_stream(self, rngs: Sequence[np.random.Generator], rows: Rows, base: Array) -> None:
+        """Begin the targets of m rows that move, if any do; bases of all n rows, shape (n, 7)."""
+        if self.stream is not None:
+            self.stream.start(self.desired, rngs, rows)
+            self.aim(self.stream.targets(self._progress(rows, base)))
 
     @property
     def goal(self) -> Array:
@@ -151,9 +171,8 @@ class MotionSequence:
     @property
     def resting(self) -> NDArray[np.bool_]:
         """Whether each row's desired pose rests now, shape (n,)."""
-        settled = self.waiting <= self._periods[self.subgoal]
-        resting: NDArray[np.bool_] = (self.waiting != 0) & settled
-        return resting
+        resting: NDArray[np.bool_] = self.head_start > 0
+        return resting | ((self.settling == 0) & (self.dwelling > 0))
 
     @property
     def demonstrated_base(self) -> Array:
@@ -175,6 +194,10 @@ class MotionSequence:
         None if no generator follows any.
         """
         return self._planned[1]
+
+    def prepare(self) -> None:
+        """Compute goals and the next step, which stay until something changes."""
+        _ = self.goal, self.next_step, self._planned
 
     def aim(self, target_poses: Array) -> None:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
@@ -224,6 +247,8 @@ class MotionSequence:
 
         Motions along a path of their own also have to be at the end of it.
         """
+        if self.stream is not None:
+            return np.zeros_like(near)
         ended, targets = near.copy(), self._target
         for one in self._motions.of(np.flatnonzero(near)):
             ended[one.rows] = one.generator.finished(one.state, targets[one.rows])
@@ -241,13 +266,13 @@ class MotionSequence:
         There is one array for each of the rows; nothing moves.
         """
         twin = self.copied()
-        twin.waiting = np.zeros_like(self.waiting)
+        twin.head_start = twin.settling = twin.dwelling = np.zeros_like(self.subgoal)
         steps = np.zeros(len(rows), dtype=np.intp)
         poses, goal = [self.desired[rows]], self.goal[rows]
         while not steps.all() and len(poses) * HORIZON < _LONGEST:
-            plan = twin.plan(HORIZON)
-            twin.desired, twin._motions.states = plan.desired, plan.states
-            poses.append(plan.desired[rows])
+            step = twin.step_of(HORIZON)
+            twin.desired, twin._motions.states = step.desired, step.states
+            poses.append(step.desired[rows])
             metres, radians = spatial.distance(poses[-1], goal)
             there = twin.ended((metres <= GRASP_METRES) & (radians <= GOAL_RADIANS))
             steps = np.where((steps == 0) & there, len(poses), steps)
@@ -260,94 +285,168 @@ class MotionSequence:
             self._begin(rows)
             self._replan(rows)
 
-    def plan(self, dt: float | Array) -> Plan:
-        """Return the next step of `dt` seconds, 0 for rest; generators are called, nothing moves.
+    @property
+    def next_step(self) -> MotionStep:
+        """Next step of the motions, of one control period."""
+        if self._next is None:
+            self._next = self.step_of(self._motion_time)
+        return self._next
 
-        `dt` is one number for all rows, or has the shape (n,).
+    def step(self, time_scale: Array) -> MotionStep:
+        """Return the next step with fractions, shape (n,), of the planned motion."""
+        return self.step_of(self._motion_time * time_scale)
+
+    def step_of(self, seconds: float | Array) -> MotionStep:
+        """Return the next step of some seconds, one number or shape (n,), 0 for rest.
+
+        Generators are called, nothing moves.
         """
         frame, targets = self._to_frame(self.desired), self._target
-        seconds = np.full(len(frame), dt)
-        resting = self.resting | (seconds == 0.0)
-        seconds[resting] = 0.0
-        twist, states = self._motions.twist(frame, targets, seconds)
-        desired = preview = self._to_ee(spatial.integrate(frame, twist, dt))
-        if isinstance(dt, np.ndarray) or dt != HORIZON:
+        each = np.full(len(frame), seconds)
+        resting = self.resting | (each == 0.0)
+        each[resting] = 0.0
+        twist, states = self._motions.twist(frame, targets, each)
+        desired = preview = self._to_ee(spatial.integrate(frame, twist, seconds))
+        if isinstance(seconds, np.ndarray) or seconds != HORIZON:
             preview = self._to_ee(spatial.integrate(frame, twist, HORIZON))
         if resting.any():
             desired, preview = (
                 np.where(resting[:, np.newaxis], self.desired, pose) for pose in (desired, preview)
             )
-        return Plan(desired, preview, states, seconds)
+        return MotionStep(desired, preview, states, each)
 
-    def next_desired(self, plan: Plan, paused: NDArray[np.bool_] | None = None) -> Array:
-        """Return the desired poses after `plan`, but for the rows that are paused, shape (n, 7)."""
+    def after(self, step: MotionStep, paused: NDArray[np.bool_] | None = None) -> Array:
+        """Return the desired poses after a step, but for the rows that are paused, shape (n, 7)."""
         if paused is None:
-            return plan.desired
-        return np.where(paused[:, np.newaxis], self.desired, plan.desired)
+            return step.desired
+        return np.where(paused[:, np.newaxis], self.desired, step.desired)
 
-    def move(self, plan: Plan, paused: NDArray[np.bool_] | None = None) -> None:
-        """Carry out a plan, but for the rows that are `paused`, shape (n,)."""
-        self._motions.move(plan.states, paused)
-        self.desired = self.next_desired(plan, paused)
-        passed = plan.seconds if paused is None else np.where(paused, 0.0, plan.seconds)
+    def move(self, step: MotionStep, paused: NDArray[np.bool_] | None = None) -> None:
+        """Carry out a step, but for the rows that are `paused`, shape (n,)."""
+        self._motions.move(step.states, paused)
+        self.desired = self.after(step, paused)
+        passed = step.seconds if paused is None else np.where(paused, 0.0, step.seconds)
         self.elapsed = self.elapsed + passed
         self._changed()
 
     def advance(
-        self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
-    ) -> NDArray[np.bool_]:
-        """Return whether the motion of a sub-goal but the last has just come to its end, (n,).
-
-        Ends a control period: settles for the grasp, dwells, or begins the next sub-goal.
+        self,
+        arrived: NDArray[np.bool_],
+        goal_distance: Array,
+        time_scale: Array,
+        robots: RobotState,
+        surroundings: Surroundings,
+    ) -> None:
+        """End a control period: replan, settle, grip, dwell, or begin the next sub-goal.
 
         Args:
             arrived: Whether the EE is at the end of its sub-goal, shape (n,).
-            settled: Whether it is as near as a grip needs it, shape (n,); not by default.
+            goal_distance: Its distance from there, metres, shape (n,).
+            time_scale: Fraction of the planned motion that was carried out, shape (n,).
+            robots: State of the robots.
+            surroundings: Solids around them.
         """
-        if len(self.subgoals) == 1 and not self._head_start + self._head_start_jitter:
-            return np.zeros(len(self.subgoal), dtype=np.bool_)
-        left = self.waiting - np.sign(self.waiting)
-        ends = arrived & (self.waiting == 0) & ~self.last
-        dwell = self._periods[self.subgoal]
-        moved = ends | (self.waiting > dwell)
-        left = np.where(ends, dwell + self._grasp_settle_time[self.subgoal], left)
-        if settled is not None:
-            left = np.where(settled, np.minimum(left, dwell), left)
-        goes_on = ((self.waiting > 0) | ends) & (left == 0)
-        if not np.array_equal(left, self.waiting):
-            self.waiting = left
-            self._changed()
-        if goes_on.any():
-            self.subgoal = self.subgoal + goes_on
-            self.begin_again(np.flatnonzero(goes_on))
-        stops: NDArray[np.bool_] = moved & (left <= dwell)
-        return stops
+        self.time_scale = time_scale
+        self._replan_moving(surroundings, robots)
+        subgoal, last = self.subgoal, arrived & self.last
+        stops = self.end_subgoals(arrived, arrived & (goal_distance <= GRASP_METRES))
+        self._grip(subgoal, stops | last)
+        self.periods = self.periods + 1
+        if self.stream is not None:
+            rows = np.arange(len(arrived))
+            self.aim(self.stream.targets(self._progress(rows, robots.base_pose)))
+            self.begin_again(np.flatnonzero(time_scale == 0.0))
+
+    def begin_next(self, rows: NDArray[np.bool_]) -> None:
+        """Begin the next sub-goal of rows, shape (n,), that are not at their last one."""
+        rows = rows & ~self.last
+        self.subgoal = self.subgoal + rows
+        self.begin_again(np.flatnonzero(rows))
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as arrays by name."""
         own = dict(zip(_ROWS, self._arrays(), strict=True))
-        return own | {_PATHS: self.whole_body.waypoints} | self._motions.snapshot()
+        stream = {} if self.stream is None else self.stream.snapshot()
+        targets = {f"{_STREAM}{key}": values for key, values in stream.items()}
+        return own | targets | {_PATHS: self.whole_body.waypoints} | self._motions.snapshot()
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
+        if self.stream is not None:
+            targets = {k: values for k, values in snapshot.items() if k.startswith(_STREAM)}
+            self.stream.restore({k.removeprefix(_STREAM): v for k, v in targets.items()})
         self._motions.restore(snapshot, self._which[self.subgoal])
         self._changed()
         self._solids = self.whole_body.robots = None
         self.whole_body.waypoints = snapshot[_PATHS].copy()
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        own = self.desired, self.subgoal, self.waiting, self._seeds, self._targets
-        return *own, self.elapsed
+        waits = self.head_start, self.settling, self.dwelling
+        progress = self.elapsed, self.periods, self.time_scale
+        return self.desired, self.subgoal, *waits, self._seeds, self._targets, *progress
 
     def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
-        self.desired, self.subgoal, self.waiting, self._seeds, self._targets, self.elapsed = arrays
+        self.desired, self.subgoal, self.head_start, self.settling, self.dwelling, *rest = arrays
+        self._seeds, self._targets, self.elapsed, self.periods, self.time_scale = rest
+
+    def _progress(self, rows: Rows, base_pose: Array) -> Progress:
+        """Return what targets that move depend on."""
+        return Progress(
+            rows, self.periods, self.desired, base_pose, self.time_scale, self.dt, self._motion_time
+        )
+
+    def _replan_moving(self, surroundings: Surroundings, robots: RobotState) -> None:
+        """Plan motions around solids that have moved; sub-goals that begin now avoid them, too."""
+        solids = surroundings.after(0.0)
+        if solids is None or not self.avoids_solids:
+            return
+        rows, moving = _NO_ROWS, surroundings.moving
+        if moving.any():
+            due = self.periods % max(1, round(_REPLAN_SECONDS / self.dt)) == 0
+            rows = np.flatnonzero(due & moving & (self.periods > 0))
+        self.avoid(solids, rows, (robots.base_pose, robots.joint_positions))
+
+    def end_subgoals(
+        self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Return whether the motion of a sub-goal but the last has just come to its end, (n,).
+
+        `settled` is whether the EE is as near to it as a grip needs, shape (n,).
+        """
+        if len(self.subgoals) == 1 and not self._head_start + self._head_start_jitter:
+            return np.zeros(len(self.subgoal), dtype=np.bool_)
+        waits = self.settling + self.dwelling > 0
+        ends = arrived & (self.head_start == 0) & ~waits & ~self.last
+        moved = ends | (self.settling > 0)
+        head_start = np.maximum(self.head_start - 1, 0)
+        dwelling = self.dwelling - ((self.settling == 0) & (self.dwelling > 0))
+        settling = np.maximum(self.settling - 1, 0)
+        dwelling = np.where(ends, self._periods[self.subgoal], dwelling)
+        settling = np.where(ends, self._settle_periods[self.subgoal], settling)
+        settling = np.where(settled, 0, settling)
+        if (waits | ends | (self.head_start > 0)).any():
+            self.head_start, self.settling, self.dwelling = head_start, settling, dwelling
+            self._changed()
+        goes_on = (waits | ends) & (settling + dwelling == 0)
+        if goes_on.any():
+            self.begin_next(goes_on)
+        return moved & (settling == 0)
+
+    def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
+        """Command the grippers of rows whose sub-goals have just ended."""
+        if self._gripper is None or not stops.any():
+            return
+        for number, ended in enumerate(self.subgoals):
+            rows = np.flatnonzero(stops & (subgoal == number))
+            if ended.grip is not None and rows.size:
+                self._gripper.grip(ended.grip, rows)
 
     def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
         """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
         jitter = self._head_start_jitter
         drawn = [jitter * rng.random() if jitter else 0.0 for rng in rngs]
-        each = [_periods(self._head_start + more, self._dt) for more in drawn]
+        each = [_periods(self._head_start + more, self.dt) for more in drawn]
         return np.array(each, dtype=np.intp)
 
     def _begin(self, rows: Rows) -> None:
@@ -387,7 +486,7 @@ class MotionSequence:
 
     def _changed(self) -> None:
         self.revision += 1
-        self._goal = self._robot_soon = None
+        self._goal = self._robot_soon = self._next = None
 
     @property
     def _planned(self) -> tuple[Array, Array | None]:
@@ -434,7 +533,7 @@ def subgoal_ends(
     for _ in subgoals:
         ends.append(sequence.goal)
         sequence.desired = ends[-1]
-        sequence.advance(np.ones(len(rngs), dtype=np.bool_))
+        sequence.begin_next(np.ones(len(rngs), dtype=np.bool_))
     return np.stack(ends, axis=1)
 
 

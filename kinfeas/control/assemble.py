@@ -1,0 +1,126 @@
+"""The assembly of a loop: robot, solver, backend within adapters, filters, motions and policy."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+from kinfeas import config
+from kinfeas.config import PluginSpec
+from kinfeas.config.recipes import find_recipe
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
+from kinfeas.control.loop import Loop
+from kinfeas.control.observation import HORIZON
+from kinfeas.control.period import CommandFilter
+from kinfeas.control.sequence import MotionSequence
+from kinfeas.control.targets import TargetStream
+from kinfeas.core import registry
+from kinfeas.core.backend import Backend, BackendWrapper, build_backend
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import Policy
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.robot import Robot
+
+OFFERED = ("solver", "backend", "dt", "execution", "stream", "executor")
+"""Parameters of command filters that the loop sets: IK solver, backend, control period in seconds,
+`ExecutionConfig`, targets that move or None, and an executor of long work or None."""
+
+
+def assemble(  # noqa: PLR0913 - the parts of a loop
+    solver: IkSolver,
+    subgoals: Sequence[SubgoalMotion],
+    backend: Backend,
+    *,
+    dt: float = HORIZON,
+    execution: ExecutionConfig | None = None,
+    adapters: Sequence[PluginSpec] = (),
+    filters: Sequence[PluginSpec | CommandFilter] = (),
+    stream: TargetStream | None = None,
+    policy: Policy | None = None,
+    executor: Executor | None = None,
+) -> Loop:
+    """Return a loop of n robots; call its `start` before anything else.
+
+    Args:
+        solver: IK of the robot.
+        subgoals: Motions that every EE makes in sequence, at least one.
+        backend: Moves the robots.
+        dt: Control period in seconds.
+        execution: Execution of motions, before adapters change it; as planned by default.
+        adapters: Adapters around the backend, the first one innermost.
+        filters: Change the policy's commands, in this order.
+        stream: Targets that move, if there are any.
+        policy: Commands the bases; without one each step needs an action.
+        executor: Runs long planning beside the loop; by default the loop waits for it.
+
+    Raises:
+        KinfeasError: If an adapter or a filter cannot be built, or does not fit the others.
+    """
+    backend = with_adapters(backend, adapters, solver.robot)
+    execution = backend.execution(execution or ExecutionConfig())
+    offered = dict(zip(OFFERED, (solver, backend, dt, execution, stream, executor), strict=True))
+    built = [
+        registry.build_with("kinfeas.filters", each.name, each.parameters, offered)
+        if isinstance(each, PluginSpec)
+        else each
+        for each in filters
+    ]
+    sequence = MotionSequence(subgoals, solver, dt, execution, backend.gripper, stream)
+    loop = Loop(solver, sequence, backend, dt, execution, built)
+    if policy is not None:
+        loop.set_policy(policy)
+    return loop
+
+
+def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Backend:
+    """Return a backend within adapters, the first one innermost.
+
+    Raises:
+        KinfeasError: If an adapter cannot be built, or needs an ability that the backend lacks.
+    """
+    for adapter in adapters:
+        backend = _within(backend, adapter, robot)
+        needed = getattr(backend, "needs", "")
+        if needed and getattr(backend, needed) is None:
+            raise KinfeasError(
+                f"adapter {adapter.name!r} needs a backend with {needed}; {backend.name} has none"
+            )
+    return backend
+
+
+def adapted_execution(
+    execution: ExecutionConfig, adapters: Sequence[PluginSpec], robot: Robot
+) -> ExecutionConfig:
+    """Return an execution as adapters change it, in any world."""
+    backend: Backend = build_backend("analytic", {})
+    for adapter in adapters:
+        backend = _within(backend, adapter, robot)
+    adapted: ExecutionConfig = backend.execution(execution)
+    return adapted
+
+
+def _within(backend: Backend, adapter: PluginSpec, robot: Robot) -> BackendWrapper:
+    parameters = {**adapter.parameters, "backend": backend, "robot": robot}
+    wrapper = registry.build("kinfeas.adapters", adapter.name, parameters)
+    if not isinstance(wrapper, BackendWrapper):
+        raise KinfeasError(f"adapter {adapter.name!r} must derive from BackendWrapper")
+    return wrapper
+
+
+FOLDER = "sim2real"
+"""Folder of the shipped lists of adapters."""
+
+
+@dataclass(frozen=True)
+class Sim2Real:
+    """A list of adapters.
+
+    Attributes:
+        adapters: Adapters around the backend, the first one innermost.
+    """
+
+    adapters: tuple[PluginSpec, ...]
+
+
+def read_sim2real(name: str) -> Sim2Real:
+    """Return the adapters of a YAML file, or of a name in `configs/sim2real`."""
+    return config.load(Sim2Real, find_recipe(name, FOLDER))

@@ -1,0 +1,248 @@
+"""Bases, arms and hands in physics: they follow their commands within their limits."""
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinfeas.backends.mujoco import simulations
+from kinfeas.backends.physics import drives
+from kinfeas.backends.physics.visuals import ROBOT
+from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.robots.loading import load_robot
+from tests.backends.conftest import place, stay
+from tests.builders import assert_near, at, twist
+
+DT, STEP = 0.02, 1 / 240
+NUMBER = st.floats(-2.0, 2.0)
+
+
+def random_joints(solver, rng):
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in solver.robot.joint_limits)
+    while True:
+        joints = rng.uniform(lower, upper)
+        if forward(solver.chain, joints)[2] > 0.4:
+            return joints
+
+
+def ee_pose(solver, state):
+    return spatial.compose(state.base_pose, forward(solver.chain, state.joint_positions))
+
+
+def test_a_reset_is_measured(world, begin):
+    state = begin(x=1.0, y=-0.5, yaw=2.0)
+    np.testing.assert_allclose(state.base_pose, at(1.0, -0.5, 2.0), atol=1e-12)
+    np.testing.assert_array_equal(state.joint_positions[0], world.robot.home["home"])
+    assert np.all(state.base_twist == 0.0)
+    assert np.all(state.joint_velocities == 0.0)
+
+
+@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
+def test_the_hand_agrees_with_the_kinematics_and_holds_its_position(name, opened):
+    world = opened(load_robot(name))
+    solver, rng = IkSolver(world.robot), np.random.default_rng(0)
+    for _ in range(10):
+        joints = random_joints(solver, rng)
+        base = spatial.planar_pose(*rng.uniform(-1.5, 1.5, (3, 1)))
+        before = ee_pose(solver, world.reset(base, joints[np.newaxis]))
+        for _ in range(25):
+            state = world.step(twist(), joints[np.newaxis], DT)
+        measured = world.link_poses(0, [(ROBOT, solver.robot.ee_frame)])
+        assert_near(ee_pose(solver, state), measured, 1e-6, 1e-6)
+        if not world.contacts(0).arm:  # gravity does not move it
+            assert spatial.distance(before, measured)[0][0] <= 1e-3
+
+
+def test_the_hand_keeps_up_with_a_motion(world, begin):
+    solver = IkSolver(world.robot, IkOptions(pose_tolerance=False))
+    state = begin()
+    desired, reach = ee_pose(solver, state), DT * solver.robot.max_joint_velocity
+    for tick in range(120):
+        speed = np.array([[0.0, 0.0, 0.1 * (tick < 100), 0.0, 0.0, 0.0]])
+        desired = spatial.integrate(desired, speed, DT)
+        arm = solver.solve(spatial.relative(desired, state.base_pose), state.joint_positions, reach)
+        assert arm.feasible.all()
+        state = world.step(twist(), arm.joint_positions, DT)
+        assert spatial.distance(desired, ee_pose(solver, state))[0][0] <= 0.006
+    assert spatial.distance(desired, ee_pose(solver, state))[0][0] <= 1e-3
+
+
+def test_positions_are_the_integral_of_velocities(world, begin):
+    before, rng = begin(), np.random.default_rng(2)
+    lower, upper = (np.clip(limit, -1.5, 1.5) for limit in world.robot.joint_limits)
+    for tick in range(200):
+        if tick % 50 == 0:
+            target, command = rng.uniform(lower, upper)[np.newaxis], rng.uniform(-0.2, 0.2, 3)
+        after = world.step(twist(*command), target, STEP)
+        moved = spatial.integrate(before.base_pose, after.base_twist, STEP)
+        np.testing.assert_allclose(after.base_pose, moved, atol=1e-9)
+        joints = before.joint_positions + STEP * after.joint_velocities
+        np.testing.assert_allclose(after.joint_positions, joints, atol=1e-9)
+        before = after
+
+
+def play(world, scene, seed):
+    """Return all measurements of an episode in which the robot pushes a bar."""
+    rng = np.random.default_rng(seed)
+    bar = np.array([0.6, *rng.uniform(-0.1, 0.1, 1), 0.05, 0.0, 0.0, 0.0, 1.0])
+    place(world, scene=scene.with_poses({"bar": bar}))
+    world.grip("close", np.array([0]))
+    measured, touched = [], 0
+    for _ in range(150):
+        (state,) = stay(world, 1, twist(0.2, 0.0, rng.uniform(-0.2, 0.2)))
+        values = (state.base_pose, state.joint_positions, state.joint_velocities)
+        bar, _ = world.object_motion(0, "bar")
+        measured.append(np.concatenate([bar, *(value.ravel() for value in values)]))
+        touched += len(world.contacts(0).base)
+    assert touched > 0
+    return np.array(measured)
+
+
+def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, opened):
+    """Whatever happened before: contacts, another control period."""
+    solver, rng = IkSolver(hsr), np.random.default_rng(0)
+    for _ in range(20):  # sometimes inside a wall
+        begin(*rng.uniform(-1.5, 1.5, 3), joints=random_joints(solver, rng))
+        stay(world, 1, twist(0.2, 0.1, 0.3))
+    play(world, scene, 5)
+    stay(world, 2, dt=0.1)
+    later = play(world, scene, 7)
+    np.testing.assert_array_equal(later, play(opened(hsr, scene), scene, 7))
+
+
+def test_one_row_is_reset_while_others_go_on(hsr, scene, opened):
+    world, homes = opened(hsr, scene), np.stack([hsr.home["home"]] * 3)
+    bases = spatial.planar_pose(np.arange(3.0), np.zeros(3), np.zeros(3))
+    world.reset(bases, homes)
+    for _ in range(5):
+        before = world.step(np.repeat(twist(0.2), 3, axis=0), homes, DT)
+    after = world.reset(bases[1:2], homes[1:2], np.array([1]))
+    np.testing.assert_array_equal(after.base_pose[[0, 2]], before.base_pose[[0, 2]])
+    np.testing.assert_allclose(after.base_pose[1], bases[1], atol=1e-12)
+    assert np.all(before.base_pose[:, 0] > bases[:, 0])
+
+
+@pytest.mark.parametrize("right", [0.05, -0.05, -0.025])
+def test_each_finger_goes_to_its_own_position(opened, scout, right):
+    def mirrored(urdf):
+        old = '<axis xyz="0 -1 0"/>\n    <limit lower="0" upper="0.05"'
+        assert old in urdf
+        return urdf.replace(old, f'<axis xyz="0 1 0"/>\n    <limit lower="{right}" upper="0"')
+
+    settings = {
+        "gripper": {"closed": [0.0, 0.0], "open": [0.05, right]},
+        "fixed_joints": {"right_finger_joint": right / 2.0},
+    }
+    world = opened(scout(mirrored if right < 0.0 else str, **settings))
+    place(world)
+    links = [(ROBOT, name) for name in ("wrist_roll_link", "left_finger_link", "right_finger_link")]
+    for grip, opening in (("open", 1.0), ("close", 0.0)):
+        world.grip(grip, np.arange(1))
+        stay(world, 120)
+        palm, *fingers = world.link_poses(0, links)
+        sideways = [spatial.relative(finger, palm)[1] for finger in fingers]
+        np.testing.assert_allclose(sideways, [0.05 * opening, -abs(right) * opening], atol=1e-3)
+
+
+@given(NUMBER, NUMBER, NUMBER, st.floats(0.05, 2.0))
+def test_a_cubic_meets_its_boundary_conditions(position, velocity, change, duration):
+    times = (0.0, 1e-7, duration, 2.0 * duration)
+    path, speed = np.array([drives.cubic(position, velocity, change, duration, t) for t in times]).T
+    assert (path[0], speed[0]) == (position, velocity)
+    assert (path[1] - path[0]) / 1e-7 == pytest.approx(velocity, abs=1e-2)
+    np.testing.assert_allclose(path[2:], position + change, atol=1e-9)
+    np.testing.assert_allclose(speed[2:], 0.0, atol=1e-9)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_cubic_keeps_the_velocity_it_was_scaled_for(start, change):
+    duration = 1.5 * max(change, 0.1)
+    times = np.linspace(0, 2, 99)
+    speed = [drives.cubic(0.0, start, change, duration, time)[1] for time in times]
+    assert np.abs(speed).max() <= 1.0 + 1e-9
+
+
+def test_joints_use_and_keep_their_velocity_limits(world, begin):
+    begin(x=1.0)
+    robot, rng = world.robot, np.random.default_rng(0)
+    lower, upper = (np.clip(limit, -1.5, 1.5) for limit in robot.joint_limits)
+    fastest = np.zeros(len(robot.arm))
+    for _ in range(6):
+        target = rng.uniform(lower, upper)[np.newaxis]
+        for _ in range(15):
+            speed = np.abs(world.step(twist(), target, DT).joint_velocities[0])
+            fastest = np.maximum(fastest, speed / robot.max_joint_velocity)
+    assert np.all(fastest <= 1.05)
+    assert np.any(fastest >= 0.9)
+
+
+def test_a_continuous_joint_takes_the_shorter_path(opened):
+    world = opened(load_robot("pr2"))
+    home = world.robot.home["home"].copy()
+    home[-1] = 3.0
+    place(world, joints=home)
+    home[-1] = -3.0
+    states = [world.step(twist(), home[np.newaxis], DT) for _ in range(50)]
+    angles = np.array([state.joint_positions[0, -1] for state in states])
+    assert np.abs(angles).max() <= np.pi
+    assert np.abs(angles).min() > 2.9
+    assert angles[-1] == pytest.approx(-3.0, abs=1e-4)
+
+
+def test_kernels_are_compiled_before_the_first_step(opened, monkeypatch):
+    types = set()
+
+    def recorded(kernel):
+        def run(*arguments):
+            types.add((kernel, tuple(map(numba.typeof, arguments))))
+            return kernel(*arguments)
+
+        return run
+
+    monkeypatch.setattr(drives, "arm_paths", recorded(drives.arm_paths))
+    monkeypatch.setattr(simulations, "base_path", recorded(simulations.base_path))
+    world = opened(load_robot("hsr"))
+    place(world)
+    compiled = types.copy()
+    stay(world, 1, twist(0.1))
+    assert types == compiled != set()
+
+
+def test_a_joint_without_effort_is_an_error(engine):
+    robot = load_robot("tiago")
+    joints = dict(robot.urdf.joints)
+    joints["arm_3_joint"] = replace(joints["arm_3_joint"], effort=0.0)
+    with pytest.raises(KinfeasError, match="'arm_3_joint'"):
+        engine(replace(robot, urdf=replace(robot.urdf, joints=joints))).open()
+
+
+@pytest.mark.parametrize("command", [twist(0.2), twist(0.2, 0.1, -0.4), twist(turn=0.4)])
+def test_the_base_keeps_its_acceleration_limits(world, begin, command):
+    begin()
+    states = stay(world, 120, command, STEP) + stay(world, 120, twist(), STEP)
+    speed = np.array([state.base_twist[0, [0, 1, 5]] for state in states])
+    change = np.diff(speed, axis=0, prepend=0.0) / STEP
+    base = world.robot.base
+    assert np.hypot(change[:, 0], change[:, 1]).max() <= base.max_acceleration * 1.01
+    assert np.abs(change[:, 2]).max() <= base.max_rotation_acceleration * 1.01
+    np.testing.assert_allclose(states[119].base_twist, command, atol=1e-3)
+    np.testing.assert_allclose(states[-1].base_twist, 0.0, atol=1e-3)
+
+
+def test_a_differential_drive_moves_along_its_heading(opened):
+    world, rng = opened(load_robot("tiago")), np.random.default_rng(0)
+    place(world, yaw=0.7)
+    for _ in range(100):
+        x, y, rate = rng.uniform(-0.2, 0.2, 3)
+        (state,) = stay(world, 1, twist(x, y, 2.0 * rate))
+        heading = spatial.yaw(state.base_pose)[0]
+        assert abs([-np.sin(heading), np.cos(heading)] @ state.base_twist[0, :2]) <= 1e-3
+    place(world, yaw=0.7)  # it follows the part along its heading
+    state = stay(world, 50, twist(0.1))[-1]
+    assert np.linalg.norm(state.base_twist[0, :2]) == pytest.approx(0.1 * np.cos(0.7), abs=1e-3)

@@ -1,0 +1,51 @@
+import sys
+
+import pytest
+
+pytest.importorskip("pybullet")
+
+from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.pybullet.physics import Physics
+from kinfeas.core.errors import KinfeasError
+
+
+@pytest.fixture
+def physics():
+    world = Physics(PhysicsConfig())
+    yield world
+    world.close()
+
+
+def test_a_control_period_has_a_whole_number_of_steps(physics):
+    for dt, steps in ((0.02, 5), (0.1, 24), (1 / 240, 1), (0.001, 1)):
+        assert physics.divide(dt) == steps
+        assert physics.step_time == dt / steps
+    for dt in (0.0, -0.02, float("nan"), float("inf")):
+        with pytest.raises(KinfeasError, match="control period"):
+            physics.divide(dt)
+
+
+@pytest.mark.parametrize("kind", ["visual", "collision"])
+@pytest.mark.parametrize("mesh", ["none.stl", "text.stl"])
+def test_an_unreadable_mesh_is_an_error_of_one_line(physics, tmp_path, capfd, kind, mesh):
+    (tmp_path / "text.stl").write_text("solid a\nendsolid a\n")
+    shape = f"<{kind}><geometry><mesh filename='{mesh}'/></geometry></{kind}>"
+    path = tmp_path / "thing.urdf"
+    path.write_text(f"<robot name='a'><link name='a'>{shape}</link></robot>")
+    with pytest.raises(KinfeasError, match=rf"thing\.urdf: .*{mesh}") as caught:
+        physics.load(path, fixed=False)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(KinfeasError, match=r"thing\.urdf"):
+        physics.load(path, path.read_text(), fixed=True)
+    assert capfd.readouterr() == ("", "")
+    physics.save()
+    physics.restore()
+
+
+@pytest.mark.parametrize("display", ["", ":77"])
+def test_a_window_without_a_screen_is_an_error(monkeypatch, display, capfd):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("DISPLAY", display)
+    with pytest.raises(KinfeasError, match=f"DISPLAY={display}$"):
+        Physics(PhysicsConfig(), gui=True)
+    assert capfd.readouterr() == ("", "")
