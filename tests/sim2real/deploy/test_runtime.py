@@ -11,12 +11,10 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.control.filters import build_filters
-from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.loop import Loop
 from kinfeas.control.observation import OBSERVATION
 from kinfeas.core import spatial
-from kinfeas.core.backend import StopCall
+from kinfeas.core.backend import RealTimeBackend, StopCall
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.envs.world import World
@@ -42,7 +40,7 @@ QUICK = MotionSpec("linear", {"gain": 1.0})
 PR2 = IkSolver(load_robot("pr2"))
 
 
-class RealTimeRobot:
+class RealTimeRobot(RealTimeBackend):
     """A robot in real time by simulated clocks, with a trouble after ten steps or at the start."""
 
     def __init__(self, time, trouble=None, after=10):
@@ -107,7 +105,7 @@ def trained():
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
-    filters = build_filters((PluginSpec("obstacle_distance"), PluginSpec("feasibility")))
+    filters = PluginSpec("obstacle_distance"), PluginSpec("feasibility")
     warm_up(PR2, Drive(), goal(1.0, 0.0, 0.8), DT, filters=filters)
 
 
@@ -160,7 +158,7 @@ class Bold:
 
     def act(self, policy_input):
         size = self.network.biases[-1].size
-        observation, previous = np.split(policy_input.observation, [-size], axis=1)
+        observation, previous = np.split(policy_input.values, [-size], axis=1)
         return 3.0 * self.network(observation) + 0.1 * previous
 
 
@@ -179,10 +177,10 @@ def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, filters, drive):
     config, driver = replace(config, robot=replace(config.robot, base=base)), drive(policy)
     world = World(config.robot, config.task, config.world, config.seed)
     (recording,) = record_episodes(world, driver, 1)
-    filters, moments = build_filters(config.world.filters), []
+    moments = []
     setup = Setup(
         world.solver, driver, config.task, AnalyticBackend(config.robot), config.world.dt,
-        seed=config.seed, filters=filters, real_time=False,
+        seed=config.seed, filters=config.world.filters, real_time=False,
     )  # fmt: skip
     assert deploy(setup, Mock(write=moments.append)).code == Code.REACHED
     moments = moments[: len(recording.base_pose)]  # the last one is the stop
@@ -268,7 +266,7 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reaso
     (Drive(at=5, do=lambda: 1 / 0), "policy Drive raised ZeroDivisionError"),
     (Drive(at=5, do=lambda: sys.exit(0)), "policy Drive raised SystemExit"),
 ])  # fmt: skip
-@pytest.mark.parametrize("filters", [(), (FeasibilityFilter(),)])
+@pytest.mark.parametrize("filters", [(), (PluginSpec("feasibility"),)])
 def test_a_policy_that_fails_stops_the_robot(run, time, driver, named, filters):
     robot = RealTimeRobot(time)
     driver.steps = 0
@@ -282,12 +280,12 @@ def test_a_policy_that_fails_stops_the_robot(run, time, driver, named, filters):
 class Failing:
     """A command filter that ends the process at its tenth call."""
 
-    def reset(self, loop, rows):
+    def reset(self, rows, period):
         self.left = 10
 
-    def __call__(self, command, policy_input):
+    def __call__(self, period):
         self.left -= 1
-        return command if self.left else sys.exit(0)
+        return period if self.left else sys.exit(0)
 
 
 def test_a_filter_that_exits_stops_the_robot_and_is_named(run, time):
