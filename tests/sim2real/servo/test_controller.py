@@ -4,7 +4,8 @@ import threading
 import numpy as np
 import pytest
 
-from kinfeas.control.loop import Loop
+from kinfeas.config import PluginSpec
+from kinfeas.control.assemble import assemble
 from kinfeas.control.targets import TargetRules
 from kinfeas.core import registry, spatial
 from kinfeas.core.errors import Fault
@@ -27,10 +28,10 @@ def begin(solver, **rules):
     clock = Time()
     controller = TargetController(solver.robot, TargetRules(**rules), clock=clock.clock.monotonic)
     analytic = registry.build("kinfeas.backends", "analytic", {})
-    subgoals = build_subgoals(ServoTask(controller).subgoals)
-    scaling = registry.build("kinfeas.filters", "time_scaling", {})
-    loop = Loop(solver, subgoals, analytic, DT, filters=[controller, scaling])
-    loop.target_stream = controller
+    loop = assemble(
+        solver, build_subgoals(ServoTask(controller).subgoals), analytic, dt=DT,
+        filters=[controller, PluginSpec("time_scaling")], stream=controller,
+    )  # fmt: skip
     start = ServoTask(controller).sample(solver, np.random.default_rng(0))
     arrays = (start.base_pose, start.joint_positions, start.target_poses)
     loop.start(Start(*(one[np.newaxis] for one in arrays)), [np.random.default_rng(0)])
@@ -58,9 +59,9 @@ def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one(solver)
         before = loop.ee_pose
         step(clock, loop, base=0.5)
     assert speed(loop, before) < 0.002
-    base = loop.state.base_pose
+    base = loop.robots.base_pose
     step(clock, loop, base=0.5)
-    np.testing.assert_array_equal(loop.state.base_pose, base)
+    np.testing.assert_array_equal(loop.robots.base_pose, base)
 
 
 def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee(solver):
