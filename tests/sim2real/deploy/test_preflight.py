@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.assemble import assemble
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.control.loop import Loop
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
@@ -28,7 +28,8 @@ def goal(*position, rpy=None):
 
 def checked(task, guards, execution=None, solver=HSR):
     rng = np.random.default_rng(3)
-    loop = Loop(solver, build_subgoals(task.subgoals), AnalyticBackend(), 0.02, execution)
+    subgoals = build_subgoals(task.subgoals)
+    loop = assemble(solver, subgoals, AnalyticBackend(), dt=0.02, execution=execution)
     return preflight(loop, begin(task, solver, rng, None), rng, guards)
 
 
