@@ -34,9 +34,8 @@ ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 FILTERS = {
     "pr2": ("pretrained", "feasibility filter"),
     "tiago": ("pretrained", "path planner"),
-    "hsr": ("sac", "rollout planner"),
 }
-"""Policy and row of the best filters of each robot."""
+"""Policy and row of the best filters of a robot."""
 ROWS = {
     "**{}**, ours": ("sac", "", "success"),
     "{}, paper": ("sac", "", "paper_success"),
@@ -46,7 +45,6 @@ ROWS = {
 """Policy, row and metric of the README's rows by their heads."""
 LEARNED = {
     ("sac", ""): "SAC, 3 seeds",
-    ("sac", "rollout planner"): "SAC, 3 seeds, rollout planner",
     ("pretrained", ""): "pretrained",
     ("pretrained", "feasibility filter"): "pretrained, feasibility filter",
     ("pretrained", "path planner"): "pretrained, path planner",
@@ -55,12 +53,11 @@ LEARNED = {
 PHYSICS = {
     ("pretrained", "head_start"): "{}, 3 s head start",
     ("pretrained", ""): "{}",
-    ("pretrained", "rollout planner"): "{}, rollout planner",
 }
 """Rows of docs/physics.md, by policy and row."""
 IN_PYBULLET = {
     "pr2": ("pretrained", "head_start"),
-    "tiago": ("pretrained", "rollout planner"),
+    "tiago": ("pretrained", ""),
     "hsr": ("pretrained", ""),
 }
 """Policy and row of the README's rows with physics."""
@@ -160,8 +157,9 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
     analytic, with_physics = plain(record), plain(physics)
     for robot, name in ROBOTS.items():
         rows = {head.format(name): (analytic, *chosen) for head, chosen in ROWS.items()}
-        policy, row = FILTERS[robot]
-        rows[f"**{name}**, {row}"] = analytic, policy, row, "success"
+        if robot in FILTERS:
+            policy, row = FILTERS[robot]
+            rows[f"**{name}**, {row}"] = analytic, policy, row, "success"
         policy, row = IN_PYBULLET[robot]
         best = PHYSICS[policy, row].format(f"**{name}** in PyBullet")
         rows[best] = with_physics, policy, row, "success"

@@ -1,20 +1,27 @@
 """Learned base motions that keep any end-effector motion kinematically feasible.
 
-`kinfeas.train`, `evaluate`, `export` and `load_policy` import their packages at the first use.
+The functions below are imported with their packages at the first use.
 """
 
 __version__ = "0.2.0"
 
-__all__ = ["Run", "__version__", "evaluate", "export", "load_policy", "train"]
+_MODULES = {
+    "ceiling": "evaluate", "deploy": "deploy", "evaluate": "evaluate", "export": "export",
+    "fit": "fit", "load_policy": "load", "load_robot": "load", "resume": "train",
+    "servo": "servo", "train": "train", "view": "view",
+}  # fmt: skip
+"""Module of `kinfeas.api` that has a function."""
+
+__all__ = ["__version__", *_MODULES]
 
 
 def __getattr__(name: str) -> object:
-    """Return what `kinfeas.api` has of this name; it is imported when first asked for."""
-    if name not in __all__:
+    """Return a function of `kinfeas.api`; its module is imported when first asked for."""
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module("kinfeas.api"), name)
+    return getattr(import_module(f"kinfeas.api.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -1,5 +1,25 @@
-from kinfeas.api import Run, evaluate, export, load_policy, train
+from kinfeas.api.deploy import deploy
+from kinfeas.api.evaluate import ceiling, evaluate
+from kinfeas.api.export import export
+from kinfeas.api.fit import fit
+from kinfeas.api.load import load_policy, load_robot
+from kinfeas.api.servo import servo
+from kinfeas.api.train import resume, train
+from kinfeas.api.view import view
 
-__all__ = ["Run", "__version__", "evaluate", "export", "load_policy", "train"]
+__all__ = [
+    "__version__",
+    "ceiling",
+    "deploy",
+    "evaluate",
+    "export",
+    "fit",
+    "load_policy",
+    "load_robot",
+    "resume",
+    "servo",
+    "train",
+    "view",
+]
 
 __version__: str

@@ -69,6 +69,8 @@ class Fit:
         rotation_residual: The same in radians.
         sides: 0 or 1 for each demonstration if they follow two paths, such as left and right of an
             obstacle, and the learned one leads between them; otherwise all 0.
+        names: Names of the demonstrations.
+        has_base: Whether each demonstration has poses of the base.
     """
 
     model: Model
@@ -77,6 +79,8 @@ class Fit:
     position_residual: tuple[float, ...]
     rotation_residual: tuple[float, ...]
     sides: tuple[int, ...]
+    names: tuple[str, ...]
+    has_base: tuple[bool, ...]
 
 
 @dataclass(frozen=True)
@@ -136,7 +140,8 @@ def fit(
     metres, radians = np.transpose([_residual(learned, path) for path in paths]).tolist()
     length, turned = (float(step.sum()) for step in distance(learned[:-1], learned[1:]))
     sides = _sides(features, len(paths), length + _METRES_PER_RADIAN * turned)
-    return Fit(model, duration, length, tuple(metres), tuple(radians), sides)
+    bases = tuple(demonstration.has_base for demonstration in demonstrations)
+    return Fit(model, duration, length, tuple(metres), tuple(radians), sides, tuple(called), bases)
 
 
 def write_model(model: Model, path: Path) -> None:

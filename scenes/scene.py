@@ -1,6 +1,6 @@
 """Scenes: a room with objects and handles, read from YAML."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
+from kinfeas.config import Settings
 from kinfeas.config.quantities import Vector
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, compose, make_pose
@@ -89,19 +90,19 @@ class Scene:
         return _of(self.objects, name, f"scene {self.name}: there is no object")
 
 
-def read_scene(name_or_path: str, overrides: Sequence[str] = ()) -> Scene:
+def read_scene(name_or_path: str, settings: Settings | None = None) -> Scene:
     """Return the scene of a YAML file (`my/scene.yaml`) or of a shipped name (`room`).
 
     Args:
         name_or_path: Path or name.
-        overrides: Assignments such as `objects.box.position=[2.725, 0.2, 0.635]`.
+        settings: Values by key such as `objects.box.position`.
 
     Raises:
         KinfeasError: If there is no such scene, one of its files is invalid, objects overlap or a
             handle cannot be reached.
     """
     path = _find(name_or_path)
-    spec = config.load(SceneSpec, path, overrides)
+    spec = config.load(SceneSpec, path, settings)
     urdfs: dict[Path, Urdf] = {}
     objects = {
         name: _object(block, path, f"{path}: 'objects.{name}", urdfs)

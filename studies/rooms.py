@@ -13,8 +13,9 @@ from itertools import product
 from pathlib import Path
 
 from kinfeas.core.metrics import wilson
-from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
@@ -25,8 +26,6 @@ FILTERS = (
     (),
     ("obstacle_distance",),
     ("obstacle_distance", "feasibility"),
-    ("rollout_planner", "obstacle_distance"),
-    ("rollout_planner", "obstacle_distance", "feasibility"),
     ("obstacle_distance", "path_planner", "feasibility"),
 )
 CEILING = "upper bound"
@@ -46,21 +45,19 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     rows = [FILTERS[number] for number in given.filters]
     for task, policy, filters in product(given.tasks, given.policies, rows):
-        # `whole_body_qp` has a state, which the rollout planner does not allow.
-        if policy == "whole_body_qp" and "rollout_planner" in filters:
-            continue
         for number, run in enumerate(given.rooms if policy == POLICIES[0] else [policy]):
             path = given.folder / f"{name(given.robot, task, policy, filters)}-{number}.json"
             if not path.exists():
-                chosen = [f"world.filters={json.dumps(filters)}"]
-                config, driver = prepare(
-                    run, given.robot, task, episodes=given.episodes, overrides=chosen
+                chosen = {"world.filters": filters}
+                known = load_robot(given.robot)
+                config = configure(known, task, episodes=given.episodes, settings=chosen)
+                path.write_text(
+                    json.dumps(evaluate(config, load_policy(run, known), policy), indent=2)
                 )
-                path.write_text(json.dumps(evaluate(config, driver, policy), indent=2))
     for task in given.tasks:
         path = given.folder / f"{name(given.robot, task, CEILING, ())}-0.json"
         if not path.exists():
-            robot, seed = load_robot(given.robot), 1  # as in `prepare`
+            robot, seed = load_robot(given.robot), 1  # as in `configure`
             found = measure_reachability(robot, load_task(task), given.episodes, seed)
             path.write_text(json.dumps({"success": found.share.value, "episodes": given.episodes}))
     print(table(given.folder, given.robot))

@@ -292,7 +292,7 @@ def _figures(text: str, timing: IkTiming | None) -> Iterator[Figure]:
 
 def _drive(world: World, policy: Policy, steps: int) -> None:
     for _ in range(steps):
-        transition = world.step(policy.act(world.loop.policy_input))
+        transition = world.step(policy.act(world.loop.observation))
         ended = np.flatnonzero(transition.done)
         if ended.size:
             world.start_next(ended.size, ended)

@@ -9,7 +9,9 @@ import json
 from itertools import product
 from pathlib import Path
 
-from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.evaluation.evaluate import configure, evaluate
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 
 ROBOTS, TASKS = ("pr2", "tiago", "hsr"), ("joystick", "chunks", "carried")
 ROWS = {
@@ -33,9 +35,12 @@ def main() -> None:
     for (policy, filters), robot, task in product(ROWS, given.robots, TASKS):
         path = given.folder / f"{robot}-{task}-{policy}-{filters or 'none'}.json"
         if policy in given.policies and not path.exists():
-            chosen = [f"world.filters={json.dumps([filters] if filters else [])}"]
-            config, driver = prepare(policy, robot, task, episodes=EPISODES, overrides=chosen)
-            path.write_text(json.dumps(evaluate(config, driver, policy), indent=2))
+            chosen = {"world.filters": [filters] if filters else []}
+            known = load_robot(robot)
+            config = configure(known, task, episodes=EPISODES, settings=chosen)
+            path.write_text(
+                json.dumps(evaluate(config, load_policy(policy, known), policy), indent=2)
+            )
     print(table(given.folder))
 
 

@@ -12,7 +12,6 @@ import argparse
 import csv
 import math
 import tempfile
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinfeas.cli.options import read_settings
+from kinfeas.config import Settings
 from kinfeas.config.recipes import load_section
 from kinfeas.core import registry
 from kinfeas.evaluation.paper import LEARNED, paper_figures
@@ -44,7 +45,7 @@ def main() -> None:
     chosen = parser.parse_args()
     wanted = levels(chosen.robot)
     print("level       " + "  ".join(f"{text} ({level:.1%})" for text, level in wanted.items()))
-    train = partial(_train, chosen.robot, chosen.minutes, chosen.every, chosen.set)
+    train = partial(_train, chosen.robot, chosen.minutes, chosen.every, read_settings(chosen.set))
     numbers = range(chosen.first, chosen.first + chosen.seeds)
     rows, last = [], []
     with ProcessPoolExecutor(chosen.at_once) as pool:
@@ -76,16 +77,16 @@ class LearningCurve:
 
 
 def learning_curve(
-    robot: str, minutes: float, seed: int = 0, every: float = 5.0, overrides: Sequence[str] = ()
+    robot: str, minutes: float, seed: int = 0, every: float = 5.0, settings: Settings | None = None
 ) -> LearningCurve:
     """Return the learning curve of the robot's own recipe, evaluated after `every` seconds.
 
-    `overrides` are assignments such as `learner.batch_size=256`.
+    `settings` are values by key such as `learner.batch_size`.
     """
     evaluations = max(1, round(60.0 * minutes / every))
-    schedule = [f"schedule.minutes={minutes}", f"schedule.evaluations={evaluations}"]
-    schedule += ["schedule.final_episodes=1", "schedule.checkpoint_seconds=86400"]
-    config = recipe_of(robot, [f"seed={seed}", *schedule, *overrides])
+    schedule = {"minutes": minutes, "evaluations": evaluations, "final_episodes": 1}
+    schedule["checkpoint_seconds"] = 86400
+    config = recipe_of(robot, {"seed": seed, "schedule": schedule, **(settings or {})})
     with tempfile.TemporaryDirectory() as folder:
         train(config, Path(folder) / "run")
         with (Path(folder) / "run" / "metrics.csv").open(newline="", encoding="utf-8") as file:
@@ -106,16 +107,16 @@ def levels(robot: str, goals: int = 500) -> dict[str, float]:
     return shares | ({} if paper is None else {"the paper's success": paper.success})
 
 
-def recipe_of(robot: str, overrides: Sequence[str]) -> TrainConfig:
-    """Return the training recipe of a robot, changed by assignments such as `seed=1`."""
+def recipe_of(robot: str, settings: Settings) -> TrainConfig:
+    """Return the training recipe of a robot, changed by settings such as `seed`."""
     name = load_robot(robot).name
-    return load_section(TrainConfig, "train", name, [f"robot={robot}", *overrides])
+    return load_section(TrainConfig, "train", name, {"robot": robot, **settings})
 
 
 def _train(
-    robot: str, minutes: float, every: float, overrides: list[str], seed: int
+    robot: str, minutes: float, every: float, settings: Settings, seed: int
 ) -> LearningCurve:
-    return learning_curve(robot, minutes, seed, every, overrides)
+    return learning_curve(robot, minutes, seed, every, settings)
 
 
 def _seconds(times: object) -> str:

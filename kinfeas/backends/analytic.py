@@ -77,4 +77,4 @@ class AnalyticBackend(Backend):
         return self.state
 
     def close(self) -> None:
-        """Do nothing: there is nothing to let go of."""
+        """Do nothing."""

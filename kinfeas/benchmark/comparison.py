@@ -23,7 +23,7 @@ SHOWN = 3
 class Comparison:
     """Results of the policy of a run and of baselines in the same episodes."""
 
-    chosen: EvalConfig
+    config: EvalConfig
     run: Path
     policy: Summary
     baselines: dict[str, Summary]
@@ -31,7 +31,7 @@ class Comparison:
 
 
 def compare(
-    chosen: EvalConfig,
+    config: EvalConfig,
     run: Path,
     processes: int = 1,
     on_done: Callable[[float], None] | None = None,
@@ -42,44 +42,46 @@ def compare(
     """
     work = 2 + len(QUICK_BASELINES)
 
-    def done(share: float) -> None:
+    def done(fraction: float) -> None:
         if on_done is not None:
-            on_done(share / work)
+            on_done(fraction / work)
 
     def evaluated(name: str) -> Summary:
-        policy = load_policy(name, chosen.robot)
+        policy = load_policy(name, config.robot)
         return evaluate(
-            chosen, policy, name, ceiling, processes, lambda ended: done(ended / chosen.episodes)
+            config, policy, name, ceiling, processes, lambda ended: done(ended / config.episodes)
         )
 
-    ceiling = reachability_of(chosen, done)
+    ceiling = reachability_of(config, done)
     assert ceiling is not None  # no stream of targets
     baselines = {name: evaluated(name) for name in QUICK_BASELINES}
-    return Comparison(chosen, run, evaluated(str(run)), baselines, ceiling)
+    return Comparison(config, run, evaluated(str(run)), baselines, ceiling)
 
 
 def make_report(comparison: Comparison, commands: Sequence[str]) -> Report:
     """Return the report of a comparison, with the commands that produce it."""
-    chosen, success = comparison.chosen, success_of(comparison.policy)
-    robot, task = chosen.robot.name, chosen.task.name
+    config, success = comparison.config, success_of(comparison.policy)
+    robot, task = config.robot.name, config.task.name
     rows = [Row("trained policy", success, comparison.policy, ours=True)]
-    rows += [Row(name, success_of(one), one) for name, one in comparison.baselines.items()]
+    rows += [
+        Row(name, success_of(summary), summary) for name, summary in comparison.baselines.items()
+    ]
     rows.append(Row("ceiling", comparison.ceiling, {}))
-    known = paper_success(robot, task)
+    paper = paper_success(robot, task)
     for key, name in (("policy", "paper: learned policy"), ("follow_ee", "paper: follow_ee")):
-        if key in known:
-            rows.append(Row(name, Proportion(known[key], known[key], known[key]), {}))
-    best = max(success_of(one).value for one in comparison.baselines.values())
+        if key in paper:
+            rows.append(Row(name, Proportion(paper[key], paper[key], paper[key]), {}))
+    best = max(success_of(summary).value for summary in comparison.baselines.values())
     return Report(
         title=f"A base policy for {robot} on {task}",
         summary=(
-            f"The policy completes {success.value:.1%} of {chosen.episodes} fresh episodes without "
+            f"The policy completes {success.value:.1%} of {config.episodes} fresh episodes without "
             f"an IK failure, the better baseline {best:.1%}. At most "
             f"{comparison.ceiling.value:.1%} of the goals are reachable."
         ),
         rows=rows,
         notes=(
-            f"Episodes 0 to {chosen.episodes - 1} of seed {chosen.seed} in all rows except the "
+            f"Episodes 0 to {config.episodes - 1} of seed {config.seed} in all rows except the "
             "paper's, which come from its own program. Intervals are Wilson's.",
             "Ceiling: goals that the end-effector reaches from some base pose.",
         ),
@@ -94,17 +96,17 @@ def success_of(metrics: Summary) -> Proportion:
 
 
 def _pictures(comparison: Comparison) -> list[Picture]:
-    chosen = comparison.chosen
-    levels = {name: success_of(one).value for name, one in comparison.baselines.items()}
+    config = comparison.config
+    levels = {name: success_of(summary).value for name, summary in comparison.baselines.items()}
     levels["ceiling"] = comparison.ceiling.value
     curve = learning_curve(read_metrics(comparison.run), levels)
-    world = World(chosen.robot, chosen.task, chosen.world, chosen.seed)
-    policy = read_network(comparison.run, chosen.robot)
-    shown = record_episodes(world, policy, min(SHOWN, chosen.episodes))
+    world = World(config.robot, config.task, config.world, config.seed)
+    policy = read_network(comparison.run, config.robot)
+    recordings = record_episodes(world, policy, min(SHOWN, config.episodes))
     return [
         Picture("Episodes without a failure during training.", png(curve)),
         Picture(
-            f"The first {len(shown)} episodes of seed {chosen.seed}.",
-            png(episodes_figure(chosen.robot, shown)),
+            f"The first {len(recordings)} episodes of seed {config.seed}.",
+            png(episodes_figure(config.robot, recordings)),
         ),
     ]

@@ -1,13 +1,13 @@
 """Configuration of a benchmark: robots, tasks, policies, and further rows and tables of them."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 from annotated_types import Interval
 
 from kinfeas import config
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, Settings, nested
 from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError, no_such
@@ -27,14 +27,14 @@ class Training:
     Attributes:
         robot: Name or YAML file.
         recipe: Name or file; the section `train` of the robot by default.
-        settings: Assignments `a.b=c` on top of the recipe.
+        settings: Values by key of the recipe.
         steps: Environment steps in all; the recipe's schedule if neither is set.
         minutes: Wall-clock time in all.
     """
 
     robot: str
     recipe: str | None = None
-    settings: tuple[str, ...] = ()
+    settings: dict[str, object] = field(default_factory=dict)
     steps: Count | None = None
     minutes: Positive | None = None
 
@@ -46,14 +46,14 @@ class Row:
     Attributes:
         label: Name of the row; the paper's `head_start` and `no_objects` have its figures beside.
         filters: Command filters of this row; those of the world by default.
-        settings: Assignments to the world, such as `world.head_start=3`.
+        settings: Values by key of the evaluation, such as `world.head_start`.
         robots: Robots that have it; all by default.
         tasks: Tasks that have it; all by default.
     """
 
     label: str
     filters: tuple[PluginSpec, ...] | None = None
-    settings: tuple[str, ...] = ()
+    settings: dict[str, object] = field(default_factory=dict)
     robots: tuple[str, ...] | None = None
     tasks: tuple[str, ...] | None = None
 
@@ -102,7 +102,7 @@ class BenchmarkConfig:
         variants: Further tables, in the analytic world only.
         backend: Entry point in the group kinfeas.backends. Beside any but `analytic` the tables
             have the same policies in the analytic world.
-        settings: Assignments to the world of all rows, such as `world.time_scale=1`.
+        settings: Values by key of the evaluations, such as `world.time_scale`.
     """
 
     note: str = ""
@@ -117,7 +117,7 @@ class BenchmarkConfig:
     evaluation_seed: Seed = 1
     variants: tuple[Variant, ...] = ()
     backend: str = "analytic"
-    settings: tuple[str, ...] = ()
+    settings: dict[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the names of the baselines and that no row of a table is there twice."""
@@ -130,20 +130,22 @@ class BenchmarkConfig:
                 raise ValueError(f"{key!r} must hold at least one entry, and none twice")
         rows = [(r, t, row.label) for row in self.rows for r in self.robots for t in self.tasks
                 if row.has(r, t)]  # fmt: skip
-        variants = [(r, one.task, one.label) for one in self.variants for r in one.robots]
+        variants = [
+            (r, variant.task, variant.label) for variant in self.variants for r in variant.robots
+        ]
         for key, names in (("rows", rows), ("variants", variants)):
             if len(set(names)) < len(names) or not all(label.strip() for *_, label in names):
                 raise ValueError(f"{key!r}: each needs a 'label', another one for a robot and task")
 
 
-def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
+def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConfig:
     """Return a benchmark by its recipe's name or file.
 
     Raises:
         KinfeasError: If there is none; or if a key, a robot, a task, its motion or a setting is
             invalid; or if two robots or tasks have the same name.
     """
-    benchmark = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), overrides)
+    benchmark = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), settings)
     robots = [load_robot(robot).name for robot in benchmark.robots]
     for kind, names in (
         ("robots", robots),
@@ -152,17 +154,17 @@ def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
         if len(set(names)) < len(names):
             raise KinfeasError(f"{kind!r} must not hold two of one name: {', '.join(names)}")
     plain: list[tuple[str, dict[str, object]]] = [(task, {}) for task in benchmark.tasks]
-    for task, parameters in [*plain, *((one.task, one.parameters) for one in benchmark.variants)]:
-        known = load_task(task, parameters)
-        if isinstance(known, StreamTask):
+    for task, parameters in [
+        *plain,
+        *((variant.task, variant.parameters) for variant in benchmark.variants),
+    ]:
+        model = load_task(task, parameters)
+        if isinstance(model, StreamTask):
             raise KinfeasError(f"'tasks': {task} has no ceiling, since its targets move")
-        build_subgoals(known.subgoals)
+        build_subgoals(model.subgoals)
     for robot in robots:
-        for settings in (
-            benchmark.settings,
-            *((*benchmark.settings, *row.settings) for row in benchmark.rows),
-        ):
-            read_settings(robot, benchmark.backend, settings)
+        for row in (Row(""), *benchmark.rows):
+            read_settings(robot, benchmark.backend, nested(benchmark.settings, row.settings))
     return benchmark
 
 

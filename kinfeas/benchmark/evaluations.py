@@ -11,12 +11,12 @@ import numpy as np
 from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.runs import Run, takes_pretrained
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, nested
 from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World
-from kinfeas.evaluation.evaluate import evaluate, prepare, read_settings
+from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
 from kinfeas.io.policy_metadata import policy_folder
@@ -44,7 +44,7 @@ class Evaluation:
         source: Name for `load_policy`.
         seed: Seed of the episodes.
         first: Number of the first episode.
-        settings: Assignments to the settings of the evaluation.
+        settings: Values by key of the evaluation.
         row: Label of the further row that it belongs to.
         variant: Label of the further table that it belongs to.
         parameters: Keyword parameters of the task.
@@ -60,7 +60,7 @@ class Evaluation:
     training_seed: int | None = None
     first: int = 0
     backend: str = "analytic"
-    settings: tuple[str, ...] = ()
+    settings: dict[str, object] = field(default_factory=dict)
     row: str = ""
     variant: str = ""
     parameters: dict[str, object] = field(default_factory=dict)
@@ -88,13 +88,13 @@ class Evaluation:
 
 def _own_files(case: Evaluation) -> list[str]:
     """Return the content of the files of an own robot or task."""
-    found: list[str] = []
+    digests: list[str] = []
     if is_path(case.robot):
         files = Path(case.robot), load_robot(case.robot).urdf_path
-        found += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        digests += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     if is_path(case.task):
-        found.append(json.dumps(config.to_mapping(load_task(case.task, case.parameters))))
-    return found
+        digests.append(json.dumps(config.to_mapping(load_task(case.task, case.parameters))))
+    return digests
 
 
 def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Evaluation]:
@@ -111,11 +111,11 @@ def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Ev
         for task in benchmark.tasks
     ]
     ceilings += [
-        Evaluation(robot, names[robot], one.task, CEILING, CEILING, *numbers, variant=one.label,
-            parameters=one.parameters)
-        for one in benchmark.variants
-        for robot in one.robots
-        if robot in names and one.task in benchmark.tasks and benchmark.backend == "analytic"
+        Evaluation(robot, names[robot], variant.task, CEILING, CEILING, *numbers,
+            variant=variant.label, parameters=variant.parameters)
+        for variant in benchmark.variants
+        for robot in variant.robots
+        if robot in names and variant.task in benchmark.tasks and benchmark.backend == "analytic"
     ]  # fmt: skip
     return [case for ceiling in ceilings for case in _of_task(benchmark, runs, ceiling)]
 
@@ -132,21 +132,21 @@ def compute(case: Evaluation) -> Result:
     if case.policy == CEILING:
         robot, task = load_robot(case.robot), load_task(case.task, case.parameters)
         ik = read_settings(robot.name, case.backend, case.settings).world.ik
-        share = measure_reachability(robot, task, case.episodes, case.seed, ik).share
-        return {"success": share.value, "success_low": share.low, "success_high": share.high}
-    parameters = [f"task.{key}={json.dumps(value)}" for key, value in case.parameters.items()]
-    chosen, policy = prepare(
-        case.source,
-        case.robot,
+        bound = measure_reachability(robot, task, case.episodes, case.seed, ik).share
+        return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
+    robot = load_robot(case.robot)
+    policy = load_policy(case.source, robot)
+    plan = configure(
+        robot,
         case.task,
         case.backend,
         episodes=case.episodes,
         seed=case.seed,
-        overrides=[*case.settings, *parameters],
+        settings=nested(case.settings, {f"task.{k}": v for k, v in case.parameters.items()}),
     )
     sampled = case.backend == "analytic" and isinstance(policy, Network)
     samples = WorkspaceSamples() if sampled else None
-    summary = evaluate(replace(chosen, first=case.first), policy, case.policy, watch=samples)
+    summary = evaluate(replace(plan, first=case.first), policy, case.policy, watch=samples)
     return {**summary, "workspace": samples.kept()} if samples else dict(summary)
 
 
@@ -191,22 +191,27 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
     rows = []
     for row in benchmark.rows if not case.variant else ():
         if row.has(case.robot, case.task):
-            settings = (*benchmark.settings, *row.settings, *_filters(row.filters))
-            rows += [replace(one, row=row.label, settings=settings) for one in learned]
+            settings = nested(benchmark.settings, row.settings, _filters(row.filters))
+            rows += [
+                replace(evaluation, row=row.label, settings=settings) for evaluation in learned
+            ]
     baselines = [replace(base, policy=name, source=name)
                  for name, on in benchmark.baselines.items() if case.task in on]  # fmt: skip
     policies = [*learned, *rows, *baselines]
     if benchmark.backend != "analytic":
-        beside = [_without_physics(benchmark, one) for one in policies]
-        policies = [*beside, *(part for one in policies for part in _parts(benchmark, one))]
-    settings = benchmark.settings if benchmark.backend == "analytic" else ()
+        beside = [_without_physics(benchmark, evaluation) for evaluation in policies]
+        policies = [
+            *beside,
+            *(part for evaluation in policies for part in _parts(benchmark, evaluation)),
+        ]
+    settings = benchmark.settings if benchmark.backend == "analytic" else {}
     return [replace(case, settings=settings), *policies]
 
 
 def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
     """Return an evaluation with the same filters in the analytic world, which has no obstacles."""
     used = read_settings(case.robot_name, benchmark.backend, case.settings).world.filters
-    filters = tuple(one for one in used if one.name != "obstacle_distance")
+    filters = tuple(spec for spec in used if spec.name != "obstacle_distance")
     return replace(case, settings=_filters(filters))
 
 
@@ -217,11 +222,9 @@ def _parts(benchmark: BenchmarkConfig, case: Evaluation) -> list[Evaluation]:
     ]
 
 
-def _filters(filters: tuple[PluginSpec, ...] | None) -> tuple[str, ...]:
-    """Return filters as an assignment; none if they are to stay."""
-    if filters is None:
-        return ()
-    return (f"world.filters={json.dumps([config.to_mapping(one) for one in filters])}",)
+def _filters(filters: tuple[PluginSpec, ...] | None) -> dict[str, object]:
+    """Return filters as a setting; none if they are to stay."""
+    return {} if filters is None else {"world.filters": config.to_mapping(filters)}
 
 
 def _weights(case: Evaluation) -> str:
@@ -230,6 +233,6 @@ def _weights(case: Evaluation) -> str:
         return ""
     shipped = case.source == pretrained.NAME
     folder = pretrained.find(case.robot_name) if shipped else Path(case.source)
-    place = policy_folder(folder) / WEIGHTS
-    with reading(place):
-        return hashlib.sha256(place.read_bytes()).hexdigest()
+    path = policy_folder(folder) / WEIGHTS
+    with reading(path):
+        return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -63,9 +63,7 @@ def to_markdown(
     lines = [f"# Benchmark{named}", ""]
     lines += [f"**{note}**", ""] if note else []
     lines += [_HOW + (_ANALYTIC if world == "analytic" else _PHYSICS), "", _effort(cells), ""]
-    for robot, variant in groups(cells):
-        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
-        lines += [f"## {title(robot, variant)}", "", *_success_table(own), ""]
+    lines += success_tables(cells)
     for heading, about, entry in _METRICS:
         if any(entry(cell) != NOTHING for cell in cells):
             lines += [f"## {heading}", "", about, "", *_metric_table(cells, entry), ""]
@@ -75,10 +73,19 @@ def to_markdown(
     return "\n".join([*lines, "## How to make it again", "", "```sh", *commands, "```", ""])
 
 
+def success_tables(cells: Sequence[Cell]) -> list[str]:
+    """Return the lines of the tables of success, one for each robot and variant."""
+    lines = []
+    for robot, variant in groups(cells):
+        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
+        lines += [f"## {title(robot, variant)}", "", *_success_table(own), ""]
+    return lines
+
+
 def groups(cells: Sequence[Cell]) -> list[tuple[str, str]]:
     """Return robots and variants of `cells`, each once, those without a variant first."""
-    found = dict.fromkeys((cell.robot, cell.variant) for cell in cells)
-    return sorted(found, key=lambda group: bool(group[1]))
+    titles = dict.fromkeys((cell.robot, cell.variant) for cell in cells)
+    return sorted(titles, key=lambda group: bool(group[1]))
 
 
 def title(robot: str, variant: str) -> str:
@@ -137,17 +144,17 @@ def _unmatched(cells: Sequence[Cell], tasks: Sequence[str]) -> list[list[str]]:
     robot, variant, world = cells[0].robot, cells[0].variant, cells[0].world
     if variant or world != "analytic":
         return []
-    known = {task: paper_figures(robot, task, world) for task in tasks}
+    by_task = {task: paper_figures(robot, task, world) for task in tasks}
     rows = []
-    for name in dict.fromkeys(name for figures in known.values() for name in figures):
-        shown = {
+    for name in dict.fromkeys(name for figures in by_task.values() for name in figures):
+        values = {
             cell.task
             for cell in cells
             if (LEARNED if cell.learned else cell.policy) == name and cell.paper_success is not None
         }
         entries = [
             f"*{_percent(figures.success, figures.within_5cm)}*"
-            if (figures := known[task].get(name)) and task not in shown
+            if (figures := by_task[task].get(name)) and task not in values
             else NOTHING
             for task in tasks
         ]

@@ -85,35 +85,35 @@ def _draw_panel(
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)
     axes.spines["left"].set_visible(False)
-    known = [cell for cell in cells if cell is not None]
-    if not known:  # the names of the rows stay
+    complete = [cell for cell in cells if cell is not None]
+    if not complete:  # the names of the rows stay
         axes.xaxis.set_visible(False)
         axes.spines["bottom"].set_visible(False)
         return
-    ceiling = 100.0 * known[0].ceiling
+    ceiling = 100.0 * complete[0].ceiling
     axes.axvspan(ceiling, 100.0, color=_BEYOND, lw=0.0, zorder=0.5)
     axes.axvline(ceiling, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=2)
-    for place, cell in enumerate(cells):
+    for row, cell in enumerate(cells):
         if cell is not None:
-            _draw_row(axes, place, cell)
+            _draw_row(axes, row, cell)
 
 
-def _draw_row(axes: Axes, place: int, cell: Cell) -> None:
+def _draw_row(axes: Axes, row: int, cell: Cell) -> None:
     value, colour = 100.0 * cell.success, EE if cell.learned else BASE
     axes.plot(
-        [100.0 * cell.success_low, 100.0 * cell.success_high], [place, place],
+        [100.0 * cell.success_low, 100.0 * cell.success_high], [row, row],
         color=colour, lw=4.5, alpha=0.35, solid_capstyle="butt", zorder=3,
     )  # fmt: skip
-    axes.plot([value], [place], "o", color=colour, ms=6.5, mec="white", mew=0.8, zorder=5,
+    axes.plot([value], [row], "o", color=colour, ms=6.5, mec="white", mew=0.8, zorder=5,
               clip_on=False)  # fmt: skip
     if cell.analytic_success is not None:
-        axes.plot([100.0 * cell.analytic_success], [place], "|", color=colour, mew=2.2, ms=11,
+        axes.plot([100.0 * cell.analytic_success], [row], "|", color=colour, mew=2.2, ms=11,
                   zorder=4.5, clip_on=False)  # fmt: skip
     if cell.paper_success is not None:
-        axes.plot([100.0 * cell.paper_success], [place], "D", color="none", mec=GOAL, mew=1.7,
+        axes.plot([100.0 * cell.paper_success], [row], "D", color="none", mec=GOAL, mew=1.7,
                   ms=6.5, zorder=4, clip_on=False)  # fmt: skip
     axes.annotate(
-        f"{value:.1f}", (1.0, place), xytext=(9, 0), xycoords=("axes fraction", "data"),
+        f"{value:.1f}", (1.0, row), xytext=(9, 0), xycoords=("axes fraction", "data"),
         textcoords="offset points", va="center", fontsize=8.5, color=colour,
         fontweight="bold" if cell.learned else "normal", annotation_clip=False,
     )  # fmt: skip
@@ -121,10 +121,10 @@ def _draw_row(axes: Axes, place: int, cell: Cell) -> None:
 
 def _label_lowest(panels: Sequence[Axes]) -> None:
     """Write the axis below the lowest panel of a column that shows anything."""
-    shown = [axes for axes in panels if axes.xaxis.get_visible()]
-    for axes in shown[:-1]:
+    visible = [axes for axes in panels if axes.xaxis.get_visible()]
+    for axes in visible[:-1]:
         axes.tick_params(axis="x", labelbottom=False)
-    shown[-1].set_xlabel("success, %", fontsize=9)
+    visible[-1].set_xlabel("success, %", fontsize=9)
 
 
 def _table_legend(*, beside: bool) -> list[Line2D]:
@@ -168,24 +168,24 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
 
 def training_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Array]:
     """Return common steps (k,) of several runs, and the success of each in training (runs, k)."""
-    steps = np.linspace(0.0, min(float(one["steps"][-1]) for one in metrics), _POINTS)
+    steps = np.linspace(0.0, min(float(run["steps"][-1]) for run in metrics), _POINTS)
     values = []
-    for one in metrics:
-        known = np.isfinite(one["train/success"])
+    for run in metrics:
+        measured = np.isfinite(run["train/success"])
         # A short run may end before its first training episode does.
-        at, seen = (
-            one[key][known] if known.any() else [np.nan] for key in ("steps", "train/success")
+        at, success = (
+            run[key][measured] if measured.any() else [np.nan] for key in ("steps", "train/success")
         )
-        values.append(np.interp(steps, at, seen, left=np.nan))
+        values.append(np.interp(steps, at, success, left=np.nan))
     return steps, np.array(values)
 
 
 def evaluation_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Array]:
     """Return the mean steps (k,) of the k-th evaluations, and their success (runs, k)."""
-    known = [np.isfinite(one["evaluation/success"]) for one in metrics]
-    count = min(int(rows.sum()) for rows in known)
+    measured = [np.isfinite(run["evaluation/success"]) for run in metrics]
+    count = min(int(rows.sum()) for rows in measured)
     steps, values = (
-        np.array([one[key][rows][:count] for one, rows in zip(metrics, known, strict=True)])
+        np.array([run[key][rows][:count] for run, rows in zip(metrics, measured, strict=True)])
         for key in ("steps", "evaluation/success")
     )
     return steps.mean(axis=0), values
@@ -201,10 +201,10 @@ def workspace_figure(robots: Mapping[str, Sequence[Result]]) -> Figure:
         figure = Figure(figsize=(width, 8.3), layout="constrained")
         panels = figure.subplots(2, len(robots), squeeze=False)
         for column, (name, results) in zip(panels.T, robots.items(), strict=True):
-            for axes, (shown, across) in zip(column, _VIEWS, strict=True):
+            for axes, (axis, across) in zip(column, _VIEWS, strict=True):
                 for kind, style in _KINDS.items():
-                    points = [np.reshape(one["workspace"][kind], (-1, 3)) for one in results]
-                    flat = thinned(np.concatenate(points), _POINTS_SHOWN)[:, shown]
+                    points = [np.reshape(result["workspace"][kind], (-1, 3)) for result in results]
+                    flat = thinned(np.concatenate(points), _POINTS_SHOWN)[:, axis]
                     axes.plot(*flat.T, "o", mew=0.0, **style)
                 axes.plot([0.0], [0.0], "k+", ms=12, label="base frame")
                 axes.set(
@@ -213,8 +213,10 @@ def workspace_figure(robots: Mapping[str, Sequence[Result]]) -> Figure:
                     aspect="equal",
                     adjustable="datalim",
                 )
-            failed = sum(one["ik_failures_per_episode"] * one["episodes"] for one in results)
-            steps = sum(one["mean_steps"] * one["episodes"] for one in results)
+            failed = sum(
+                result["ik_failures_per_episode"] * result["episodes"] for result in results
+            )
+            steps = sum(result["mean_steps"] * result["episodes"] for result in results)
             column[0].set_title(f"{TITLES.get(name, name)}: {failed / steps:.2%} infeasible steps")
         handles, _ = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
@@ -256,7 +258,7 @@ def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
 def draw_pictures(
     benchmark: BenchmarkConfig,
     runs: Sequence[Run],
-    found: Sequence[tuple[Evaluation, Result]],
+    results: Sequence[tuple[Evaluation, Result]],
     cells: Sequence[Cell],
 ) -> dict[str, bytes]:
     """Return the pictures of a benchmark as PNG files, by name.
@@ -273,18 +275,18 @@ def draw_pictures(
         pictures["learning_curves"] = png(curves_figure(ordered, _levels(runs, cells)), 110)
     spaces: dict[str, list[Result]] = {}
     for robot in benchmark.robots:
-        plain = [one for one in found if not (one[0].variant or one[0].row)]
+        plain = [pair for pair in results if not (pair[0].variant or pair[0].row)]
         own = [(case, result) for case, result in plain
                if case.robot == robot and "workspace" in result]  # fmt: skip
         own = [(case, result) for case, result in own if case.policy == own[0][0].policy]
         if not own:
             continue
-        known = load_robot(robot)
-        spaces[known.name] = [result for _, result in own]
-        shown = _examples(known, [case for case, _ in own])
-        titles = [_example_title(task, recording) for task, recording in shown.items()]
-        figure = episodes_figure(known, list(shown.values()), titles)
-        pictures[f"examples-{known.name}"] = png(figure, 80)
+        model = load_robot(robot)
+        spaces[model.name] = [result for _, result in own]
+        recordings = _examples(model, [case for case, _ in own])
+        titles = [_example_title(task, recording) for task, recording in recordings.items()]
+        figure = episodes_figure(model, list(recordings.values()), titles)
+        pictures[f"examples-{model.name}"] = png(figure, 80)
     if spaces:
         pictures["workspace"] = png(workspace_figure(spaces), 90)
     return pictures
@@ -304,14 +306,14 @@ def _levels(runs: Sequence[Run], cells: Sequence[Cell]) -> dict[str, dict[str, f
 
 def _examples(robot: Robot, cases: Sequence[Evaluation]) -> dict[str, Recording]:
     """Return an episode of each task: number 0 of the first one, 1 of the second and so on."""
-    shown: dict[str, Recording] = {}
+    recordings: dict[str, Recording] = {}
     for case in cases:
-        if case.task_name not in shown:
+        if case.task_name not in recordings:
             config = read_settings(robot.name, case.backend, case.settings).world
             world = World(robot, load_task(case.task, case.parameters), config, case.seed)
             policy = load_policy(case.source, robot)
-            (shown[case.task_name],) = record_episodes(world, policy, 1, first=len(shown))
-    return shown
+            (recordings[case.task_name],) = record_episodes(world, policy, 1, first=len(recordings))
+    return recordings
 
 
 def _example_title(task: str, recording: Recording) -> str:

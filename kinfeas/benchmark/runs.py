@@ -1,6 +1,5 @@
 """Training runs of a benchmark, and the best of them made ready to be shipped."""
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -41,17 +40,17 @@ def read_run(folder: Path) -> Run:
 
 def find_runs(folders: Sequence[Path]) -> list[Run]:
     """Return the runs in `folders` and one level below, by robot and seed."""
-    found: dict[tuple[str, int], Run] = {}
+    runs: dict[tuple[str, int], Run] = {}
     for folder in folders:
         below = sorted(path.parent for path in folder.glob("*/config.yaml"))
-        for place in [folder] if (folder / "config.yaml").is_file() or not below else below:
-            run = read_run(place)
-            other = found.setdefault((run.robot, run.seed), run)
+        for path in [folder] if (folder / "config.yaml").is_file() or not below else below:
+            run = read_run(path)
+            other = runs.setdefault((run.robot, run.seed), run)
             if other.folder != run.folder:
                 raise KinfeasError(
                     f"{other.folder} and {run.folder}: both {run.robot} with seed {run.seed}"
                 )
-    return [found[key] for key in sorted(found)]
+    return [runs[key] for key in sorted(runs)]
 
 
 def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:
@@ -65,13 +64,13 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
     """Return the training runs of a benchmark."""
     if benchmark.policies == "pretrained":
         return []
-    wanted = [robot for robot in benchmark.robots if not takes_pretrained(benchmark, robot)]
-    for robot in wanted:
+    robots = [robot for robot in benchmark.robots if not takes_pretrained(benchmark, robot)]
+    for robot in robots:
         if robot not in {training.robot for training in benchmark.trainings}:
             raise KinfeasError(f"'trainings' has no entry for {robot}")
     plans = {}
     for training in benchmark.trainings:
-        for seed in benchmark.seeds if training.robot in wanted else ():
+        for seed in benchmark.seeds if training.robot in robots else ():
             settings = _settings(training, seed)
             name = f"{load_robot(settings.robot).name}-{seed}"
             if name in plans:
@@ -88,11 +87,11 @@ def publish(
     The best one has the highest success in the evaluation that selected its checkpoint. The
     `metrics` by task for the folder of each run, from other episodes, go into `policy.json`.
     """
-    found = [(run, read_best(run.folder)) for run in runs]
+    candidates = [(run, read_best(run.folder)) for run in runs]
     published = []
     for robot in dict.fromkeys(run.robot for run in runs):
-        own = [(run, trained) for run, trained in found if run.robot == robot]
-        run, trained = max(own, key=lambda one: one[1].evaluation["success"])
+        own = [(run, trained) for run, trained in candidates if run.robot == robot]
+        run, trained = max(own, key=lambda candidate: candidate[1].evaluation["success"])
         command = train_command(config.from_mapping(TrainConfig, trained.config, str(run.folder)))
         about = replace(
             trained,
@@ -111,29 +110,27 @@ def train_command(settings: TrainConfig) -> str:
     plain = config.to_mapping(load_section(TrainConfig, "train", Path(settings.robot).stem))
     changed = _changes(config.to_mapping(settings), {**plain, "robot": settings.robot})
     words = ["kinfeas", "train", "--robot", settings.robot, "--seed", str(settings.seed)]
-    for key, value in changed.items():
-        if key != "seed":
-            words += ["--set", f"{key}={json.dumps(value)}"]
-    return shlex.join(words)
+    changed.pop("seed", None)
+    return shlex.join([*words, *config.to_options(changed)])
 
 
 def _settings(training: Training, seed: int) -> TrainConfig:
     values: dict[str, object] = {"robot": training.robot, "seed": seed}
     if training.steps is not None or training.minutes is not None:
         values |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
-    assignments = [f"{key}={json.dumps(value)}" for key, value in values.items()]
-    assignments += training.settings
-    return with_initial_policy(load_recipe(training.recipe, assignments))
+    return with_initial_policy(
+        load_recipe(training.recipe, config.nested(values, training.settings))
+    )
 
 
 def _changes(
     settings: Mapping[str, object], plain: Mapping[str, object], above: str = ""
 ) -> dict[str, object]:
-    found: dict[str, object] = {}
+    changes: dict[str, object] = {}
     for key, value in settings.items():
         usual = plain.get(key)
         if isinstance(value, Mapping) and isinstance(usual, Mapping) and usual:
-            found |= _changes(value, usual, f"{above}{key}.")
+            changes |= _changes(value, usual, f"{above}{key}.")
         elif value != usual:
-            found[f"{above}{key}"] = value
-    return found
+            changes[f"{above}{key}"] = value
+    return changes

@@ -84,13 +84,13 @@ class Cell:
         return self.policy in ("sac", pretrained.NAME)
 
 
-def tabulate(found: Sequence[tuple[Evaluation, Result]], *backends: str) -> list[Cell]:
+def tabulate(results: Sequence[tuple[Evaluation, Result]], *backends: str) -> list[Cell]:
     """Return the cells of a benchmark, learned policies first if there is physics.
 
     Evaluations in the analytic world beside other `backends` are references of their cells.
     """
     groups: dict[tuple[str, ...], list[tuple[Evaluation, Result]]] = {}
-    for case, result in found:
+    for case, result in results:
         key = (case.robot, case.variant, case.task, case.policy, case.row, case.backend)
         groups.setdefault(key, []).append((case, result))
     cells = []
@@ -136,9 +136,9 @@ def pooled(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     means: dict[str, Any] = {"episodes": episodes}
     for key in _MEANS:
         values = [part[key] for part in parts]
-        known = None not in values
-        total = sum(v * part["episodes"] for v, part in zip(values, parts, strict=True) if known)
-        means[key] = total / episodes if known else None
+        complete = None not in values
+        total = sum(v * part["episodes"] for v, part in zip(values, parts, strict=True) if complete)
+        means[key] = total / episodes if complete else None
     return means
 
 
@@ -147,15 +147,17 @@ def _cell(
 ) -> Cell:
     case, first = group[0]
     by_source: dict[str, list[Result]] = {}
-    for one, result in group:
-        by_source.setdefault(one.source, []).append(result)
+    for case, result in group:
+        by_source.setdefault(case.source, []).append(result)
     seeds = [pooled(results) for results in by_source.values()]
     episodes = seeds[0]["episodes"]
     means: dict[str, Any] = {key: _mean(seeds, key) for key in _MEANS}
     for key in ("success", "task_success"):
-        share = None if means[key] is None else interval([one[key] for one in seeds], episodes)
-        means[f"{key}_low"] = share.low if share else None
-        means[f"{key}_high"] = share.high if share else None
+        proportion = (
+            None if means[key] is None else interval([seed[key] for seed in seeds], episodes)
+        )
+        means[f"{key}_low"] = proportion.low if proportion else None
+        means[f"{key}_high"] = proportion.high if proportion else None
     paper = _paper(case)
     return Cell(
         robot=case.robot_name,
@@ -169,7 +171,7 @@ def _cell(
         head_start=first["head_start"],
         seeds=len(seeds),
         training_seeds=tuple(
-            sorted({one.training_seed for one, _ in group if one.training_seed is not None})
+            sorted({case.training_seed for case, _ in group if case.training_seed is not None})
         ),
         episodes_per_seed=episodes,
         **means,
@@ -190,18 +192,18 @@ def _paper(case: Evaluation) -> PaperFigures | None:
     if case.variant:
         return None
     world = "analytic" if case.backend == "analytic" else "physics"
-    known = paper_figures(case.robot_name, case.task, world)
+    figures = paper_figures(case.robot_name, case.task, world)
     if case.policy not in ("sac", pretrained.NAME):
-        return known.get(case.policy)
-    plain = None if case.row and world == "analytic" else known.get(LEARNED)
-    return known.get(case.row, plain)
+        return figures.get(case.policy)
+    plain = None if case.row and world == "analytic" else figures.get(LEARNED)
+    return figures.get(case.row, plain)
 
 
 def _mean(metrics: Sequence[Mapping[str, Any]], key: str) -> float | None:
-    values = [one[key] for one in metrics]
+    values = [metric[key] for metric in metrics]
     return None if not values or None in values else float(np.mean(values))
 
 
 def _deviation(metrics: Sequence[Mapping[str, Any]], key: str) -> float | None:
-    values = [one[key] for one in metrics]
+    values = [metric[key] for metric in metrics]
     return None if len(values) < 2 else float(np.std(values, ddof=1))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, progress, status, write_json
+from kinfeas.cli.options import option
+from kinfeas.cli.output import progress, status, write_json
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 
@@ -18,43 +19,30 @@ if TYPE_CHECKING:
     from kinfeas.benchmark.config import BenchmarkConfig
     from kinfeas.benchmark.evaluations import Evaluation
     from kinfeas.benchmark.runs import Run
-    from kinfeas.benchmark.table import Cell
     from kinfeas.jobs.job import Engine, Job, Result
-
-_RECIPES = {
-    ("analytic", False): "benchmark/study",
-    ("analytic", True): "benchmark/quick",
-    ("physics", False): "benchmark/physics",
-    ("physics", True): "benchmark/physics_quick",
-}
 
 
 def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     config: Annotated[
         str | None,
-        typer.Option(
-            help="YAML file, or a name such as benchmark/study.  [default: by --world and --quick]"
-        ),
+        option("YAML file, or a name such as benchmark/study.  [default: by --world and --quick]"),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the results.  [default: runs/benchmark/NAME]")
+        Path | None, option("Folder of the results.  [default: runs/benchmark/NAME]")
     ] = None,
     world: Annotated[
         str,
-        typer.Option(
-            help="Backend: analytic, pybullet, mujoco, or a plugin; several engines with commas."
-        ),
+        option("Backend: analytic, pybullet, mujoco, or a plugin; several engines with commas."),
     ] = "analytic",
-    quick: Annotated[bool, typer.Option("--quick", help="Small version of a few minutes.")] = False,
+    quick: Annotated[bool, option("Small version of a few minutes.", "--quick")] = False,
     episodes: Annotated[
         int | None, options.episodes_option("Number of episodes for each policy and task.")
     ] = None,
     runs: Annotated[
-        list[Path] | None,
-        typer.Option(help="Existing training runs, or folders of them; none is trained."),
+        list[Path] | None, option("Existing training runs, or folders of them; none is trained.")
     ] = None,
     policy: Annotated[
-        Literal["pretrained"] | None, typer.Option(help="Shipped policies; none is trained.")
+        Literal["pretrained"] | None, option("Shipped policies; none is trained.")
     ] = None,
     engine: options.EngineName = "local",
     address: options.EngineAddress = None,
@@ -79,64 +67,68 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     require("matplotlib")
     worlds = world.split(",")
-    name, backend = (config, []) if config else _recipe(worlds[0], quick)
+    name, backend = (config, None) if config else _recipe(worlds[0], quick)
     out = out or Path("runs/benchmark") / Path(name).stem
     if policy and runs:
         raise KinfeasError("--policy and --runs exclude each other")
-    chosen_policy = ["policies=pretrained"] if policy else []
-    assignments = [*backend, *chosen_policy, *(overrides or [])]
-    assignments += [] if episodes is None else [f"episodes={episodes}"]
-    chosen, taken = read_benchmark(name, assignments), find_runs(runs or [])
-    if taken:
-        chosen = restricted(chosen, {run.robot for run in taken})
-    if chosen.backend not in worlds or (len(worlds) > 1 and "analytic" in worlds):
-        raise KinfeasError(f"{name}: its 'backend', {chosen.backend}, does not fit --world {world}")
-    plans = [] if taken else _plans(chosen, out)
+    own = {"backend": backend, "policies": policy, "episodes": episodes}
+    settings = options.read_settings(overrides, own)
+    study, trained_runs = read_benchmark(name, settings), find_runs(runs or [])
+    if trained_runs:
+        study = restricted(study, {run.robot for run in trained_runs})
+    if study.backend not in worlds or (len(worlds) > 1 and "analytic" in worlds):
+        raise KinfeasError(f"{name}: its 'backend', {study.backend}, does not fit --world {world}")
+    plans = [] if trained_runs else _plans(study, out)
     runner = options.read_engine(engine, processes, address)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     try:
         if plans:
             _run("trainings", plans, runner)
-            taken = [read_run(job.path.parent) for job in plans]
+            trained_runs = [read_run(job.path.parent) for job in plans]
         evaluations = [
-            one for each in worlds for one in plan_evaluations(replace(chosen, backend=each), taken)
+            case
+            for each in worlds
+            for case in plan_evaluations(replace(study, backend=each), trained_runs)
         ]
         # Engines have the same references.
-        evaluations = list({(one.name, one.row, one.variant): one for one in evaluations}.values())
-        results = _evaluate([one.job(out / "results") for one in evaluations], runner)
+        evaluations = list(
+            {(case.name, case.row, case.variant): case for case in evaluations}.values()
+        )
+        results = _evaluate([case.job(out / "results") for case in evaluations], runner)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")
         raise typer.Exit(130) from None
-    from kinfeas.benchmark.markdown import to_markdown
+    from kinfeas.benchmark.markdown import success_tables, to_markdown
     from kinfeas.benchmark.pictures import draw_pictures
     from kinfeas.benchmark.table import tabulate
 
-    found = list(zip(evaluations, results, strict=True))
-    cells = tabulate(found, *worlds)
+    cases = list(zip(evaluations, results, strict=True))
+    cells = tabulate(cases, *worlds)
     with status("drawing"):
-        pictures = draw_pictures(chosen, taken, found, cells)
+        pictures = draw_pictures(study, trained_runs, cases, cells)
     files = {f"{key}.png": picture for key, picture in pictures.items()}
-    files["table.md"] = to_markdown(cells, chosen.note, [_command()], list(files)).encode()
+    files["table.md"] = to_markdown(cells, study.note, [_command()], list(files)).encode()
     for key, content in files.items():
         write_file(out / key, content)
     entries = [asdict(cell) for cell in cells]
     write_json(entries, out / "table.json")
     write_json(entries, json)
     trained = world == "analytic" and (plans or runs)
-    published = _publish(taken, found, out / "pretrained") if trained else []
-    _show(cells, chosen.note)
+    published = _publish(trained_runs, cases, out / "pretrained") if trained else []
+    typer.echo("\n".join([*success_tables(cells), study.note]))
     for path in (*(out / key for key in files), out / "table.json", *published):
         typer.echo(str(path))
 
 
-def _recipe(world: str, quick: bool) -> tuple[str, list[str]]:
-    """Return the recipe of a world, and the assignment of its engine."""
+def _recipe(world: str, quick: bool) -> tuple[str, str | None]:
+    """Return the recipe of a world, and its engine."""
     from kinfeas.config.recipes import ENGINES
 
     if world in ENGINES:
-        return _RECIPES["physics", quick], [f"backend={world}"]
-    return _RECIPES.get((world, quick), world), []
+        return "benchmark/physics_quick" if quick else "benchmark/physics", world
+    known = {"analytic": "benchmark/quick" if quick else "benchmark/study"}
+    return known.get(world, world), None
 
 
 def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Job"]:
@@ -176,44 +168,18 @@ def _run(kind: str, jobs: Sequence["Job"], engine: "Engine") -> list["Result"]:
 
 
 def _publish(
-    runs: Sequence["Run"], found: Sequence[tuple["Evaluation", "Result"]], folder: Path
+    runs: Sequence["Run"], cases: Sequence[tuple["Evaluation", "Result"]], folder: Path
 ) -> list[Path]:
     """Copy each robot's best policy into a folder of its own in `folder`; return these folders."""
     from kinfeas.benchmark.runs import publish
 
     metrics: dict[Path, dict[str, object]] = {}
-    for job, result in found:
+    for job, result in cases:
         if job.training_seed is not None and not (job.variant or job.row):
-            told = {key: value for key, value in result.items() if key != "workspace"}
-            metrics.setdefault(Path(job.source), {})[job.task_name] = told
+            kept = {key: value for key, value in result.items() if key != "workspace"}
+            metrics.setdefault(Path(job.source), {})[job.task_name] = kept
     return publish(runs, metrics, folder)
 
 
 def _command() -> str:
     return shlex.join(["kinfeas", *sys.argv[1:]])
-
-
-def _show(cells: Sequence["Cell"], note: str) -> None:
-    from kinfeas.benchmark.markdown import groups, label, rows_of, title
-
-    tasks = list(dict.fromkeys(cell.task for cell in cells))
-    rows = []
-    for robot, variant in groups(cells):
-        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
-        for row in rows_of(own):
-            entries = [_entry(row.get(task)) for task in tasks]
-            rows.append([title(robot, variant), label(next(iter(row.values()))), *entries])
-        ceilings = {cell.task: f"{100 * cell.ceiling:.1f}" for cell in own}
-        names = (ceilings.get(task, "-") for task in tasks)
-        rows.append([title(robot, variant), "ceiling", *names])
-    heads = ["robot", "policy", *(f" {task}" for task in tasks)]
-    print_table("% of episodes without an IK failure", heads, rows)
-    if note:
-        typer.echo(note)
-
-
-def _entry(cell: "Cell | None") -> str:
-    if cell is None:
-        return "-"
-    spread = "" if cell.success_std is None else f" ± {100 * cell.success_std:.1f}"
-    return f"{100 * cell.success:.1f}{spread}"

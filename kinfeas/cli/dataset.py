@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
+from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_facts, status
 from kinfeas.core.extras import require
 
@@ -14,17 +13,16 @@ if TYPE_CHECKING:
 
 def dataset(
     sources: Annotated[
-        list[Path],
-        typer.Argument(help="Demonstrations, records of servo and deploy, or folders of them."),
+        list[Path], argument("Demonstrations, records of servo and deploy, or folders of them.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder to write.")],
+    out: Annotated[Path, option("New folder to write.", metavar="FOLDER")],
     kind: Annotated[
         Literal["lerobot", "csv"],
-        typer.Option(help="LeRobot dataset v3.0, or a CSV file for each motion, for kinfeas fit."),
+        option("LeRobot dataset v3.0, or a CSV file for each motion, for kinfeas fit."),
     ] = "lerobot",
-    task: Annotated[str, typer.Option(help="Instruction in words.")] = "Follow the motion.",
-    robot: Annotated[str | None, typer.Option(help="Type of the robot.")] = None,
-    fps: Annotated[int, typer.Option(min=1, max=1000, help="Frames per second.")] = 30,
+    task: Annotated[str, option("Instruction in words.")] = "Follow the motion.",
+    robot: Annotated[str | None, option("Type of the robot.")] = None,
+    fps: Annotated[int, option("Frames per second.", min=1, max=1000)] = 30,
 ) -> None:
     """Convert recorded motions for learning.
 
@@ -43,19 +41,19 @@ def dataset(
     if out.exists():
         raise KinfeasError(f"{out}: exists")
     with status("converting"):
-        files = [demonstration_files(one) if one.is_dir() else [one] for one in sources]
-        shown = [_read(file) for some in files for file in some]
+        files = [demonstration_files(source) if source.is_dir() else [source] for source in sources]
+        motions = [_read(file) for some in files for file in some]
         if kind == "lerobot":
-            write_lerobot_dataset(shown, out, task, robot, fps)
+            write_lerobot_dataset(motions, out, task, robot, fps)
         else:
 
             def fill(folder: Path) -> None:
-                for number, one in enumerate(shown, 1):
-                    write_demonstration(one, folder / f"{number:03}.csv")
+                for number, motion in enumerate(motions, 1):
+                    write_demonstration(motion, folder / f"{number:03}.csv")
 
             write_folder(out, fill)
-    seconds = sum(float(one.time[-1] - one.time[0]) for one in shown)
-    print_facts(f"{kind} in {out}", {"motions": len(shown), "seconds": seconds})
+    seconds = sum(float(motion.time[-1] - motion.time[0]) for motion in motions)
+    print_facts(f"{kind} in {out}", {"motions": len(motions), "seconds": seconds})
 
 
 def _read(path: Path) -> "Demonstration":

@@ -3,20 +3,24 @@
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, progress, share, write_json
-from kinfeas.cli.train import read_settings, train_run
+from kinfeas.cli.options import option
+from kinfeas.cli.output import percent, print_table, progress, write_json
+from kinfeas.cli.train import train_run
+from kinfeas.config import to_options
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.benchmark.comparison import Comparison
+    from kinfeas.config import Settings
     from kinfeas.training.config import TrainConfig
     from kinfeas.viz.report import Report
 
@@ -24,13 +28,11 @@ PICTURES = ("learning_curve.png", "episodes.png")
 
 
 def demo(
-    robot: options.RobotName = options.DEFAULT_ROBOT,
-    minutes: Annotated[float, typer.Option(help="Minutes of training.")] = 2.0,
+    robot: options.RobotName = DEFAULT_ROBOT,
+    minutes: Annotated[float, option("Minutes of training.")] = 2.0,
     seed: options.Seed = 0,
     episodes: options.Episodes = 500,
-    out: Annotated[Path, typer.Option(help="Folder of the run; numbered if it exists.")] = Path(
-        "runs/demo"
-    ),
+    out: Annotated[Path, option("Folder of the run; numbered if it exists.")] = Path("runs/demo"),
     overrides: options.Overrides = None,
 ) -> None:
     """Train, evaluate and report within five minutes.
@@ -40,25 +42,29 @@ def demo(
     Example: kinfeas demo --robot hsr --minutes 3 --out runs/hsr_demo
     """
     require("torch", "stable_baselines3", "matplotlib")
+    from kinfeas.api.train import configure
     from kinfeas.benchmark.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file
+    from kinfeas.robots.loading import load_robot
+    from kinfeas.tasks.loading import load_task
     from kinfeas.tasks.task import StreamTask
     from kinfeas.viz.report import write_report
 
-    settings = read_settings(robot, seed=seed, minutes=minutes, overrides=overrides or ())
-    task = options.read_task(settings.task, settings.task_parameters)
+    changes = options.read_settings(overrides)
+    settings = configure(robot, seed=seed, minutes=minutes, settings=changes)
+    task = load_task(settings.task, settings.task_parameters)
     if isinstance(task, StreamTask):
         raise KinfeasError(f"task {task.name!r} has no goal; use kinfeas train and evaluate")
     folder = free_folder(out)
     train_run(settings, folder)
     # Another seed than that of training, whose episodes the policy has seen.
-    trial = EvalConfig(options.read_robot(settings.robot), task, episodes, settings.seed + 1)
+    trial = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1)
     with progress("evaluating") as advance:
         comparison = compare(trial, folder, min(2, os.cpu_count() or 1), advance)
     write_json(comparison.policy, folder / "evaluation.json")
-    given = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
-    again = _line("demo", given, overrides or [])
+    same = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
+    again = _line("demo", same, changes)
     report = make_report(comparison, [again, *_commands(comparison, settings)])
     for name, picture in zip(PICTURES, report.pictures, strict=True):
         write_file(folder / name, picture.png)
@@ -67,33 +73,32 @@ def demo(
     typer.echo(f"report: {folder / 'report.html'}")
 
 
-def free_folder(wanted: Path) -> Path:
-    """Return `wanted`, or with a number from 2 on if the folder exists."""
-    if wanted.name in ("", ".."):
-        raise KinfeasError(f"--out must end in the name of a folder, not {str(wanted)!r}")
-    folder, number = wanted, 1
+def free_folder(path: Path) -> Path:
+    """Return `path`, or with a number from 2 on if the folder exists."""
+    if path.name in ("", ".."):
+        raise KinfeasError(f"--out must end in the name of a folder, not {str(path)!r}")
+    folder, number = path, 1
     while folder.exists():
         number += 1
-        folder = wanted.parent / f"{wanted.name}-{number}"
-    if folder != wanted:
-        sys.stderr.write(f"{wanted} exists: the run is in {folder}\n")
+        folder = path.parent / f"{path.name}-{number}"
+    if folder != path:
+        sys.stderr.write(f"{path} exists: the run is in {folder}\n")
     return folder
 
 
 def _commands(comparison: "Comparison", settings: "TrainConfig") -> list[str]:
     """Return the commands that reproduce the figures of the report."""
-    chosen, policies = comparison.chosen, (str(comparison.run), *comparison.baselines)
+    config, policies = comparison.config, (str(comparison.run), *comparison.baselines)
     same: dict[str, object] = {"robot": settings.robot, "task": settings.task}
-    same |= {"episodes": chosen.episodes, "seed": chosen.seed}
-    changes = options.assignments({f"task.{k}": v for k, v in settings.task_parameters.items()})
-    evaluations = [_line("evaluate", {**same, "policy": one}, changes) for one in policies]
+    same |= {"episodes": config.episodes, "seed": config.seed}
+    changes = {f"task.{key}": value for key, value in settings.task_parameters.items()}
+    evaluations = [_line("evaluate", {**same, "policy": policy}, changes) for policy in policies]
     return [*evaluations, _line("ceiling", same, changes)]
 
 
-def _line(command: str, given: Mapping[str, object], overrides: Sequence[str]) -> str:
-    words = ["kinfeas", command]
-    words += [word for name, value in given.items() for word in (f"--{name}", str(value))]
-    return shlex.join([*words, *(word for text in overrides for word in ("--set", text))])
+def _line(command: str, values: Mapping[str, object], settings: "Settings") -> str:
+    words = [word for name, value in values.items() for word in (f"--{name}", str(value))]
+    return shlex.join(["kinfeas", command, *words, *to_options(settings)])
 
 
 def _show(report: "Report") -> None:
@@ -101,5 +106,5 @@ def _show(report: "Report") -> None:
     for row in report.rows:
         low, high = row.success.low, row.success.high
         interval = (low, high) if low < high else (None, None)
-        rows.append([row.name, share(row.success.value, *interval)])
+        rows.append([row.name, percent(row.success.value, *interval)])
     print_table(report.title, ["", "without a failure (95 % interval)"], rows)

@@ -75,8 +75,8 @@ def _message(error: Exception) -> str:
     return "; ".join([text, *getattr(error, "__notes__", ())])  # notes name plugins
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"kinfeas {__version__}")
         raise typer.Exit
 

@@ -1,11 +1,10 @@
 """Output of commands: JSON, tables, and progress on standard error."""
 
-import json
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
@@ -13,12 +12,13 @@ import typer
 
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import replaced, write_file, writing
+from kinfeas.io import files
+from kinfeas.io.files import replaced, writing
 
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from kinfeas.viz.replay import Replay
+    from kinfeas.api import OnProgress
 
 LINE_SECONDS = 15.0
 """Time between lines on progress where standard error is no terminal."""
@@ -52,31 +52,25 @@ STDOUT = Path("-")
 
 def write_json(data: object, path: Path | None) -> None:
     """Write `data` as JSON, atomically or to standard output; nothing for None."""
-    if path is None:
-        return
-    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
     if path == STDOUT:
-        print(text, end="", file=sys.__stdout__)
-    else:
-        write_file(path, text.encode())
+        print(files.to_json(data), end="", file=sys.__stdout__)
+    elif path is not None:
+        files.write_json(data, path)
 
 
 def write_drawing(content: Callable[[], bytes], path: Path | None) -> None:
     """Write a picture or page, atomically, and print its path; nothing for None."""
     if path is not None:
         with status("drawing"):
-            write_file(path, content())
-        typer.echo(str(path))
+            files.write_file(path, content())
+        print_paths(path)
 
 
-def write_video(replay: "Replay", path: Path | None) -> None:
-    """Write an episode as a film and print its path; nothing for None."""
-    if path is not None:
-        from kinfeas.viz.film import count_pictures, write_film
-
-        with progress("drawing", count_pictures(replay, path)) as advance:
-            write_film(replay, path, advance)
-        typer.echo(str(path))
+def print_paths(*paths: Path | None) -> None:
+    """Print the paths of files that have been written."""
+    for path in paths:
+        if path is not None:
+            typer.echo(str(path))
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str | Text"]]) -> None:
@@ -131,16 +125,35 @@ def progress(text: str, total: float = 1.0) -> Iterator[Advance]:
 
 
 @contextmanager
-def status(text: str) -> Iterator[Callable[[str], None]]:
-    """Show the present work on standard error; yields a function that takes the next one."""
+def phases() -> Iterator["OnProgress"]:
+    """Show the present work with a bar or lines, as in `progress`; yields its `OnProgress`."""
+    with ExitStack() as bar:
+        work, done = "", 0.0
+        advance: Advance | None = None
+
+        def report(text: str, fraction: float) -> None:
+            nonlocal work, done, advance
+            if advance is None or text != work:
+                bar.close()
+                advance, work, done = bar.enter_context(progress(text)), text, 0.0
+            advance(fraction - done)
+            done = fraction
+
+        yield report
+
+
+@contextmanager
+def status(text: str) -> Iterator[ExitStack]:
+    """Show the present work on standard error, until the block or what it yields is closed."""
     from rich.console import Console
     from rich.markup import escape
 
-    with Console(stderr=True).status(escape(text)) as shown:
-        yield lambda news: shown.update(escape(news))
+    with ExitStack() as open_status:
+        open_status.enter_context(Console(stderr=True).status(escape(text)))
+        yield open_status
 
 
-def share(value: float | None, low: float | None = None, high: float | None = None) -> str:
+def percent(value: float | None, low: float | None = None, high: float | None = None) -> str:
     """Return a share in 0-1 as per cent, with its interval if there is one; `-` for None."""
     if value is None:
         return "-"
@@ -177,4 +190,4 @@ def _plain(words: str, style: str = "") -> "Text":
     """Return a text without markup and control characters."""
     from rich.text import Text
 
-    return Text("".join(one if one.isprintable() else "?" for one in words), style)
+    return Text("".join(letter if letter.isprintable() else "?" for letter in words), style)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.core.extras import require
 
 
@@ -13,30 +14,27 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyArgument = "pretrained",
     robot: options.PolicyRobotName = None,
     second_policy: Annotated[
-        str, typer.Option(help="Policy of a second robot with the same target.")
+        str, option("Policy of a second robot with the same target.")
     ] = "none",
     generator: Annotated[
         str,
-        typer.Option(
-            help="servo follows the handle; other generators start when it is released.",
-            autocompletion=options.names_of("motion_generators"),
+        option(
+            "servo follows the handle; other generators start when it is released.",
+            groups=("motion_generators",),
         ),
     ] = "servo",
     filters: Annotated[
-        str, typer.Option(metavar="NAMES", help="Such as path_planner,feasibility, or none.")
+        str, option("Such as path_planner,feasibility, or none.", metavar="NAMES")
     ] = "time_scaling",
     backend: Annotated[
-        str,
-        typer.Option(
-            help="analytic, pybullet or mujoco.", autocompletion=options.names_of("backends")
-        ),
+        str, option("analytic, pybullet or mujoco.", groups=("backends",))
     ] = "analytic",
-    scene: Annotated[str, typer.Option(help="Scene by name or YAML file, or none.")] = "room",
+    scene: Annotated[str, option("Scene by name or YAML file, or none.")] = "room",
     demonstrations: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder of the recorded motions.")
+        Path, option("Folder of the recorded motions.", metavar="FOLDER")
     ] = Path("demonstrations"),
-    host: Annotated[str, typer.Option(help="Address; 0.0.0.0 for other computers.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for a free one.")] = 8080,
+    host: Annotated[str, option("Address; 0.0.0.0 for other computers.")] = "127.0.0.1",
+    port: Annotated[int, option("Port; 0 for a free one.", min=0, max=65535)] = 8080,
 ) -> None:
     """Drag the target of a simulated robot in the browser; base and arm follow.
 
@@ -50,10 +48,11 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
         if server.get_port() != port != 0:
             typer.echo(f"port {port} is in use; this page is at {server.get_port()}", err=True)
         typer.echo(server.url)  # browsers load while the rest is imported
+        from kinfeas.api.load import filter_names, robot_of
         from kinfeas.viz.play import play as run
 
+        names = filter_names(filters)
         choice = Choice(
-            robot or options.robot_of(policy), policy, second_policy, generator,
-            tuple(options.filter_names(filters)), backend, scene,
-        )  # fmt: skip
+            robot or robot_of(policy), policy, second_policy, generator, names, backend, scene
+        )
         run(server, choice, demonstrations)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_facts, print_table, progress, write_drawing, write_json
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
@@ -46,8 +47,8 @@ def list_plugins(json: options.JsonPath = None) -> None:
         for plugin in registry.plugins(group):
             text, error = _summary(plugin)
             listed.append({**vars(plugin), "kind": kind, "description": text, "error": error})
-            shown = Text(text) if error is None else Text(f"broken: {error}", "red")
-            rows.append([plugin.name, f"{plugin.distribution} {plugin.version}", shown])
+            line = Text(text) if error is None else Text(f"broken: {error}", "red")
+            rows.append([plugin.name, f"{plugin.distribution} {plugin.version}", line])
         print_table(f"{kind}s".replace("ys", "ies"), ["name", "from", "description"], rows)
     write_json(listed, json)
 
@@ -56,9 +57,9 @@ def list_plugins(json: options.JsonPath = None) -> None:
 def info(
     name: Annotated[
         str,
-        typer.Argument(
-            help="Name of a plugin, or YAML file of a robot or task.",
-            autocompletion=options.names_of(*(one.removeprefix("kinfeas.") for one in GROUPS)),
+        argument(
+            "Name of a plugin, or YAML file of a robot or task.",
+            groups=[group.removeprefix("kinfeas.") for group in GROUPS],
         ),
     ],
     json: options.JsonPath = None,
@@ -69,21 +70,23 @@ def info(
 
     Example: kinfeas plugins info linear
     """
-    found = [_facts_of_file(name)] if is_path(name) else [_facts(one) for one in _find(name)]
-    write_json(found, json)
-    for one in found:
-        origin = one.get("file") or "{distribution} {version}, {target}".format(**one)
-        title = f"{one['kind']} {one['name']}, from {origin}\n\n{one.get('text', '')}".strip()
+    plugins = (
+        [_facts_of_file(name)] if is_path(name) else [_facts(plugin) for plugin in _find(name)]
+    )
+    write_json(plugins, json)
+    for facts in plugins:
+        origin = facts.get("file") or "{distribution} {version}, {target}".format(**facts)
+        title = f"{facts['kind']} {facts['name']}, from {origin}\n\n{facts.get('text', '')}".strip()
         keys = ("robot", "parameters", "subgoals")
-        print_facts(title, {key: one[key] for key in keys if key in one})
+        print_facts(title, {key: facts[key] for key in keys if key in facts})
 
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Name of the plugin, such as my_motion.")],
-    out: Annotated[Path | None, typer.Option(help="Folder.  [default: ./kinfeas-NAME]")] = None,
+    name: Annotated[str, argument("Name of the plugin, such as my_motion.")],
+    out: Annotated[Path | None, option("Folder.  [default: ./kinfeas-NAME]")] = None,
     kind: Annotated[
-        Kind, typer.Option(metavar="KIND", help=f"Kind of plugin: {', '.join(Kind)}.")
+        Kind, option(f"Kind of plugin: {', '.join(Kind)}.", metavar="KIND")
     ] = Kind.MOTION_GENERATOR,
 ) -> None:
     """Create a plugin distribution with example, test and README.
@@ -103,20 +106,18 @@ def new(
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     name: Annotated[
         str,
-        typer.Argument(
-            help="Name of a motion generator or policy, or module:Class of a policy.",
-            autocompletion=options.names_of("motion_generators", "policies"),
+        argument(
+            "Name of a motion generator or policy, or module:Class of a policy.",
+            groups=("motion_generators", "policies"),
         ),
     ],
     overrides: options.Overrides = None,
-    duration: Annotated[
-        float, typer.Option(min=0.1, help="Seconds within which motions arrive.")
-    ] = 120.0,
-    dt: Annotated[float, typer.Option(min=0.001, help="Seconds of a step.")] = 0.1,
-    max_velocity: Annotated[float, typer.Option(min=0.0, help="Speed limit, m/s.")] = 0.1,
-    max_angular_velocity: Annotated[float, typer.Option(min=0.0, help="The same in rad/s.")] = 0.1,
+    duration: Annotated[float, option("Seconds within which motions arrive.", min=0.1)] = 120.0,
+    dt: Annotated[float, option("Seconds of a step.", min=0.001)] = 0.1,
+    max_velocity: Annotated[float, option("Speed limit, m/s.", min=0.0)] = 0.1,
+    max_angular_velocity: Annotated[float, option("The same in rad/s.", min=0.0)] = 0.1,
     seed: options.Seed = 0,
-    robot: Annotated[str | None, typer.Option(help="Robot of a policy; policies need one.")] = None,
+    robot: Annotated[str | None, option("Robot of a policy; policies need one.")] = None,
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:
@@ -126,7 +127,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas plugins check minimum_jerk --set min_duration=2 --picture motions.png
     """
-    from kinfeas.config import assigned
+    from kinfeas.config import nested
     from kinfeas.testing import RULES, examine
     from kinfeas.testing.trial import Trial
 
@@ -139,22 +140,22 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
         _check_policy(name, robot)
         write_json({"policy": name, "robot": robot, "passed": True}, json)
         return
-    parameters = assigned(overrides or [])
+    parameters = nested(options.read_settings(overrides))
     trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
     generator = registry.build(_GENERATORS, name, parameters)
     with progress(f"checking {name}", trial.steps) as advance:
         findings = examine(generator, trial, name, lambda: advance(1.0))
+    rows = [[RULES[finding.rule], _result(finding), finding.broken or ""] for finding in findings]
     rules = [
-        {"rule": one.rule, "text": RULES[one.rule], "result": _result(one), "broken": one.broken}
-        for one in findings
+        {"rule": finding.rule, "text": text, "result": result, "broken": finding.broken}
+        for finding, (text, result, _) in zip(findings, rows, strict=True)
     ]
-    broken = [one.broken for one in findings if one.broken is not None]
-    passed = all(one.kept for one in findings)
-    told = {"generator": name, "parameters": parameters, "passed": passed, "rules": rules}
-    write_json(told, json)
-    rows = [[RULES[one.rule], _result(one), one.broken or ""] for one in findings]
+    broken = [finding.broken for finding in findings if finding.broken is not None]
+    passed = all(finding.kept for finding in findings)
+    report = {"generator": name, "parameters": parameters, "passed": passed, "rules": rules}
+    write_json(report, json)
     print_table(f"motion generator {name}", ["rule", "", "error"], rows)
-    if all(one.checked for one in findings):  # a severe violation ends the motions
+    if all(finding.checked for finding in findings):  # a severe violation ends the motions
         write_drawing(lambda: _drawing(name, parameters, trial), picture)
     if broken:
         raise KinfeasError(f"{len(broken)} of {len(findings)} rules broken: {broken[0]}")
@@ -166,15 +167,15 @@ def _check_policy(name: str, robot: str) -> None:
     from kinfeas.robots.loading import load_robot
     from kinfeas.testing import check_policy
 
-    known = load_robot(robot)
-    check_policy(load_policy(name, known), known)
-    typer.echo(f"policy {name} keeps the contract on robot {known.name}")
+    model = load_robot(robot)
+    check_policy(load_policy(name, model), model)
+    typer.echo(f"policy {name} keeps the contract on robot {model.name}")
 
 
-def _result(one: "Finding") -> str:
-    if one.broken is not None:
+def _result(finding: "Finding") -> str:
+    if finding.broken is not None:
         return "broken"
-    return "kept" if one.checked else "not checked"
+    return "kept" if finding.checked else "not checked"
 
 
 def _drawing(name: str, parameters: dict[str, object], trial: "Trial") -> bytes:
@@ -203,10 +204,12 @@ def _summary(plugin: Plugin) -> tuple[str, str | None]:
 
 def _find(name: str) -> list[Plugin]:
     every = [plugin for group in GROUPS for plugin in registry.plugins(group)]
-    found = [plugin for plugin in every if plugin.name == name]
-    if not found:
-        raise KinfeasError(f"unknown plugin {name!r}{no_such(name, {one.name for one in every})}")
-    return found
+    plugins = [plugin for plugin in every if plugin.name == name]
+    if not plugins:
+        raise KinfeasError(
+            f"unknown plugin {name!r}{no_such(name, {plugin.name for plugin in every})}"
+        )
+    return plugins
 
 
 def _load(plugin: Plugin) -> Any:
@@ -226,19 +229,19 @@ def _documentation(factory: Any) -> str:
 
 def _facts(plugin: Plugin) -> dict[str, Any]:
     factory = _load(plugin)
-    known = {**vars(plugin), "kind": GROUPS[plugin.group], "text": _documentation(factory)}
+    facts = {**vars(plugin), "kind": GROUPS[plugin.group], "text": _documentation(factory)}
     if plugin.group == "kinfeas.robots":
-        return known | {"robot": _robot_facts(plugin.name)}
+        return facts | {"robot": _robot_facts(plugin.name)}
     with plugin_note(str(plugin)):
-        taken = [
-            _parameter(one.name, one.annotation, one.default)
-            for one in inspect.signature(factory).parameters.values()
-            if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)
-            and one.name not in _GIVEN.get(plugin.group, ())
+        parameters = [
+            _parameter(parameter.name, parameter.annotation, parameter.default)
+            for parameter in inspect.signature(factory).parameters.values()
+            if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+            and parameter.name not in _GIVEN.get(plugin.group, ())
         ]
-    if plugin.group == "kinfeas.tasks" and all("default" in one for one in taken):
-        known |= _task_facts(plugin.name)
-    return known | ({"parameters": taken} if taken or "parameters" not in known else {})
+    if plugin.group == "kinfeas.tasks" and all("default" in parameter for parameter in parameters):
+        facts |= _task_facts(plugin.name)
+    return facts | ({"parameters": parameters} if parameters or "parameters" not in facts else {})
 
 
 def _facts_of_file(path: str) -> dict[str, Any]:
@@ -261,10 +264,10 @@ def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:
 
     text = kind if isinstance(kind, str) else inspect.formatannotation(kind)
     text = re.sub(r"Annotated\[(\w+), \w+\([^)]*\)\]", r"\1", text)
-    known = {"name": name, "type": re.sub(r"\b(\w+\.)+(?=\w)", "", text)}
+    facts = {"name": name, "type": re.sub(r"\b(\w+\.)+(?=\w)", "", text)}
     if default is inspect.Parameter.empty:
-        return known
-    return {**known, "default": to_jsonable_python(default, fallback=str)}
+        return facts
+    return {**facts, "default": to_jsonable_python(default, fallback=str)}
 
 
 def _task_facts(name: str) -> dict[str, Any]:
@@ -273,8 +276,8 @@ def _task_facts(name: str) -> dict[str, Any]:
     from kinfeas.tasks.loading import load_task
 
     task: Any = load_task(name)
-    own = [one for one in fields(task) if one.init] if is_dataclass(task) else []
-    parameters = [_parameter(one.name, one.type, getattr(task, one.name)) for one in own]
+    own = [entry for entry in fields(task) if entry.init] if is_dataclass(task) else []
+    parameters = [_parameter(entry.name, entry.type, getattr(task, entry.name)) for entry in own]
     return {"subgoals": to_jsonable_python(task.subgoals), "parameters": parameters}
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import (
     check_file_path,
     print_facts,
@@ -25,35 +26,30 @@ app = typer.Typer(no_args_is_help=True, help="Create the files of a robot.")
 
 @app.command("import")
 def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
-    urdf: Annotated[
-        Path, typer.Argument(metavar="FILE.urdf", help="URDF of a mobile manipulator.")
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for NAME.yaml and NAME.urdf.")],
-    name: Annotated[
-        str | None, typer.Option(help="Name of the robot.  [default: that of the file]")
-    ] = None,
+    urdf: Annotated[Path, argument("URDF of a mobile manipulator.", metavar="FILE.urdf")],
+    out: Annotated[Path, option("Folder for NAME.yaml and NAME.urdf.")],
+    name: Annotated[str | None, option("Name of the robot.  [default: that of the file]")] = None,
     drive: Annotated[
         Literal["differential", "omnidirectional"] | None,
-        typer.Option(help="Drive of the base.  [default: by its wheels, else differential]"),
+        option("Drive of the base.  [default: by its wheels, else differential]"),
     ] = None,
     ee: Annotated[
-        str | None,
-        typer.Option(help="EE link.  [default: end of the longest chain, before the fingers]"),
+        str | None, option("EE link.  [default: end of the longest chain, before the fingers]")
     ] = None,
     base: Annotated[
         str | None,
-        typer.Option(
-            help="Base link; links above it are left out.  [default: the root, or the link above "
+        option(
+            "Base link; links above it are left out.  [default: the root, or the link above "
             "joints that model a floor]"
         ),
     ] = None,
-    no_meshes: Annotated[bool, typer.Option("--no-meshes", help="Leave meshes out.")] = False,
+    no_meshes: Annotated[bool, option("Leave meshes out.", "--no-meshes")] = False,
     mesh_path: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="OLD=NEW",
-            help="Replace the beginning of mesh addresses, such as package://NAME by a folder; may "
+        option(
+            "Replace the beginning of mesh addresses, such as package://NAME by a folder; may "
             "be repeated.",
+            metavar="OLD=NEW",
         ),
     ] = None,
     json: options.JsonPath = None,

@@ -5,39 +5,34 @@ from typing import Annotated
 
 import typer
 
+from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
+from kinfeas.cli.options import option
 from kinfeas.cli.output import print_facts, write_json
 from kinfeas.core.errors import KinfeasError
 
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
-    backend: Annotated[
-        str, typer.Option(help="Bus: ros2, ros1, or a plugin with topics.")
-    ] = "ros2",
-    robot: options.RobotName = options.DEFAULT_ROBOT,
-    task: Annotated[str | None, typer.Option(help="Begin as in an episode of this task.")] = None,
-    episode: Annotated[int, typer.Option(min=0, help="Number of the episode.")] = 0,
+    backend: Annotated[str, option("Bus: ros2, ros1, or a plugin with topics.")] = "ros2",
+    robot: options.RobotName = DEFAULT_ROBOT,
+    task: Annotated[str | None, option("Begin as in an episode of this task.")] = None,
+    episode: Annotated[int, option("Number of the episode.", min=0)] = 0,
     seed: options.Seed = 0,
     scene: Annotated[
-        str | None, typer.Option(help="Scene by name or YAML file.  [default: that of --task]")
+        str | None, option("Scene by name or YAML file.  [default: that of --task]")
     ] = None,
     topics: Annotated[
-        str | None, typer.Option(help="YAML of the topics.  [default: those of the robot]")
+        str | None, option("YAML of the topics.  [default: those of the robot]")
     ] = None,
-    rate: Annotated[
-        float, typer.Option(min=10.0, max=1000.0, help="Measurement rate, Hz.")
-    ] = 100.0,
-    seconds: Annotated[
-        float | None, typer.Option(min=0.0, help="Duration.  [default: unlimited]")
-    ] = None,
+    rate: Annotated[float, option("Measurement rate, Hz.", min=10.0, max=1000.0)] = 100.0,
+    seconds: Annotated[float | None, option("Duration.  [default: unlimited]", min=0.0)] = None,
     command_timeout: Annotated[
-        float, typer.Option(min=0.0, help="Seconds without a command after which the base stops.")
+        float, option("Seconds without a command after which the base stops.", min=0.0)
     ] = 0.25,
     world: Annotated[
-        str | None,
-        typer.Option(help="pybullet or mujoco.  [default: pybullet or, without it, mujoco]"),
+        str | None, option("pybullet or mujoco.  [default: pybullet or, without it, mujoco]")
     ] = None,
-    gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
+    gui: Annotated[bool, option("PyBullet: show a window.", "--gui")] = False,
     json: options.JsonPath = None,
 ) -> None:
     """Simulate a robot behind ROS topics, with physics in real time.
@@ -47,21 +42,23 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas simulate --backend ros2 --robot pr2 --task door
     """
     from kinfeas.core.start import episode_rng
+    from kinfeas.robots.loading import load_robot
     from kinfeas.sim2real.simulator import simulation
+    from kinfeas.tasks.loading import load_task
 
     if task is not None and scene is not None:
         raise KinfeasError("--task has its own scene and excludes --scene")
-    known = options.read_robot(robot)
-    link = simulation.robot_link(backend, known, topics)
-    drawn_by = options.read_task(task, {}) if task is not None else None
+    model = load_robot(robot)
+    link = simulation.robot_link(backend, model, topics)
+    drawn_by = load_task(task) if task is not None else None
     rng = episode_rng(seed, episode)
-    room, state = simulation.spawn(known, drawn_by, scene, rng=rng, engine=world, gui=gui)
+    room, state = simulation.spawn(model, drawn_by, scene, rng=rng, engine=world, gui=gui)
     config = simulation.SimulationConfig(rate, command_timeout, seconds)
     player = simulation.SimulatedRobot(room, state, config)
 
     def ready() -> None:
         x, y = state.base_pose[0, :2]
-        typer.echo(f"{known.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
+        typer.echo(f"{model.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
 
     try:
         played = simulation.simulate(player, link, ready)

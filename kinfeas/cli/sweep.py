@@ -2,28 +2,25 @@
 
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import progress, write_drawing, write_json
+from kinfeas.cli.options import argument, option
+from kinfeas.cli.output import print_table, progress, write_drawing, write_json
 from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from collections.abc import Sequence
 
     from kinfeas.jobs.job import Result
 
 
 def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
-    config: Annotated[str, typer.Argument(help="YAML file, or a name such as sweep/pr2.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder of the sweep.  [default: runs/sweep/NAME]")
-    ] = None,
+    config: Annotated[str, argument("YAML file, or a name such as sweep/pr2.")],
+    out: Annotated[Path | None, option("Folder of the sweep.  [default: runs/sweep/NAME]")] = None,
     engine: options.EngineName = "local",
     address: options.EngineAddress = None,
     processes: options.AllProcesses = None,
@@ -44,19 +41,18 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.jobs.job import run_jobs
     from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best
 
-    chosen = read_sweep(config, overrides or ())
+    settings = read_sweep(config, options.read_settings(overrides))
     runner = options.read_engine(engine, processes, address)
     folder = out or Path("runs/sweep") / Path(config).stem
-    trials = plan_trials(chosen, folder)
+    trials = plan_trials(settings, folder)
     try:
-        with _shown(folder, len(trials)) as on_done:
-            results = run_jobs(trials, runner, on_done)
+        with progress(f"{len(trials)} trials", len(trials)) as advance:
+            results = run_jobs(trials, runner, lambda: advance(1.0))
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: trials are kept, the same command continues\n")
         raise typer.Exit(130) from None
-    from rich.console import Console
-
-    Console().print(_table(results))
+    columns = [" trial", "state", " score", "values"]
+    print_table("score: mean of success and of EE deviation below 5 cm", columns, _rows(results))
     best = write_best(folder, results)
     from kinfeas.viz.plots import search_figure
     from kinfeas.viz.style import png
@@ -69,43 +65,14 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
     typer.echo(f"train it: kinfeas train --config {shlex.quote(str(folder / BEST))}")
 
 
-@contextmanager
-def _shown(folder: Path, trials: int) -> Iterator[Callable[[], None]]:
-    """Show the trials on a terminal, else lines; yield the function to call after each trial."""
-    from rich.console import Console
-    from rich.live import Live
-
-    from kinfeas.jobs.sweep import open_study, told
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        with progress(f"{trials} trials", trials) as advance:
-            yield lambda: advance(1.0)
-        return
-    study = open_study(folder)
-    with Live(
-        get_renderable=lambda: _table([told(trial) for trial in study.trials]),
-        console=console,
-        refresh_per_second=0.5,
-        transient=True,
-    ):
-        yield lambda: None
-
-
-def _table(results: Sequence["Result"]) -> "Table":
-    """Return a table of trials, the best ones first."""
-    from rich.table import Table
-
-    table = Table(
-        title="score: mean of success and of EE deviation below 5 cm", title_justify="left"
-    )
-    for name in ("trial", "state", "score", "values"):
-        table.add_column(name, justify="right" if name in ("trial", "score") else "left")
-    for one in sorted(results, key=lambda one: -one.get("score", -1.0)):
-        score = f"{one['score']:.3f}" if "score" in one else "-"
-        values = (f"{key.rpartition('.')[2]}={_entry(one['values'][key])}" for key in one["values"])
-        table.add_row(str(one["number"]), one["state"], score, " ".join(values))
-    return table
+def _rows(results: "Sequence[Result]") -> list[list[str]]:
+    """Return the rows of a table of trials, the best ones first."""
+    rows = []
+    for trial in sorted(results, key=lambda trial: -trial.get("score", -1.0)):
+        score = f"{trial['score']:.3f}" if "score" in trial else "-"
+        values = (f"{key.rpartition('.')[2]}={_entry(x)}" for key, x in trial["values"].items())
+        rows.append([str(trial["number"]), trial["state"], score, " ".join(values)])
+    return rows
 
 
 def _entry(value: object) -> str:

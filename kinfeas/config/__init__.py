@@ -1,10 +1,15 @@
-"""Configuration: YAML files and `KEY=VALUE` assignments as frozen dataclasses, and back.
+"""Configuration: YAML files and settings as frozen dataclasses, and back.
 
 A dataclass is the schema. Pydantic validates its fields in strict mode: unknown keys, values of
 another type, NaN and infinity raise an error with the path of the key. `quantities` has numbers
 with bounds. A dataclass checks relations of its fields in `__post_init__` and raises ValueError.
+
+Settings are values by key, which change a file before it is validated. Keys are nested, or joined
+by dots as in `world.dt`; `layers.0` is the first entry of a list of the file. An empty mapping
+replaces the entries of the file, others are merged with them.
 """
 
+import json
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -16,9 +21,10 @@ from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
 
 if TYPE_CHECKING:  # takes 0.1 s to import
-    from pydantic import TypeAdapter, ValidationError
+    from pydantic import TypeAdapter
 
 T = TypeVar("T")
+Settings = Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,10 @@ class PluginSpec:
             raise ValueError("'parameters' must be a mapping")
         return cls(entry["name"], {**below, **flat})
 
+    def entry(self) -> dict[str, object]:
+        """Return the plugin as an entry of a list in YAML."""
+        return {"name": self.name, **self.parameters}
+
     @classmethod
     def __get_pydantic_core_schema__(cls, source: object, handler: object) -> Any:
         """Return the schema by which pydantic reads the short forms."""
@@ -52,30 +62,25 @@ class PluginSpec:
         return core_schema.no_info_plain_validator_function(cls.read)
 
 
-def load(cls: type[T], path: Path, overrides: Sequence[str] = ()) -> T:
+def load(cls: type[T], path: Path, settings: Settings | None = None) -> T:
     """Return a YAML file as an instance of the dataclass `cls`; arguments as in `from_mapping`."""
-    return from_mapping(cls, strict_yaml.read(path), str(path), overrides)
+    return from_mapping(cls, strict_yaml.read(path), str(path), settings)
 
 
-def from_mapping(cls: type[T], data: object, source: str, overrides: Sequence[str] = ()) -> T:
+def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None = None) -> T:
     """Return plain data as an instance of the dataclass `cls`.
 
     Args:
         cls: Frozen dataclass.
-        data: Mapping of field names to plain values, complete without the `overrides`.
+        data: Mapping of field names to plain values.
         source: File name for errors.
-        overrides: Assignments `a.b=c`, applied in their order; `c` is YAML, and `a.0=c` changes
-            the first entry of a list.
+        settings: Values by key, which change the data.
 
     Raises:
         KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.
     """
-    config: T = _validated(cls, data, source)
-    if overrides:
-        changed = to_mapping(config)
-        for text in overrides:
-            _assign(changed, text)
-        config = _validated(cls, changed, source, overrides=overrides)
+    changes = nested(settings)
+    config: T = _validated(cls, merged(data, changes), source, changes=changes)
     return config
 
 
@@ -106,12 +111,37 @@ def dump(config: object, path: Path) -> None:
     strict_yaml.write(to_mapping(config), path)
 
 
-def assigned(overrides: Sequence[str]) -> dict[str, object]:
-    """Return assignments `a.b=c`, in which `c` is YAML, as nested mappings."""
-    data: dict[str, object] = {}
-    for text in overrides:
-        _assign(data, text)
+def nested(*sources: Settings | None) -> dict[str, Any]:
+    """Return settings as nested mappings; the later one of two values of a key counts."""
+    data: dict[str, Any] = {}
+    for settings in sources:
+        for path, value in (settings or {}).items():
+            for key in reversed(path.split(".")):
+                value = {key: value}
+            data = merged(data, value)
     return data
+
+
+def merged(data: Any, changes: Any) -> Any:
+    """Return nested mappings with changed keys; other values, lists too, are replaced.
+
+    Keys such as `0` change an entry of a list.
+    """
+    if not isinstance(changes, Mapping):
+        return changes
+    if isinstance(data, list):
+        entries = list(data)
+        for key, value in changes.items():
+            index = index_in(entries, key, "settings")
+            entries[index] = _changed(entries[index], value)
+        return entries
+    if not isinstance(data, Mapping):
+        return changes
+    return {**data, **{key: _changed(data.get(key), value) for key, value in changes.items()}}
+
+
+def _changed(value: Any, change: Any) -> Any:
+    return merged(value, change) if change != {} else change
 
 
 def index_in(entries: Sequence[object], key: object, source: str) -> int:
@@ -121,38 +151,11 @@ def index_in(entries: Sequence[object], key: object, source: str) -> int:
     raise KinfeasError(f"{source}: unknown index {key!r} of a list of {len(entries)} entries")
 
 
-def _key(text: str) -> str:
-    return text.partition("=")[0].strip()
-
-
-def _assign(data: Any, text: str) -> None:
-    """Change the nested mappings and lists `data` as the assignment `text` describes."""
-    *above, last = _key(text).split(".")
-    if "=" not in text or not all([*above, last]):
-        raise KinfeasError(f"{text}: must have the form key=value or key.inner=value")
-    value = strict_yaml.parse(text.partition("=")[2], text)
-    for key in above:
-        if isinstance(data, list):
-            data = data[index_in(data, key, text)]
-        elif isinstance(data, dict):
-            if data.get(key) is None:
-                data[key] = {}
-            data = data[key]
-    if isinstance(data, list):
-        data[index_in(data, last, text)] = value
-    elif isinstance(data, dict):
-        data[last] = value
-    else:
-        raise KinfeasError(f"{text}: unknown key {_key(text)!r}: {data!r} has no keys")
-
-
-_WORDS = {
-    "Input should ": "must ",
-    "Value error, ": "",
-    "a valid array": "a list",
-    "an object": "a mapping of keys to values",
-}
-"""Words of pydantic's messages and ours."""
+def to_options(settings: Settings) -> list[str]:
+    """Return the words of a command line that make these settings."""
+    return [
+        word for key, value in settings.items() for word in ("--set", f"{key}={json.dumps(value)}")
+    ]
 
 
 @cache
@@ -164,70 +167,77 @@ def _adapter(kind: Any) -> "TypeAdapter[Any]":
     return TypeAdapter(tuple[kind], config=strict)
 
 
-def _validated(
-    kind: Any, data: object, source: str, key: str = "", overrides: Sequence[str] = ()
-) -> Any:
+def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = None) -> Any:
     from pydantic import ValidationError
     from pydantic_core import PydanticSerializationError, to_json
 
     try:
         # Read as JSON, a list may fill a tuple in strict mode.
-        return _adapter(kind).validate_json(to_json((data,), inf_nan_mode="constants"))[0]
+        content = to_json((data,), inf_nan_mode="constants", fallback=_of_numpy)
+        return _adapter(kind).validate_json(content)[0]
     except ValidationError as error:
-        key, message = _explained(error, kind, data, key)
-    except PydanticSerializationError as error:  # text that is no valid UTF-8
-        message = str(error)
-    within = [text for text in overrides if f"{key}.".startswith(f"{_key(text)}.")]
-    beyond = [text for text in overrides if _key(text).startswith(f"{key}." if key else "")]
-    raise KinfeasError(f"{', '.join(within or beyond) or source}: {message}")
-
-
-def _explained(error: "ValidationError", kind: Any, data: object, above: str) -> tuple[str, str]:
-    """Return the path of the first wrong key, below the key `above`, and the fault."""
-    unknown = "unexpected_keyword_argument"
+        problems = error.errors(include_url=False)
+    except PydanticSerializationError as error:  # text that is no valid UTF-8, or an object
+        raise KinfeasError(f"{source}: {error}") from error
     # A misspelt key is often a missing one as well.
-    errors = sorted(error.errors(include_url=False), key=lambda one: one["type"] != unknown)
-    keys, first = _path(errors[0], data), errors[0]
-    key = ".".join([above, *keys] if above else keys)
-    if first["type"] == unknown:
-        return key, f"unknown key {key!r}{no_such(keys[-1], _fields(kind, keys[:-1]))}"
-    if first["type"] == "missing" and isinstance(first["loc"][-1], int):
-        return key, f"{key!r} has too few entries: {reprlib.repr(first['input'])}"
-    if first["type"] == "missing":
-        key = f"{key}.{first['loc'][-1]}" if key else str(first["loc"][-1])
-        return key, f"the key {key!r} is missing"
-    # A union has an error for each of its types.
-    messages = {one["msg"]: None for one in errors if _path(one, data) == keys}
+    first = next((each for each in problems if each["type"] == _UNKNOWN), problems[0])
+    keys = _keys(first["loc"], data)
+    # A union has a message for each of its types.
+    messages = dict.fromkeys(each["msg"] for each in problems if _keys(each["loc"], data) == keys)
     text = " or ".join(messages)
-    for pydantics, ours in _WORDS.items():
-        text = text.replace(pydantics, ours)
-    name = f"{key!r}: " if key and first["type"] == "value_error" else f"{key!r} " if key else ""
-    if first["type"] != "value_error":
-        text += f", not {reprlib.repr(first['input'])}"
-    return key, name + text
+    if first["type"] == _UNKNOWN:
+        text = f"unknown key{no_such(keys[-1], _fields(kind, keys[:-1]))}"
+    elif first["type"] == "missing":
+        keys = [*keys, str(first["loc"][-1])]
+    elif first["type"] != "value_error":
+        text = f"{text}, not {reprlib.repr(first['input'])}"
+    if _has(changes, keys):
+        source = "settings"
+    path = ".".join([key, *keys] if key else keys)
+    raise KinfeasError(f"{source}: {path!r}: {text}" if path else f"{source}: {text}")
 
 
-def _path(error: Any, data: Any) -> list[str]:
+_UNKNOWN = "unexpected_keyword_argument"
+
+
+def _of_numpy(value: Any) -> object:
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise ValueError(f"{value!r} is no value of a setting")
+
+
+def _keys(location: Sequence[int | str], data: Any) -> list[str]:
     """Return the keys that lead to an error; pydantic also names the types within a union."""
     keys: list[str] = []
-    for key in error["loc"][1:]:
+    for key in location[1:]:
         indices = range(len(data)) if isinstance(data, list | tuple) else ()
         if key in (data if isinstance(data, Mapping) else indices):
             keys, data = [*keys, str(key)], data[key]
     return keys
 
 
+def _has(changes: Any, keys: Sequence[str]) -> bool:
+    """Return whether settings change the value that the keys lead to."""
+    for key in keys:
+        if not isinstance(changes, Mapping):
+            return True
+        if key not in changes:
+            return False
+        changes = changes[key]
+    return bool(changes)
+
+
 def _fields(kind: Any, keys: Sequence[str]) -> list[str]:
     """Return the names of the fields of the dataclass that `keys` lead to."""
-    found = _dataclasses(kind)
+    classes = _dataclasses(kind)
     for key in keys:
-        hints = [hint for cls in found for name, hint in get_type_hints(cls).items() if name == key]
+        hints = [get_type_hints(cls).get(key) for cls in classes]
         # Indices of lists and keys of mappings lead to no other dataclass.
-        found = [inner for hint in hints for inner in _dataclasses(hint)] or found
-    return [entry.name for cls in found for entry in fields(cls) if entry.init]
+        classes = [inner for hint in hints for inner in _dataclasses(hint)] or classes
+    return [entry.name for cls in classes for entry in fields(cls) if entry.init]
 
 
 def _dataclasses(kind: Any) -> list[Any]:
     if is_dataclass(kind):
         return [kind]
-    return [found for inner in get_args(kind) for found in _dataclasses(inner)]
+    return [cls for inner in get_args(kind) for cls in _dataclasses(inner)]

@@ -1,13 +1,13 @@
 """Shipped configuration: sections of the robots' files, and recipes by name or path."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kinfeas.config import from_mapping, strict_yaml
+from kinfeas.config import Settings, from_mapping, merged, strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
 
 T = TypeVar("T")
@@ -90,22 +90,15 @@ def section(name: str, robot: str) -> tuple[dict[str, Any], str]:
     return data, f"configs/robots/{robot}.yaml, {name}"
 
 
-def load_section(cls: type[T], name: str, robot: str, overrides: Sequence[str] = ()) -> T:
+def load_section(cls: type[T], name: str, robot: str, settings: Settings | None = None) -> T:
     """Return a robot's settings in a section as an instance of the dataclass `cls`."""
-    return from_mapping(cls, *section(name, robot), overrides)
+    return from_mapping(cls, *section(name, robot), settings)
 
 
 def _read_robot(name: str) -> dict[str, Any]:
     """Return the sections of a robot's shipped file, if it has one."""
     path = _ROBOTS / f"{name}.yaml"
     return strict_yaml.read(path) if name == Path(name).name and path.is_file() else {}
-
-
-def merged(data: Any, changes: Any) -> Any:
-    """Return nested mappings with changed keys; other values, lists too, are replaced."""
-    if not isinstance(data, Mapping) or not isinstance(changes, Mapping):
-        return changes
-    return {**data, **{key: merged(data.get(key), value) for key, value in changes.items()}}
 
 
 def default_engine() -> str:

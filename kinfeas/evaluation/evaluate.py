@@ -3,23 +3,30 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypedDict
 
-from kinfeas.config import PluginSpec, from_mapping
-from kinfeas.control.assemble import adapted_execution
+from kinfeas.config import PluginSpec, Settings, from_mapping
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
 from kinfeas.core.policy import Policy
-from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes
+from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes, run_episodes
 from kinfeas.envs.world import World, WorldConfig, evaluation_section, evaluation_world
 from kinfeas.evaluation.reachability import measure_reachability
-from kinfeas.policies.loading import load_policy
-from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import StreamTask, Task
 
 
-class Summary(Metrics):
-    """Metrics of a policy and what they were measured on; the ceiling is null if not measured."""
+class CeilingEntries(TypedDict):
+    """The ceiling with its interval; null if not measured."""
+
+    ceiling: float | None
+    ceiling_low: float | None
+    ceiling_high: float | None
+
+
+class Summary(Metrics, CeilingEntries):
+    """Metrics of a policy and what they were measured on."""
 
     robot: str
     task: str
@@ -31,9 +38,6 @@ class Summary(Metrics):
     adapters: list[str]
     filters: list[str]
     backend_parameters: dict[str, object]
-    ceiling: float | None
-    ceiling_low: float | None
-    ceiling_high: float | None
 
 
 @dataclass(frozen=True)
@@ -61,50 +65,39 @@ class EvalSettings:
     world: WorldConfig = field(default_factory=evaluation_world)
 
 
-def read_settings(robot: str, backend: str, overrides: Sequence[str] = ()) -> EvalSettings:
-    """Return the settings in which the policies of a robot are evaluated.
-
-    `overrides` are assignments such as `world.dt=0.05`.
-    """
-    return from_mapping(EvalSettings, *evaluation_section(backend, robot), overrides)
+def read_settings(robot: str, backend: str, settings: Settings | None = None) -> EvalSettings:
+    """Return the settings in which the policies of a robot are evaluated, changed by `settings`."""
+    return from_mapping(EvalSettings, *evaluation_section(backend, robot), settings)
 
 
-def prepare(  # noqa: PLR0913 - the options of the command
-    policy: str,
-    robot: str,
+def configure(
+    robot: Robot,
     task: str,
     backend: str = "analytic",
     *,
     episodes: int | None = None,
     seed: int = 1,
-    overrides: Sequence[str] = (),
-) -> tuple[EvalConfig, Policy]:
-    """Return an evaluation and its policy by their names.
+    settings: Settings | None = None,
+) -> EvalConfig:
+    """Return an evaluation on a task by its name or YAML file.
 
-    The policy is a baseline, the folder of a run, an ONNX file or `pretrained`; `overrides` are
-    assignments to `EvalSettings`.
+    There are 500 episodes by default, with physics 50. `settings` are values by key of
+    `EvalSettings`.
 
     Raises:
-        KinfeasError: If a name is unknown or a setting is wrong.
+        KinfeasError: If the task is unknown or a setting is wrong.
     """
-    model = load_robot(robot)
-    settings = read_settings(model.name, backend, overrides)
-    count = default_episodes(backend) if episodes is None else episodes
-    config = EvalConfig(model, load_task(task, settings.task), count, seed, settings.world)
-    return config, load_policy(policy, model)
-
-
-def default_episodes(backend: str) -> int:
-    """Return the default number of episodes: 500, or 50 in worlds with physics."""
-    return 500 if backend == "analytic" else 50
+    config = read_settings(robot.name, backend, settings)
+    count = episodes or (500 if backend == "analytic" else 50)
+    return EvalConfig(robot, load_task(task, config.task), count, seed, config.world)
 
 
 def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
     """Return no adapters, each one alone, and all but each one, by label."""
-    names, every = [one.name for one in adapters], tuple(adapters)
+    names, every = [adapter.name for adapter in adapters], tuple(adapters)
     return {
         "none": (),
-        **{name: (one,) for name, one in zip(names, every, strict=True)},
+        **{name: (adapter,) for name, adapter in zip(names, every, strict=True)},
         **{f"no {name}": every[:i] + every[i + 1 :] for i, name in enumerate(names)},
     }
 
@@ -122,25 +115,28 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
 
     The ceiling is that of `reachability_of`; further arguments as in `evaluate_episodes`.
     """
-    records = run(config, policy, processes, on_done, watch)
-    world = config.world
-    execution = adapted_execution(world, world.adapters, config.robot)
+    records, execution = _run(config, policy, processes, on_done, watch)
+    settings = config.world
     return {
         "robot": config.robot.name,
         "task": config.task.name,
         "policy": name,
         "seed": config.seed,
-        "world": world.backend,
+        "world": settings.backend,
         "time_scale": execution.time_scale,
         "head_start": execution.head_start,
-        "adapters": [one.name for one in world.adapters],
-        "filters": [one.name for one in world.filters],
-        "backend_parameters": world.backend_parameters,
+        "adapters": [adapter.name for adapter in settings.adapters],
+        "filters": [command_filter.name for command_filter in settings.filters],
+        "backend_parameters": settings.backend_parameters,
         **summarize(records),
-        "ceiling": ceiling.value if ceiling else None,
-        "ceiling_low": ceiling.low if ceiling else None,
-        "ceiling_high": ceiling.high if ceiling else None,
+        **ceiling_entries(ceiling),
     }
+
+
+def ceiling_entries(ceiling: Proportion | None) -> CeilingEntries:
+    """Return the entries of a summary on the ceiling."""
+    value, low, high = (ceiling.value, ceiling.low, ceiling.high) if ceiling else (None,) * 3
+    return {"ceiling": value, "ceiling_low": low, "ceiling_high": high}
 
 
 def run(
@@ -151,9 +147,28 @@ def run(
     watch: Watch | None = None,
 ) -> EpisodeRecords:
     """Return the record of each episode; further arguments as in `evaluate_episodes`."""
+    return _run(config, policy, processes, on_done, watch)[0]
+
+
+def _run(
+    config: EvalConfig,
+    policy: Policy,
+    processes: int,
+    on_done: OnDone | None,
+    watch: Watch | None,
+) -> tuple[EpisodeRecords, ExecutionConfig]:
+    """Return the record of each episode, and the execution of motions within the adapters."""
     build = partial(World, config.robot, config.task, config.world, config.seed)
+    world = build()
+    try:
+        if processes == 1:
+            records = run_episodes(world, policy, config.episodes, on_done, watch, config.first)
+            return records, world.loop.execution
+    finally:
+        world.close()
     episodes = range(config.first, config.first + config.episodes)
-    return evaluate_episodes(build, policy, episodes, processes, on_done, watch)
+    records = evaluate_episodes(build, policy, episodes, processes, on_done)
+    return records, world.loop.execution
 
 
 def reachability_of(
@@ -162,7 +177,7 @@ def reachability_of(
     """Return the share of an evaluation's goals that some base pose reaches; None for streams."""
     if isinstance(config.task, StreamTask):
         return None
-    found = measure_reachability(
+    bound = measure_reachability(
         config.robot, config.task, config.episodes, config.seed, config.world.ik, on_done
     )
-    return found.share
+    return bound.share

@@ -79,24 +79,24 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     reached = [np.zeros(poses.shape[:2], dtype=np.bool_) for _, poses, _ in groups]
     convergence = []
 
-    def report(share: float) -> None:
+    def report(fraction: float) -> None:
         if on_done is not None:
-            on_done(share / (len(groups) * len(STAGES)))
+            on_done(fraction / (len(groups) * len(STAGES)))
 
     for tried, stage in zip((0, *STAGES), STAGES, strict=False):
-        for (solver, poses, most), found in zip(groups, reached, strict=True):
-            still_open = ~found
+        for (solver, poses, most), is_reached in zip(groups, reached, strict=True):
+            still_open = ~is_reached
             if stage > most or not still_open.any():
                 report(1.0)
             else:
                 starts = drawn[1].of(np.nonzero(still_open)[0])
-                given = poses[still_open], (stage,), report, tried, starts
-                found[still_open] = reachable(solver, *given).reached
-        all_reached = np.all([found.all(axis=1) for found in reached], axis=0)
+                arguments = poses[still_open], (stage,), report, tried, starts
+                is_reached[still_open] = reachable(solver, *arguments).reached
+        all_reached = np.all([is_reached.all(axis=1) for is_reached in reached], axis=0)
         convergence.append(float(all_reached.mean()))
     counts = _limits(groups, reached, drawn) if limits else ()
-    share = wilson(int(all_reached.sum()), episodes)
-    return Reachability(all_reached, share, tuple(convergence), counts)
+    fraction = wilson(int(all_reached.sum()), episodes)
+    return Reachability(all_reached, fraction, tuple(convergence), counts)
 
 
 def _limits(
@@ -110,8 +110,8 @@ def _limits(
     """
     counts: tuple[Counter[str], ...] = tuple(Counter() for _ in drawn[0])
     missed_before = np.zeros((len(drawn[2]), len(counts)), dtype=np.bool_)
-    for (solver, poses, _), found in zip(groups, reached, strict=True):
-        each = found.reshape(*missed_before.shape, -1)
+    for (solver, poses, _), is_reached in zip(groups, reached, strict=True):
+        each = is_reached.reshape(*missed_before.shape, -1)
         episodes, numbers = np.nonzero(~each.all(axis=2) & ~missed_before)
         missed_before[episodes, numbers] = True
         if episodes.size:
@@ -134,11 +134,11 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
         sequence.avoid(starts.solids, None, (starts.base_pose, starts.joint_positions))
     steps = list(_follow(sequence))
     desired, subgoal = (np.stack(each, 1) for each in zip(*steps, strict=True))
-    chosen = [
+    moments = [
         np.concatenate([_spread(row, number) for number in range(len(sequence.subgoals))])
         for row in subgoal
     ]
-    return np.take_along_axis(desired, np.stack(chosen)[:, :, np.newaxis], axis=1)
+    return np.take_along_axis(desired, np.stack(moments)[:, :, np.newaxis], axis=1)
 
 
 def _starts(

@@ -78,7 +78,7 @@ def record_episodes(
 
     records = run_episodes(world, policy, episodes, watch=add, first=first)
     done = [None] * episodes if records.task_done is None else records.task_done.tolist()
-    return [one.recording(task) for one, task in zip(kept.values(), done, strict=True)]
+    return [recorder.recording(task) for recorder, task in zip(kept.values(), done, strict=True)]
 
 
 class _Kept:

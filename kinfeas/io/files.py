@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import json
 import os
 import shutil
 import stat
@@ -48,6 +49,16 @@ def write_file(path: Path, content: bytes) -> None:
     """Write a file atomically; raise KinfeasError if it cannot be written."""
     with replacing(path) as fresh:
         fresh.write_bytes(content)
+
+
+def to_json(data: object) -> str:
+    """Return plain data as indented JSON; ValueError for infinity and NaN."""
+    return json.dumps(data, indent=2, allow_nan=False) + "\n"
+
+
+def write_json(data: object, path: Path) -> None:
+    """Write plain data as a JSON file, atomically."""
+    write_file(path, to_json(data).encode())
 
 
 @contextmanager

@@ -11,9 +11,9 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, Protocol
 
-from kinfeas.config import PluginSpec, from_mapping, strict_yaml
+from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.io.files import write_file, writing
+from kinfeas.io.files import write_json, writing
 
 ATTEMPTS = 10
 """Times in a row that workers may die before a job is done."""
@@ -42,17 +42,16 @@ class Job:
     def run(self) -> None:
         """Write the result, unless it is there."""
         if not self.path.exists():
-            result = json.dumps(self.call(self.description), indent=2, allow_nan=False)
-            write_file(self.path, f"{result}\n".encode())
+            write_json(self.call(self.description), self.path)
 
     def result(self) -> Result:
         """Return the result; raise KinfeasError if the file is missing or broken."""
         try:
-            found = json.loads(self.path.read_text(encoding="utf-8"))
+            result = json.loads(self.path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             message = f"{self.path}: broken; remove it to compute it again"
             raise KinfeasError(message) from error
-        return dict(found)
+        return dict(result)
 
 
 class Engine(Protocol):
@@ -97,23 +96,23 @@ def run_jobs(
     return [job.result() for job in jobs]
 
 
-def build_engine(text: str, processes: int, address: str | None = None) -> Engine:
-    """Return an engine by its name, or by a mapping in YAML with its parameters.
+def build_engine(engine: object, processes: int, address: str | None = None) -> Engine:
+    """Return an engine by its name, or by a mapping of its name and parameters.
 
     Args:
-        text: A name of `ENGINES`, or a mapping such as `{name: ray, address: auto}`.
+        engine: A name of `ENGINES`, or a mapping such as `{"name": "ray", "address": "auto"}`.
         processes: Number of jobs at a time.
         address: Of a running Ray cluster.
     """
     try:
-        spec = PluginSpec.read(strict_yaml.parse(text, "engine"))
+        spec = PluginSpec.read(engine)
     except ValueError as error:
-        raise KinfeasError(f"engine {text}: {error}") from error
+        raise KinfeasError(f"engine {engine!r}: {error}") from error
     if spec.name not in ENGINES:
         raise KinfeasError(f"unknown engine {spec.name!r}{no_such(spec.name, ENGINES)}")
     factory = resolve_name(ENGINES[spec.name])
-    given = {"processes": processes, **spec.parameters}
+    parameters = {"processes": processes, **spec.parameters}
     if address is not None:
-        given["address"] = address
-    engine: Engine = from_mapping(factory, given, f"engine {spec.name}")
-    return engine
+        parameters["address"] = address
+    built: Engine = from_mapping(factory, parameters, f"engine {spec.name}")
+    return built

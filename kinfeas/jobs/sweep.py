@@ -18,6 +18,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from kinfeas import config
+from kinfeas.config import Settings, nested
 from kinfeas.config.quantities import Count, Seed
 from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError
@@ -86,7 +87,7 @@ class SweepConfig:
     Attributes:
         robot: Name or YAML file; its section `train` is the recipe by default.
         recipe: Name or file of another recipe; its robot, if it has one, takes the place of this.
-        settings: Assignments `a.b=c` to the recipe of all trials.
+        settings: Values by key of the recipe, for all trials.
         space: Keys of the recipe and their values.
         trials: Number of trials. The first one is the recipe itself, as far as it is in the space.
         sampler: `tpe` learns from finished trials; `random` depends on the seed alone.
@@ -97,19 +98,19 @@ class SweepConfig:
     space: dict[str, Dimension]
     robot: str = "pr2"
     recipe: str | None = None
-    settings: tuple[str, ...] = ()
+    settings: dict[str, object] = field(default_factory=dict)
     trials: Count = 20
     sampler: Literal["tpe", "random"] = "tpe"
     pruner: Literal["median", "asha", "none"] = "median"
     seed: Seed = 0
 
 
-def read_sweep(name: str, overrides: Sequence[str]) -> SweepConfig:
+def read_sweep(name: str, settings: Settings | None = None) -> SweepConfig:
     """Return a sweep by its recipe's name or file; raise KinfeasError for a wrong key or value."""
-    sweep = config.load(SweepConfig, find_recipe(name, "sweep"), overrides)
+    sweep = config.load(SweepConfig, find_recipe(name, "sweep"), settings)
     sweep = replace(sweep, robot=from_anywhere(sweep.robot))
     for key, dimension in sweep.space.items():
-        ends = [one for one in (dimension.low, dimension.high) if one is not None]
+        ends = [end for end in (dimension.low, dimension.high) if end is not None]
         for value in (*dimension.choices, *ends):
             settings_of(sweep, {key: value})
         for other in dimension.when:
@@ -120,8 +121,7 @@ def read_sweep(name: str, overrides: Sequence[str]) -> SweepConfig:
 
 def settings_of(sweep: SweepConfig, values: Mapping[str, object]) -> TrainConfig:
     """Return the recipe with values of a trial."""
-    changes = [*sweep.settings, *(f"{key}={json.dumps(value)}" for key, value in values.items())]
-    return load_recipe(sweep.recipe, changes, robot=sweep.robot)
+    return load_recipe(sweep.recipe, nested(sweep.settings, values), robot=sweep.robot)
 
 
 def plan_trials(sweep: SweepConfig, folder: Path) -> list[Job]:
@@ -176,7 +176,7 @@ def run_trial(description: tuple[Path, int]) -> Result:
     sweep, study = config.load(SweepConfig, folder / SETTINGS), open_study(folder)
     frozen = study.trials[number]
     if frozen.state.is_finished():  # killed before its file was written
-        return told(frozen)
+        return result_of(frozen)
     if frozen.state == TrialState.WAITING:
         study._storage.set_trial_state_values(frozen._trial_id, TrialState.RUNNING)
     trial = Trial(study, frozen._trial_id)
@@ -205,14 +205,14 @@ def run_trial(description: tuple[Path, int]) -> Result:
     return result
 
 
-def told(trial: FrozenTrial) -> Result:
+def result_of(trial: FrozenTrial) -> Result:
     """Return the result of a trial, or its state, values and best evaluation so far."""
     if "result" in trial.user_attrs:
         return dict(trial.user_attrs["result"])
     values = {k: json.loads(v) if isinstance(v, str) else v for k, v in trial.params.items()}
-    found: Result = {"number": trial.number, "state": STATES[trial.state], "values": values}
+    result: Result = {"number": trial.number, "state": STATES[trial.state], "values": values}
     scores = trial.intermediate_values.values()
-    return {**found, "score": max(scores)} if scores else found
+    return {**result, "score": max(scores)} if scores else result
 
 
 def write_best(folder: Path, results: Sequence[Result]) -> Result:
@@ -221,10 +221,10 @@ def write_best(folder: Path, results: Sequence[Result]) -> Result:
     Raises:
         KinfeasError: If no trial is complete.
     """
-    complete = [one for one in results if one["state"] == "complete"]
+    complete = [result for result in results if result["state"] == "complete"]
     if not complete:
         raise KinfeasError(f"{folder}: no trial is complete")
-    best = max(complete, key=lambda one: float(one["score"]))
+    best = max(complete, key=lambda result: float(result["score"]))
     sweep = config.load(SweepConfig, folder / SETTINGS)
     with writing(folder):
         config.dump(settings_of(sweep, best["values"]), folder / BEST)
@@ -262,8 +262,8 @@ def _own_values(sweep: SweepConfig) -> dict[str, object]:
     for key, dimension in sweep.space.items():
         value: Any = config.to_mapping(settings_of(sweep, {}))
         for part in key.split("."):
-            known = value if isinstance(value, Mapping | list) else {}
-            value = known[int(part)] if isinstance(known, list) else known.get(part)
+            container = value if isinstance(value, Mapping | list) else {}
+            value = container[int(part)] if isinstance(container, list) else container.get(part)
         if value in dimension.choices:  # 0.0 is found as 0
             own[key] = json.dumps(dimension.choices[dimension.choices.index(value)])
         elif dimension.low is not None and isinstance(value, int | float):

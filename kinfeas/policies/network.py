@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 
 from kinfeas.control.drive import command_size
 from kinfeas.control.observation import (
+    ACTION,
     OBSERVATION,
     check_terms,
     describe_action,
@@ -151,6 +152,8 @@ def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) 
         command_size(robot.base),
     )
     found = (len(network.scale), len(network.biases[-1]))
+    if (names := [term.name for term in trained.action]) != [ACTION]:
+        raise KinfeasError(f"{place}: action must be [{ACTION}], not {names}")
     if trained.robot != robot.name or found != wanted:
         raise KinfeasError(
             f"{place}: a policy for robot {trained.robot!r} with (inputs, actions) {found}, "

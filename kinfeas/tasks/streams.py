@@ -125,7 +125,7 @@ class SimulatedStream:
     def targets(self, progress: Progress) -> Array:
         """Deliver the messages until now and begin the next period of some rows."""
         rows, desired, dt = progress.rows, progress.desired, progress.dt
-        now: Array = np.asarray(progress.periods * dt, dtype=np.float64)
+        now = progress.periods.astype(np.float64) * dt
         received, last = self._drawn["received"], self._drawn["received"].shape[1] - 1
         while True:
             due = received[np.arange(len(now)), np.minimum(self._read, last)] <= now

@@ -1,12 +1,11 @@
 """Settings of a training run: the schema of the sections `train` of `configs/robots`."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from kinfeas.config import PluginSpec, assigned, from_mapping
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested
 from kinfeas.config.quantities import (
     Count,
     Episodes,
@@ -17,7 +16,7 @@ from kinfeas.config.quantities import (
     Seed,
     Share,
 )
-from kinfeas.config.recipes import merged, read_recipe, section
+from kinfeas.config.recipes import read_recipe, section
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.envs.world import WorldConfig
 from kinfeas.robots.loading import load_robot
@@ -142,7 +141,7 @@ class TrainConfig:
 
 def load_recipe(
     name: str | None,
-    overrides: Sequence[str] = (),
+    settings: Settings | None = None,
     *,
     backend: str = "analytic",
     robot: str = TrainConfig.robot,
@@ -152,16 +151,16 @@ def load_recipe(
     Args:
         name: Recipe as in `read_recipe`; None for the robot's own. Keys that it lacks are those of
             the robot's own recipe, unless it extends the recipe of a robot.
-        overrides: Assignments, as in `from_mapping`.
+        settings: Values by key, as in `from_mapping`.
         backend: World of the robot's recipe; those with physics have another one, also with `init`.
-        robot: Robot where neither the overrides nor the recipe name one.
+        robot: Robot where neither the settings nor the recipe name one.
 
     Raises:
         KinfeasError: If there is no such recipe or robot, or a key or value is wrong.
     """
     kind = "train" if backend == "analytic" else "train_physics"
     data, complete = ({}, False) if name is None else read_recipe(name, kind)
-    source, changes = name or "", assigned(overrides)
+    source, changes = name or "", nested(settings)
     data = {"robot": robot, **data}
     robot_name = changes.get("robot", data["robot"])
     if not complete and isinstance(robot_name, str):
@@ -173,4 +172,4 @@ def load_recipe(
         if backend == "mujoco":  # steps a batch on all cores; only a world in this process is saved
             base = {**base, "processes": 1}
         data, source = merged(base, data), source or own
-    return from_mapping(TrainConfig, data, source, overrides)
+    return from_mapping(TrainConfig, data, source, changes)

@@ -4,7 +4,7 @@ import json
 import math
 import shlex
 from collections import defaultdict, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 
 from kinfeas import config as configuration
+from kinfeas.config import Settings
 from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import find_folder, read_file, writing
@@ -116,15 +117,15 @@ def check_begun(out: Path) -> None:
             raise KinfeasError(f"{out}: not a training run: there is no {SETTINGS} in it")
 
 
-def read_settings(out: Path, overrides: Sequence[str] = ()) -> TrainConfig:
-    """Return the settings of the run in a folder, changed by assignments `a.b=c`."""
+def read_settings(out: Path, settings: Settings | None = None) -> TrainConfig:
+    """Return the configuration of the run in a folder, changed by settings."""
     check_begun(out)
-    return configuration.load(TrainConfig, out / SETTINGS, overrides)
+    return configuration.load(TrainConfig, out / SETTINGS, settings)
 
 
-def finished(out: Path, overrides: Sequence[str] = ()) -> Progress | None:
-    """Return the progress of a finished run, None for any other; `overrides` are assignments."""
-    config, last = read_settings(out, overrides), find_folder(out / "checkpoints" / "last")
+def finished(out: Path, settings: Settings | None = None) -> Progress | None:
+    """Return the progress of a run that is finished with these settings; None for any other."""
+    config, last = read_settings(out, settings), find_folder(out / "checkpoints" / "last")
     if not last.is_dir():
         return None
     progress = read_progress(config, last)

@@ -4,7 +4,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -17,6 +17,7 @@ from gymnasium.spaces import flatdim
 from numpy.typing import NDArray
 
 from kinfeas import config as configuration
+from kinfeas.config import Settings
 from kinfeas.control.observation import surroundings
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import summarize
@@ -88,13 +89,13 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
         return run.go(report)
 
 
-def resume(out: Path, report: Report | None = None, overrides: Sequence[str] = ()) -> Progress:
+def resume(out: Path, report: Report | None = None, settings: Settings | None = None) -> Progress:
     """Resume a run from its last checkpoint and return the progress.
 
     Args:
         out: Folder of the run.
         report: Called every few seconds.
-        overrides: Assignments such as `schedule.steps=9000`, kept in the run's settings.
+        settings: Values by key such as `schedule.steps`, kept in the run's configuration.
 
     Raises:
         KinfeasError: If the folder is no run, its checkpoint is broken, its robot has other
@@ -102,9 +103,9 @@ def resume(out: Path, report: Report | None = None, overrides: Sequence[str] = (
     """
     check_begun(out)
     with alone(out):
-        run = _Run(read_settings(out, overrides), out)
+        run = _Run(read_settings(out, settings), out)
         run.load()
-        if overrides:
+        if settings:
             configuration.dump(run.config, out / SETTINGS)
         return run.go(report)
 

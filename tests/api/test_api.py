@@ -6,9 +6,8 @@ import pytest
 
 import kinfeas
 from kinfeas.core.errors import KinfeasError
-from tests.cli.conftest import TINY
+from tests.cli.conftest import SETTINGS
 
-SETTINGS = {key: json.loads(value) for key, _, value in (one.partition("=") for one in TINY[1::2])}
 SHORT = {"world.max_seconds": 1}
 
 
@@ -22,7 +21,7 @@ def test_train_evaluate_export_and_load(tmp_path):
     metrics = kinfeas.evaluate(run.folder, episodes=2, settings=SHORT)
     assert (metrics["robot"], metrics["episodes"]) == ("hsr", 2)
     about = kinfeas.export(run.folder, tmp_path / "hsr.onnx")
-    assert about["file"] == "hsr.onnx"
+    assert about.metadata.robot.name == "hsr"
     for policy in (run.folder, tmp_path / "hsr.onnx"):
         assert callable(kinfeas.load_policy(policy).act)
     with pytest.raises(KinfeasError):
@@ -31,8 +30,7 @@ def test_train_evaluate_export_and_load(tmp_path):
 
 def test_the_package_lists_its_functions():
     assert set(kinfeas.__all__) <= set(dir(kinfeas))
-    assert {"train", "evaluate", "export", "load_policy"} <= set(kinfeas.__all__)
-    assert all(hasattr(kinfeas, name) for name in dir(kinfeas))
+    assert all(callable(getattr(kinfeas, name)) for name in kinfeas.__all__ if name[0] != "_")
 
 
 def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
@@ -49,11 +47,36 @@ def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
         adapters=Path("ideal"),
         episodes=2,
         filters=["feasibility"],
-        settings=SHORT,
+        settings={"world": {"max_seconds": 1}},
     )
-    told = json.loads((tmp_path / "out.json").read_text())
-    assert metrics == {key: told[key] for key in metrics}
+    assert metrics == json.loads((tmp_path / "out.json").read_text())
     assert np.isfinite(metrics["mean_deviation_m"])
+    bound = kinfeas.ceiling("hsr", episodes=2)
+    assert bound.ceiling == metrics["ceiling"] == bound.convergence[-1]
+
+
+class Targets:
+    """A source of targets within a program."""
+
+    def start(self, controller):
+        self.controller = controller
+
+    def close(self):
+        self.closed = True
+
+
+def test_a_servo_and_a_deployment_in_a_program(tmp_path):
+    source, given = Targets(), {"robot": "hsr", "backend": "analytic", "seconds": 0.3}
+    relaxed = {"guards": {"max_age": 5.0, "max_period": 5.0, "max_clock_skew": 5.0}}
+    run = kinfeas.servo(source=source, record=tmp_path / "a.csv", settings=relaxed, **given)
+    assert (run.outcome.code, source.closed, run.targets["messages"]["accepted"]) == (0, True, 0)
+    started = []
+    run = kinfeas.deploy(
+        "pretrained", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "b.csv",
+        on_start=lambda: started.append(True), **given,
+    )  # fmt: skip
+    assert (run.outcome.code, run.about.robot, started) == (4, "hsr", [True])
+    assert kinfeas.view(record=run.record)["steps"] == 15
 
 
 @pytest.mark.parametrize(

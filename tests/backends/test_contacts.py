@@ -19,7 +19,7 @@ DT, ROWS = 0.02, np.arange(2)
 def test_a_robot_alone_touches_nothing_and_has_no_obstacles(world, begin):
     begin()
     stay(world, 5)
-    assert not (world.contacts(0).base or world.contacts(0).arm)
+    assert not (world.touching(0).base or world.touching(0).arm)
     near = world.obstacle_distances(0.3)
     assert near.distance.shape == (1, 0)
     assert near.closest_point.shape == near.normal.shape == (1, 0, 2)
@@ -29,8 +29,8 @@ def test_a_wall_stops_the_base_which_touches_it(world, begin):
     begin(x=-2.3)
     before = stay(world, 150, twist(-0.2))[-1].base_pose
     assert world.touched() == ["wall"]
-    assert len({body for _, body, _ in world.contacts(0).base}) == 1
-    assert not world.contacts(0).arm
+    assert len({body for _, body, _ in world.touching(0).base}) == 1
+    assert not world.touching(0).arm
     after = stay(world, 25, twist(-0.2))[-1].base_pose
     assert np.linalg.norm(after[0, :2] - before[0, :2]) <= 0.005
 
@@ -39,7 +39,7 @@ def test_an_arm_in_a_wall_touches_it(world, begin):
     begin(wall=np.array([0.57, 0.08, 0.0, 0.0, 0.0, 0.0, 1.0]))
     stay(world, 2)
     assert world.touched() == ["wall"]
-    assert world.contacts(0).arm
+    assert world.touching(0).arm
     assert world.obstacle_distances(0.02).distance.size == 0  # only the base counts
 
 
@@ -91,7 +91,7 @@ def test_the_grasped_link_and_objects_beneath_are_no_obstacles(hsr, scene, opene
     assert world.obstacle_distances(1.0).distance.size == 0
     place(world, x=-2.5)
     stay(world, 5)
-    assert not (world.contacts(0).base or world.touched())
+    assert not (world.touching(0).base or world.touched())
     sunk = scene.with_poses({"bar": np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0])})
     place(world, scene=sunk)
     assert world.obstacle_distances(0.3).distance.size == 0
@@ -130,7 +130,7 @@ def test_contacts_are_those_of_the_geometry(rooms, hsr):
     world, model, touches = rooms(), IkSolver(hsr).collision, []
     for _ in range(100):
         (state,) = run(world, 1, 0.0, 0.1)
-        contacts = [world.contacts(row) for row in ROWS]
+        contacts = [world.touching(row) for row in ROWS]
         touched = [[len(contact.base) > 0, len(contact.arm) > 0] for contact in contacts]
         shapes = state.joint_positions, state.base_pose, world.solids.after()
         touches.append((touched, collides(model, *shapes)))
@@ -150,8 +150,8 @@ def test_solids_move_and_are_measured_as_in_the_analytic_world(rooms, hsr):
         assert obstacles.distance[0].min() == pytest.approx(near[0, 0], abs=2e-3)
     analytic.reset(state.base_pose, state.joint_positions)
     analytic.place_solids(world.solids.after(), ROWS)
-    np.testing.assert_array_equal(world.scan(), analytic.scan())
-    assert world.scan().min() < 1.0
+    np.testing.assert_array_equal(world.scan().ranges, analytic.scan().ranges)
+    assert world.scan().ranges.min() < 1.0
     speeds = [
         near.closing_speed[ROWS, near.distance.argmin(axis=1)]
         for near in (obstacles, analytic.obstacle_distances(1.0))

@@ -39,7 +39,7 @@ def test_a_grasp_carries_an_object_until_it_is_opened(begun):
     world.grip("close", FIRST)
     stay(world, 60)
     assert world.holds(0, "bar")
-    assert not (world.contacts(0).arm or world.contacts(0).base)  # the grasped link does not count
+    assert not (world.touching(0).arm or world.touching(0).base)  # the grasped link does not count
     before = bar_of(world)
     stay(world, 150, twist(-0.1))
     np.testing.assert_allclose(bar_of(world)[:3] - before[:3], [-0.29, 0.0, 0.0], atol=0.02)

@@ -55,7 +55,7 @@ def test_the_hand_agrees_with_the_kinematics_and_holds_its_position(name, opened
             state = world.step(twist(), joints[np.newaxis], DT)
         measured = world.link_poses(0, [(ROBOT, solver.robot.ee_frame)])
         assert_near(ee_pose(solver, state), measured, 1e-6, 1e-6)
-        if not world.contacts(0).arm:  # gravity does not move it
+        if not world.touching(0).arm:  # gravity does not move it
             assert spatial.distance(before, measured)[0][0] <= 1e-3
 
 
@@ -99,7 +99,7 @@ def play(world, scene, seed):
         values = (state.base_pose, state.joint_positions, state.joint_velocities)
         bar, _ = world.object_motion(0, "bar")
         measured.append(np.concatenate([bar, *(value.ravel() for value in values)]))
-        touched += len(world.contacts(0).base)
+        touched += len(world.touching(0).base)
     assert touched > 0
     return np.array(measured)
 

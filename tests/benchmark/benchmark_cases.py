@@ -15,7 +15,7 @@ SMALL = {
         {"label": "low", "task": "ggr", "parameters": {"heights": [0.5, 0.6]}, "robots": ["hsr"]}
     ],
     "episodes": 2,
-    "settings": ["world.max_seconds=2.5"],
+    "settings": {"world.max_seconds": 2.5},
 }
 
 PYBULLET = {
@@ -26,18 +26,15 @@ PYBULLET = {
     "episodes": 43,
     "backend": "pybullet",
     "rows": [
-        {"label": "head_start", "settings": ["world.head_start=3"], "robots": ["pr2"]},
-        {
-            "label": "no_objects",
-            "settings": ["world.backend_parameters.objects=false"],
-            "tasks": ["door"],
-        },
+        {"label": "head_start", "settings": {"world.head_start": 3}, "robots": ["pr2"]},
+        {"label": "no_objects", "settings": {"world.backend_parameters.objects": False},
+         "tasks": ["door"]},
     ],
-}
+}  # fmt: skip
 
 
-def study(data=None, *overrides):
-    return config.from_mapping(BenchmarkConfig, data or {}, "study", overrides)
+def study(data=None, settings=None):
+    return config.from_mapping(BenchmarkConfig, data or {}, "study", settings)
 
 
 def result(success, *, episodes=100, **changes):

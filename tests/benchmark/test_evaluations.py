@@ -7,14 +7,16 @@ from kinfeas.benchmark.config import read_benchmark, restricted
 from kinfeas.benchmark.evaluations import CEILING, PART, plan_evaluations
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.errors import KinfeasError
-from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.jobs.job import run_jobs
 from kinfeas.jobs.local import Local
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from tests.benchmark.benchmark_cases import PYBULLET, SMALL, study
 
 
-def small(*overrides):
-    return plan_evaluations(study(SMALL, *overrides), [])
+def small(settings=None):
+    return plan_evaluations(study(SMALL, settings), [])
 
 
 def test_plan():
@@ -43,25 +45,24 @@ def test_pybullet_episodes_come_in_parts_beside_the_analytic_world():
     one = [job for job in parts if (job.robot, job.task, job.policy, job.row)
            == ("pr2", "ggr", "pretrained", "head_start")]  # fmt: skip
     assert [(job.first, job.episodes) for job in one] == [(0, PART), (PART, PART), (2 * PART, 3)]
-    assert one[0].settings == ("world.head_start=3",)
+    assert one[0].settings == {"world": {"head_start": 3}}
     rows = Counter((job.robot, job.task, job.row) for job in parts if job.first == 0)
     assert rows["tiago", "ggr", "head_start"] == rows["pr2", "ggr", "no_objects"] == 0
     assert rows["tiago", "door", "no_objects"] == 1
     beside = [job for job in planned if job.backend == "analytic" and job.policy == "pretrained"]
-    assert {job.settings for job in beside} == {
-        ('world.filters=[{"name": "feasibility", "parameters": {}}]',)
-    }
+    feasibility = {"world.filters": [{"name": "feasibility", "parameters": {}}]}
+    assert all(job.settings == feasibility for job in beside)
 
 
 def test_jobs_with_other_results_have_other_files():
     one = small()
     assert len({job.name for job in one}) == len(one)
     assert [job.name for job in small()] == [job.name for job in one]
-    for other in ("episodes=3", "evaluation_seed=2", "settings=['world.max_seconds=3']"):
+    for other in ({"episodes": 3}, {"evaluation_seed": 2}, {"settings.world": {"max_seconds": 3}}):
         assert not {job.name for job in small(other)} & {job.name for job in one}
     physics, faster = (
-        {job.name for job in plan_evaluations(study(PYBULLET, *more), [])}
-        for more in ((), ("settings=['world.time_scale=1']",))
+        {job.name for job in plan_evaluations(study(PYBULLET, more), [])}
+        for more in ({}, {"settings": {"world.time_scale": 1}})
     )
     assert len(physics & faster) < len(physics) / 2
 
@@ -81,12 +82,12 @@ def test_a_policy_trained_anew_is_evaluated_anew(tmp_path):
 
 
 def test_results_are_those_of_an_evaluation(tmp_path):
-    few = [job for job in small("robots=[hsr]", "tasks=[ggr]") if job.policy != "pretrained"][:2]
+    jobs = small({"robots": ["hsr"], "tasks": ["ggr"]})
+    few = [job for job in jobs if job.policy != "pretrained"][:2]
     ceiling, found = run_jobs([one.job(tmp_path) for one in few], Local())
-    chosen, policy = prepare(
-        "follow_ee", "hsr", "ggr", episodes=2, overrides=["world.max_seconds=2.5"]
-    )
-    assert found == evaluate(chosen, policy, "follow_ee")
+    robot = load_robot("hsr")
+    chosen = configure(robot, "ggr", episodes=2, settings={"world.max_seconds": 2.5})
+    assert found == evaluate(chosen, load_policy("follow_ee", robot), "follow_ee")
     assert ceiling.keys() == {"success", "success_low", "success_high"}
 
 
@@ -104,26 +105,26 @@ def test_shipped_benchmarks_are_valid(name):
 
 
 def test_fewer_robots():
-    whole = study({}, "trainings=[{robot: pr2}, {robot: hsr}]")
+    whole = study({}, {"trainings": [{"robot": "pr2"}, {"robot": "hsr"}]})
     assert restricted(whole, {"hsr"}).robots == ("hsr",)
     with pytest.raises(KinfeasError, match="fetch"):
         restricted(whole, {"fetch"})
 
 
-VARIANT = "{label: x, task: ggr, parameters: {distance: [1, 2]}, robots: [pr2]}"
+VARIANT = {"label": "x", "task": "ggr", "parameters": {"distance": [1, 2]}, "robots": ["pr2"]}
 
 
-@pytest.mark.parametrize(("override", "named"), [
-    ("baselines={follow_me: [ggr]}", "follow_me"),
-    ("tasks=[ggr, fly]", "fly"),
-    ("robots=[]", "robots"),
-    ("seeds=[1, 1]", "seeds"),
-    (f"variants=[{VARIANT}, {VARIANT}]", "variants"),
-    ("variants=[{label: x, task: ggr, parameters: {colour: 1}, robots: [pr2]}]", "colour"),
-    ("rows=[{label: a}, {label: a, tasks: [ggr]}]", "rows"),
-    ("rows=[{label: ''}]", "rows"),
-    ("rows=[{label: a, settings: ['world.slw=1']}]", "slw"),
+@pytest.mark.parametrize(("settings", "named"), [
+    ({"baselines": {"follow_me": ["ggr"]}}, "follow_me"),
+    ({"tasks": ["ggr", "fly"]}, "fly"),
+    ({"robots": []}, "robots"),
+    ({"seeds": [1, 1]}, "seeds"),
+    ({"variants": [VARIANT, VARIANT]}, "variants"),
+    ({"variants": [VARIANT | {"parameters": {"colour": 1}}]}, "colour"),
+    ({"rows": [{"label": "a"}, {"label": "a", "tasks": ["ggr"]}]}, "rows"),
+    ({"rows": [{"label": ""}]}, "rows"),
+    ({"rows": [{"label": "a", "settings": {"world.slw": 1}}]}, "slw"),
 ])  # fmt: skip
-def test_the_wrong_key_or_value_is_named(mine, override, named):
+def test_the_wrong_key_or_value_is_named(mine, settings, named):
     with pytest.raises(KinfeasError, match=named):
-        read_benchmark(mine, [override])
+        read_benchmark(mine, settings)

@@ -19,8 +19,8 @@ from tests.training.conftest import TINY
 OUT = Path("out")
 
 
-def tiny(*overrides):
-    return config.from_mapping(TrainConfig, TINY, "tiny", overrides)
+def tiny(settings=None):
+    return config.from_mapping(TrainConfig, TINY, "tiny", settings)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_runs_are_found_and_not_trained_again(run, tmp_path):
     assert find_runs([run]) == find_runs([run.parent]) == find_runs([run, run]) == [found]
     assert training_job(tiny(), run).result()["robot"] == "hsr"
     with pytest.raises(KinfeasError, match="tiny"):
-        training_job(tiny("seed=77"), run)
+        training_job(tiny({"seed": 77}), run)
     shutil.copytree(run, tmp_path / "other")
     with pytest.raises(KinfeasError, match="other"):
         find_runs([run, tmp_path])
@@ -45,15 +45,15 @@ def test_runs_are_found_and_not_trained_again(run, tmp_path):
 
 
 def test_settings_of_a_training():
-    entry = "trainings=[{robot: pr2, recipe: paper/pr2, settings: ['num_envs=8'], minutes: 2}]"
-    (job,) = plan_runs(study({}, "robots=[pr2]", entry, "seeds=[5]"), OUT)
+    entry = {"robot": "pr2", "recipe": "paper/pr2", "settings": {"num_envs": 8}, "minutes": 2}
+    (job,) = plan_runs(study({"robots": ["pr2"], "trainings": [entry], "seeds": [5]}), OUT)
     settings, _ = job.description
     assert (settings.seed, settings.num_envs, settings.learner.ent_coef) == (5, 8, "learned")
     assert (settings.schedule.steps, settings.schedule.minutes) == (None, 2.0)
 
 
 def made(folder, seed, success):
-    robot, settings = load_robot("hsr"), tiny(f"seed={seed}")
+    robot, settings = load_robot("hsr"), tiny({"seed": seed})
     best = folder / f"run-{seed}" / "checkpoints" / "best"
     best.mkdir(parents=True)
     metrics = {"episodes": 9, "success": success, "success_low": 0.0, "success_high": 1.0}
@@ -78,18 +78,19 @@ def test_the_best_seed_is_published(tmp_path):
         publish(runs[:1], {}, tmp_path / "none")
 
 
-@pytest.mark.parametrize("overrides", [
-    [],
-    ["robot=hsr", "seed=4", "schedule.steps=2000", "schedule.minutes=null"],
-    ["learner.ent_coef=learned", "learner.net_arch=[400, 300]", "world.adapters=[]"],
-    ["world.adapters=[{name: base_noise, parameters: {linear: 0.15}}]", "task=door"],
+@pytest.mark.parametrize("settings", [
+    {},
+    {"robot": "hsr", "seed": 4, "schedule.steps": 2000, "schedule.minutes": None},
+    {"learner.ent_coef": "learned", "learner.net_arch": [400, 300], "world.adapters": []},
+    {"world.adapters": [{"name": "base_noise", "linear": 0.15}], "task": "door"},
 ])  # fmt: skip
-def test_the_command_has_all_settings(overrides):
+def test_the_command_has_all_settings(settings):
+    from kinfeas.cli.options import read_settings
     from kinfeas.config.recipes import load_section
 
-    settings = config.from_mapping(TrainConfig, {}, "test", overrides)
+    settings = config.from_mapping(TrainConfig, {}, "test", settings)
     words = shlex.split(train_command(settings))
     assert words[:2] == ["kinfeas", "train"]
     (_, robot), (_, seed), *changes = zip(words[2::2], words[3::2], strict=True)
-    assignments = [f"robot={robot}", f"seed={seed}", *(value for _, value in changes)]
-    assert load_section(TrainConfig, "train", robot, assignments) == settings
+    changes = read_settings([value for _, value in changes], {"robot": robot, "seed": int(seed)})
+    assert load_section(TrainConfig, "train", robot, changes) == settings

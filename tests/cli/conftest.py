@@ -6,15 +6,16 @@ from dataclasses import dataclass
 import pytest
 
 from kinfeas.cli import main
+from kinfeas.config import to_options
 
-TINY = (
-    "--set", "num_envs=8", "--set", "learner.batch_size=16", "--set", "learner.net_arch=[8]",
-    "--set", "learner.buffer_size=1000", "--set", "learner.learning_starts=16",
-    "--set", "schedule.evaluations=1", "--set", "schedule.evaluation_episodes=2",
-    "--set", "schedule.final_episodes=2",
-    "--set", "learner.gradient_steps=1",
-)  # fmt: skip
+SETTINGS = {
+    "num_envs": 8, "learner.batch_size": 16, "learner.net_arch": [8], "learner.buffer_size": 1000,
+    "learner.learning_starts": 16, "schedule.evaluations": 1, "schedule.evaluation_episodes": 2,
+    "schedule.final_episodes": 2, "learner.gradient_steps": 1,
+}  # fmt: skip
 """Settings of a run that takes a second."""
+
+TINY = to_options(SETTINGS)
 
 
 @dataclass(frozen=True)

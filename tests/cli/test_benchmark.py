@@ -4,7 +4,7 @@ import pytest
 
 from kinfeas.benchmark import evaluations
 from kinfeas.config.recipes import default_engine
-from tests.cli.conftest import TINY
+from tests.cli.conftest import SETTINGS
 
 STUDY = f"""
 note: A very small one.
@@ -12,10 +12,10 @@ robots: [hsr]
 tasks: [ggr]
 baselines: {{follow_ee: [ggr]}}
 trainings:
-  - {{robot: hsr, steps: 64, settings: {json.dumps(list(TINY[1::2]))}}}
+  - {{robot: hsr, steps: 64, settings: {json.dumps(SETTINGS)}}}
 seeds: [0, 1]
 episodes: 2
-settings: ["world.max_seconds=2.5"]
+settings: {{world.max_seconds: 2.5}}
 """
 PHYSICS = f"""
 robots: [hsr]
@@ -23,8 +23,8 @@ tasks: [ggr]
 policies: pretrained
 baselines: {{follow_ee: [ggr]}}
 backend: {default_engine()}
-rows: [{{label: late, settings: [world.head_start=0.1]}}]
-settings: ["world.max_seconds=0.3"]
+rows: [{{label: late, settings: {{world.head_start: 0.1}}}}]
+settings: {{world.max_seconds: 0.3}}
 """
 
 

@@ -1,8 +1,6 @@
 import json
-import re
 import shutil
 import sys
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +9,6 @@ import pytest
 
 from kinfeas.cli import options
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import compose, relative
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration, write_demonstration
 from kinfeas.io.run_log import read_record
 from kinfeas.plugins.imitation import GaussianMixture, Imitation
@@ -66,18 +63,6 @@ def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, kind, 
     text = (tmp_path / "door.yaml").read_text()
     assert "kinfeas fit --demonstrations shown" in text
     assert str(tmp_path) not in text
-
-
-def test_demonstrations_of_two_paths_are_named(kinfeas, shown):
-    for number in (0, 1):
-        path = shown / f"{number}.csv"
-        take = read_demonstration(path)
-        ee = relative(take.ee_pose, take.object_pose)
-        ee[:, 2] += 0.3 * np.sin(np.linspace(0.0, np.pi, len(ee)))
-        write_demonstration(replace(take, ee_pose=compose(take.object_pose, ee)), path)
-    outcome = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml", code=0)
-    groups = [re.findall(r"\d\.csv", group) for group in outcome.err.split(";")[-2:]]
-    assert sorted(groups) == [["0.csv", "1.csv"], ["2.csv", "3.csv"]]
 
 
 SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"

@@ -66,12 +66,6 @@ def test_every_run_has_a_record(kinfeas, tmp_path):
     assert record.read_bytes() == before
 
 
-def test_adapters_change_the_run(run, tmp_path):
-    (tmp_path / "mine.yaml").write_text("adapters: [{name: base_noise, linear: 0.05}]")
-    paths = [run(*BRIEF, *more)[1].base_pose for more in ((), ("--adapters", "mine.yaml"))]
-    assert not (paths[0] == paths[1]).all()
-
-
 @pytest.mark.parametrize(("adapters", "words"), [
     ("randomised", ("pretrained", "--backend", "pybullet", "--goal", "0.9", "0.1", "0.8")),
     ("scans.yaml", ("pretrained/rooms", "--backend", "analytic", "--task", "ggr_obstacles")),

@@ -20,48 +20,35 @@ def evaluate(kinfeas, tmp_path):
     return run
 
 
-def test_metrics_and_ceiling(evaluate):
-    figures = evaluate(*SHORT, "--seed", "3")
-    assert (figures["episodes"], figures["policy"], figures["seed"]) == (2, "follow_ee", 3)
-    assert figures["success_low"] <= figures["success"] <= figures["success_high"]
-    ceiling = evaluate("ceiling", "--robot", "hsr", "--episodes", "2", "--seed", "3")
-    assert ceiling["ceiling"] == figures["ceiling"] == ceiling["convergence"][-1]
-    assert len(ceiling["convergence"]) == len(ceiling["base_poses"])
-    path = evaluate("ceiling", "--robot", "hsr", "--episodes", "2", "--path")
-    assert path["path"] is True
-
-
-def test_filters_replace_those_of_the_robot(evaluate):
-    words = ("--robot", "tiago", "--world", ENGINE, "--episodes", "1", "--no-objects")
-    for given, names in (
-        ((), ["feasibility"]),
-        (("--filters", "none"), []),
-        (("--filters", "obstacle_distance,feasibility"), ["obstacle_distance", "feasibility"]),
-    ):
-        assert evaluate(*SHORT, *words, *given)["filters"] == names
-
-
 def test_options_of_physics(evaluate):
     words = ("--world", ENGINE, "--episodes", "1", "--task", "drawer", "--no-objects")
+    words += ("--robot", "tiago")
     figures = evaluate(*SHORT, *words, "--head-start", "0.2", "--time-scale", "0.5")
     assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
-    assert figures["task_success"] is None
+    assert (figures["task_success"], figures["filters"]) == (None, ["feasibility"])
     assert figures["base_collisions"] is not None
+    names = ["obstacle_distance", "feasibility"]
+    assert evaluate(*SHORT, *words, "--filters", ",".join(names))["filters"] == names
+    assert evaluate(*SHORT, *words, "--filters", "none")["filters"] == []
 
 
 def test_adapters_of_a_file(evaluate, tmp_path):
     (tmp_path / "mine.yaml").write_text("adapters: [base_noise, {name: head_start, seconds: 1}]")
-    figures = evaluate(*SHORT, "--adapters", "mine.yaml")
-    assert figures["adapters"] == ["base_noise", "head_start"]
-    assert figures["head_start"] == 1.0
-    rows = evaluate(*SHORT, "--adapters", "mine.yaml", "--ablation")["ablation"]
-    assert {label: row["adapters"] for label, row in rows.items()} == {
+    figures = evaluate(*SHORT, "--adapters", "mine.yaml", "--ablation")
+    assert (figures["adapters"], figures["head_start"]) == (["base_noise", "head_start"], 1.0)
+    assert {label: row["adapters"] for label, row in figures["ablation"].items()} == {
         "none": [],
         "base_noise": ["base_noise"],
         "head_start": ["head_start"],
         "no base_noise": ["head_start"],
         "no head_start": ["base_noise"],
     }
+
+
+def test_ceiling_with_paths(evaluate):
+    bound = evaluate("ceiling", "--robot", "hsr", "--episodes", "2", "--path")
+    assert bound["path"] is True
+    assert len(bound["convergence"]) == len(bound["base_poses"])
 
 
 @pytest.mark.parametrize("world", ["analytic", ENGINE])

@@ -4,12 +4,12 @@ import pytest
 
 from kinfeas import config
 from kinfeas.training.config import TrainConfig
-from tests.cli.conftest import TINY, check_one_line
+from tests.cli.conftest import SETTINGS, check_one_line
 
 pytest.importorskip("optuna")
 SWEEP = f"""
 robot: hsr
-settings: {json.dumps([*TINY[1::2], "schedule.steps=64", "schedule.minutes=null"])}
+settings: {json.dumps(SETTINGS | {"schedule.steps": 64, "schedule.minutes": None})}
 space:
   learner.learning_rate: {{low: 1.0e-4, high: 1.0e-3, log: true}}
   learner.batch_size: {{choices: [16, 32]}}

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from kinfeas.cli.train import read_settings
+from kinfeas.api.train import configure
 from kinfeas.config.recipes import default_engine
 from kinfeas.control.assemble import read_sim2real
 from kinfeas.core.errors import KinfeasError
@@ -95,19 +95,19 @@ def test_wrong_folder_is_an_error_before_heavy_imports(words):
 
 def test_initial_policy_gives_robot_and_network(tmp_path):
     write_run(load_robot("hsr"), tmp_path, extra={"config": {"robot": "hsr"}})
-    settings = read_settings(init=str(tmp_path))
-    recipe = read_settings("hsr")
+    settings = configure(init=str(tmp_path))
+    recipe = configure("hsr")
     learner = replace(recipe.learner, net_arch=(8, 8))
     assert settings == replace(recipe, init=str(tmp_path), learner=learner)
     for other in ({"config": "train/pr2"}, {"robot": "pr2"}):
         with pytest.raises(KinfeasError, match=r"'hsr'.*'pr2'"):
-            read_settings(init=str(tmp_path), **other)
+            configure(init=str(tmp_path), **other)
 
 
 def test_options_win_over_the_recipe_and_set_over_both():
-    settings = read_settings("tiago", seed=7, steps=50, overrides=["seed=8", "num_envs=4"])
+    settings = configure("tiago", seed=7, steps=50, settings={"seed": 8, "num_envs": 4})
     assert (settings.seed, settings.num_envs) == (8, 4)
     assert (settings.schedule.steps, settings.schedule.minutes) == (50, None)
     assert settings.learner.net_arch == (256, 256, 256)
-    physics = read_settings("pr2", world=default_engine())
+    physics = configure("pr2", world=default_engine())
     assert (physics.world.backend, physics.world.time_scale) == (default_engine(), 0.5)

@@ -2,12 +2,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import pytest
 from annotated_types import Interval
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.config import PluginSpec, assigned, dump, from_mapping, load
+from kinfeas.config import PluginSpec, dump, from_mapping, load
 from kinfeas.config.recipes import load_section, recipes, section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import EvalSettings
@@ -76,15 +77,13 @@ def test_file_and_back_is_the_identity(tmp_path_factory, recipe):
 
 @pytest.mark.parametrize(("key", "value", "expected"), [
     ("either", [1, 2], (1.0, 2.0)),
-    ("parameters", {"a": {"b": [1, None]}}, {"a": {"b": [1, None]}}),
     ("many", {"a": {}, "b": {"lag": 1}}, {"a": Noise(), "b": Noise(lag=1)}),
-    ("adapters", ["clamp"], (PluginSpec("clamp"),)),
-    ("adapters", [{"name": "clamp", "by": 2}], (PluginSpec("clamp", {"by": 2}),)),
+    ("adapters", ["fog", {"name": "clamp", "by": 2}],
+     (PluginSpec("fog"), PluginSpec("clamp", {"by": 2}))),
 ])  # fmt: skip
 def test_value_is_converted(key, value, expected):
     converted = getattr(from_mapping(Recipe, {"robot": "pr2", key: value}, "x"), key)
-    assert converted == expected
-    assert type(converted) is type(expected)
+    assert (type(converted), converted) == (type(expected), expected)
 
 
 @pytest.mark.parametrize(("key", "value", "named"), [
@@ -103,42 +102,36 @@ def test_error_names_file_and_key_in_one_line(key, value, named):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("override", "changed"), [
-    ("rate=1e-5", {"rate": 1e-5}),
-    ("layers.1=8", {"layers": (256, 8)}),
-    ("window.0=-1", {"window": (-1.0, 1.0)}),
-    ("out=a=b", {"out": Path("a=b")}),
-    ("parameters.a.b=x", {"parameters": {"a": {"b": "x"}}}),
-    # A block that the file leaves out keeps its other defaults.
-    ("noise.base=1", {"noise": Noise(base=1.0, lag=3)}),
-    ("noise={lag: 1}", {"noise": Noise(lag=1)}),
-    ("extra.lag=1", {"extra": Noise(lag=1)}),
-    ("stages.0.lag=5", {"stages": (Noise(base=1.0, lag=5),)}),
-    ("adapters.0.by=3", {"adapters": (PluginSpec("clamp", {"by": 3}),)}),
+@pytest.mark.parametrize(("settings", "changed"), [
+    ({"rate": 1e-5}, {"rate": 1e-5}),
+    ({"layers.1": 8}, {"layers": (256, 8)}),
+    ({"out": "a=b"}, {"out": Path("a=b")}),
+    ({"parameters.a.b": "x"}, {"parameters": {"c": 1, "a": {"b": "x"}}}),
+    ({"parameters": {"a": 2}}, {"parameters": {"c": 1, "a": 2}}),
+    ({"parameters": {}}, {"parameters": {}}),
+    ({"noise.base": 1}, {"noise": Noise(base=1.0, lag=2)}),
+    ({"noise": {"base": np.float64(1)}, "noise.lag": 4}, {"noise": Noise(base=1.0, lag=4)}),
+    ({"extra.lag": 1}, {"extra": Noise(lag=1)}),
+    ({"stages.0.lag": 5}, {"stages": (Noise(base=1.0, lag=5),)}),
+    ({"adapters.0.by": 3}, {"adapters": (PluginSpec("clamp", {"by": 3}),)}),
+    ({"adapters": [PluginSpec("fog")]}, {"adapters": (PluginSpec("fog"),)}),
 ])  # fmt: skip
-def test_override_wins_over_the_file(tmp_path, override, changed):
+def test_settings_win_over_the_file(tmp_path, settings, changed):
     path = tmp_path / "recipe.yaml"
-    lines = "window: [0, 1]", "stages: [{lag: 1, base: 1}]", "adapters: [{name: clamp, by: 2}]"
-    path.write_text("\n".join(["robot: pr2", *lines]))
-    clamp, stages = (PluginSpec("clamp", {"by": 2}),), (Noise(base=1.0, lag=1),)
-    kept = Recipe("pr2", window=(0.0, 1.0), stages=stages, adapters=clamp)
-    assert load(Recipe, path, [override]) == replace(kept, **changed)
+    path.write_text(
+        "{robot: pr2, layers: [256, 16], stages: [{lag: 1, base: 1}], noise: {lag: 2}, "
+        "adapters: [{name: clamp, by: 2}], parameters: {c: 1}}"
+    )
+    assert load(Recipe, path, settings) == replace(load(Recipe, path), **changed)
 
 
-@pytest.mark.parametrize(
-    "override",
-    ["stps=1", "noise.base=2", "rate.x=2", "layers.2=2", "steps=[1", "steps", "noise..base=1"],
-)
-def test_wrong_override_is_named_first(override):
-    with pytest.raises(KinfeasError) as caught:
-        from_mapping(Recipe, {"robot": "pr2"}, "file.yaml", ["flag=true", override])
-    assert str(caught.value).startswith(f"{override}: ")
-
-
-def test_assignments_alone_are_nested_mappings():
-    assert assigned(["a.b=1", "a.c=[x]", "d=null"]) == {"a": {"b": 1, "c": ["x"]}, "d": None}
-    with pytest.raises(KinfeasError, match=r"^a\.b=2: "):
-        assigned(["a=1", "a.b=2"])
+@pytest.mark.parametrize("key", ["stps", "noise.base", "rate.x", "layers.2", "steps", "extra"])
+def test_wrong_settings_are_named_without_the_file(key):
+    with pytest.raises(KinfeasError, match=r"^settings: ") as caught:
+        from_mapping(Recipe, {"robot": "pr2", "layers": [1]}, "file.yaml", {"flag": True, key: -2})
+    assert key.partition(".")[0] in str(caught.value) or "'2'" in str(caught.value)
+    with pytest.raises(KinfeasError, match=r"^file.yaml: 'robot': "):
+        from_mapping(Recipe, {}, "file.yaml", {"flag": True})
 
 
 SCHEMAS = {
@@ -171,13 +164,13 @@ def test_robot_file_changes_keys_of_the_default():
 def test_keys_that_a_recipe_lacks_are_those_of_its_robot(tmp_path, robot):
     path = tmp_path / "mine.yaml"
     path.write_text("learner: {gamma: 0.9}\nseed: 3\n")
-    own = load_recipe(None, [f"robot={robot}"])
+    own = load_recipe(None, {"robot": robot})
     mine = replace(own, seed=3, learner=replace(own.learner, gamma=0.9))
-    assert load_recipe(str(path), [f"robot={robot}"]) == mine
+    assert load_recipe(str(path), {"robot": robot}) == mine
     assert load_recipe(str(path), robot=robot) == mine
     path.write_text(path.read_text() + f"robot: {robot}\n")
     assert load_recipe(str(path)) == mine
-    physics = load_recipe(None, [f"robot={robot}"], backend="mujoco")
+    physics = load_recipe(None, {"robot": robot}, backend="mujoco")
     learner = replace(physics.learner, gamma=0.9)
     assert load_recipe(str(path), backend="mujoco") == replace(physics, seed=3, learner=learner)
     assert (physics.world.backend, physics.processes) == ("mujoco", 1)

@@ -15,7 +15,7 @@ from kinfeas.core.metrics import Proportion, join
 from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
-from kinfeas.evaluation.evaluate import EvalConfig, evaluate, prepare, reachability_of, run
+from kinfeas.evaluation.evaluate import EvalConfig, configure, evaluate, reachability_of, run
 from kinfeas.evaluation.reachability import A_SUBGOAL, draw_waypoints
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward
@@ -60,16 +60,16 @@ def test_summary(chosen, policy):
 @pytest.mark.parametrize("name", pretrained.robots())
 def test_packaged_policies_keep_their_success_rate(name):
     metadata = json.loads((pretrained.find(name) / "policy.json").read_text())
-    rate, episodes = metadata["benchmark"]["ggr"]["success"], 60
-    records = run(*prepare(pretrained.NAME, name, "ggr", episodes=episodes))
+    rate, episodes, robot = metadata["benchmark"]["ggr"]["success"], 60, load_robot(name)
+    records = run(configure(robot, "ggr", episodes=episodes), load_policy(pretrained.NAME, robot))
     deviation = math.sqrt(rate * (1.0 - rate) / episodes)
     assert records.success.mean() >= rate - 3.0 * deviation
 
 
 @pytest.mark.parametrize("kind", ["adapters", "filters"])
-def test_wrong_names_are_found_before_anything_is_computed(kind):
+def test_wrong_names_are_errors(chosen, policy, kind):
     with pytest.raises(KinfeasError, match="'none_such'"):
-        prepare("follow_ee", "hsr", "ggr", overrides=[f"world.{kind}=[none_such]"])
+        run(configure(chosen.robot, "ggr", settings={f"world.{kind}": ["none_such"]}), policy)
 
 
 def test_the_same_seed_gives_the_same_figures(chosen, policy):
@@ -116,22 +116,16 @@ with worker_pool(1) as pool:
 
 
 @pytest.mark.slow
-def test_an_interrupt_of_the_parent_alone_ends_the_workers_at_once():
+@pytest.mark.parametrize(
+    ("number", "printed"), [(signal.SIGINT, b"Keyboard"), (signal.SIGKILL, b"")]
+)
+def test_workers_end_at_once_with_their_parent(number, printed):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", POOL], **pipes) as process:
         assert process.stdout.readline() == b"0\n"
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         # Ends when no process holds the pipes any more.
-        assert b"KeyboardInterrupt" in process.communicate(timeout=60)[1]
-
-
-@pytest.mark.slow
-def test_workers_end_with_their_parent():
-    with subprocess.Popen([sys.executable, "-c", POOL], stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline() == b"0\n"
-        process.kill()
-        # Ends when no process holds the pipe any more.
-        assert process.communicate(timeout=60)[0] == b""
+        assert printed in process.communicate(timeout=60)[1]
 
 
 TASKS = pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)
@@ -192,7 +186,9 @@ def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator,
         "subgoals:\n- {place: spot}\n- {place: spot, motion: {generator: "
         f"{generator}, parameters: {{file: path.csv}}}}}}\n"
     )
-    chosen, policy = prepare("pretrained", "hsr", str(tmp_path / "task.yaml"), episodes=2, seed=1)
+    robot = load_robot("hsr")
+    chosen = configure(robot, str(tmp_path / "task.yaml"), episodes=2)
+    policy = load_policy("pretrained", robot)
     world = World(chosen.robot, chosen.task, chosen.world, chosen.seed)
     together = record_episodes(world, policy, 2)
     alone = record_episodes(world, policy, 1, first=1)[0]

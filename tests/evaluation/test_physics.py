@@ -88,11 +88,7 @@ def test_flickering_contacts_are_one_collision_and_each_body_counts():
     assert collisions(0.02, (), ()) == 0
     assert collisions(0.02, *[(1,), ()] * 100) == 1
     assert collisions(0.02, (1,), (1, 2), (1,), (1, 2), (2,)) == 2
-
-
-@pytest.mark.parametrize("dt", [0.02, 0.1])
-def test_a_body_counts_again_after_half_a_second(dt):
-    apart = round(0.5 / dt)
-    assert collisions(dt, (1,), *[()] * (apart - 1), (1,)) == 1
-    assert collisions(dt, (1,), *[()] * apart, (1,)) == 2
-    assert collisions(dt, (1,), *[(2,)] * apart, (1,)) == 3
+    for dt, apart in ((0.02, 25), (0.1, 5)):  # half a second
+        assert collisions(dt, (1,), *[()] * (apart - 1), (1,)) == 1
+        assert collisions(dt, (1,), *[()] * apart, (1,)) == 2
+        assert collisions(dt, (1,), *[(2,)] * apart, (1,)) == 3

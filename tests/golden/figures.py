@@ -17,11 +17,12 @@ from kinfeas.control.drive import command_size
 from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.envs.world import World, evaluation_world
-from kinfeas.evaluation.evaluate import prepare, run
+from kinfeas.evaluation.evaluate import configure, run
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import pretrained
 from kinfeas.policies.export import export
+from kinfeas.policies.loading import load_policy
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
@@ -30,16 +31,17 @@ from kinfeas.training.train import train
 
 ROBOTS = ("pr2", "tiago", "hsr")
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
-FEASIBILITY_FILTER = 'world.filters=[{"name": "feasibility"}]'
-PATH_PLANNER = 'world.filters=[{"name": "path_planner"}, {"name": "feasibility"}]'
+FEASIBILITY_FILTER = ["feasibility"]
+PATH_PLANNER = ["path_planner", "feasibility"]
 SEED = 1
 
 
-def episodes(robot, task, count, *settings, backend="analytic"):
+def episodes(robot, task, count, filters=None, backend="analytic"):
     """Return the records of episodes of the pretrained policy."""
-    given = {"episodes": count, "seed": SEED, "overrides": settings}
-    chosen, policy = prepare(pretrained.NAME, robot, task, backend, **given)
-    return _records(run(chosen, policy))
+    known = load_robot(robot)
+    settings = {} if filters is None else {"world.filters": filters}
+    config = configure(known, task, backend, episodes=count, seed=SEED, settings=settings)
+    return _records(run(config, load_policy(pretrained.NAME, known)))
 
 
 def obstacle_filter(robot, count=300, obstacles=3):
@@ -105,10 +107,10 @@ def policy(robot, count=8, steps=5):
 def training(robot, gradient_steps=20):
     """Return the weights of the policy after a few gradient steps."""
     envs, start = 16, 320
-    settings = [f"robot={robot}", f"seed={SEED}", f"num_envs={envs}", "action_repeat=1"]
-    settings += [f"schedule.{one}" for one in ("minutes=null", "evaluations=1")]
-    settings += [f"schedule.steps={start + envs * gradient_steps}"]
-    settings += [f"learner.learning_starts={start}", "schedule.evaluation_episodes=1"]
+    schedule = {"minutes": None, "evaluations": 1, "evaluation_episodes": 1}
+    settings = {"robot": robot, "seed": SEED, "num_envs": envs, "action_repeat": 1}
+    settings |= {"schedule": {**schedule, "steps": start + envs * gradient_steps}}
+    settings |= {"learner.learning_starts": start}
     chosen = load_section(TrainConfig, "train", robot, settings)
     with TemporaryDirectory() as temporary:
         train(chosen, Path(temporary) / "run")

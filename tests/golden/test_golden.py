@@ -23,13 +23,18 @@ OTHER_CONTACTS = {"physics-pr2": 0.01, "physics-tiago": 0.25, "physics-hsr": 0.0
 processors TIAGo's first grasp ends 9 % earlier, with 18 % less deviation."""
 
 
+OTHER_WEIGHTS = 2e-4
+"""Deviation of trained weights, root mean square: 9e-5 between an Intel and an AMD processor, since
+Adam amplifies the last bits of small gradients."""
+
+
 def kind(name):
     return name.split("-")[0]
 
 
 def other_rows(name, values):
     """Return how many rows of an array may differ."""
-    if kind(name) in ("policy", "obstacle_filter", "training", "physics"):
+    if kind(name) in ("policy", "obstacle_filter", "physics"):
         return 0
     if kind(name) == "ik":
         return OTHER_SOLUTIONS * len(values)
@@ -48,6 +53,9 @@ def test_a_figure_is_what_it_was(name):
     assert found.keys() == stored.keys()
     for key, values in stored.items():
         assert found[key].shape == values.shape, key
+        if kind(name) == "training":
+            assert np.sqrt(np.mean((found[key] - values) ** 2)) <= OTHER_WEIGHTS, key
+            continue
         share = OTHER_CONTACTS.get(name, 0.0)
         other = ~np.isclose(found[key], values, rtol=share, atol=CLOSE)
         rows = other.reshape(len(values), -1).any(axis=1)

@@ -84,9 +84,9 @@ def test_a_broken_file_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "named"),
-    [("roy", "ray"), ("{name: local, processes: many}", "processes"), ("{nam: local}", "name")],
+    ("engine", "named"),
+    [("roy", "ray"), ({"name": "local", "processes": "many"}, "processes"), ({"n": 1}, "name")],
 )
-def test_invalid_engines(text, named):
+def test_invalid_engines(engine, named):
     with pytest.raises(KinfeasError, match=named):
-        build_engine(text, 2)
+        build_engine(engine, 2)

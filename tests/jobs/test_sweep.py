@@ -10,14 +10,14 @@ from kinfeas.jobs.local import Local
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import DivergedError
-from tests.cli.conftest import TINY
+from tests.cli.conftest import SETTINGS
 
 optuna = pytest.importorskip("optuna")
 sweep = pytest.importorskip("kinfeas.jobs.sweep")
 
 SWEEP = {
     "robot": "hsr",
-    "settings": [*TINY[1::2], "schedule.steps=64", "schedule.minutes=null"],
+    "settings": SETTINGS | {"schedule.steps": 64, "schedule.minutes": None},
     "space": {
         "learner.learning_rate": {"low": 1e-4, "high": 1e-3, "log": True},
         "learner.batch_size": {"choices": [16, 32]},
@@ -122,7 +122,7 @@ def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "check_losses", diverged)
     monkeypatch.setattr(optuna.Trial, "should_prune", lambda trial: trial.number == 2)
     space = {"learner.batch_size": {"choices": [16, 32]}}
-    settings = [*SWEEP["settings"], "schedule.evaluations=2"]
+    settings = SWEEP["settings"] | {"schedule.evaluations": 2}
     results = finished(tmp_path, trials=4, space=space, settings=settings)
     states = {one["number"]: (one["state"], one["values"]["learner.batch_size"]) for one in results}
     assert states[0] == ("complete", 16)
@@ -141,11 +141,11 @@ def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
 def test_the_wrong_key_or_value_is_named(tmp_path, space, named):
     (tmp_path / "wrong.yaml").write_text(json.dumps({"space": space}))
     with pytest.raises(KinfeasError, match=named):
-        sweep.read_sweep(str(tmp_path / "wrong.yaml"), ())
+        sweep.read_sweep(str(tmp_path / "wrong.yaml"))
 
 
 @pytest.mark.parametrize("name", ["pr2", "paper"])
 def test_shipped_sweeps_are_valid(name):
-    read = sweep.read_sweep(f"sweep/{name}", ())
+    read = sweep.read_sweep(f"sweep/{name}")
     assert replace(read, trials=1).space
     assert name != "paper" or read.space["world.max_failures"].choices == (1, 19, 99)

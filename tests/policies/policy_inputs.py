@@ -3,7 +3,7 @@
 import numpy as np
 
 from kinfeas.control.observation import HORIZON, Seen, observe
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import compose, integrate, planar_pose
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import spread_configurations
@@ -23,4 +23,4 @@ def policy_inputs(robot, count, twist=None, seed=0, base_pose=None, joints=None)
     planned = integrate(ee, np.broadcast_to(twist, (count, 6)), HORIZON)
     seen = observe(Seen(base_pose, in_base, planned, planned, joints))
     nothing = np.full((count, 7), np.nan)
-    return PolicyInput(seen, base_pose, ee, joints, ee, planned, nothing, nothing)
+    return Observation(seen, base_pose, ee, joints, ee, planned, nothing, nothing, HORIZON)

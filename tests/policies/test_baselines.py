@@ -1,10 +1,8 @@
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.backend import ObstacleDistances
@@ -136,12 +134,10 @@ def test_barriers_keep_the_base_of_the_qp_off_obstacles(robot):
     assert free[0, 0] * robot.base.max_velocity > 0.05
     for distance, limit in ((0.031, 0.005), (0.02, -0.02)):
 
-        class Beside(AnalyticBackend):
+        class Beside:
             def obstacle_distances(self, within, distance=distance):
                 closing = np.zeros((1, 1))
                 return ObstacleDistances(*pillar, np.full((1, 1), distance), closing)
 
-        policy = qp.whole_body_qp(robot)
-        policy.reset(SimpleNamespace(robot=robot, backend=Beside(), dt=0.1), np.arange(1))
-        action = policy.act(given)
+        action = qp.whole_body_qp(robot).act(replace(given, obstacles=Beside()))
         assert action[0, 0] * robot.base.max_velocity == pytest.approx(limit, abs=1e-4)

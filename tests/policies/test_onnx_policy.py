@@ -7,7 +7,7 @@ from onnx import numpy_helper
 from kinfeas.control.drive import command_size
 from kinfeas.control.observation import HORIZON, size
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import Observation
 from kinfeas.policies import onnx_policy
 from kinfeas.policies.onnx_policy import digest_entry, read_policy_file
 from kinfeas.robots.loading import load_robot
@@ -41,8 +41,7 @@ def test_acts_as_the_training_policy_whatever_the_batch(path, exported, hsr):
         np.testing.assert_array_equal(np.concatenate(parts), together)
     np.testing.assert_array_equal(policy(np.asfortranarray(seen)[::-1]), together[::-1])
     unused = np.full((64, 7), np.nan)
-    policy_input = PolicyInput(seen, *[unused] * 7)
-    np.testing.assert_array_equal(policy.act(policy_input), together)
+    np.testing.assert_array_equal(policy.act(Observation(seen, *[unused] * 7, 0.1)), together)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])

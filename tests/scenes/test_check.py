@@ -86,7 +86,7 @@ def read(tmp_path):
             links += f"<link name='b'>{child}</link>{JOINT.format(kind)}"
         (tmp_path / "thing.urdf").write_text(f"<robot name='r'>{links}</robot>")
         (tmp_path / "own.yaml").write_text(THING)
-        return read_scene(str(tmp_path / "own.yaml"), [f"objects.thing.fixed={str(fixed).lower()}"])
+        return read_scene(str(tmp_path / "own.yaml"), {"objects.thing.fixed": fixed})
 
     return read_thing
 

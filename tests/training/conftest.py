@@ -21,8 +21,8 @@ TINY = {
 
 @pytest.fixture(scope="session")
 def tiny():
-    """Settings of a small run, with overrides as `--set` takes them."""
-    return lambda *overrides: config.from_mapping(TrainConfig, TINY, "tiny", overrides)
+    """Return a function that returns the configuration of a small run, changed by settings."""
+    return lambda settings=None: config.from_mapping(TrainConfig, TINY, "tiny", settings)
 
 
 @pytest.fixture(scope="session")

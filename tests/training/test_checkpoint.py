@@ -17,7 +17,7 @@ from kinfeas.training.run import read_state
 from kinfeas.training.train import resume
 from kinfeas.training.vec_env import WorldVecEnv
 
-ADAPTERS = "[{name: base_noise}, {name: command_latency}, {name: sensor_latency}]"
+ADAPTERS = ["base_noise", "command_latency", "sensor_latency"]
 
 
 class Toy:
@@ -49,7 +49,7 @@ class Toy:
 @pytest.fixture
 def saved(tiny, tmp_path):
     """A checkpoint, and another toy that could load it."""
-    config = tiny("learner.ent_coef=learned", f"world.adapters={ADAPTERS}")
+    config = tiny({"learner.ent_coef": "learned", "world.adapters": ADAPTERS})
     toy = Toy(config)
     toy.learn(3)
     toy.save(tmp_path / "a")
@@ -57,9 +57,9 @@ def saved(tiny, tmp_path):
 
 
 @pytest.mark.parametrize("steps", [3, 40], ids=["buffer not full", "buffer full"])
-@pytest.mark.parametrize("override", ["seed=0", "learner.ent_coef=learned"])
-def test_resumes_to_the_bit(tiny, tmp_path, override, steps):
-    config = tiny("learner.buffer_size=100", override)
+@pytest.mark.parametrize("settings", [{}, {"learner.ent_coef": "learned"}])
+def test_resumes_to_the_bit(tiny, tmp_path, settings, steps):
+    config = tiny({"learner.buffer_size": 100, **settings})
     toy = Toy(config)
     toy.learn(steps)
     assert toy.learner.replay_buffer.full == (steps == 40)

@@ -51,19 +51,19 @@ def test_a_run_is_not_written_over_and_suggests_to_resume_it(tmp_path):
 
 
 @pytest.mark.parametrize(("schedule", "share"), [
-    ("{steps: 2000, minutes: null}", 0.2),
-    ("{steps: null, minutes: 2}", 0.25),
-    ("{steps: 2000, minutes: 2}", 0.25),
-    ("{steps: 2000, minutes: 20}", 0.2),
-    ("{steps: 300, minutes: 20}", 1.0),
+    ({"steps": 2000, "minutes": None}, 0.2),
+    ({"steps": None, "minutes": 2}, 0.25),
+    ({"steps": 2000, "minutes": 2}, 0.25),
+    ({"steps": 2000, "minutes": 20}, 0.2),
+    ({"steps": 300, "minutes": 20}, 1.0),
 ])  # fmt: skip
 def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
-    assert share_done(tiny(f"schedule={schedule}"), Progress(400, 30.0)) == share
+    assert share_done(tiny({"schedule": schedule}), Progress(400, 30.0)) == share
 
 
-@pytest.mark.parametrize(("init", "first"), [("null", 0), ("pretrained", 1)])
+@pytest.mark.parametrize(("init", "first"), [(None, 0), ("pretrained", 1)])
 def test_an_initial_policy_is_evaluated_as_well(tiny, init, first):
-    settings = tiny(f"init={init}", "schedule.evaluations=4")
+    settings = tiny({"init": init, "schedule.evaluations": 4})
     due = [evaluations_due(settings, Progress(share=share)) for share in (0.0, 0.24, 0.5, 1.0)]
     assert due == [first, first, first + 2, first + 4]
 
@@ -92,25 +92,31 @@ def test_a_run_with_nothing_left_to_do_is_finished(write_run, tmp_path):
     write_run()
     progress = finished(tmp_path)
     assert (progress.steps, progress.seconds, progress.share) == (320, 9.0, 1.0)
-    assert finished(tmp_path, ["schedule.steps=640"]) is None
+    assert finished(tmp_path, {"schedule.steps": 640}) is None
     shutil.rmtree(tmp_path / "checkpoints")
+    assert finished(tmp_path) is None
+
+
+@pytest.mark.parametrize("left", [{"steps": 312}, {"evaluations": 1}, {"fresh": False}])
+def test_a_run_with_something_left_to_do_is_not(write_run, tmp_path, left):
+    write_run(**left)
     assert finished(tmp_path) is None
 
 
 def test_a_longer_schedule_changes_share_and_evaluations(write_run, tiny):
     _, last = write_run()
-    progress = read_progress(tiny("schedule.steps=640"), last)
+    progress = read_progress(tiny({"schedule.steps": 640}), last)
     assert (progress.share, progress.evaluations) == (0.5, 1)
 
 
 @pytest.mark.parametrize(
-    ("override", "key"),
-    [("seed=3", "seed"), ("num_envs=4", "num_envs"), ("learner.gamma=0.9", "learner")],
+    ("settings", "key"),
+    [({"seed": 3}, "seed"), ({"num_envs": 4}, "num_envs"), ({"learner.gamma": 0.9}, "learner")],
 )
-def test_a_checkpoint_of_other_settings_raises(write_run, tiny, override, key):
+def test_a_checkpoint_of_other_settings_raises(write_run, tiny, settings, key):
     _, last = write_run()
     with pytest.raises(KinfeasError, match=f"{last}: .* its {key} is"):
-        read_progress(tiny(override), last)
+        read_progress(tiny(settings), last)
 
 
 @pytest.mark.parametrize(
@@ -131,3 +137,13 @@ def test_every_recipe_makes_a_world(name):
     task = load_task(recipe.task, recipe.task_parameters)
     World(load_robot(recipe.robot), task, recipe.world, recipe.seed)
     assert config.from_mapping(TrainConfig, config.to_mapping(recipe), "again") == recipe
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("learner.schedule", "cosine"), ("learner.gamma", 1.5), ("schedule.steps", None),
+     ("processes", 9)],
+)  # fmt: skip
+def test_values_out_of_range_raise(tiny, key, value):
+    with pytest.raises(KinfeasError, match=key.split(".")[-1]):
+        tiny({key: value})

@@ -8,13 +8,13 @@ from kinfeas.training.train import resume, train
 @pytest.fixture
 def settings(tiny, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    return lambda tracker: tiny(f"trackers=[{tracker}]", "schedule.steps=160")
+    return lambda tracker: tiny({"trackers": [tracker], "schedule.steps": 160})
 
 
 def run_twice(settings, out):
     """Train a run and extend it, which goes on in the same run of the tracker."""
     train(settings, out)
-    resume(out, overrides=["schedule.steps=320"])
+    resume(out, settings={"schedule.steps": 320})
 
 
 @pytest.mark.slow

@@ -217,12 +217,12 @@ def test_minutes_count_training_without_evaluations(tiny, tmp_path, monkeypatch)
     monkeypatch.setattr(training, "explore", tick(1.0, training.explore))
     monkeypatch.setattr(training, "summarize", tick(1000.0, training.summarize))
     reports = []
-    settings = tiny("schedule.steps=null", "schedule.minutes=0.5")
+    settings = tiny({"schedule.steps": None, "schedule.minutes": 0.5})
     progress = train(settings, tmp_path / "run", reports.append)
     assert (progress.steps, progress.seconds, progress.share) == (240, 30.0, 1.0)
     assert progress.evaluations == 2
     assert [one.steps for one in reports if one.evaluating] == [120, 240, 240]
-    longer = resume(tmp_path / "run", overrides=["schedule.minutes=0.6"])
+    longer = resume(tmp_path / "run", settings={"schedule.minutes": 0.6})
     assert (longer.steps, longer.seconds) == (288, 36.0)
 
 
@@ -250,7 +250,8 @@ def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "_REGISTERED", [])
     registry.register("kinfeas.backends", "engine", Engine)
     schedule = {"steps": None, "minutes": 2, "evaluations": 6, "evaluation_episodes": 32}
-    settings = tiny("world.backend=engine", f"schedule={json.dumps(schedule)}")
+    schedule |= {"final_episodes": 256, "checkpoint_seconds": 30}
+    settings = tiny({"world.backend": "engine", "schedule": schedule})
     reports = []
     progress = train(settings, tmp_path / "run", reports.append)
     assert 100.0 < clock["now"] <= 130.0
@@ -260,7 +261,7 @@ def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch):
     assert (0, 32) in [one.evaluating for one in reports]
     figures = json.loads((tmp_path / "run/checkpoints/best/policy.json").read_text())
     assert figures["fresh_evaluation"]["episodes"] >= 4
-    longer = resume(tmp_path / "run", overrides=["schedule.minutes=4"])
+    longer = resume(tmp_path / "run", settings={"schedule.minutes": 4})
     assert longer.evaluations == 6
     assert 220.0 < longer.seconds + longer.other_seconds <= 250.0
 
@@ -280,7 +281,7 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
     monkeypatch.setattr(training, "summarize", scored)
     monkeypatch.setattr(training, "periodic_evaluator", noted)
     out = tmp_path / "run"
-    train(tiny("schedule.evaluations=4"), out)
+    train(tiny({"schedule.evaluations": 4}), out)
     about = json.loads((out / "checkpoints/best/policy.json").read_text())
     assert about["evaluation"]["success"] == 0.5
     assert about["fresh_evaluation"]["success"] == 0.3
@@ -293,11 +294,11 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    "override", ["task=dance", "world.adapters=[{name: fog}]", "init=follow_ee"]
+    "settings", [{"task": "dance"}, {"world.adapters": ["fog"]}, {"init": "follow_ee"}]
 )
-def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path, override):
+def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path, settings):
     with pytest.raises(KinfeasError):
-        train(tiny(override), tmp_path / "run")
+        train(tiny(settings), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -344,7 +345,7 @@ def test_an_initial_policy_sets_the_layers_and_waits_for_the_critics(
 ):
     monkeypatch.chdir(whole.parent)
     out = tmp_path / "run"
-    settings = tiny(f"init={whole.name}", "learner.net_arch=[8]", "learner.critic_steps=9999")
+    settings = tiny({"init": whole.name, "learner.net_arch": [8], "learner.critic_steps": 9999})
     assert train(settings, out).evaluations == 3
     tuned = config.load(TrainConfig, out / "config.yaml")
     assert tuned.learner.net_arch == (16, 16)
@@ -359,7 +360,7 @@ def test_an_initial_policy_sets_the_layers_and_waits_for_the_critics(
 def test_a_resumed_run_does_not_need_its_initial_policy(whole, tiny, tmp_path, monkeypatch):
     first, through, out = (tmp_path / name for name in ("first", "through", "run"))
     shutil.copytree(whole, first)
-    settings = tiny(f"init={first}", "learner.anchor=1.0")
+    settings = tiny({"init": first, "learner.anchor": 1.0})
     train(settings, through)
     with monkeypatch.context() as patch, pytest.raises(KilledError):
         stop_at(patch, *STOPS[0])

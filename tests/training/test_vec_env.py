@@ -99,7 +99,7 @@ def test_resumes_from_a_snapshot_to_the_bit():
 
 def test_a_world_in_mujoco_resumes_to_the_bit():
     pytest.importorskip("mujoco")
-    chosen = physical("world.backend=mujoco", "task=door", "processes=1")
+    chosen = physical({"world.backend": "mujoco", "task": "door", "processes": 1})
     env, fresh = (WorldVecEnv(training_world(chosen), 3, 5) for _ in range(2))
     env.reset()
     run(env, 3)
@@ -124,8 +124,8 @@ PHYSICAL = {
 }
 
 
-def physical(*overrides):
-    return config.from_mapping(TrainConfig, PHYSICAL, "physical", overrides)
+def physical(settings):
+    return config.from_mapping(TrainConfig, PHYSICAL, "physical", settings)
 
 
 @pytest.mark.slow
@@ -158,7 +158,7 @@ def test_processes_hold_batches_that_restart_and_a_killed_one_raises():
 def test_a_policy_is_tuned_in_physics_and_resumed(tmp_path, engine):
     pytest.importorskip(engine)
     out = tmp_path / "run"
-    progress = train(physical("init=pretrained", f"world.backend={engine}"), out)
+    progress = train(physical({"init": "pretrained", "world.backend": engine}), out)
     assert progress.steps == 210
     assert progress.evaluations == 2  # the initial policy is evaluated, too
-    assert resume(out, overrides=["schedule.steps=220"]).steps == 225
+    assert resume(out, settings={"schedule.steps": 220}).steps == 225

@@ -34,7 +34,7 @@ def apart(one, other):
 
 @pytest.mark.parametrize("seed", [0, 1, LAST_SEED])
 def test_a_training_meets_none_of_the_episodes_of_its_seeds_evaluation(tiny, seed):
-    settings = tiny(f"seed={seed}")
+    settings = tiny({"seed": seed})
     learned, again = (
         np.stack([goal(training_world(settings), episode) for episode in range(EPISODES)])
         for _ in range(2)

@@ -92,7 +92,7 @@ class MuJoCoBackend(PhysicsBackend):
     def scale_dynamics(
         self, mass: Array, friction: Array, motor_gain: Array, env_ids: _Rows
     ) -> None:
-        """Change the dynamics of robots, as in `SupportsDynamics`."""
+        """Change the dynamics of robots, as in `Dynamics`."""
         self.sims.dynamics[env_ids] = np.stack([mass, friction, motor_gain], axis=1)
         self.sims.scale_dynamics(env_ids)
 
@@ -110,12 +110,12 @@ class MuJoCoBackend(PhysicsBackend):
         if scene is not None:
             self.sims.arrange(row, scene)
         self._reset(np.array([row]), base_pose[np.newaxis], joint_positions[np.newaxis])
-        found = self._contacts(row)
-        return not (found.base or found.arm)
+        contacts = self._contacts(row)
+        return not (contacts.base or contacts.arm)
 
     def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:
         """Return the world poses of links of a row, shape (k, 7)."""
-        bodies, data = [self.model.body(*one) for one in links], self.sims.data(row)
+        bodies, data = [self.model.body(*link) for link in links], self.sims.data(row)
         return np.hstack([data.xpos[bodies], np.roll(data.xquat[bodies], -1, axis=1)])
 
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:
@@ -149,17 +149,16 @@ class MuJoCoBackend(PhysicsBackend):
     def joint_motion(self, row: int = 0) -> Motion:
         """Return the motion of all joints of a robot except those of its base."""
         qpos, qvel = self.sims.qpos[row], self.sims.qvel[row]
-        joints = [one for one in self.model.joints.items() if one[0] not in PLANAR_JOINTS]
-        return {n: float(qpos[at]) for n, (at, _) in joints}, {
-            n: float(qvel[at]) for n, (_, at) in joints
-        }
+        joints = {n: at for n, at in self.model.joints.items() if n not in PLANAR_JOINTS}
+        velocities = {name: float(qvel[at]) for name, (_, at) in joints.items()}
+        return {name: float(qpos[at]) for name, (at, _) in joints.items()}, velocities
 
     def touched(self, row: int = 0) -> list[str]:
         """Return the names of the objects that the robot touches; the floor is `the floor`."""
-        found = self._contacts(row)
+        contacts = self._contacts(row)
         solids = [f"solid {place}" for place in range(self._places)]
         names = [*self.model.objects, *solids, "the floor"]
-        return sorted({names[other] for _, other, _ in found.base | found.arm})
+        return sorted({names[other] for _, other, _ in contacts.base | contacts.arm})
 
     @cached_property
     def _surroundings(self) -> Surroundings:
@@ -170,14 +169,14 @@ class MuJoCoBackend(PhysicsBackend):
 
     def _contacts(self, row: int) -> Contacts:
         owner, on_arm = self.model.owner, self.model.on_arm
-        found: tuple[list[tuple[int, int, int]], ...] = ([], [])
+        touching: tuple[list[tuple[int, int, int]], ...] = ([], [])
         spared = self.model.grasped[1] if self.model.grasp is not None else None
         bodies, _ = self.sims.contacts(row)
-        for one, other in bodies[(owner[bodies] == ROBOT).any(axis=1)].tolist():
-            own, beyond = (one, other) if owner[one] == ROBOT else (other, one)
-            if beyond != spared:
-                found[int(on_arm[own])].append((own, int(owner[beyond]), beyond))
-        return Contacts(frozenset(found[0]), frozenset(found[1]))
+        for first, second in bodies[(owner[bodies] == ROBOT).any(axis=1)].tolist():
+            own, other = (first, second) if owner[first] == ROBOT else (second, first)
+            if other != spared:
+                touching[int(on_arm[own])].append((own, int(owner[other]), other))
+        return Contacts(*map(frozenset, touching))
 
     def _provide(self, row: int) -> None:
         """Add simulations until there is one for a row."""
@@ -186,7 +185,7 @@ class MuJoCoBackend(PhysicsBackend):
             self.sims.adopt(old)
 
     def _set_places(self, places: int) -> None:
-        """Build the model anew, with places for solids, and forget the simulations."""
+        """Rebuild the model, with places for solids, at the next use."""
         self._places = places
         for name in ("model", "sims", "_surroundings"):
             self.__dict__.pop(name, None)

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.obstacles import Obstacle, closing_speeds, obstacle_distances
 from kinfeas.backends.physics.robot import robot_state
-from kinfeas.backends.physics.stage import Stage, StageBackend, StreamStage, task_scene
+from kinfeas.backends.physics.stage import Stage, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
-from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState, Scan
+from kinfeas.core.backend import Backend, Contacts, Grip, ObstacleDistances, RobotState, Scan
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, planar_pose
@@ -29,12 +29,16 @@ Motion = tuple[dict[str, float], dict[str, float]]
 """Positions and velocities by joint, rad or m, and per second."""
 
 
-class PhysicsBackend(StageBackend):
+class PhysicsBackend(Backend):
     """n robots, each in a room of its own.
 
     Attributes:
         engine: Name of the engine in errors.
         config: Numbers of the physics.
+        robot: Robot that is simulated.
+        scene: Room and furniture; None for a floor only.
+        furniture: Number of the first places of solids that hold the furniture of the scene, which
+            is in the engine already.
     """
 
     engine: ClassVar[str]
@@ -95,7 +99,7 @@ class PhysicsBackend(StageBackend):
             self._place_solids(env_ids, bodies)
 
     def solid_bodies(self) -> Solids | None:
-        """Return the solids that are no furniture as they stand now; None without any."""
+        """Return the present solids beside the furniture; None without any."""
         present = self.solids.after()
         if present is None or present.places <= self.furniture:
             return None
@@ -112,10 +116,10 @@ class PhysicsBackend(StageBackend):
         """
         planar, present = self._positions[:, :3], self.solids.after()
         around = [self._obstacles(row, within) for row in range(len(planar))]
-        found = obstacle_distances(planar, around)
+        near = obstacle_distances(planar, around)
         if present is None or not self.solids.moving.any():
-            return found
-        return replace(found, closing_speed=closing_speeds(found, planar, present))
+            return near
+        return replace(near, closing_speed=closing_speeds(near, planar, present))
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
@@ -125,7 +129,7 @@ class PhysicsBackend(StageBackend):
         """
         self._check(base_twist, joint_targets, len(self._positions))
         rows = np.arange(len(self._positions))
-        # Contacts at the end of the period are those where the solids stand then.
+        # Contacts at the end of the period are those with the solids at that time.
         self.solids.step(dt)
         if self.solids.moving.any() and (bodies := self.solid_bodies()) is not None:
             self._move_solids(bodies)
@@ -173,8 +177,36 @@ class PhysicsBackend(StageBackend):
         """Return the current contacts of a robot, except with the grasped link and the floor."""
 
     @abstractmethod
-    def close(self) -> None:
-        """End the simulations; a second call does nothing."""
+    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
+        """Set the link that closing grippers grasp; if `rigid`, it cannot turn in the hand."""
+
+    @abstractmethod
+    def place(
+        self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
+    ) -> bool:
+        """Place the objects of a row for its next resets, and its robot, (7,) and (j,).
+
+        Returns whether the robot has no contact.
+        """
+
+    @abstractmethod
+    def object_motion(self, row: int, name: str) -> tuple[Array, float]:
+        """Return pose (7,) and linear speed (m/s) of the root link of an object."""
+
+    @abstractmethod
+    def object_joint(self, row: int, name: str, joint: str) -> float:
+        """Return the position of an object's joint, rad or m."""
+
+    @abstractmethod
+    def is_on(self, row: int, name: str, below: str, steepest: float) -> bool:
+        """Return whether an object is on another one.
+
+        The contact normal has a vertical part of at least `steepest`.
+        """
+
+    @abstractmethod
+    def holds(self, row: int, name: str) -> bool:
+        """Return whether the gripper holds an object."""
 
     @abstractmethod
     def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:

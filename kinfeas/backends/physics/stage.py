@@ -1,75 +1,25 @@
 """A task in a physics world: its episodes, with the objects placed for each of them."""
 
-from abc import abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinfeas.control.targets import TargetStream
-from kinfeas.core.backend import Backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import StreamTask, Subgoal, Task
+
+if TYPE_CHECKING:
+    from kinfeas.backends.physics.backend import PhysicsBackend
 
 _DRAWS = 1000
 _SETTLE_SECONDS = 2.0  # for objects that were put down to come to rest
 _REST = 0.05  # m/s, largest speed at rest
 _UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright unit vector
-
-
-class StageBackend(Backend):
-    """What a stage needs of a backend: objects that it places, holds and measures.
-
-    Attributes:
-        robot: Robot that is simulated.
-        scene: Room and furniture; None for a floor only.
-        furniture: Number of the first places of solids that hold the furniture of the scene, which
-            is in the engine already.
-    """
-
-    robot: Robot
-    scene: Scene | None
-    furniture: int
-
-    @abstractmethod
-    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set the link that closing grippers grasp; if `rigid`, it cannot turn in the hand."""
-
-    @abstractmethod
-    def place(
-        self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
-    ) -> bool:
-        """Place the objects of a row for its next resets, and its robot, (7,) and (j,).
-
-        Returns whether the robot has no contact.
-        """
-
-    @abstractmethod
-    def hold(self, row: int, joint_positions: Array, dt: float, periods: int) -> None:
-        """Hold a robot still for some control periods, its arm at positions (j,)."""
-
-    @abstractmethod
-    def object_motion(self, row: int, name: str) -> tuple[Array, float]:
-        """Return pose (7,) and linear speed (m/s) of the root link of an object."""
-
-    @abstractmethod
-    def object_joint(self, row: int, name: str, joint: str) -> float:
-        """Return the position of an object's joint, rad or m."""
-
-    @abstractmethod
-    def is_on(self, row: int, name: str, below: str, steepest: float) -> bool:
-        """Return whether an object is on another one.
-
-        The contact normal has a vertical part of at least `steepest`.
-        """
-
-    @abstractmethod
-    def holds(self, row: int, name: str) -> bool:
-        """Return whether the gripper holds an object."""
 
 
 class Stage:
@@ -84,7 +34,7 @@ class Stage:
         backend: Backend that simulates them.
     """
 
-    def __init__(self, task: Task, backend: StageBackend) -> None:
+    def __init__(self, task: Task, backend: "PhysicsBackend") -> None:
         """Connect a task to a backend with the scene of the task, or without a scene."""
         self.task, self.backend = task, backend
         self.scene = backend.scene
@@ -203,7 +153,7 @@ class Stage:
 class StreamStage(Stage):
     """A task whose targets move, in a physics backend."""
 
-    def __init__(self, task: Task, stream: StreamTask, backend: StageBackend) -> None:
+    def __init__(self, task: Task, stream: StreamTask, backend: "PhysicsBackend") -> None:
         """Connect a task, which is also `stream`, to a backend."""
         super().__init__(task, backend)
         self._stream = stream

@@ -39,11 +39,11 @@ class PyBulletBackend(PhysicsBackend):
         """Return the simulation of a robot; missing ones are built."""
         while len(self._sims) <= row:
             gui = self._gui and not self._sims
-            one = Simulation(self.robot, self.scene, gui=gui, physics=self.config)
-            self._sims.append(one)
+            simulation = Simulation(self.robot, self.scene, gui=gui, physics=self.config)
+            self._sims.append(simulation)
             if self._handled is not None:
                 name, link, rigid = self._handled
-                one.handle(name, link, rigid=rigid)
+                simulation.handle(name, link, rigid=rigid)
         return self._sims[row]
 
     def open(self) -> None:
@@ -56,8 +56,8 @@ class PyBulletBackend(PhysicsBackend):
 
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
         """Set the link that closing grippers grasp, as in `PhysicsBackend`."""
-        for one in self.sims:
-            one.handle(name, link, rigid=rigid)
+        for simulation in self.sims:
+            simulation.handle(name, link, rigid=rigid)
         self._handled = name, link, rigid
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
@@ -74,8 +74,8 @@ class PyBulletBackend(PhysicsBackend):
 
     def close(self) -> None:
         """End the simulations; a second call does nothing."""
-        for one in self._sims:
-            one.close()
+        for simulation in self._sims:
+            simulation.close()
 
     def place(
         self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
@@ -91,13 +91,13 @@ class PyBulletBackend(PhysicsBackend):
         """Return the world poses of links of a row, shape (k, 7)."""
         sim = self.sims[row]
         body, furniture = sim.body, sim.furniture
-        at = [
+        numbers = [
             (body.body, body.links[link])
             if owner == ROBOT or furniture is None
             else furniture.link(owner, link)
             for owner, link in links
         ]
-        return np.stack([sim.physics.link_pose(*one) for one in at])
+        return np.stack([sim.physics.link_pose(*each) for each in numbers])
 
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""
@@ -123,15 +123,15 @@ class PyBulletBackend(PhysicsBackend):
         with sim.physics.connected():
             joints = {name: at for name, at in sim.body.joints.items() if name not in PLANAR_JOINTS}
             states = sim.physics.client.getJointStates(sim.body.body, list(joints.values()))
-        motions = list(zip(joints, states, strict=True))
-        return {name: one[0] for name, one in motions}, {name: one[1] for name, one in motions}
+        positions, velocities = zip(*(state[:2] for state in states), strict=True)
+        return dict(zip(joints, positions, strict=True)), dict(zip(joints, velocities, strict=True))
 
     def touched(self, row: int = 0) -> list[str]:
         """Return the names of the objects that the robot touches; the floor is `the floor`."""
         sim = self.sims[row]
         sim.physics.client.performCollisionDetection()
-        found = sim.contacts()
-        bodies = {body for _, body, _ in found.base | found.arm}
+        contacts = sim.contacts()
+        bodies = {body for _, body, _ in contacts.base | contacts.arm}
         things = {**(sim.furniture.bodies if sim.furniture else {}), "the floor": sim.physics.floor}
         things |= {f"solid {place}": body for place, body in sim.solids.bodies.items()}
         return [name for name, body in things.items() if body in bodies]
@@ -164,5 +164,5 @@ class PyBulletBackend(PhysicsBackend):
             self._sims[row].step(twist, joints, dt)
 
     def _read(self, rows: NDArray[np.intp]) -> tuple[list[list[float]], list[list[float]]]:
-        found = [self._sims[row].measure() for row in rows.tolist()]
-        return [positions for positions, _ in found], [velocities for _, velocities in found]
+        measured = [self._sims[row].measure() for row in rows.tolist()]
+        return [position for position, _ in measured], [velocity for _, velocity in measured]

@@ -3,17 +3,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinfeas.config import PluginSpec
 from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.period import MotionStep, Period
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
-from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.envs.episodes import run_episodes
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity
+from kinfeas.tasks.loading import load_task
 from tests.kinematics.conftest import draw_solids
 
 DT, ROWS = 0.5, 64
@@ -49,15 +53,13 @@ def period(solver, request):
 def feasible(solver, period, command, rows):
     """Return whether IK without restarts finds an arm in time, and the base is free, shape (m,)."""
     local = IkSolver(solver.robot, replace(solver.options, restarts=0))
-    given = period.of(rows)
-    base, joints = given.base_pose, given.joints
-    twist = base_twist(solver.robot.base, base, command, DT)
-    reached = spatial.integrate(base, twist, DT)
-    target = spatial.relative(given.desired, reached)
-    solids = given.solids or Solids.empty(len(rows))
-    limit = solver.robot.max_joint_velocity * DT
-    arm = local.solve(target, joints, limit, solids=in_base(solids, reached))
-    jumps = exceeds_joint_velocity(solver.robot, joints, arm.joint_positions, DT)
+    inputs, limit = period.of(rows), solver.robot.max_joint_velocity * DT
+    twist = base_twist(solver.robot.base, inputs.base_pose, command, DT)
+    reached = spatial.integrate(inputs.base_pose, twist, DT)
+    target = spatial.relative(inputs.desired, reached)
+    solids = inputs.solids or Solids.empty(len(rows))
+    arm = local.solve(target, inputs.joints, limit, solids=in_base(solids, reached))
+    jumps = exceeds_joint_velocity(solver.robot, inputs.joints, arm.joint_positions, DT)
     touches = collides(solver.collision, arm.joint_positions, reached, solids)
     assert not np.any(touches[:, 1] & arm.feasible)
     return arm.feasible & ~jumps & ~touches[:, 0]
@@ -65,34 +67,35 @@ def feasible(solver, period, command, rows):
 
 def test_feasible_commands_stay_and_others_become_the_nearest_candidate(solver, period):
     command_filter, command = FeasibilityFilter(solver, DT), period.command
-    found, candidates = command_filter(period).command, command_filter.candidates
+    filtered, candidates = command_filter(period).command, command_filter.candidates
     able = feasible(solver, period, command, np.arange(ROWS))
     assert 0 < able.sum() < ROWS
-    np.testing.assert_array_equal(found[able], command[able])
+    np.testing.assert_array_equal(filtered[able], command[able])
     helped = 0
     for row in np.flatnonzero(~able):
-        fits = candidates[feasible(solver, period, candidates, np.repeat(row, len(candidates)))]
-        away = np.linalg.norm(fits - command[row], axis=1)
-        expected = fits[away.argmin()] if len(fits) else command[row]
-        np.testing.assert_array_equal(found[row], expected)
-        helped += len(fits) > 0
+        good = candidates[feasible(solver, period, candidates, np.repeat(row, len(candidates)))]
+        distance = np.linalg.norm(good - command[row], axis=1)
+        expected = good[distance.argmin()] if len(good) else command[row]
+        np.testing.assert_array_equal(filtered[row], expected)
+        helped += len(good) > 0
     assert helped > 0
 
 
 def test_paused_rows_stay_and_change_no_other(solver, period):
     command_filter, paused = FeasibilityFilter(solver, DT), np.arange(ROWS) % 2 == 0
-    together = command_filter(period).command
-    found = command_filter(replace(period, paused=paused)).command
-    np.testing.assert_array_equal(found[paused], period.command[paused])
-    np.testing.assert_array_equal(found[~paused], together[~paused])
-
-
-def mean_deviation_of_hsr(most):
-    chosen = f"world.filters=[{{name: feasibility, max_deviation: {most}}}]"
-    config, policy = prepare("pretrained", "hsr", "ggr", episodes=16, overrides=[chosen])
-    return evaluate(config, policy, "pretrained")["mean_deviation_m"]
+    alone = command_filter(period).command
+    filtered = command_filter(replace(period, paused=paused)).command
+    np.testing.assert_array_equal(filtered, np.where(paused[:, np.newaxis], period.command, alone))
 
 
 @pytest.mark.slow
-def test_max_deviation_keeps_the_arm_of_hsr_near_its_pose():
-    assert mean_deviation_of_hsr(0.02) < 0.95 * mean_deviation_of_hsr(1.0)
+def test_max_deviation_keeps_the_arm_of_hsr_near_its_pose(hsr):
+    deviations = []
+    for largest in (0.02, 1.0):
+        filters = (PluginSpec("feasibility", {"max_deviation": largest}),)
+        world = World(
+            hsr, load_task("ggr", {}), WorldConfig(filters=filters, max_failures=99), seed=1
+        )
+        records = run_episodes(world, load_policy("pretrained", hsr), 16)
+        deviations.append(records.mean_deviation.mean())
+    assert deviations[0] < 0.95 * deviations[1]

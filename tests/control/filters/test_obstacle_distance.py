@@ -17,9 +17,10 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
 from kinfeas.robots.loading import load_robot
+from tests.builders import rngs
 
-KEPT, DT, RADIUS = 0.05, 0.1, 0.3
-KEEP = PluginSpec("obstacle_distance", {"min_distance": KEPT})
+MARGIN, DT, RADIUS = 0.05, 0.1, 0.3
+AHEAD = np.array([[[1.0, 0.0]]])
 ROBOTS = pytest.mark.parametrize("robot", ["hsr", "tiago"], indirect=True)
 
 
@@ -29,33 +30,31 @@ def robot(request):
 
 
 class Pillars(AnalyticBackend):
+    """Measures the distances of round bases to points."""
+
     def __init__(self, *pillars):
         super().__init__()
-        self.obstacles = self
-        self.pillars = np.array(pillars).reshape(-1, 2)
+        self.obstacles, self.pillars = self, np.array(pillars).reshape(-1, 2)
 
     def obstacle_distances(self, within):
-        base = self.state.base_pose
-        heading = spatial.yaw(base)[:, np.newaxis]
-        x, y = np.moveaxis(self.pillars - base[:, np.newaxis, :2], 2, 0)
-        cosine, sine = np.cos(heading), np.sin(heading)
-        way = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=2)
-        away = np.linalg.norm(way, axis=2)
-        normal = way / away[..., np.newaxis]
-        distance = np.where(away - RADIUS < within, away - RADIUS, np.inf)
+        offsets = self.pillars - self.state.base_pose[:, np.newaxis, :2]
+        heading = spatial.yaw(self.state.base_pose)
+        to_base = np.array(
+            [[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]]
+        )
+        offsets = np.einsum("nkx,xyn->nky", offsets, to_base)
+        length = np.linalg.norm(offsets, axis=2)
+        normal = offsets / length[..., np.newaxis]
+        distance = np.where(length - RADIUS < within, length - RADIUS, np.inf)
         return ObstacleDistances(RADIUS * normal, normal, distance)
-
-    @property
-    def nearest(self):
-        way = self.pillars - self.state.base_pose[:, np.newaxis, :2]
-        return np.linalg.norm(way, axis=2).min(axis=1) - RADIUS
 
 
 class Fixed(AnalyticBackend):
-    def __init__(self, answer):
+    """Measures always the same."""
+
+    def __init__(self, measure):
         super().__init__()
-        self.obstacles = self
-        self.obstacle_distances = lambda within: answer()
+        self.obstacles, self.obstacle_distances = self, lambda within: measure()
 
 
 def start_of(robot, n):
@@ -64,19 +63,18 @@ def start_of(robot, n):
     return base, np.tile(robot.home["home"], (n, 1))
 
 
-def loop_among(robot, backend, n, filters=()):
-    base, joints = start_of(robot, n)
-    filters = [KEEP, *filters]
-    loop = assemble(IkSolver(robot), [SubgoalMotion(Linear())], backend, dt=DT, filters=filters)
-    ee = spatial.compose(base, forward(loop.solver.chain, joints))
-    goal = spatial.integrate(ee, np.tile([1.0, 0, 0, 0, 0, 0], (n, 1)), 1.0)
-    rngs = [np.random.default_rng(i) for i in range(n)]
-    loop.start(Start(base, joints, goal[:, np.newaxis]), rngs)
+def loop_among(robot, backend, n, *filters):
+    solver, (base, joints) = IkSolver(robot), start_of(robot, n)
+    filters = [PluginSpec("obstacle_distance", {"min_distance": MARGIN}), *filters]
+    loop = assemble(solver, [SubgoalMotion(Linear())], backend, dt=DT, filters=filters)
+    goal = spatial.compose(base, forward(solver.chain, joints))
+    goal[:, 0] += 1.0
+    loop.start(Start(base, joints, goal[:, np.newaxis]), rngs(n))
     return loop
 
 
-def constraints(robot, backend, n=1):
-    return VelocityDamper(robot.base, DT, KEPT).constraints(backend, n)
+def constraints(robot, backend, n=1, dt=DT):
+    return VelocityDamper(robot.base, dt, MARGIN).constraints(backend, n)
 
 
 @ROBOTS
@@ -84,15 +82,14 @@ def test_no_base_comes_nearer_than_its_distance(robot):
     rng, n = np.random.default_rng(1), 32
     angle = rng.uniform(-np.pi, np.pi, 9)
     backend = Pillars(*(0.8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)))
-    loop = loop_among(robot, backend, n)
-    wish, nearest = rng.uniform(-1.0, 1.0, (n, loop.command_size)), np.full(n, np.inf)
+    loop, nearest = loop_among(robot, backend, n), np.inf
     for step in range(200):
         if step % 50 == 0:
-            wish = np.sign(rng.uniform(-1.0, 1.0, wish.shape))
-        loop.step(wish)
-        nearest = np.minimum(nearest, backend.nearest)
-    # A turn and a drive at once lead a little off the straight way.
-    assert KEPT - 0.005 < nearest.min() < KEPT + 0.02
+            command = np.sign(rng.uniform(-1.0, 1.0, (n, loop.command_size)))
+        loop.step(command)
+        nearest = min(nearest, backend.obstacle_distances(9.0).distance.min())
+    # A rotation and a drive at once lead a little off the straight line.
+    assert MARGIN - 0.005 < nearest < MARGIN + 0.02
     assert np.linalg.norm(loop.robots.base_pose[:, :2], axis=1).max() > 0.3
 
 
@@ -105,61 +102,50 @@ def test_a_base_may_leave_an_obstacle_that_it_touches(robot):
 
 
 @pytest.mark.parametrize(("dt", "rotation"), [(1e-3, 9.0), (1e-3, 0.5), (1.0, 9.0)])
-def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, rotation):
-    way, ahead = 0.02, np.array([[[1.0, 0.0]]])
-    near = Fixed(lambda: ObstacleDistances(0.3 * ahead, ahead, np.array([[KEPT + way]])))
-    robot = replace(robot, base=replace(robot.base, max_rotation_acceleration=rotation))
-    velocity = VelocityDamper(robot.base, dt, KEPT).constraints(near, 1).limit[0, 0]
-    base = robot.base
-    braking = min(base.max_acceleration, 0.5 * base.max_rotation_acceleration)
-    expected = way / (2.0 * dt) if dt == 1.0 else np.sqrt(2.0 * 0.5 * braking * way)
+def test_half_of_the_braking_and_half_of_the_distance_suffice(robot, dt, rotation):
+    distance = 0.02
+    near = Fixed(lambda: ObstacleDistances(0.3 * AHEAD, AHEAD, np.array([[MARGIN + distance]])))
+    base = replace(robot.base, max_rotation_acceleration=rotation)
+    velocity = constraints(replace(robot, base=base), near, dt=dt).limit[0, 0]
+    braking = min(base.max_acceleration, 0.5 * rotation)
+    expected = distance / (2.0 * dt) if dt == 1.0 else np.sqrt(2.0 * 0.5 * braking * distance)
     assert velocity == pytest.approx(expected)
 
 
-def test_a_base_gives_way_to_what_comes_nearer(robot):
-    ahead = np.array([[[1.0, 0.0], [0.0, 1.0]]])
-    coming = Fixed(
-        lambda: ObstacleDistances(0.3 * ahead, ahead, np.full((1, 2), KEPT), np.array([[0.1, -9]]))
-    )
-    held = constraints(robot, coming).hold(np.array([[[0.5, 0.5, 0.0]]]))[0, 0]
-    np.testing.assert_allclose(held * robot.base.max_velocity, [-0.1, 0.0, 0.0], atol=1e-5)
+TWO = np.array([[[1.0, 0.0], [0.0, 1.0]]])
 
 
-def test_a_distance_that_is_too_small_is_restored(robot):
-    ahead, near = np.array([[[1.0, 0.0]]]), np.array([[KEPT - 0.01]])
-    answer = ObstacleDistances(0.3 * ahead, ahead, near)
-    held = constraints(robot, Fixed(lambda: answer)).hold(np.ones((1, 1, 3)))[0, 0]
-    assert held[0] * robot.base.max_velocity == pytest.approx(-0.02, abs=1e-5)
-
-
-def test_a_base_that_cannot_turn_fast_enough_slows_down(robot):
-    point, ahead = np.array([[[0.3, 0.05]]]), np.array([[[1.0, 0.0]]])
-    corner = Fixed(lambda: ObstacleDistances(point, ahead, np.array([[KEPT]])))
-    held = constraints(robot, corner).hold(np.array([[[1.0, 0.0, 0.0]]]))[0, 0]
-    assert held[2] == pytest.approx(1.0)
-    limit = 0.05 * robot.base.max_rotation
-    assert held[0] * robot.base.max_velocity == pytest.approx(limit, rel=1e-3)
+@pytest.mark.parametrize(("near", "command", "held"), [
+    # The base evades an obstacle that moves towards it, and restores a distance.
+    ((0.3 * TWO, TWO, np.full((1, 2), MARGIN), np.array([[0.1, -9.0]])),
+     [0.5, 0.5, 0.0], [-0.1, 0.0, 0.0]),
+    ((0.3 * AHEAD, AHEAD, np.array([[MARGIN - 0.01]])), [1.0, 0.0, 0.0], [-0.02, 0.0, 0.0]),
+    # It slows down if it cannot turn fast enough, at 1.5 rad/s.
+    ((np.array([[[0.3, 0.05]]]), AHEAD, np.array([[MARGIN]])), [1.0, 0.0, 0.0], [0.075, 0.0, 1.5]),
+])  # fmt: skip
+def test_held_velocities(robot, near, command, held):
+    limits = constraints(robot, Fixed(lambda: ObstacleDistances(*near)))
+    action = limits.hold(np.array([[command]]))[0, 0]
+    full = [robot.base.max_velocity, robot.base.max_velocity, robot.base.max_rotation]
+    np.testing.assert_allclose(action * full, held, atol=1e-4)
 
 
 def test_candidates_of_the_feasibility_filter_keep_the_distance(robot):
-    backend = Pillars(*([RADIUS + KEPT, y] for y in np.linspace(-1.0, 1.0, 21)))
-    loop, rng = (
-        loop_among(robot, backend, 64, [PluginSpec("feasibility")]),
-        np.random.default_rng(0),
-    )
+    backend = Pillars(*([RADIUS + MARGIN, y] for y in np.linspace(-1.0, 1.0, 21)))
+    loop = loop_among(robot, backend, 64, PluginSpec("feasibility"))
     backend.state.base_pose[:] = spatial.IDENTITY
     before = loop.robots.base_pose[:, 0].copy()
-    loop.step(rng.uniform(-1.0, 1.0, (64, 3)))
+    loop.step(np.random.default_rng(0).uniform(-1.0, 1.0, (64, 3)))
     assert (loop.robots.base_pose[:, 0] - before).max() < 1e-4
 
 
 @ROBOTS
 def test_held_commands_are_within_the_base_limits_and_do_not_depend_on_other_rows(robot):
-    backend, rng = Pillars([0.4, 0.0], [0.0, 0.45]), np.random.default_rng(4)
-    base, joints = start_of(robot, 64)
+    backend, (base, joints) = Pillars([0.4, 0.0], [0.0, 0.45]), start_of(robot, 64)
     backend.reset(base, joints)
     limits = constraints(robot, backend, 64)
-    action = rng.uniform(-2.0, 2.0, (64, 1, command_size(robot.base)))
+    size = 64, 1, command_size(robot.base)
+    action = np.random.default_rng(4).uniform(-2.0, 2.0, size)
     held = limits.hold(action)
     speed = np.linalg.norm(base_twist(robot.base, base, held[:, 0], DT)[:, :2], axis=1)
     assert speed.max() <= robot.base.max_velocity * (1.0 + 1e-12)
@@ -167,7 +153,7 @@ def test_held_commands_are_within_the_base_limits_and_do_not_depend_on_other_row
     np.testing.assert_array_equal(limits.of(rows).hold(action[rows]), held[rows])
 
 
-@pytest.mark.parametrize("answer", [
+@pytest.mark.parametrize("measure", [
     lambda: None,
     lambda: 1 / 0,
     lambda: ObstacleDistances(*np.zeros((2, 2, 1, 2)), np.zeros((2, 1))),  # two robots
@@ -176,12 +162,11 @@ def test_held_commands_are_within_the_base_limits_and_do_not_depend_on_other_row
     lambda: ObstacleDistances(*np.zeros((2, 1, 1, 2)), np.full((1, 1), np.nan)),
     lambda: ObstacleDistances(*np.zeros((2, 1, 1, 2)), np.ones((1, 1)), np.full((1, 1), np.nan)),
 ])  # fmt: skip
-def test_wrong_answers_of_a_backend_raise_errors_that_name_it(robot, answer):
-    solver = IkSolver(robot)
+def test_errors_of_measurements_name_the_backend(robot, measure):
     with pytest.raises(KinfeasError, match="AnalyticBackend"):
-        ObstacleFilter(solver, AnalyticBackend(), DT)
-    loop = loop_among(robot, Fixed(answer), 1)
+        ObstacleFilter(IkSolver(robot), AnalyticBackend(), DT)
+    loop = loop_among(robot, Fixed(measure), 1)
     with pytest.raises((KinfeasError, ZeroDivisionError, ValueError)) as caught:
         loop.step(np.zeros((1, 3)))
-    told = [str(caught.value), *getattr(caught.value, "__notes__", [])]
-    assert any("Fixed" in text for text in told)
+    texts = [str(caught.value), *getattr(caught.value, "__notes__", [])]
+    assert any("Fixed" in text for text in texts)

@@ -18,13 +18,14 @@ from kinfeas.core.backend import RealTimeBackend, StopCall
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.envs.world import World
-from kinfeas.evaluation.evaluate import prepare
+from kinfeas.evaluation.evaluate import configure
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.io.run_log import REACHED, About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import network as policy
 from kinfeas.policies import pretrained
 from kinfeas.policies.baselines.following import FollowBase
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy import runtime
 from kinfeas.sim2real.deploy.config import Guards
@@ -165,13 +166,14 @@ class Bold:
 @pytest.mark.parametrize(
     ("name", "filters", "drive"),
     [
-        *((name, "[feasibility]", lambda network: network) for name in ("pr2", "tiago", "hsr")),
-        ("hsr", "[]", Bold),
+        *((name, ["feasibility"], lambda network: network) for name in ("pr2", "tiago", "hsr")),
+        ("hsr", [], Bold),
     ],
 )
 def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, filters, drive):
-    settings = ["task={distance: [1.0, 1.2]}", f"world.filters={filters}"]
-    config, policy = prepare(pretrained.NAME, name, "ggr", seed=3, overrides=settings)
+    settings = {"task.distance": [1.0, 1.2], "world.filters": filters}
+    config = configure(load_robot(name), "ggr", seed=3, settings=settings)
+    policy = load_policy(pretrained.NAME, config.robot)
     # Accelerations that the policy does not reach, since evaluations have no limits.
     base = replace(config.robot.base, max_acceleration=99.0, max_rotation_acceleration=99.0)
     config, driver = replace(config, robot=replace(config.robot, base=base)), drive(policy)

@@ -1,0 +1,234 @@
+"""Runs of a policy on a robot or a simulated one, behind guards and recorded."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from math import inf
+from pathlib import Path
+from typing import Any, TypeVar
+
+from kinfeas.api import Name
+from kinfeas.api.load import checked, load_robot, plugin_settings, read_adapters, robot_of
+from kinfeas.backends.physics.backend import PhysicsBackend
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
+from kinfeas.config import load as load_config
+from kinfeas.config.quantities import Seed
+from kinfeas.config.recipes import default_engine, section
+from kinfeas.core.backend import build_backend
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.registry import from_anywhere
+from kinfeas.core.start import episode_rng
+from kinfeas.io.files import writing
+from kinfeas.io.run_log import About, Recorder
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import read_scene
+from kinfeas.scenes.solids import furniture_solids
+from kinfeas.sim2real.deploy.config import DeployConfig, Guards
+from kinfeas.sim2real.deploy.goal_task import make_goal_task
+from kinfeas.sim2real.deploy.preflight import warm_up
+from kinfeas.sim2real.deploy.runtime import Outcome, Setup, TaskWithObjects
+from kinfeas.sim2real.deploy.runtime import deploy as run
+from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.task import MotionSpec, Task
+
+T = TypeVar("T", bound=DeployConfig)
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """A run that has ended.
+
+    Attributes:
+        outcome: Its exit code, the reason of its end, and its statistics.
+        about: Header of its record.
+        record: CSV file of its record.
+        targets: Statistics of the targets that a servo has received.
+    """
+
+    outcome: Outcome
+    about: About
+    record: Path
+    targets: dict[str, object]
+
+
+def deploy(  # noqa: PLR0913 - options of the command
+    policy: Name,
+    *,
+    robot: Name | None = None,
+    backend: str | None = None,
+    goal: Sequence[float] | None = None,
+    rpy: Sequence[float] | None = None,
+    quaternion: Sequence[float] | None = None,
+    generator: str | None = None,
+    task: Name | None = None,
+    rate: float = 50.0,
+    seconds: float = 300.0,
+    seed: int = 0,
+    record: Name | None = None,
+    adapters: Name | None = None,
+    guards: Name | None = None,
+    real_time: bool = True,
+    filters: str | Sequence[str] | None = None,
+    settings: Settings | None = None,
+    on_start: Callable[[], None] = lambda: None,
+) -> Deployment:
+    """Run a policy on a robot and return the result; the base is stopped in any case.
+
+    Example: `kinfeas.deploy("pretrained", backend="analytic", goal=(0.8, -0.2, 0.9)).outcome.code`
+
+    Arguments are the options of the command: the goal in metres, its orientation in radians or as a
+    quaternion xyzw. `settings` are values by key of `DeployConfig`. `on_start` is called when all
+    parts are prepared.
+
+    Raises:
+        KinfeasError: If an argument or a setting is invalid, or the run cannot start.
+    """
+    path = new_record(record)
+    robot = robot or robot_of(policy)
+    model = load_robot(robot)
+    config = read_config(DeployConfig, "deploy", model, guards, filters, settings)
+    if task is None:
+        motion_task = _goal_task(goal, rpy, quaternion, generator, config)
+    elif goal or rpy or quaternion or generator or config.generator:
+        raise KinfeasError("'task' excludes 'goal', 'rpy', 'quaternion' and 'generator'")
+    elif config.scene is not None:
+        raise KinfeasError("'task' has its own 'scene'")
+    else:
+        motion_task = load_task(str(task), config.task)
+    backend = backend or default_engine()
+    setup = make_setup(
+        str(policy), model, backend, motion_task, config, adapters=read_adapters(adapters),
+        dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
+    )  # fmt: skip
+    on_start()
+    return recorded(setup, str(robot), str(policy), backend, path)
+
+
+def recorded(
+    setup: Setup,
+    robot: str,
+    policy: str,
+    backend: str,
+    record: Path | None,
+    statistics: Callable[[], dict[str, object]] = dict,
+) -> Deployment:
+    """Run and return the result, with the `statistics` of targets at its end."""
+    joints = tuple(joint.name for joint in setup.solver.robot.arm)
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
+    motions = [subgoal.motion for subgoal in setup.task.subgoals]
+    about = About(
+        from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
+        seed=setup.seed, adapters=setup.adapters,
+        filters=getattr(setup.execution, "filters", ()),
+        generators=tuple(PluginSpec(motion.generator, motion.parameters) for motion in motions),
+        guards={k: None if v == inf else v for k, v in asdict(setup.guards).items()},
+        **_drawn_scene(setup),
+    )  # fmt: skip
+    recorder = Recorder(record or _record_path(about), about)
+    with recorder:
+        outcome = run(setup, recorder)
+    return Deployment(outcome, about, recorder.path, statistics())
+
+
+def new_record(record: Name | None) -> Path | None:
+    """Return the path of a record; raise KinfeasError if it is no new CSV file."""
+    path = None if record is None else Path(record)
+    if path is not None and (path.exists() or path.suffix != ".csv"):
+        raise KinfeasError(f"{path}: must be a new file that ends in .csv")
+    return path
+
+
+def read_config(
+    cls: type[T],
+    name: str,
+    robot: Robot,
+    guards: Name | None,
+    filters: str | Sequence[str] | None,
+    settings: Settings | None,
+) -> T:
+    """Return the settings of a section for a robot, with the guards of the user's file."""
+    data, source = section(name, robot.name)
+    if guards is not None:
+        load_config(Guards, Path(guards))  # so that errors name this file
+        data = merged(data, {"guards": strict_yaml.read(Path(guards))})
+    return from_mapping(cls, data, source, nested(plugin_settings(filters), settings))
+
+
+def _goal_task(
+    goal: Sequence[float] | None,
+    rpy: Sequence[float] | None,
+    quaternion: Sequence[float] | None,
+    generator: str | None,
+    config: DeployConfig,
+) -> Task:
+    if goal is None or config.task:
+        raise KinfeasError("give a goal, or a task; task.KEY are settings of the latter")
+    if rpy is not None and quaternion is not None:
+        raise KinfeasError("'rpy' and 'quaternion' exclude each other")
+    usual = "linear" if config.scene is None else "whole_body"
+    motion = MotionSpec(generator or usual, config.generator)
+    return make_goal_task(goal, quaternion or rpy, motion)
+
+
+def make_setup(  # noqa: PLR0913 - the parts of a run
+    policy_name: str,
+    robot: Robot,
+    backend_name: str,
+    task: Task,
+    config: DeployConfig,
+    *,
+    adapters: tuple[PluginSpec, ...],
+    dt: float,
+    real_time: bool,
+    **limits: Any,
+) -> Setup:
+    """Return the parts of the run, after each has computed something."""
+    policy = load_policy(policy_name, robot)
+    solver = IkSolver(robot, config.ik)
+    solids = furniture_solids(read_scene(config.scene)) if config.scene else None
+    warm_up(solver, policy, task, dt, adapters, config.filters)
+    backend = build_backend(backend_name, config.backend, robot=robot)
+    if backend.staging is not None:
+        task = backend.staging.stage(task)
+    return Setup(
+        solver=solver, policy=policy, task=task, backend=backend, execution=config,
+        filters=config.filters, guards=config.guards, adapters=adapters, dt=dt,
+        real_time=real_time, solids=solids, **limits,
+    )  # fmt: skip
+
+
+def _drawn_scene(setup: Setup) -> dict[str, Any]:
+    """Return scene, objects and solids of the record; the episode is drawn in advance."""
+    task = setup.task
+    drawn: dict[str, Any] = {}
+    if setup.solids is not None:
+        return {"solids": tuple(map(tuple, setup.solids.table.tolist()))}
+    if setup.backend.solids is None:  # a robot
+        return drawn
+    start = task.sample(setup.solver, episode_rng(setup.seed, 0))
+    if start.solids is not None:
+        solids = start.solids
+        if isinstance(setup.backend, PhysicsBackend):  # furniture is drawn as a scene
+            solids = solids.beyond(setup.backend.furniture)
+        drawn["solids"] = tuple(map(tuple, solids.table.tolist()))
+    if isinstance(task, TaskWithObjects):
+        scene, poses = task.drawn()
+        objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}
+        drawn |= {"scene": from_anywhere(scene), "objects": objects}
+    return drawn
+
+
+def _record_path(about: About) -> Path:
+    """Return a new file in `runs/deploy`."""
+    folder = Path("runs/deploy")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    date = datetime.fromisoformat(about.started).strftime("%Y%m%d-%H%M%S")
+    robot, task = (re.sub(r"[^\w-]", "_", name) for name in (Path(about.robot).stem, about.task))
+    name = f"{date}-{robot}-{task}"
+    names = (name, *(f"{name}-{number}" for number in range(2, 100)))  # of the same second
+    paths = [folder / f"{name}.csv" for name in names]
+    return next((path for path in paths if not path.exists()), paths[0])

@@ -1,0 +1,201 @@
+"""Metrics of policies, files with one of their episodes, and the ceiling."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
+from kinfeas.api.load import checked, load_robot, plugin_settings, robot_of
+from kinfeas.config import Settings, from_mapping, nested
+from kinfeas.config.quantities import Episodes, Processes, Seed
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import Policy
+from kinfeas.evaluation import evaluate as evaluation
+from kinfeas.evaluation.evaluate import EvalConfig, Summary
+from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
+from kinfeas.kinematics.reachability import STAGES
+from kinfeas.policies.loading import load_policy
+from kinfeas.tasks.loading import load_task
+
+if TYPE_CHECKING:
+    from kinfeas.viz.replay import Replay
+
+
+class Metrics(Summary, total=False):
+    """Metrics of a policy; with `ablation` also those with other adapters."""
+
+    ablation: dict[str, Summary]
+
+
+def evaluate(  # noqa: PLR0913 - options of the command
+    policy: Name,
+    *,
+    robot: Name | None = None,
+    task: Name = "ggr",
+    world: str = "analytic",
+    episodes: int | None = None,
+    seed: int = 1,
+    filters: str | Sequence[str] | None = None,
+    adapters: Name | None = None,
+    ablation: bool = False,
+    picture: Name | None = None,
+    video: Name | None = None,
+    replay: Name | None = None,
+    episode: int = 0,
+    processes: int = 1,
+    settings: Settings | None = None,
+    on_progress: OnProgress | None = None,
+) -> Metrics:
+    """Return the metrics of a policy, as in the JSON of `kinfeas evaluate`.
+
+    Example: `kinfeas.evaluate("pretrained", robot="pr2", episodes=100)["success"]`
+
+    Arguments are the options of the command; robots, tasks and policies are names or paths.
+    `settings` are values by key, such as `world.dt`.
+
+    Raises:
+        KinfeasError: If an argument or a setting is invalid.
+    """
+    robot = robot or robot_of(policy)
+    model = load_robot(robot)
+    config = evaluation.configure(
+        model,
+        str(task),
+        world,
+        episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
+        seed=checked(Seed, seed, "seed"),
+        settings=nested(plugin_settings(filters, adapters, "world."), settings),
+    )
+    driver = load_policy(str(policy), model)
+    if episode >= config.episodes:
+        raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
+    count = counter(on_progress, f"{config.episodes} episodes", config.episodes)
+    processes = checked(Processes, processes, "processes")
+    summary = evaluation.evaluate(config, driver, str(policy), processes=processes, on_done=count)
+    ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
+    metrics = cast("Metrics", {**summary, **evaluation.ceiling_entries(ceiling)})
+    if ablation:
+        subsets = evaluation.adapter_subsets(config.world.adapters)
+        count, rows = counter(on_progress, f"{len(subsets)} evaluations", len(subsets)), {}
+        for label, subset in subsets.items():
+            part = replace(config, world=replace(config.world, adapters=subset))
+            rows[label] = evaluation.evaluate(
+                part, driver, str(policy), ceiling, processes=processes
+            )
+            count()
+        metrics["ablation"] = rows
+    if picture or video or replay:
+        show_episode(config, driver, episode, picture, video, replay, on_progress)
+    return metrics
+
+
+def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
+    config: EvalConfig,
+    policy: Policy,
+    episode: int,
+    picture: Name | None,
+    video: Name | None,
+    replay: Name | None,
+    on_progress: OnProgress | None = None,
+) -> None:
+    """Run an episode of an evaluation again and write it as picture, film and page."""
+    from kinfeas.envs.world import World
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.episodes import episodes_figure
+    from kinfeas.viz.replay import run_episode
+    from kinfeas.viz.style import png
+
+    counter(on_progress, f"episode {episode}")
+    world = World(config.robot, config.task, config.world, config.seed)
+    try:
+        shown = run_episode(world, policy, episode)
+    finally:
+        world.close()
+    if video is not None:
+        draw_film(shown, video, on_progress)
+    counter(on_progress, "drawing files")
+    if replay is not None:
+        from kinfeas.viz.pages import replay_html  # needs viser
+
+        write_file(Path(replay), replay_html(shown).encode())
+    if picture is not None:
+        write_file(Path(picture), png(episodes_figure(config.robot, [shown.recording]), dpi=110))
+
+
+def draw_film(replay: "Replay", path: Name, on_progress: OnProgress | None = None) -> None:
+    """Write an episode as a film."""
+    from kinfeas.viz.film import count_pictures, write_film
+
+    count = counter(on_progress, "drawing", count_pictures(replay, Path(path)))
+    write_film(replay, Path(path), count)
+
+
+@dataclass(frozen=True)
+class Ceiling:
+    """The fraction of reachable goals: an upper bound of the success of every policy.
+
+    Attributes:
+        robot: Name of the robot.
+        task: Name of the task.
+        seed: Seed of the goals.
+        episodes: Number of episodes.
+        path: Whether poses on the way to each sub-goal count, too.
+        ceiling: Fraction of episodes of which all sub-goals are reachable.
+        ceiling_low: Lower end of its 95 % interval.
+        ceiling_high: Upper end.
+        base_poses: Numbers of base poses that were tried for a goal.
+        convergence: Fraction that was reachable with each of these numbers.
+        out_of_reach: Episodes in which each sub-goal is out of reach, by the limit.
+    """
+
+    robot: str
+    task: str
+    seed: int
+    episodes: int
+    path: bool
+    ceiling: float
+    ceiling_low: float
+    ceiling_high: float
+    base_poses: tuple[int, ...]
+    convergence: tuple[float, ...]
+    out_of_reach: tuple[dict[str, int], ...]
+
+
+def ceiling(  # noqa: PLR0913 - options of the command
+    robot: Name = DEFAULT_ROBOT,
+    *,
+    task: Name = "ggr",
+    episodes: int = 500,
+    seed: int = 1,
+    path: bool = False,
+    settings: Settings | None = None,
+    on_progress: OnProgress | None = None,
+) -> Ceiling:
+    """Return the fraction of goals that some base pose reaches.
+
+    Example: `kinfeas.ceiling("pr2", task="door", episodes=100).ceiling`
+
+    Arguments are the options of the command. `settings` are values by key, such as `ik.restarts`.
+
+    Raises:
+        KinfeasError: If an argument or a setting is invalid, or the targets of the task move.
+    """
+    config = from_mapping(ReachabilityConfig, {}, "settings", settings)
+    model, goals = load_robot(robot), load_task(str(task), config.task)
+    count = checked(Episodes, episodes, "episodes")
+    reached = measure_reachability(
+        model,
+        goals,
+        count,
+        checked(Seed, seed, "seed"),
+        config.ik,
+        counter(on_progress, f"{episodes} goals"),
+        path=path,
+        limits=True,
+    )
+    fraction = reached.share
+    return Ceiling(
+        model.name, goals.name, seed, count, path, fraction.value, fraction.low, fraction.high,
+        STAGES, reached.convergence, reached.limits,
+    )  # fmt: skip

@@ -1,0 +1,78 @@
+"""Robots, tasks and policies by name or path."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from kinfeas.api import DEFAULT_ROBOT, Name
+from kinfeas.config import PluginSpec, convert
+from kinfeas.control.assemble import read_sim2real
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import Policy
+from kinfeas.io.files import is_path
+from kinfeas.io.policy_metadata import read_trained
+from kinfeas.policies import loading
+from kinfeas.policies.onnx_policy import read_policy_file
+from kinfeas.robots import loading as robots
+from kinfeas.robots.robot import Robot
+
+
+def load_robot(robot: Name) -> Robot:
+    """Return a robot by its name or YAML file.
+
+    Raises:
+        KinfeasError: If there is no such robot, or a file is invalid.
+    """
+    return robots.load_robot(str(robot))
+
+
+def load_policy(policy: Name, *, robot: Name | None = None) -> Policy:
+    """Return a policy, whose `act` returns base commands of shape (n, action size), in [-1, 1].
+
+    Example: `kinfeas.load_policy("pretrained", robot="tiago").act`
+
+    Raises:
+        KinfeasError: If there is no such policy, or it is broken or for another robot.
+    """
+    return loading.load_policy(str(policy), load_robot(robot or robot_of(policy)))
+
+
+def robot_of(policy: Name | None) -> str:
+    """Return the robot that a policy was trained for, by name or path; PR2 for other policies."""
+    path = Path(policy or "")
+    if not policy or str(policy) in registry.names(loading.GROUP) or not path.exists():
+        return DEFAULT_ROBOT
+    trained = read_trained(path) if path.is_dir() else read_policy_file(path, None).metadata
+    robot = trained.trained_with
+    if is_path(robot) and not Path(robot).is_file():
+        raise KinfeasError(f"{policy}: its robot {robot} does not exist; use --robot")
+    return robot
+
+
+def read_adapters(name: Name | None) -> tuple[PluginSpec, ...]:
+    """Return a list of adapters by name or path; none for None."""
+    return () if name is None else read_sim2real(str(name)).adapters
+
+
+def plugin_settings(
+    filters: str | Sequence[str] | None, adapters: Name | None = None, above: str = ""
+) -> dict[str, object]:
+    """Return settings of filters and adapters, where they are not None, below the keys `above`."""
+    settings: dict[str, object] = {}
+    if filters is not None:
+        settings[f"{above}filters"] = [{"name": name} for name in filter_names(filters)]
+    if adapters is not None:
+        settings[f"{above}adapters"] = [spec.entry() for spec in read_adapters(adapters)]
+    return settings
+
+
+def filter_names(filters: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the names of filters, which may be one text with commas or `none`."""
+    names = filters.split(",") if isinstance(filters, str) else filters
+    return tuple(name.strip() for name in names if name.strip() not in ("", "none"))
+
+
+def checked(kind: object, value: object, name: str) -> int:
+    """Return an argument that is an integer of a kind; raise KinfeasError if it is not."""
+    number: int = convert(kind, value, "arguments", name)
+    return number

@@ -1,0 +1,171 @@
+"""Training runs: their configuration, and their evaluation at the end."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypedDict, Unpack
+
+from kinfeas.api import Name
+from kinfeas.api.load import load_robot, read_adapters, robot_of
+from kinfeas.config import Settings, nested
+from kinfeas.config.recipes import recipes
+from kinfeas.control.assemble import FOLDER, read_sim2real
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.registry import from_anywhere
+from kinfeas.evaluation import evaluate as evaluation
+from kinfeas.io.files import write_json
+from kinfeas.training import run as training
+from kinfeas.training.config import TrainConfig, load_recipe
+from kinfeas.training.run import Progress
+
+_WORLD = "analytic"
+
+OnTraining = Callable[[Progress], None]
+"""Called with the progress of a run now and then."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training run that has ended.
+
+    Attributes:
+        folder: Its folder, for `evaluate`, `export` and `load_policy`.
+        metrics: Metrics of its best checkpoint on fresh episodes, as in `evaluation.json`.
+        steps: Environment steps.
+        seconds: Wall-clock time of training.
+        evaluation_seconds: Wall-clock time of the evaluations of this process.
+    """
+
+    folder: Path
+    metrics: dict[str, Any]
+    steps: int
+    seconds: float
+    evaluation_seconds: float
+
+
+class Options(TypedDict, total=False):
+    """Options of a training; absent ones and None have the value of the recipe.
+
+    Robots, tasks, lists of adapters and recipes (`config`) are names or paths. `settings` are
+    values by key of the recipe, which win over the others.
+    """
+
+    task: Name | None
+    seed: int | None
+    minutes: float | None
+    steps: int | None
+    adapters: Name | None
+    world: str
+    init: Name | None
+    processes: int | None
+    config: Name | None
+    settings: Settings | None
+
+
+def train(
+    robot: Name | None = None,
+    *,
+    out: Name | None = None,
+    on_progress: OnTraining | None = None,
+    **options: Unpack[Options],
+) -> Run:
+    """Train a base policy in the folder `out`, by default `runs/ROBOT-TASK-SEED`; return its run.
+
+    Example: `kinfeas.train("pr2", minutes=3, settings={"learner.batch_size": 256})`
+
+    Raises:
+        KinfeasError: If an option or a setting is invalid, or the folder holds a run.
+    """
+    config = configure(robot, **options)
+    return begin(config, default_folder(config) if out is None else Path(out), on_progress)
+
+
+def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainConfig:
+    """Return the configuration of a run: the recipe, then the options, then their settings."""
+    init, config, world = options.get("init"), options.get("config"), options.get("world", _WORLD)
+    changes: dict[str, object] = {"robot": robot}
+    changes |= {key: options.get(key) for key in ("task", "seed", "init", "processes")}
+    changes = {key: value for key, value in changes.items() if value is not None}
+    if (adapters := options.get("adapters")) is not None:
+        specs = [spec.entry() for spec in read_adapters(adapters)]
+        changes |= {"world.adapters": specs, "evaluation_adapters": specs}
+    changes |= duration(options.get("minutes"), options.get("steps"))
+    recipe = load_recipe(
+        None if config is None else str(config),
+        nested(changes, options.get("settings")),
+        backend=world,
+        robot=robot_of(None if robot else init),
+    )
+    if recipe.world.backend != world:
+        raise KinfeasError(f"world {world!r}: the recipe is for the world {recipe.world.backend!r}")
+    robot_name, task_name = from_anywhere(recipe.robot), from_anywhere(recipe.task)
+    return training.with_initial_policy(replace(recipe, robot=robot_name, task=task_name))
+
+
+def begin(config: TrainConfig, folder: Path, on_progress: OnTraining | None = None) -> Run:
+    """Train in a new folder and return the run."""
+    training.check_new(folder)
+    from kinfeas.training.train import train as run
+
+    return _ended(folder, run(config, folder, on_progress))
+
+
+def resume(
+    folder: Name,
+    *,
+    minutes: float | None = None,
+    steps: int | None = None,
+    on_progress: OnTraining | None = None,
+) -> Run:
+    """Resume a run from its last checkpoint and return it; larger limits extend a finished run.
+
+    Raises:
+        KinfeasError: If the folder is no run, or a limit is invalid.
+    """
+    path, longer = Path(folder), duration(minutes, steps)
+    progress = training.finished(path, longer)
+    if progress is None:
+        from kinfeas.training.train import resume as run
+
+        progress = run(path, on_progress, longer)
+    return _ended(path, progress)
+
+
+def duration(minutes: float | None, steps: int | None) -> dict[str, object]:
+    """Return settings of the duration; one limit lifts the other one of the recipe."""
+    if minutes is None and steps is None:
+        return {}
+    return {"schedule.minutes": minutes, "schedule.steps": steps}
+
+
+def default_folder(config: TrainConfig) -> Path:
+    """Return `runs/ROBOT-TASK-SEED`, with its engine appended for a run with physics."""
+    robot, task = Path(config.robot).stem, Path(config.task).stem
+    backend = config.world.backend
+    suffix = "" if backend == "analytic" else f"-{backend}"
+    return Path("runs") / f"{robot}-{task}-{config.seed}{suffix}"
+
+
+def evaluation_options(folder: Path) -> tuple[str | None, dict[str, object]]:
+    """Return the list of adapters and the settings with which `evaluate` repeats a run's figures.
+
+    They are those that are not the robot's own; the list is a shipped one, if it has the adapters.
+    """
+    config = training.read_settings(folder)
+    settings: dict[str, object] = {f"task.{k}": v for k, v in config.task_parameters.items()}
+    usual = evaluation.read_settings(load_robot(config.robot).name, config.world.backend).world
+    adapters, filters = config.evaluation_adapters, config.world.filters
+    names = [name for name in recipes(FOLDER) if read_sim2real(name).adapters == adapters]
+    shipped = names[0].partition("/")[2] if adapters and names else None
+    if filters != usual.filters:
+        settings["world.filters"] = [spec.entry() for spec in filters]
+    if shipped is None and adapters != usual.adapters:
+        settings["world.adapters"] = [spec.entry() for spec in adapters]
+    return shipped, settings
+
+
+def _ended(folder: Path, progress: Progress) -> Run:
+    metrics = training.read_evaluation(folder)
+    write_json(metrics, folder / "evaluation.json")
+    seconds = progress.parts.get("evaluation", 0.0)
+    return Run(folder, metrics, progress.steps, progress.seconds, seconds)

@@ -1,0 +1,117 @@
+"""Scenes and recorded runs as tables, pictures and pages."""
+
+from json import dumps, loads
+from pathlib import Path
+
+from kinfeas.api import Name, OnProgress, counter
+from kinfeas.api.evaluate import draw_film
+from kinfeas.api.load import load_robot
+from kinfeas.config import Settings
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import write_file
+from kinfeas.io.run_log import Record, read_record
+from kinfeas.scenes.scene import Scene, read_scene
+
+
+def view(  # noqa: PLR0913 - options of the command
+    scene: Name | None = None,
+    *,
+    record: Name | None = None,
+    settings: Settings | None = None,
+    picture: Name | None = None,
+    video: Name | None = None,
+    html: Name | None = None,
+    on_progress: OnProgress | None = None,
+) -> dict[str, object]:
+    """Return facts on a scene or on a recorded run, and draw it.
+
+    Example: `kinfeas.view(record="run.csv", picture="run.png")["seconds"]`
+
+    Arguments are the options of the command: `picture`, `video` and `html` are
+    files to write; only runs have a video. `settings`
+    are values by key of the scene.
+
+    Raises:
+        KinfeasError: If a file or a setting is invalid.
+    """
+    if record is None and video is not None:
+        raise KinfeasError("'video' needs 'record'")
+    if record is None:
+        layout = read_scene(str(scene or "room"), settings)
+        facts = _scene_facts(layout)
+        if picture is not None or html is not None:
+            counter(on_progress, "drawing")
+            _draw_scene(layout, picture, html)
+        return facts
+    if scene is not None or settings:
+        raise KinfeasError("'record' excludes 'scene' and settings")
+    run = read_record(Path(record))
+    robot = load_robot(run.about.robot)
+    if picture is not None or video is not None or html is not None:
+        counter(on_progress, "drawing")
+        from kinfeas.viz.episodes import record_figure
+        from kinfeas.viz.replay import as_recording, replay_of
+        from kinfeas.viz.style import png
+
+        replay = replay_of(as_recording(run, robot), robot, robot.name, run.time)
+    if picture is not None:
+        write_file(Path(picture), png(record_figure(run, robot), dpi=110))
+    if video is not None:
+        draw_film(replay, video, on_progress)
+    if html is not None:
+        from kinfeas.viz.pages import replay_html
+
+        write_file(Path(html), replay_html(replay).encode())
+    return _run_facts(run)
+
+
+def _draw_scene(scene: Scene, picture: Name | None, html: Name | None) -> None:
+    from kinfeas.viz.figures import scene_figure
+    from kinfeas.viz.style import png
+
+    if picture is not None:
+        write_file(Path(picture), png(scene_figure(scene), dpi=110))
+    if html is not None:
+        from kinfeas.viz.pages import scene_html
+
+        write_file(Path(html), scene_html(scene).encode())
+
+
+def _run_facts(run: Record) -> dict[str, object]:
+    about, periods = run.about, run.time[1:] - run.time[:-1]
+    specs = {"adapters": about.adapters, "filters": about.filters, "generators": about.generators}
+    settings = {
+        "seed": about.seed,
+        **{key: [spec.entry() for spec in plugins] for key, plugins in specs.items()},
+        "guards": about.guards,
+    }
+    events = zip(run.time.tolist(), run.event, strict=True)
+    return {
+        **{key: getattr(about, key) for key in ("robot", "task", "policy", "backend", "started")},
+        **loads(dumps(settings), parse_constant=str),
+        "seconds": float(run.time[-1] - run.time[0]),
+        "steps": int((periods > 0.5 * about.dt).sum()),  # the end is no step
+        "control_period_s": about.dt,
+        "failures": int((~run.feasible).sum()),
+        "top_speed_m_s": float((run.base_twist[:, :2] ** 2).sum(axis=1).max() ** 0.5),
+        "longest_period_s": float(max(periods, default=0.0)),
+        "events": [{"time_s": time, "event": event} for time, event in events if event],
+    }
+
+
+def _scene_facts(scene: Scene) -> dict[str, object]:
+    objects = {
+        name: {
+            "urdf": str(entry.urdf_path),
+            "pose": entry.pose.tolist(),
+            "fixed": entry.fixed,
+            "mass_kg": entry.mass,
+            "joint_positions": entry.joint_positions,
+        }
+        for name, entry in scene.objects.items()
+    }
+    handles = {
+        name: {**vars(handle), "pose": scene.handle_pose(name).tolist()}
+        for name, handle in scene.handles.items()
+    }
+    return {"scene": scene.name, "size_m": scene.size, "objects": objects, "handles": handles}
