@@ -18,7 +18,7 @@ from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative
 from kinfeas.evaluation.paper import TITLES
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.kinematics.reachability import reachable
+from kinfeas.planning.placement import reachable
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.viz.drawing import (

@@ -14,7 +14,7 @@ from kinfeas.core.policy import Policy
 from kinfeas.evaluation import evaluate as evaluation
 from kinfeas.evaluation.evaluate import EvalConfig, Summary
 from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
-from kinfeas.kinematics.reachability import STAGES
+from kinfeas.planning.placement import STAGES
 from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
 

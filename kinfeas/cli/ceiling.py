@@ -29,7 +29,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas ceiling --robot pr2 --task door --path --episodes 100
     """
     from kinfeas.api import evaluate as api
-    from kinfeas.kinematics.reachability import LIMITS
+    from kinfeas.planning.placement import LIMITS
 
     settings = options.read_settings(overrides)
     with phases() as on_progress:

@@ -117,9 +117,10 @@ def robot_file(robot: str | Path) -> Path:
     """
     path: object = robot
     if not is_path(robot):
-        if robot not in registry.names("kinfeas.robots") and Path(robot).is_dir():
-            raise KinfeasError(f"unknown robot {robot!r}; the folder is ./{robot}")
-        path = registry.build("kinfeas.robots", str(robot), {})
+        name = str(robot)  # a notebook may pass anything
+        if name not in registry.names("kinfeas.robots") and Path(name).is_dir():
+            raise KinfeasError(f"unknown robot {name!r}; the folder is ./{name}")
+        path = registry.build("kinfeas.robots", name, {})
     if not isinstance(path, str | Path):
         raise KinfeasError(f"robot {robot!r} must return the Path of its folder, not {path!r}")
     return Path(path) / "robot.yaml" if Path(path).is_dir() else Path(path)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import command_size
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
 from kinfeas.core.spatial import Array, catch_up, relative
+from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.robot import Robot
 
 HORIZON = 0.1

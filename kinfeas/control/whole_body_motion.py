@@ -12,7 +12,7 @@ from kinfeas.core.motion import WAYPOINTS, Rows, State, WholeBodyPath, merged, o
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
+from kinfeas.planning.base_goal import CHECKED_AHEAD, BaseGoalPlanner
 
 LEAD = 1.0
 """Seconds by which the planned base that policies see is ahead of the EE."""
@@ -37,7 +37,7 @@ class WholeBodyMotions:
         Motions are carried out in periods of `dt` seconds, slower by the factor `time_scale`.
         """
         used = any(each.follows_whole_body for each in generators)
-        self.planner = WholeBodyPlanner(solver, time_scale) if used else None
+        self.planner = BaseGoalPlanner(solver, time_scale) if used else None
         self.robots: tuple[Array, Array] | None = None
         self.waypoints: Array = np.empty((0, WAYPOINTS * used, 3 + len(solver.robot.arm)))
         self._soon, self._checked = np.array([LEAD, time_scale * dt]), time_scale * CHECKED_AHEAD

@@ -17,13 +17,13 @@ from kinfeas.importer.boxed import Part
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.gravity import build_gravity_model, overloaded
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
-from kinfeas.kinematics.reachability import at_goals, reachable
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
     build_collision_model,
     checked_links,
     self_collides,
 )
+from kinfeas.planning.placement import at_goals, reachable
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 

@@ -11,9 +11,9 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.free_space import connected, footprint
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import base_collides, collides
+from kinfeas.planning.placement import connected, footprint
 
 SMALLEST = 0.2
 """Smallest length and width of a solid, metres."""

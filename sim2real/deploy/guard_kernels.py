@@ -1,8 +1,8 @@
 """Kernels of the safety filter, for one robot: commands within the limits."""
 
-from kinfeas.control.drive_kernels import within_speed
 from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.pose_kernels import inlined, wrapped
+from kinfeas.kinematics.drive import within_speed
 
 
 @inlined

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config.quantities import PositiveSeconds
-from kinfeas.control.drive import base_velocity
 from kinfeas.core.backend import Grip, RealTimeBackend, RobotState, Scan
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.drive import base_velocity
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.link import Link, ScanLink
 from kinfeas.sim2real.link.measurements import DRIFT, Drift, Inbox

@@ -11,9 +11,9 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from kinfeas.control.drive import world_twist
 from kinfeas.core.backend import RobotState, Scan
 from kinfeas.core.spatial import Array, planar_pose, wrap
+from kinfeas.kinematics.drive import world_twist
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Readings
 from kinfeas.sim2real.link.scans import (

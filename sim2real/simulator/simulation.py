@@ -10,13 +10,13 @@ from scipy.interpolate import CubicHermiteSpline
 
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config.recipes import default_engine
-from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip, RobotState, build_backend
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.core.start import episode_rng
 from kinfeas.envs.world import evaluation_world
+from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import furniture_solids, read_scene

@@ -6,13 +6,13 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
-from kinfeas.control.drive import base_twist
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion
 from kinfeas.control.observation import HORIZON, ObservedState, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, raised_by
 from kinfeas.core.start import Start
+from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.forward import forward
 from kinfeas.plugins.linear import Linear
 from tests.builders import random_poses, rngs

@@ -13,11 +13,11 @@ import numpy as np
 import onnxruntime
 
 from kinfeas.config.recipes import load_section
-from kinfeas.control.drive import command_size
 from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.evaluation.evaluate import configure, run
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.export import export

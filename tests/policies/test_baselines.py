@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
+from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.policies.baselines import whole_body_qp as qp

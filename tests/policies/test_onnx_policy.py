@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-from kinfeas.control.drive import command_size
 from kinfeas.control.observation import HORIZON, size
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation
+from kinfeas.kinematics.drive import command_size
 from kinfeas.policies import onnx_policy
 from kinfeas.policies.onnx_policy import digest_entry, read_policy_file
 from kinfeas.robots.loading import load_robot

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config.quantities import NotNegative
-from kinfeas.control.drive import command_size
 from kinfeas.control.period import KinematicInputs, KinematicStep, Move, Period
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array, integrate
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.ik import IkSolver, spread
 from kinfeas.kinematics.solids import base_collides
 from kinfeas.robots.robot import exceeds_joint_velocity

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from kinfeas.control.drive import action_toward
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array, make_pose, rotation, wrap, yaw
+from kinfeas.kinematics.drive import action_toward
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread, spread_configurations
 from kinfeas.robots.robot import Robot

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.drive import base_velocity
 from kinfeas.core import registry, spatial
 from kinfeas.core.backend import SCAN_BEAMS, Backend, RealTimeBackend, RobotState, Scan
 from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.kinematics.drive import base_velocity
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter

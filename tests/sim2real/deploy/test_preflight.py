@@ -10,7 +10,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.reachability import reachable
+from kinfeas.planning.placement import reachable
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task

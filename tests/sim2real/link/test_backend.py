@@ -3,9 +3,9 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from kinfeas.control import drive
 from kinfeas.core.backend import SCAN_BEAMS, RealTimeBackend
 from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.kinematics import drive
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend

@@ -6,7 +6,7 @@ import pytest
 from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, planar_pose
-from kinfeas.kinematics.scans import scan
+from kinfeas.kinematics.sensing import scan
 from kinfeas.sim2real.link.scans import (
     ANGLES,
     CostmapReading,

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.control.drive import action_toward, base_twist, command_size
 from kinfeas.core.spatial import integrate, planar_pose, yaw
+from kinfeas.kinematics.drive import action_toward, base_twist, command_size
 from kinfeas.robots.robot import Base
 from tests.builders import random_bases
 

@@ -3,10 +3,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core import spatial
+from kinfeas.core.solids import Solids
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
-from kinfeas.kinematics.reachability import STAGES, at_goals, reachable
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.planning.placement import STAGES, at_goals, connected, reachable
 from kinfeas.robots.loading import load_robot
 
 
@@ -75,3 +76,28 @@ def test_finds_all_that_random_base_poses_find(hsr):
     moved = spatial.compose(spatial.planar_pose(*np.full((3, 20), 2.0)), goals)
     np.testing.assert_array_equal(reachable(hsr, moved).reached, found.reached)
     np.testing.assert_array_equal(reachable(hsr, goals[3:7]).reached, found.reached[3:7])
+
+
+START, BEYOND, BESIDE = np.zeros(2), [3.0, 0.0], [0.0, 3.0]
+
+
+def fence(gap):
+    """Return walls around a square of 4 m, with a gap on the side towards x."""
+    half, solids = (4.0 - gap) / 4.0, Solids.empty(1, 5)
+    side = gap / 2.0 + half
+    solids.pose[0, :, :2] = [[2, side], [2, -side], [-2, 0], [0, 2], [0, -2]]
+    solids.size[0] = [*[[0.05, half, 0, 1]] * 2, [0.05, 2, 0, 1], *[[2, 0.05, 0, 1]] * 2]
+    return solids
+
+
+@pytest.mark.parametrize(("gap", "open_"), [(1.2, True), (0.5, False), (0.0, False)])
+def test_a_disc_passes_gaps_that_are_wide_enough(gap, open_):
+    positions = np.array([BEYOND, BESIDE, [1.0, 1.0]])
+    reached = connected(fence(gap), START, positions, (0.4, 0.0))
+    np.testing.assert_array_equal(reached, [open_, open_, True])
+
+
+def test_solids_above_a_disc_do_not_block_it():
+    solids = fence(0.0)
+    solids.size[..., 2] = 0.5
+    assert connected(solids, START, np.array([BEYOND]), (0.4, 0.0)).all()

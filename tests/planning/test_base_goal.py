@@ -5,13 +5,12 @@ from numba.core.runtime import _nrt_python, rtsys
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, distance, planar_pose, relative
 from kinfeas.core.start import episode_rng
-from kinfeas.kinematics import whole_body
-from kinfeas.kinematics.base_search import CELL, FORESIGHT, HEADINGS, lattice_moves
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.kinematics.solids import collides
-from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
+from kinfeas.planning.base_goal import CHECKED_AHEAD, BaseGoalPlanner, BaseGoalSettings
+from kinfeas.planning.base_lattice import LATTICE, lattice_moves
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
 from kinfeas.tasks.loading import load_task
@@ -29,7 +28,7 @@ def goal_of(start):
 def planned(request):
     """Planner, starts among solids, and the path of each."""
     solver = IkSolver(load_robot(request.param))
-    planner = WholeBodyPlanner(solver)
+    planner = BaseGoalPlanner(solver)
     starts = starts_of(planner, "ggr_obstacles")
     return planner, starts, [plan(planner, start) for start in starts]
 
@@ -82,14 +81,14 @@ def test_kernels_free_their_memory(planned):
 def test_base_and_arm_follow_the_paths_without_collisions(planned, task, time_scale):
     planner, starts, paths = planned
     if task == "ggr_dynamic":
-        planner = WholeBodyPlanner(planner.solver, time_scale)
+        planner = BaseGoalPlanner(planner.solver, time_scale)
         starts = starts_of(planner, task)
         paths = [plan(planner, start) for start in starts]
     shapes, free = planner.solver.collision, []
     for start, path in zip(starts, paths, strict=True):
         if path is not None:
             seconds = np.concatenate([[0.0], np.cumsum(path.seconds / time_scale)])
-            seconds = np.minimum(seconds, FORESIGHT)
+            seconds = np.minimum(seconds, LATTICE.foresight)
             among = start.solids.of(np.zeros(len(path.ee), dtype=np.intp)).at(seconds)
             base, arm = planar_pose(*path.robot[:, :3].T), np.ascontiguousarray(path.robot[:, 3:])
             touching = collides(shapes, arm, base, among).any(axis=1)
@@ -127,19 +126,18 @@ def test_a_way_is_free_until_something_moves_into_it(planned):
 @pytest.mark.parametrize("omnidirectional", [True, False])
 def test_moves_of_differential_bases_are_along_their_heading(omnidirectional):
     moves = lattice_moves(omnidirectional=omnidirectional)
-    assert len(moves) == HEADINGS
+    assert len(moves) == LATTICE.headings
     x, y, _, cost = np.moveaxis(moves, -1, 0)
-    assert np.all(cost >= 1000 * CELL * np.hypot(x, y) - 1)
-    heading = 2.0 * np.pi / HEADINGS * np.arange(HEADINGS)[:, np.newaxis]
+    assert np.all(cost >= 1000 * LATTICE.cell * np.hypot(x, y) - 1)
+    heading = 2.0 * np.pi / LATTICE.headings * np.arange(LATTICE.headings)[:, np.newaxis]
     aside = np.abs(np.cos(heading) * y - np.sin(heading) * x) / np.maximum(np.hypot(x, y), 1)
     assert (aside.max() > 0.9) == omnidirectional
     assert omnidirectional or aside.max() < 0.1
 
 
-def test_a_robot_whose_ee_never_is_ahead_plans_too(monkeypatch):
-    monkeypatch.setattr(whole_body, "_AHEAD", (50.0, 60.0))
+def test_a_robot_whose_ee_never_is_ahead_plans_too():
     solver, task = IkSolver(load_robot("hsr")), load_task("ggr_obstacles")
-    planner = WholeBodyPlanner(solver)
+    planner = BaseGoalPlanner(solver, settings=BaseGoalSettings(rest_reach=(50.0, 60.0)))
     starts = [sample_start(task, solver, episode_rng(1, k)) for k in range(3)]
     assert any(plan(planner, start) is not None for start in starts)
 

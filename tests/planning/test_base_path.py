@@ -3,17 +3,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.control.base_path import BasePathPlanner
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, distance, integrate, planar_pose
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.kinematics.solids import distances
+from kinfeas.kinematics.solids import collides
+from kinfeas.planning.base_path import BasePathPlanner
 from kinfeas.robots.robot import joint_displacement
 
 AT_ORIGIN = planar_pose(*np.zeros((3, 1)))[0]
+
+
+@pytest.fixture(scope="module")
+def solver(hsr):
+    return IkSolver(hsr)
 
 
 @pytest.fixture
@@ -28,7 +33,7 @@ def planned(solver):
         way = integrate(ee, np.array(twist) * time, 1.0)
         options = replace(solver.options, solid_clearance=clearance)
         planner = BasePathPlanner(IkSolver(robot, options))
-        return planner.plan(AT_ORIGIN, joints, way, 5.0, solids=solids, **given), joints
+        return planner.plan(AT_ORIGIN, joints, way, HORIZON, 5.0, solids=solids, **given), joints
 
     return plan
 
@@ -84,11 +89,11 @@ def test_paths_keep_a_clearance_from_solids(planned, solver, clearance):
     x, y = free.robot[len(free.robot) // 2, :2]
     solids.pose[0, 0], solids.size[0, 0] = (x, y - 0.3, 0.0), (0.1, 0.1, 0.0, 0.4)
 
-    def nearest(path):
+    def touches(path, margin):
         base, arm = planar_pose(*path.robot[1:, :3].T), np.ascontiguousarray(path.robot[1:, 3:])
-        around = solids.of(np.zeros(len(arm), dtype=np.intp))
-        return distances(solver.collision, arm, base, around).min()
+        around = solids.wider(margin, margin).repeated(len(arm))
+        return collides(solver.collision, arm, base, around).any()
 
-    assert nearest(free) == 0.0
+    assert touches(free, 0.0)
     around, _ = planned(twist, solids=solids, clearance=clearance)
-    assert nearest(around) > clearance
+    assert not touches(around, clearance)
