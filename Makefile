@@ -9,10 +9,11 @@ STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-demo
 PACKAGES := kinfeas plugins scenes sim2real configs
 FRESH = build/$(notdir $(PYTHON))
+MERGED := build/merged
 WORKERS ?= auto
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-python docs reference lint layers format clean
+.PHONY: help install demo test test-slow test-python docs reference lint types layers merged format clean
 
 help:  ## Show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -44,18 +45,26 @@ docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 reference: $(STAMP)  ## Write the generated parts of docs/reference
 	$(BIN)/python docs/reference_pages.py
 
-# mypy ends with 2 if a machine is too busy to start its workers in time.
 lint: $(STAMP)  ## Check style, types and layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy || { test $$? = 2 && $(BIN)/mypy --num-workers 0; }
-	@$(MAKE) --no-print-directory layers
+	@$(MAKE) --no-print-directory types layers
 
-# On a copy in which every package lies below kinfeas, as installed.
-layers: $(STAMP)
-	@copy=$$(mktemp -d) && trap 'rm -rf "$$copy"' EXIT && cp -r kinfeas "$$copy" && \
-		cp -r $(filter-out kinfeas,$(PACKAGES)) "$$copy/kinfeas" && cd "$$copy" && \
-		"$(CURDIR)/$(BIN)/lint-imports" --config "$(CURDIR)/pyproject.toml" --no-cache --no-logo
+# Types and layers are those of a copy in which every package lies below kinfeas, as installed. mypy
+# ends with 2 if a machine is too busy to start its workers in time.
+MYPY = "$(CURDIR)/$(BIN)/mypy" --config-file "$(CURDIR)/pyproject.toml" \
+	--cache-dir "$(CURDIR)/.mypy_cache" kinfeas docs
+
+types: merged
+	cd $(MERGED) && { $(MYPY) || { test $$? = 2 && $(MYPY) --num-workers 0; }; }
+
+layers: merged
+	cd $(MERGED) && "$(CURDIR)/$(BIN)/lint-imports" --config "$(CURDIR)/pyproject.toml" \
+		--no-cache --no-logo
+
+merged: $(STAMP)
+	@rm -rf $(MERGED) && mkdir -p $(MERGED)/docs && cp -p docs/*.py $(MERGED)/docs && \
+		cp -rp kinfeas $(MERGED) && cp -rp $(filter-out kinfeas,$(PACKAGES)) $(MERGED)/kinfeas
 
 format: $(STAMP)  ## Format the code and mend what ruff can mend
 	$(BIN)/ruff check --fix .

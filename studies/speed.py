@@ -34,7 +34,7 @@ from kinfeas.policies.loading import trained_folder
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.deploy.rate import peak_memory_mb
+from kinfeas.sim2real.link.rate import peak_memory_mb
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""

@@ -117,7 +117,7 @@ LACKING = {
     "train --robot hsr --steps 64": "train",
     "sweep sweep/pr2": "train,plots,sweep",
     f"{EVALUATE} --picture a.png": "plots",
-    f"{EVALUATE} --video a.mp4": "video",
+    f"{EVALUATE} --video a.mp4": "video,pybullet",
     f"{EVALUATE} --replay a.html": "view",
     "play --robot hsr": "view,plots",
     "export pretrained --robot hsr --out a.onnx": "export",

@@ -51,7 +51,7 @@ def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
     folder = trained_folder(name, model)
     if not name or not folder.is_dir():
         raise KinfeasError(f"policy {name!r} is not a run, a checkpoint or pretrained")
-    from kinfeas.sim2real.export import export as run
+    from kinfeas.policies.export import export as run
 
     return _file(path, *run(folder, model, path))
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot, read_adapters, robot_of
@@ -54,7 +54,6 @@ class Options(TypedDict, total=False):
     seed: int | None
     minutes: float | None
     steps: int | None
-    algorithm: Literal["sac", "td3"] | None
     adapters: Name | None
     world: str
     init: Name | None
@@ -84,7 +83,7 @@ def train(
 def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainConfig:
     """Return the configuration of a run: the recipe, then the options, then their settings."""
     init, config, world = options.get("init"), options.get("config"), options.get("world", _WORLD)
-    changes: dict[str, object] = {"robot": robot, "learner.algorithm": options.get("algorithm")}
+    changes: dict[str, object] = {"robot": robot}
     changes |= {key: options.get(key) for key in ("task", "seed", "init", "processes")}
     changes = {key: value for key, value in changes.items() if value is not None}
     if (adapters := options.get("adapters")) is not None:

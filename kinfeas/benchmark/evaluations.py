@@ -40,7 +40,7 @@ class Evaluation:
 
     Attributes:
         robot: Name or YAML file, as of the task.
-        policy: Name in the table: `sac`, `td3`, `pretrained`, a baseline or `ceiling`.
+        policy: Name in the table: `sac`, `pretrained`, a baseline or `ceiling`.
         source: Name for `load_policy`.
         seed: Seed of the episodes.
         first: Number of the first episode.
@@ -184,7 +184,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
     """Return a ceiling and what is beside it: learned policies, rows and baselines."""
     base = replace(case, settings=benchmark.settings)
     own = [run for run in runs if run.robot == case.robot_name]
-    learned = [replace(base, policy=run.algorithm, source=str(run.folder), training_seed=run.seed)
+    learned = [replace(base, policy="sac", source=str(run.folder), training_seed=run.seed)
                for run in own]  # fmt: skip
     if not own and takes_pretrained(benchmark, case.robot):
         learned = [replace(base, policy=PRETRAINED, source=PRETRAINED)]
@@ -193,9 +193,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
         if row.has(case.robot, case.task):
             settings = nested(benchmark.settings, row.settings, _filters(row.filters))
             rows += [
-                replace(evaluation, row=row.label, settings=settings)
-                for evaluation in learned
-                if evaluation.policy != "td3"
+                replace(evaluation, row=row.label, settings=settings) for evaluation in learned
             ]
     baselines = [replace(base, policy=name, source=name)
                  for name, on in benchmark.baselines.items() if case.task in on]  # fmt: skip

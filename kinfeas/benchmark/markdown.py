@@ -10,7 +10,7 @@ NOTHING = "-"
 
 _INDENT = "&nbsp;&nbsp;"
 
-_LEARNED = {"sac": "learned, SAC", "td3": "learned, TD3", "pretrained": "learned, pretrained"}
+_LEARNED = {"sac": "learned, SAC", "pretrained": "learned, pretrained"}
 
 _HOW = """\
 Each cell is the percentage of episodes that reach the goal **without an IK failure**. In \

@@ -30,7 +30,6 @@ from kinfeas.viz.episodes import episodes_figure
 from kinfeas.viz.plots import apart, read_metrics
 from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, INK, STYLE, failures_text, png
 
-_COLOURS = {"sac": EE, "td3": BASE}
 _POINTS = 200
 _CURVE_INCHES = 4.9
 _POINTS_SHOWN = 3000
@@ -155,8 +154,7 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
         panels = figure.subplots(1, len(robots), squeeze=False, sharey=True)[0]
         for axes, robot in zip(panels, robots, strict=True):
             own = [run for run in runs if run.robot == robot]
-            for algorithm in dict.fromkeys(run.algorithm for run in own):
-                _draw_curves(axes, algorithm, [run for run in own if run.algorithm == algorithm])
+            _draw_curves(axes, own)
             _draw_levels(axes, levels.get(robot, {}))
             axes.set_title(f"{TITLES.get(robot, robot)}, {own[0].task}")
             axes.set_xlabel("environment steps (thousands)")
@@ -225,20 +223,19 @@ def workspace_figure(robots: Mapping[str, Sequence[Result]]) -> Figure:
     return figure
 
 
-def _draw_curves(axes: Axes, algorithm: str, runs: Sequence[Run]) -> None:
+def _draw_curves(axes: Axes, runs: Sequence[Run]) -> None:
     metrics = [read_metrics(run.folder) for run in runs]
-    colour, name = _COLOURS.get(algorithm, INK), algorithm.upper()
     seeds = f", mean and std of {len(runs)} seeds" if len(runs) > 1 else ", 1 seed"
     steps, values = training_curve(metrics)
     mean, deviation = values.mean(axis=0), _deviation(values)
     low, high = (mean - deviation).clip(0.0), (mean + deviation).clip(max=1.0)
-    axes.fill_between(steps / 1000.0, low, high, color=colour, alpha=0.2, lw=0.0)
-    axes.plot(steps / 1000.0, mean, color=colour, lw=1.8, label=f"{name} training{seeds}")
+    axes.fill_between(steps / 1000.0, low, high, color=EE, alpha=0.2, lw=0.0)
+    axes.plot(steps / 1000.0, mean, color=EE, lw=1.8, label=f"training{seeds}")
     steps, values = evaluation_curve(metrics)
     axes.errorbar(
         steps / 1000.0, values.mean(axis=0), yerr=_deviation(values) if len(runs) > 1 else None,
-        fmt="o", color=colour, ms=6.5, mec="white", capsize=3, elinewidth=1.4, zorder=4,
-        label=f"{name} evaluation, without noise",
+        fmt="o", color=EE, ms=6.5, mec="white", capsize=3, elinewidth=1.4, zorder=4,
+        label="evaluation, without noise",
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ class Cell:
 
     Attributes:
         variant: Label of a further table; else empty.
-        policy: `sac`, `td3`, `pretrained` or a baseline.
+        policy: `sac`, `pretrained` or a baseline.
         row: Label of a further row of the policy; else empty.
         world: Backend.
         seeds: Number of policies, each from another training seed.
@@ -81,7 +81,7 @@ class Cell:
     @property
     def learned(self) -> bool:
         """Whether the policy is a learned one."""
-        return self.policy in ("sac", "td3", PRETRAINED)
+        return self.policy in ("sac", PRETRAINED)
 
 
 def tabulate(results: Sequence[tuple[Evaluation, Result]], *backends: str) -> list[Cell]:
@@ -188,8 +188,8 @@ def _cell(
 
 
 def _paper(case: Evaluation) -> PaperFigures | None:
-    """Return the paper's figures in the same place; its learned policies are of SAC."""
-    if case.variant or case.policy == "td3":
+    """Return the paper's figures in the same place."""
+    if case.variant:
         return None
     world = "analytic" if case.backend == "analytic" else "physics"
     figures = paper_figures(case.robot_name, case.task, world)

@@ -93,7 +93,7 @@ def report(done: "Deployment", json: Path | None) -> int:
 
 
 def _show(outcome: "Outcome", about: "About", facts: dict[str, object]) -> None:
-    from kinfeas.sim2real.deploy.rate import peak_memory_mb
+    from kinfeas.sim2real.link.rate import peak_memory_mb
 
     title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
     print_facts(title, {**facts, "peak_memory_mb": peak_memory_mb()})

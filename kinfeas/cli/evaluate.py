@@ -35,12 +35,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     adapters: options.AdapterList = None,
     ablation: Annotated[bool, option("Also evaluate single adapters.", "--ablation")] = False,
     picture: Annotated[Path | None, options.file_option("Draw an episode.", ".png")] = None,
-    video: Annotated[
-        Path | None,
-        options.file_option(
-            "Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"
-        ),
-    ] = None,
+    video: options.Video = None,
     replay: Annotated[
         Path | None,
         options.file_option("Write an episode as an interactive page.", ".html", ".htm"),

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from kinfeas.jobs.job import Engine
 
 _WRITERS = {
-    ".png": "matplotlib", ".gif": "matplotlib", ".mp4": "av", ".html": "viser", ".htm": "viser",
-    ".onnx": "onnx",
+    ".png": ("matplotlib",), ".gif": ("PIL", "pybullet"), ".mp4": ("av", "pybullet"),
+    ".html": ("viser",), ".htm": ("viser",), ".onnx": ("onnx",),
 }  # fmt: skip
 """Optional packages that write files, by suffix."""
 
@@ -65,8 +65,7 @@ def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
     def check(path: Path | None) -> Path | None:
         if path is not None:
             check_suffix(path, *suffixes)
-            if writer := _WRITERS.get(path.suffix.lower()):
-                require(writer)
+            require(*_WRITERS.get(path.suffix.lower(), ()))
         return check_file_path(path)
 
     return check
@@ -163,6 +162,11 @@ JsonPath = Annotated[
     ),
 ]
 Picture = Annotated[Path | None, file_option("Draw a picture.", ".png")]
+
+Video = Annotated[
+    Path | None,
+    file_option("Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"),
+]
 
 
 def read_settings(

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.run import Progress
 
-Algorithm = Literal["sac", "td3"]
-
 
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: Annotated[
@@ -36,7 +34,6 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     steps: Annotated[
         int | None, option("Environment steps, in place of or beside --minutes.")
     ] = None,
-    algorithm: Annotated[Algorithm | None, option("Algorithm.  [default: sac]")] = None,
     adapters: options.AdapterList = None,
     world: options.World = "analytic",
     init: Annotated[
@@ -76,13 +73,13 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     if resume is None:
         settings = training.configure(
-            robot, task=task, seed=seed, minutes=minutes, steps=steps, algorithm=algorithm,
+            robot, task=task, seed=seed, minutes=minutes, steps=steps,
             adapters=adapters, world=world, init=init, processes=processes, config=config,
             settings=options.read_settings(overrides),
         )  # fmt: skip
         run = train_run(settings, out or training.default_folder(settings))
     else:
-        others = (robot, task, seed, algorithm, adapters, init, processes, out, config, overrides)
+        others = (robot, task, seed, adapters, init, processes, out, config, overrides)
         if world != "analytic" or any(other is not None for other in others):
             raise KinfeasError("--resume excludes all options but --minutes and --steps")
         with _resumable(resume), training_bar() as report:

@@ -8,12 +8,13 @@ from kinfeas.cli.options import option
 from kinfeas.cli.output import phases, print_facts, print_paths, write_json
 
 
-def view(
+def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     scene: Annotated[str | None, option("Scene by name or YAML file.  [default: room]")] = None,
     record: Annotated[Path | None, option("Record of kinfeas deploy.", metavar="FILE.csv")] = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
     picture: options.Picture = None,
+    video: options.Video = None,
     html: Annotated[
         Path | None, options.file_option("Write an interactive page.", ".html", ".htm")
     ] = None,
@@ -29,8 +30,8 @@ def view(
     with phases() as on_progress:
         facts = api.view(
             scene, record=record, settings=options.read_settings(overrides), picture=picture,
-            html=html, on_progress=on_progress,
+            video=video, html=html, on_progress=on_progress,
         )  # fmt: skip
     write_json(facts, json)
     print_facts(f"record {record}" if record else f"scene {facts['scene']}", facts)
-    print_paths(picture, html)
+    print_paths(picture, video, html)

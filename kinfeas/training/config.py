@@ -23,15 +23,14 @@ from kinfeas.envs.world import WorldConfig
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """Hyperparameters of SAC and TD3.
+    """Hyperparameters of SAC.
 
     Attributes:
-        algorithm: `sac` or `td3`.
         learning_rate: Of actor and critics.
         schedule: Constant learning rate, or one that falls linearly to 0 over the run.
         batch_size: Transitions in a gradient step.
         gradient_steps: Gradient steps for each action of all environments.
-        policy_delay: SAC: gradient steps of the critics for each one of the actor.
+        policy_delay: Gradient steps of the critics for each one of the actor.
         gamma: Discount of a reward one step later.
         tau: Share of the critics that the target networks take over in a gradient step.
         buffer_size: Transitions in the replay buffer.
@@ -39,15 +38,12 @@ class LearnerConfig:
             with `init` these actions are the policy's, with noise.
         critic_steps: With `init`, steps after these in which only the critics learn.
         net_arch: Units of each hidden layer.
-        anchor: SAC, with `init`: factor on the squared difference between the actions of the actor
+        anchor: With `init`, factor on the squared difference between the actions of the actor
             and of the initial policy, in the actor's loss. Of a policy without the terms of the
             surroundings, it counts where these are 0: no base is planned, nothing in range.
-        ent_coef: SAC: fixed entropy coefficient, or `learned`.
-        exploration_noise: TD3: standard deviation of the noise on actions.
-        policy_noise: TD3: standard deviation of the target policy's noise.
+        ent_coef: Fixed entropy coefficient, or `learned`.
     """
 
-    algorithm: Literal["sac", "td3"] = "sac"
     learning_rate: PositiveShare = 6e-4
     schedule: Literal["constant", "linear"] = "linear"
     batch_size: Annotated[int, Interval(ge=1, le=65_536)] = 256
@@ -61,8 +57,6 @@ class LearnerConfig:
     net_arch: tuple[Annotated[int, Interval(ge=1, le=2048)], ...] = (256, 256)
     ent_coef: NotNegative | Literal["learned"] = 0.01
     anchor: NotNegative = 0.0
-    exploration_noise: NotNegative = 0.25
-    policy_noise: NotNegative = 0.2
 
 
 @dataclass(frozen=True)
@@ -113,11 +107,10 @@ class TrainConfig:
         world: Control period, limits of an episode, adapters, reward and IK.
         evaluation_adapters: Adapters of the evaluations, which select and measure the best policy,
             in place of those of `world`, which may be there for exploration only.
-        trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` and `mlflow`
-            are extras.
+        trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` is an extra.
         init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
             `learner.net_arch`; terms that it lacks have no effect at first.
-        learner: Algorithm and hyperparameters.
+        learner: Hyperparameters.
         schedule: Length, evaluations and checkpoints.
     """
 
@@ -131,7 +124,7 @@ class TrainConfig:
     observation: tuple[str, ...] = OBSERVATION
     world: WorldConfig = field(default_factory=WorldConfig)
     evaluation_adapters: tuple[PluginSpec, ...] = ()
-    trackers: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ("tensorboard",)
+    trackers: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

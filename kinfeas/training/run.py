@@ -101,12 +101,12 @@ def check_new(out: Path) -> None:
     """Check that a run can begin in a folder."""
     with writing(out):
         # Hidden files may be left by a run that was killed while it wrote its first file.
-        if out.is_dir() and any(not one.name.startswith(".") for one in out.iterdir()):
+        if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
             if (out / SETTINGS).is_file():
                 again = f"--resume {shlex.quote(str(out))}"
                 raise KinfeasError(f"{out}: already there; use {again}, or another --out")
             raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
-        nearest = next(place for place in (out, *out.parents) if place.exists())
+        nearest = next(folder for folder in (out, *out.parents) if folder.exists())
         TemporaryFile(dir=nearest).close()
 
 
@@ -142,7 +142,7 @@ def read_evaluation(out: Path) -> dict[str, Any]:
         "trained_with": config.robot,
         "task": config.task,
         "world": config.world.backend,
-        "adapters": [one.name for one in config.evaluation_adapters],
+        "adapters": [adapter.name for adapter in config.evaluation_adapters],
         "policy": str(out),
         "steps": best.steps,
         **best.fresh_evaluation,
@@ -161,8 +161,12 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
                     f"{last}: a checkpoint of another run: its {key} is {before[key]}, "
                     f"but {last.parents[1] / SETTINGS} has {value}"
                 )
-        known = state["progress"]
-        entries = {one.name: known[one.name] for one in fields(_Saved) if one.name in known}
+        saved_entries = state["progress"]
+        entries = {
+            entry.name: saved_entries[entry.name]
+            for entry in fields(_Saved)
+            if entry.name in saved_entries
+        }
         saved = configuration.from_mapping(_Saved, entries, str(last / _STATE))
     progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
     # The schedule may have been made longer.
@@ -185,14 +189,14 @@ def evaluation_seconds(config: TrainConfig, episodes: int) -> float:
 
 def share_done(config: TrainConfig, progress: Progress) -> float:
     """Return the share of a run's steps, or of its time if that is more, 0-1."""
-    shares, schedule = [0.0], config.schedule
+    fractions, schedule = [0.0], config.schedule
     if schedule.steps is not None:
-        shares.append(progress.steps / schedule.steps)
+        fractions.append(progress.steps / schedule.steps)
     if schedule.minutes is not None:
         last = evaluation_seconds(config, schedule.evaluation_episodes + schedule.final_episodes)
         limit = 60.0 * schedule.minutes - (last if last < math.inf else 0.0)
-        shares.append((progress.seconds + progress.other_seconds) / limit)
-    return min(1.0, max(shares))
+        fractions.append((progress.seconds + progress.other_seconds) / limit)
+    return min(1.0, max(fractions))
 
 
 def evaluations_due(config: TrainConfig, progress: Progress) -> int:

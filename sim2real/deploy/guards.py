@@ -29,8 +29,8 @@ from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.robots.robot import Base, Robot
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guard_kernels import limited_targets, limited_velocity
-from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.deploy.state_monitor import StateMonitor, check_limit
+from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.sim2real.link.scans import beam
 
 _CREEP = 0.02  # m/s up to which the base may drive into a blind direction

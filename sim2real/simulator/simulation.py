@@ -20,7 +20,6 @@ from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import furniture_solids, read_scene
-from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.link import (
     BaseReading,
     Hosted,
@@ -30,6 +29,7 @@ from kinfeas.sim2real.link import (
     RobotLink,
     ScanRobotLink,
 )
+from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.task import Task
 
 _CATCH_UP = 10  # simulation steps in one period at most, if the machine is late

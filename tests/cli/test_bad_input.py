@@ -13,7 +13,7 @@ from tests.cli.conftest import check_one_line
 from tests.cli.test_benchmark import STUDY
 from tests.importer.conftest import ARM
 from tests.plugins.conftest import door_demonstrations
-from tests.sim2real.policy_cases import write_run
+from tests.policy_cases import write_run
 
 ENGINE = default_engine()
 SCOUT = Path(__file__).parents[2] / "examples" / "own_robot"

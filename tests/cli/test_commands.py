@@ -16,7 +16,7 @@ from kinfeas.robots.loading import load_robot
 from tests.cli.conftest import check_one_line
 from tests.importer.conftest import ARM
 from tests.plugins.conftest import door_demonstrations
-from tests.sim2real.policy_cases import write_run
+from tests.policy_cases import write_run
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from kinfeas.training import train as training
 from tests.builders import contents
 from tests.cli.conftest import TINY, check_one_line
 from tests.cli.test_main import HEAVY, kinfeas_process
-from tests.sim2real.policy_cases import write_run
+from tests.policy_cases import write_run
 
 SHORT = ("train", "--robot", "hsr", "--steps", "64", "--out", "run", *TINY)
 
@@ -56,11 +56,10 @@ def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas,
 def test_robot_and_recipe_by_path_and_default_folder(kinfeas, tmp_path):
     shutil.copytree(load_robot("hsr").folder, tmp_path / "mine")
     (tmp_path / "recipe.yaml").write_text("robot: ./mine\nnum_envs: 8\nseed: 5\n")
-    words = ("--config", "recipe.yaml", "--steps", "16", "--algorithm", "td3", *TINY)
+    words = ("--config", "recipe.yaml", "--steps", "16", *TINY)
     kinfeas("train", *words, code=0)
     settings = yaml.safe_load((tmp_path / "runs" / "hsr-ggr-5" / "config.yaml").read_text())
     assert settings["robot"] == str(tmp_path / "mine")
-    assert settings["learner"]["algorithm"] == "td3"
 
 
 def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch):

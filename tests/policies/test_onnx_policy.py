@@ -11,7 +11,7 @@ from kinfeas.kinematics.drive import command_size
 from kinfeas.policies import onnx_policy
 from kinfeas.policies.onnx_policy import digest_entry, read_policy_file
 from kinfeas.robots.loading import load_robot
-from tests.sim2real.policy_cases import change, get_entry, set_entry, write_policy_file
+from tests.policy_cases import change, get_entry, set_entry, write_policy_file
 
 
 @pytest.fixture(scope="module")

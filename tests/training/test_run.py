@@ -144,7 +144,7 @@ def test_every_recipe_makes_a_world(name, robot):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("learner.algorithm", "ppo"), ("learner.gamma", 1.5), ("schedule.steps", None),
+    [("learner.schedule", "cosine"), ("learner.gamma", 1.5), ("schedule.steps", None),
      ("processes", 9)],
 )  # fmt: skip
 def test_values_out_of_range_raise(tiny, key, value):

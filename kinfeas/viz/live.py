@@ -16,9 +16,9 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim2real.deploy.config import ServoConfig
-from kinfeas.sim2real.servo.choice import DT, Choice
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.tasks.task import MotionSpec, build_subgoals
+from kinfeas.viz.choice import DT, Choice
 
 _NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
 _UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
@@ -45,7 +45,7 @@ class Episode:
         config = load_section(ServoConfig, "servo", robot.folder)
         self.follows = choice.generator == "servo"
         rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
-        limits = rules.generator_limits
+        limits: dict[str, object] = {**rules.generator_limits}
         if not self.follows:
             rules = replace(rules, max_velocity=_UNLIMITED, max_angular_velocity=_UNLIMITED)
         self._steps = 0

@@ -4,9 +4,9 @@ import json
 
 import onnx
 
+from kinfeas.policies.export import export
 from kinfeas.policies.network import write_network
 from kinfeas.policies.onnx_policy import digest_entry
-from kinfeas.sim2real.export import export
 from tests.builders import random_network
 
 TRAINED = {

@@ -9,11 +9,11 @@ import pytest
 
 from kinfeas.control.observation import ObservedState, observe
 from kinfeas.core.errors import KinfeasError
+from kinfeas.policies import export as export_module
+from kinfeas.policies.export import GOLDEN_PAIRS, export
 from kinfeas.policies.network import read_network
 from kinfeas.policies.onnx_policy import TOLERANCE, read_policy_file
-from kinfeas.sim2real import export as export_module
-from kinfeas.sim2real.export import GOLDEN_PAIRS, export
-from tests.sim2real.policy_cases import write_run
+from tests.policy_cases import write_run
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "onnx_inference.py"
