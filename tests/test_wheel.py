@@ -123,7 +123,7 @@ LACKING = {
     "export pretrained --robot hsr --out a.onnx": "export",
     "evaluate --policy whole_body_qp --robot hsr --episodes 1": "qp",
     f"{EVALUATE} --world pybullet": "pybullet",
-    DEPLOY: "pybullet" if sys.version_info < (3, 12) else "mujoco",
+    DEPLOY: "pybullet",
     f"{DEPLOY} --backend ros2": "ros2",
     "robot import mesh.urdf --out out": "meshes",
     "dataset . --out out": "lerobot",

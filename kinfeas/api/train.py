@@ -141,7 +141,7 @@ def duration(minutes: float | None, steps: int | None) -> dict[str, object]:
 
 def default_folder(config: TrainConfig) -> Path:
     """Return `runs/ROBOT-TASK-SEED`, with its engine appended for a run with physics."""
-    robot, task = Path(config.robot).stem, Path(config.task).stem
+    robot, task = load_robot(config.robot).name, Path(config.task).stem
     backend = config.world.backend
     suffix = "" if backend == "analytic" else f"-{backend}"
     return Path("runs") / f"{robot}-{task}-{config.seed}{suffix}"

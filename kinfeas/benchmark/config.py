@@ -164,7 +164,7 @@ def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConf
         if isinstance(model, StreamTask):
             raise KinfeasError(f"'tasks': {task} has no ceiling, since its targets move")
         build_subgoals(model.subgoals)
-    for robot in robots:
+    for robot in benchmark.robots:
         for row in (Row(""), *benchmark.rows):
             read_settings(robot, benchmark.backend, nested(benchmark.settings, row.settings))
     return benchmark

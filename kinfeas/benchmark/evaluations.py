@@ -12,6 +12,7 @@ from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.runs import Run, takes_pretrained
 from kinfeas.config import PluginSpec, nested
+from kinfeas.config.recipes import robot_file
 from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
@@ -21,8 +22,7 @@ from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
 from kinfeas.io.policy_metadata import policy_folder
 from kinfeas.jobs.job import Job, Result
-from kinfeas.policies import pretrained
-from kinfeas.policies.loading import BASELINES, load_policy
+from kinfeas.policies.loading import BASELINES, PRETRAINED, load_policy, trained_folder
 from kinfeas.policies.network import WEIGHTS, Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
@@ -79,7 +79,7 @@ class Evaluation:
         ]  # fmt: skip
         parts += [_own_files(self)] if is_path(self.robot) or is_path(self.task) else []
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:10]
-        return f"{Path(self.robot).stem}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
+        return f"{self.robot_name}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
     def job(self, folder: Path) -> Job:
         """Return the job whose result is a file in `folder`."""
@@ -90,7 +90,7 @@ def _own_files(case: Evaluation) -> list[str]:
     """Return the content of the files of an own robot or task."""
     digests: list[str] = []
     if is_path(case.robot):
-        files = Path(case.robot), load_robot(case.robot).urdf_path
+        files = robot_file(case.robot), load_robot(case.robot).urdf_path
         digests += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     if is_path(case.task):
         digests.append(json.dumps(config.to_mapping(load_task(case.task, case.parameters))))
@@ -131,7 +131,7 @@ def compute(case: Evaluation) -> Result:
     """Return the summary of an evaluation, with points of the `workspace` for a learned policy."""
     if case.policy == CEILING:
         robot, task = load_robot(case.robot), load_task(case.task, case.parameters)
-        ik = read_settings(robot.name, case.backend, case.settings).world.ik
+        ik = read_settings(robot.folder, case.backend, case.settings).world.ik
         bound = measure_reachability(robot, task, case.episodes, case.seed, ik).share
         return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
     robot = load_robot(case.robot)
@@ -187,7 +187,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
     learned = [replace(base, policy=run.algorithm, source=str(run.folder), training_seed=run.seed)
                for run in own]  # fmt: skip
     if not own and takes_pretrained(benchmark, case.robot):
-        learned = [replace(base, policy=pretrained.NAME, source=pretrained.NAME)]
+        learned = [replace(base, policy=PRETRAINED, source=PRETRAINED)]
     rows = []
     for row in benchmark.rows if not case.variant else ():
         if row.has(case.robot, case.task):
@@ -212,7 +212,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
 
 def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
     """Return an evaluation with the same filters in the analytic world, which has no obstacles."""
-    used = read_settings(case.robot_name, benchmark.backend, case.settings).world.filters
+    used = read_settings(case.robot, benchmark.backend, case.settings).world.filters
     filters = tuple(spec for spec in used if spec.name != "obstacle_distance")
     return replace(case, settings=_filters(filters))
 
@@ -233,8 +233,7 @@ def _weights(case: Evaluation) -> str:
     """Return the digest of a learned policy, which may be trained anew in the same folder."""
     if case.source == CEILING or case.source in BASELINES:
         return ""
-    shipped = case.source == pretrained.NAME
-    folder = pretrained.find(case.robot_name) if shipped else Path(case.source)
+    folder = trained_folder(case.source, load_robot(case.robot))
     path = policy_folder(folder) / WEIGHTS
     with reading(path):
         return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -312,7 +312,7 @@ def _examples(robot: Robot, cases: Sequence[Evaluation]) -> dict[str, Recording]
     recordings: dict[str, Recording] = {}
     for case in cases:
         if case.task_name not in recordings:
-            config = read_settings(robot.name, case.backend, case.settings).world
+            config = read_settings(robot.folder, case.backend, case.settings).world
             world = World(robot, load_task(case.task, case.parameters), config, case.seed)
             policy = load_policy(case.source, robot)
             (recordings[case.task_name],) = record_episodes(world, policy, 1, first=len(recordings))

@@ -13,7 +13,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import policy_folder, read_best
 from kinfeas.jobs.job import Job
 from kinfeas.jobs.training import training_job
-from kinfeas.policies import pretrained
+from kinfeas.policies.loading import PRETRAINED, trained_policies
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
@@ -59,7 +59,7 @@ def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:
     """Return whether a benchmark takes the shipped policy of a robot."""
     if benchmark.policies == "train":
         return False
-    return benchmark.policies == "pretrained" or load_robot(robot).name in pretrained.robots()
+    return benchmark.policies == PRETRAINED or PRETRAINED in trained_policies(load_robot(robot))
 
 
 def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
@@ -109,7 +109,7 @@ def publish(
 
 def train_command(settings: TrainConfig) -> str:
     """Return the command of a run: its changes of the robot's default recipe."""
-    plain = config.to_mapping(load_section(TrainConfig, "train", Path(settings.robot).stem))
+    plain = config.to_mapping(load_section(TrainConfig, "train", settings.robot))
     changed = _changes(config.to_mapping(settings), {**plain, "robot": settings.robot})
     words = ["kinfeas", "train", "--robot", settings.robot, "--seed", str(settings.seed)]
     changed.pop("seed", None)

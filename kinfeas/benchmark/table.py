@@ -11,7 +11,7 @@ from kinfeas.benchmark.evaluations import CEILING, Evaluation
 from kinfeas.core.metrics import Proportion, wilson
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.jobs.job import Result
-from kinfeas.policies import pretrained
+from kinfeas.policies.loading import PRETRAINED
 
 _MEANS = (
     "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
@@ -81,7 +81,7 @@ class Cell:
     @property
     def learned(self) -> bool:
         """Whether the policy is a learned one."""
-        return self.policy in ("sac", "td3", pretrained.NAME)
+        return self.policy in ("sac", "td3", PRETRAINED)
 
 
 def tabulate(results: Sequence[tuple[Evaluation, Result]], *backends: str) -> list[Cell]:
@@ -193,7 +193,7 @@ def _paper(case: Evaluation) -> PaperFigures | None:
         return None
     world = "analytic" if case.backend == "analytic" else "physics"
     figures = paper_figures(case.robot_name, case.task, world)
-    if case.policy not in ("sac", pretrained.NAME):
+    if case.policy not in ("sac", PRETRAINED):
         return figures.get(case.policy)
     plain = None if case.row and world == "analytic" else figures.get(LEARNED)
     return figures.get(case.row, plain)

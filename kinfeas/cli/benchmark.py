@@ -135,12 +135,12 @@ def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Job"]:
     """Return the training runs of a benchmark, after a check that policies can be built."""
     from kinfeas.benchmark.evaluations import check_baselines, plan_evaluations
     from kinfeas.benchmark.runs import plan_runs
-    from kinfeas.policies import pretrained
+    from kinfeas.policies.loading import PRETRAINED, trained_folder
     from kinfeas.robots.loading import load_robot
 
-    if benchmark.policies == "pretrained":
+    if benchmark.policies == PRETRAINED:
         for robot in benchmark.robots:
-            pretrained.find(load_robot(robot).name)
+            trained_folder(PRETRAINED, load_robot(robot))
     plans = plan_runs(benchmark, out)
     if not all(job.path.exists() for job in plans):
         require("torch", "stable_baselines3")

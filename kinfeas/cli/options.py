@@ -92,7 +92,7 @@ def episodes_option(text: str) -> Any:
 
 def robot_option(default: str = "") -> Any:
     """Return an option for a robot; the text on its default is added to the help."""
-    text = f"Robot: pr2, tiago, hsr, or a YAML file.{default}"
+    text = f"Robot: pr2, tiago, hsr, or a folder.{default}"
     return option(text, groups=("robots",))
 
 

@@ -58,7 +58,7 @@ def info(
     name: Annotated[
         str,
         argument(
-            "Name of a plugin, or YAML file of a robot or task.",
+            "Name of a plugin, folder of a robot, or YAML file of a task.",
             groups=[group.removeprefix("kinfeas.") for group in GROUPS],
         ),
     ],
@@ -249,13 +249,10 @@ def _facts_of_file(path: str) -> dict[str, Any]:
     from kinfeas.robots.loading import check_no_urdf
 
     check_no_urdf(path)
-    keys = strict_yaml.read(Path(path)).keys()
-    if "subgoals" in keys:
+    if not Path(path).is_dir() and "subgoals" in strict_yaml.read(Path(path)):
         return {"kind": "task", "name": Path(path).stem, "file": path, **_task_facts(path)}
-    if "urdf" in keys:
-        robot = _robot_facts(path)
-        return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
-    raise KinfeasError(f"{path}: has neither the key 'urdf' of a robot nor 'subgoals' of a task")
+    robot = _robot_facts(path)
+    return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
 
 
 def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:
@@ -302,7 +299,7 @@ def _robot_facts(name: str) -> dict[str, Any]:
         "arm": joints,
         "ee_frame": robot.ee_frame,
         "tool_tip_m": [round(value, 4) for value in robot.tool_tip.tolist()],
-        "goal_heights_m": {key: list(value) for key, value in robot.goal_heights.items()},
+        "reach_m": [robot.reach.low, robot.reach.high],
         "pose_tolerance": None if robot.pose_tolerance is None else vars(robot.pose_tolerance),
         "gripper": None if robot.gripper is None else list(robot.gripper.fingers),
         "configurations": list(robot.home),

@@ -49,7 +49,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     config: Annotated[
         str | None,
         option(
-            "Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
+            "Recipe: a YAML file, or a name such as train_rooms or paper/pr2.  "
             "[default: that of the robot]"
         ),
     ] = None,
@@ -60,7 +60,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
 
-    Recipes are sections of configs/robots: train, with --world pybullet or mujoco train_physics,
+    Recipes are sections of the robot: train, with --world pybullet or mujoco train_physics,
     with --init as well finetune_physics. Settings: every key of the recipe, such as
     learner.batch_size=256.
 

@@ -140,7 +140,7 @@ def learning_world(backend: str, robot: str) -> WorldConfig:
     """
     if backend == "analytic":
         return WorldConfig()
-    config = evaluation_world(backend, load_robot(robot).name)
+    config = evaluation_world(backend, robot)
     return replace(config, filters=())
 
 

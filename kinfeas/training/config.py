@@ -1,4 +1,4 @@
-"""Settings of a training run: the schema of the sections `train` of `configs/robots`."""
+"""Settings of a training run: the schema of the sections `train`."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
@@ -19,7 +19,6 @@ from kinfeas.config.quantities import (
 from kinfeas.config.recipes import read_recipe, section
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.envs.world import WorldConfig
-from kinfeas.robots.loading import load_robot
 
 
 @dataclass(frozen=True)
@@ -157,26 +156,26 @@ def load_recipe(
 
     Args:
         name: Recipe as in `read_recipe`; None for the robot's own. Keys that it lacks are those of
-            the robot's own recipe, unless it extends the recipe of a robot.
+            the section of the robot that it names, by default of `train`, or in worlds with physics
+            of `train_physics`, or of `finetune_physics` with `init`.
         settings: Values by key, as in `from_mapping`.
-        backend: World of the robot's recipe; those with physics have another one, also with `init`.
+        backend: World of the training.
         robot: Robot where neither the settings nor the recipe name one.
 
     Raises:
         KinfeasError: If there is no such recipe or robot, or a key or value is wrong.
     """
-    kind = "train" if backend == "analytic" else "train_physics"
-    data, complete = ({}, False) if name is None else read_recipe(name, kind)
-    source, changes = name or "", nested(settings)
+    data, name_of_section = ({}, None) if name is None else read_recipe(name)
+    changes = nested(settings)
     data = {"robot": robot, **data}
-    chosen = changes.get("robot", data["robot"])
-    if not complete and isinstance(chosen, str):
-        if kind != "train" and (changes.get("init") or data.get("init")):
-            kind = "finetune_physics"
-        base, own = section(kind, load_robot(chosen).name)
-        if kind != "train":
+    robot_name, source = changes.get("robot", data["robot"]), name or ""
+    if isinstance(robot_name, str):
+        physical = "finetune_physics" if changes.get("init", data.get("init")) else "train_physics"
+        kind = name_of_section or ("train" if backend == "analytic" else physical)
+        base, origin = section(kind, robot_name)
+        if backend != "analytic" and "backend" in base.get("world", {}):
             base = merged(base, {"world": {"backend": backend}})
-        if backend == "mujoco":  # steps a batch on all cores; only a world in this process is saved
-            base = {**base, "processes": 1}
-        data, source = merged(base, data), source or own
+            # MuJoCo steps a batch on all cores, and only a world in this process is saved.
+            base |= {"processes": 1} if backend == "mujoco" else {}
+        data, source = merged(base, data), source or origin
     return from_mapping(TrainConfig, data, source, changes)

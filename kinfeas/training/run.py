@@ -23,7 +23,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import find_folder, read_file, writing
 from kinfeas.io.formats import MAX_JSON_BYTES
 from kinfeas.io.policy_metadata import read_best, read_trained
-from kinfeas.policies import pretrained
+from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policies
 from kinfeas.policies.network import Network, read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
@@ -211,21 +211,19 @@ def with_initial_policy(config: TrainConfig) -> TrainConfig:
     if config.init is None:
         return config
     net_arch = tuple(len(bias) for bias in initial_policy(config).biases[:-1])
-    init = config.init if pretrained.is_shipped(config.init) else str(Path(config.init).absolute())
+    own = config.init in trained_policies(load_robot(config.robot))
+    init = config.init if own else str(Path(config.init).absolute())
     return replace(config, init=init, learner=replace(config.learner, net_arch=net_arch))
 
 
 def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None) -> Network:
     """Return the policy that a run starts from, with observations of the same scale, if given."""
-    init, robot = config.init, load_robot(config.robot)
-    if init and pretrained.is_shipped(init):
-        folder = pretrained.find(robot.name, init)
-    elif init and Path(init).is_dir():  # an empty path is the current folder
-        folder = Path(init)
-    else:
+    init, robot = config.init or "", load_robot(config.robot)
+    folder = trained_folder(init, robot)
+    if not init or not folder.is_dir():  # an empty path is the current folder
         raise KinfeasError(
-            f"init: {init or repr(init)}: neither the folder of a training run or of a checkpoint "
-            f"nor {pretrained.NAME!r}"
+            f"init: {init!r}: neither the folder of a training run or of a checkpoint "
+            f"nor {PRETRAINED!r}"
         )
     network = read_network(folder, robot)
     if config.observation != network.observation_terms:

@@ -52,7 +52,7 @@ class RosBackend(LinkBackend):
 
         Args:
             robot: Robot model.
-            topics: Path of a YAML file with the names, or name of a shipped one; the robot's own by
+            topics: Path of a YAML file with the names; the one in the robot's folder by
                 default.
             seconds: Minimum time_from_start of an arm target, seconds.
             timeout: Seconds that `reset` waits for the first measurements.

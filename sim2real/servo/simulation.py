@@ -42,7 +42,7 @@ class Episode:
         Raises:
             KinfeasError: If a part cannot be built, or the backend is no simulator.
         """
-        config = load_section(ServoConfig, "servo", robot.name)
+        config = load_section(ServoConfig, "servo", robot.folder)
         self.follows = choice.generator == "servo"
         rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
         limits = rules.generator_limits

@@ -19,8 +19,7 @@ from kinfeas.envs.world import evaluation_world
 from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import read_scene
-from kinfeas.scenes.solids import furniture_solids
+from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.link import (
     BaseReading,
@@ -248,7 +247,7 @@ def spawn(
     """
     around = read_scene(scene) if scene is not None else None
     engine = engine or default_engine()
-    parameters = evaluation_world(engine, robot.name).backend_parameters
+    parameters = evaluation_world(engine, robot.folder).backend_parameters
     backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=around)
     if not isinstance(backend, PhysicsBackend):
         raise KinfeasError(f"backend {engine!r} has no physics")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose, rotation
 from kinfeas.kinematics.self_collision import build_collision_model
-from kinfeas.robots.loading import read_robot
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 
@@ -187,7 +187,7 @@ class Among(Primitives):
 @pytest.fixture(scope="session")
 def odd_robot() -> Robot:
     """A robot with skewed axes and mimic joints, prismatic ones too."""
-    return read_robot(Path(__file__).parent / "odd_robot.yaml")
+    return load_robot(Path(__file__).parent / "odd_robot.yaml")
 
 
 @pytest.fixture(scope="session")

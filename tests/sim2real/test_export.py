@@ -7,9 +7,8 @@ import numpy as np
 import onnx
 import pytest
 
-from kinfeas.control.observation import Seen, observe
+from kinfeas.control.observation import ObservedState, observe
 from kinfeas.core.errors import KinfeasError
-from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network
 from kinfeas.policies.onnx_policy import TOLERANCE, read_policy_file
 from kinfeas.sim2real import export as export_module
@@ -21,7 +20,7 @@ EXAMPLE = ROOT / "examples" / "onnx_inference.py"
 
 
 def test_the_shipped_policies(robot, tmp_path):
-    folder = pretrained.find(robot.name)
+    folder = robot.folder / "policies" / "pretrained"
     policy, off = export(folder, robot, tmp_path / "policy.onnx")
     assert off <= TOLERANCE / 5.0
     assert policy.metadata.success["benchmark"]["ggr"]["success"] > 0.7
@@ -76,4 +75,4 @@ def test_the_example_observes_as_the_loop_does():
     poses[1, :, 3:] *= np.sign(poses[1, :, 6:])  # where the EE is, w >= 0 as forward kinematics say
     joints = rng.normal(size=(50, 7))
     shown = [example["observe"](*row, angles) for *row, angles in zip(*poses, joints, strict=True)]
-    np.testing.assert_allclose(shown, observe(Seen(*poses, joints)), atol=1e-12)
+    np.testing.assert_allclose(shown, observe(ObservedState(*poses, joints)), atol=1e-12)

@@ -95,8 +95,8 @@ class FeasibilityFilter:
         return move, good
 
 
-def replaced(move: Move, rows: Rows, other: Move, command: Array) -> Move:
-    """Return a move with another one in some rows; `command` is that of all rows."""
-    twist = with_rows(move.base_twist, rows, other.base_twist)
-    move.arm.put(rows, other.arm)
+def replaced(move: Move, rows: Rows, retried: Move, command: Array) -> Move:
+    """Return a move that is `retried` in some rows; `command` is that of all rows."""
+    twist = with_rows(move.base_twist, rows, retried.base_twist)
+    move.arm.put(rows, retried.arm)
     return Move(twist, move.arm, command)

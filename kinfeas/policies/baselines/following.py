@@ -139,7 +139,7 @@ def _follow_base(
 
 def demonstrated_base(robot: Robot) -> FollowBase:
     """Return the baseline that drives to the base pose of the demonstration."""
-    known = load_section(BaselineConfig, "baselines", robot.name)
+    known = load_section(BaselineConfig, "baselines", robot.folder)
     return FollowBase(robot.base, known.forward_shift)
 
 

@@ -26,7 +26,6 @@ from kinfeas.evaluation.recording import record_episodes
 from kinfeas.io.run_log import REACHED, About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import network as policy
-from kinfeas.policies import pretrained
 from kinfeas.policies.baselines.following import FollowBase
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
@@ -105,7 +104,7 @@ class Drive:
 
 @pytest.fixture(scope="module")
 def trained():
-    return policy.read_network(pretrained.find("pr2"), PR2.robot)
+    return policy.read_network(PR2.robot.folder / "policies" / "pretrained", PR2.robot)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -177,7 +176,7 @@ class Bold:
 def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, filters, drive):
     settings = {"task.distance": [1.0, 1.2], "world.filters": filters}
     config = configure(load_robot(name), "ggr", seed=3, settings=settings)
-    policy = load_policy(pretrained.NAME, config.robot)
+    policy = load_policy("pretrained", config.robot)
     # Accelerations that the policy does not reach, since evaluations have no limits.
     base = replace(config.robot.base, max_acceleration=99.0, max_rotation_acceleration=99.0)
     config, driver = replace(config, robot=replace(config.robot, base=base)), drive(policy)
