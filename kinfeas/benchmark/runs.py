@@ -11,8 +11,7 @@ from kinfeas.benchmark.config import BenchmarkConfig, Training
 from kinfeas.config.recipes import load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import policy_folder, read_best
-from kinfeas.jobs.job import Job
-from kinfeas.jobs.training import training_job
+from kinfeas.jobs.job import Job, training_job
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot

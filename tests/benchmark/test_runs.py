@@ -8,7 +8,7 @@ import pytest
 from kinfeas import config
 from kinfeas.benchmark.runs import Run, find_runs, plan_runs, publish, read_run, train_command
 from kinfeas.core.errors import KinfeasError
-from kinfeas.jobs.training import training_job
+from kinfeas.jobs.job import training_job
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig

@@ -48,7 +48,7 @@ def workers(driver, engine):
         except OSError:
             continue  # has ended meanwhile
         parents[int(place.name)] = int(stat[1])
-    mark = r"ray::(_run|IDLE)" if engine == "ray" else "spawn_main"
+    mark = r"ray::(_run_in|IDLE)" if engine == "ray" else "spawn_main"
 
     def below(pid):
         while pid in parents:
