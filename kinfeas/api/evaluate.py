@@ -65,23 +65,21 @@ def evaluate(  # noqa: PLR0913 - options of the command
         settings=nested(plugin_settings(filters, adapters, "world."), settings),
     )
     driver = load_policy(str(policy), model)
+    processes = checked(Processes, processes, "processes")
     if episode >= config.episodes:
         raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
-    count = counter(on_progress, f"{config.episodes} episodes", config.episodes)
-    processes = checked(Processes, processes, "processes")
-    summary = evaluation.evaluate(config, driver, str(policy), processes=processes, on_done=count)
     ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
-    metrics = cast("Metrics", {**summary, **evaluation.ceiling_entries(ceiling)})
+
+    def measure(config: EvalConfig, text: str) -> Summary:
+        count = counter(on_progress, f"{config.episodes} episodes {text}", config.episodes)
+        return evaluation.evaluate(config, driver, str(policy), ceiling, processes, count)
+
+    metrics = cast("Metrics", measure(config, ""))
     if ablation:
-        subsets = evaluation.adapter_subsets(config.world.adapters)
-        count, rows = counter(on_progress, f"{len(subsets)} evaluations", len(subsets)), {}
-        for label, subset in subsets.items():
-            part = replace(config, world=replace(config.world, adapters=subset))
-            rows[label] = evaluation.evaluate(
-                part, driver, str(policy), ceiling, processes=processes
-            )
-            count()
-        metrics["ablation"] = rows
+        metrics["ablation"] = {
+            label: measure(replace(config, world=replace(config.world, adapters=subset)), label)
+            for label, subset in evaluation.adapter_subsets(config.world.adapters).items()
+        }
     if picture or video or replay:
         show_episode(config, driver, episode, picture, video, replay, on_progress)
     return metrics
@@ -125,11 +123,10 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
         if replay is not None:
             from kinfeas.viz.pages import episode_html, physics_html  # need viser
 
-            html = (
-                physics_html(film)
-                if isinstance(film, PhysicsFilm)
-                else episode_html(recording, robot, recording.scene)
-            )
+            if isinstance(film, PhysicsFilm):
+                html = physics_html(film)
+            else:
+                html = episode_html(recording, robot, recording.scene)
             write_file(Path(replay), html.encode())
         if picture is not None and not as_film:
             write_file(Path(picture), png(episodes_figure(robot, [recording]), dpi=110))

@@ -1,6 +1,8 @@
 """Pictures of a benchmark: success, learning curves, workspace and example episodes."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
 from textwrap import fill
 from typing import Any
 
@@ -13,7 +15,7 @@ from matplotlib.ticker import PercentFormatter
 
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.evaluations import Evaluation, thinned
-from kinfeas.benchmark.markdown import groups, label, rows_of, title
+from kinfeas.benchmark.markdown import groups, label, rows_of, title, to_markdown
 from kinfeas.benchmark.runs import Run
 from kinfeas.benchmark.table import Cell
 from kinfeas.core.spatial import Array
@@ -21,6 +23,7 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
 from kinfeas.evaluation.recording import Recording, record_episodes
+from kinfeas.io.files import to_json, write_file
 from kinfeas.jobs.job import Result
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
@@ -258,17 +261,34 @@ def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
         )  # fmt: skip
 
 
-def draw_pictures(
+def write_results(
+    folder: Path,
+    benchmark: BenchmarkConfig,
+    runs: Sequence[Run],
+    results: Sequence[tuple[Evaluation, Result]],
+    cells: Sequence[Cell],
+    command: str,
+) -> list[Path]:
+    """Write pictures, `table.md` and `table.json` into a folder, and return their paths.
+
+    The pictures are `table.png`; in the analytic world also `learning_curves.png` if there are
+    runs, and `workspace.png` and `examples-ROBOT.png` if there are learned policies.
+    """
+    pictures = _pictures(benchmark, runs, results, cells)
+    files = {f"{name}.png": picture for name, picture in pictures.items()}
+    files["table.md"] = to_markdown(cells, benchmark.note, command, list(files)).encode()
+    files["table.json"] = to_json([asdict(cell) for cell in cells]).encode()
+    for name, content in files.items():
+        write_file(folder / name, content)
+    return [folder / name for name in files]
+
+
+def _pictures(
     benchmark: BenchmarkConfig,
     runs: Sequence[Run],
     results: Sequence[tuple[Evaluation, Result]],
     cells: Sequence[Cell],
 ) -> dict[str, bytes]:
-    """Return the pictures of a benchmark as PNG files, by name.
-
-    `table`; in the analytic world also `learning_curves` if there are runs, and `workspace` and
-    `examples-ROBOT` if there are learned policies.
-    """
     pictures = {"table": png(table_figure(cells, benchmark.note), 110)}
     if benchmark.backend != "analytic":
         return pictures

@@ -4,20 +4,23 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from kinfeas import __version__, config
 from kinfeas.benchmark.config import BenchmarkConfig, Training
 from kinfeas.config.recipes import load_section
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.policy_metadata import policy_folder, read_best
-from kinfeas.jobs.job import Job, training_job
+from kinfeas.io.policy_metadata import Trained, policy_folder, read_best
+from kinfeas.jobs.job import Job, Result, training_job
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import read_settings, with_initial_policy
+
+if TYPE_CHECKING:
+    from kinfeas.benchmark.evaluations import Evaluation
 
 
 @dataclass(frozen=True)
@@ -81,29 +84,31 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
 
 
 def publish(
-    runs: Sequence[Run], metrics: Mapping[Path, Mapping[str, Any]], folder: Path
+    runs: Sequence[Run], results: Sequence[tuple["Evaluation", Result]], folder: Path
 ) -> list[Path]:
     """Copy the best policy of each robot into `folder/ROBOT` and return these folders.
 
-    The best one has the highest success in the evaluation that selected its checkpoint. The
-    `metrics` by task for the folder of each run, from other episodes, go into `policy.json`.
+    The best one has the highest success in the evaluation that selected its checkpoint. Its
+    results by task, from other episodes, go into `policy.json`.
     """
-    candidates = [(run, read_best(run.folder)) for run in runs]
-    published = []
-    for robot in dict.fromkeys(run.robot for run in runs):
-        own = [(run, trained) for run, trained in candidates if run.robot == robot]
-        run, trained = max(own, key=lambda candidate: candidate[1].evaluation["success"])
+    best: dict[str, tuple[Run, Trained]] = {}
+    for run in runs:
+        trained = read_best(run.folder)
+        success = trained.evaluation["success"]
+        if run.robot not in best or success > best[run.robot][1].evaluation["success"]:
+            best[run.robot] = run, trained
+    for robot, (run, trained) in best.items():
+        metrics = {
+            case.task_name: {key: value for key, value in result.items() if key != "workspace"}
+            for case, result in results
+            if case.source == str(run.folder) and not (case.variant or case.row)
+        }
         command = train_command(config.from_mapping(TrainConfig, trained.config, str(run.folder)))
         about = replace(
-            trained,
-            seed=run.seed,
-            version=__version__,
-            command=command,
-            benchmark=dict(metrics.get(run.folder, {})),
+            trained, seed=run.seed, version=__version__, command=command, benchmark=metrics
         )
         copy_network(policy_folder(run.folder), about, folder / robot)
-        published.append(folder / robot)
-    return published
+    return [folder / robot for robot in best]
 
 
 def train_command(settings: TrainConfig) -> str:

@@ -6,7 +6,7 @@ from typing import Annotated
 from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import percent, phases, print_table, write_json
+from kinfeas.cli.output import percent, print_table, progress, write_json
 
 
 def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -32,7 +32,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.kinematics.reachability import LIMITS
 
     settings = options.read_settings(overrides)
-    with phases() as on_progress:
+    with progress() as on_progress:
         bound = api.ceiling(
             robot, task=task, episodes=episodes, seed=seed, path=path, settings=settings,
             on_progress=on_progress,

@@ -73,7 +73,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             policy, robot=robot, backend=backend, goal=goal, rpy=rpy, quaternion=quaternion,
             generator=generator, task=task, rate=rate, seconds=seconds, seed=seed, record=record,
             adapters=adapters, guards=guards, real_time=not no_real_time, filters=filters,
-            settings=options.read_settings(overrides), on_start=preparing.close,
+            settings=options.read_settings(overrides), on_start=preparing.stop,
         )  # fmt: skip
     raise typer.Exit(report(done, json))
 

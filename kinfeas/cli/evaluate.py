@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import percent, phases, print_paths, print_table, write_json
+from kinfeas.cli.output import percent, print_paths, print_table, progress, write_json
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
@@ -52,7 +52,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Evaluate a policy.
 
-    The ceiling is the share of goals that some base pose reaches. Pictures: desired EE path dashed,
+    The ceiling is the fraction of goals that some base pose reaches. Pictures: desired EE path dashed,
     achieved green.
 
     Settings: task.KEY and world.KEY: dt, max_failures, max_seconds, arm_settle_timeout, ik.KEY,
@@ -62,10 +62,13 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import evaluate as api
 
-    own: dict[str, object] = {"world.head_start": head_start, "world.time_scale": time_scale}
-    own |= {"world.backend_parameters.objects": False if without_objects else None}
-    own |= {"world.backend_parameters.gui": gui or None}
-    with phases() as on_progress:
+    own = {
+        "world.head_start": head_start,
+        "world.time_scale": time_scale,
+        "world.backend_parameters.objects": False if without_objects else None,
+        "world.backend_parameters.gui": gui or None,
+    }
+    with progress() as on_progress:
         summary = api.evaluate(
             policy, robot=robot, task=task, world=world, episodes=episodes, seed=seed,
             filters=filters, adapters=adapters, ablation=ablation, picture=picture, video=video,
@@ -74,31 +77,25 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         )  # fmt: skip
     _show(summary)
     if ablation:
-        _show_ablation({**summary["ablation"], "all": summary})
+        rows = [
+            [
+                label,
+                _fraction(row, "success"),
+                percent(row["reached"]),
+                f"{1000.0 * row['mean_deviation_m']:.1f} mm",
+            ]
+            for label, row in {**summary["ablation"], "all": summary}.items()
+        ]
+        print_table("adapters", ["", " success", " reached", " deviation"], rows)
     write_json(summary, json)
     print_paths(video, replay, picture)
 
 
-def _show_ablation(rows: "Mapping[str, Summary]") -> None:
-    cells = [
-        [
-            label,
-            _share(summary, "success"),
-            percent(summary["reached"]),
-            f"{1000.0 * summary['mean_deviation_m']:.1f} mm",
-        ]
-        for label, summary in rows.items()
-    ]
-    print_table("adapters", ["", " success", " reached", " deviation"], cells)
-
-
 def _show(summary: "Summary") -> None:
-    title = "{policy} on {task}, robot {robot}, {episodes} episodes of seed {seed}".format(
-        **summary
-    )
+    title = "{policy} on {task}, robot {robot}, {episodes} episodes of seed {seed}, {world}"
     rows = [
-        ["goal reached without a kinematic failure", _share(summary, "success")],
-        ["EE never more than 5 cm off, and at the goal", _share(summary, "within_5cm")],
+        ["goal reached without a kinematic failure", _fraction(summary, "success")],
+        ["EE never more than 5 cm off, and at the goal", _fraction(summary, "within_5cm")],
         ["goal reached", percent(summary["reached"])],
         ["kinematic failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
         ["EE deviation, mean", f"{1000 * summary['mean_deviation_m']:.1f} mm"],
@@ -106,24 +103,25 @@ def _show(summary: "Summary") -> None:
         ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]
     if summary["ceiling"] is not None:
-        rows.insert(1, ["ceiling: goals that some base pose reaches", _share(summary, "ceiling")])
+        rows.insert(
+            1, ["ceiling: goals that some base pose reaches", _fraction(summary, "ceiling")]
+        )
     if (rms := summary["rms_deviation_m"]) is not None:
         rows += [
-            ["followed without failure and joint jump", _share(summary, "smooth")],
-            ["EE speed, share of the asked one", percent(summary["speed_share"])],
+            ["followed without failure and joint jump", _fraction(summary, "smooth")],
+            ["EE speed relative to the target", percent(summary["speed_share"])],
             ["EE deviation, root mean square", f"{1000 * rms:.1f} mm"],
         ]
     if summary["collision_free_rate"] is not None:
-        done = _share(summary, "task_success")
+        done = _fraction(summary, "task_success")
         rows += [
             ["task success", "no objects" if summary["task_success"] is None else done],
             ["episodes without a collision", percent(summary["collision_free_rate"])],
             ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
             ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
         ]
-    title += "" if summary["world"] == "analytic" else f", {summary['world']}"
-    print_table(title, ["", " share (95 % interval) or mean"], rows)
+    print_table(title.format(**summary), ["", " fraction (95 % interval) or mean"], rows)
 
 
-def _share(summary: Mapping[str, Any], key: str) -> str:
+def _fraction(summary: Mapping[str, Any], key: str) -> str:
     return percent(*(summary[f"{key}{end}"] for end in ("", "_low", "_high")))

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from kinfeas.cli.output import STDOUT, check_file_path, check_suffix
+from kinfeas.cli.output import STDOUT, check_file_path, progress
 from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 from kinfeas.core import registry
@@ -19,7 +19,7 @@ from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.config import Settings
-    from kinfeas.jobs.job import Engine
+    from kinfeas.jobs.job import Job, Result
 
 _WRITERS = {
     ".png": "matplotlib", ".gif": "matplotlib", ".mp4": "av", ".html": "viser", ".htm": "viser",
@@ -64,7 +64,8 @@ def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
 
     def check(path: Path | None) -> Path | None:
         if path is not None:
-            check_suffix(path, *suffixes)
+            if path.suffix.lower() not in suffixes:
+                raise KinfeasError(f"{path}: must end in {' or '.join(suffixes)}")
             if writer := _WRITERS.get(path.suffix.lower()):
                 require(writer)
         return check_file_path(path)
@@ -129,10 +130,8 @@ AllProcesses = Annotated[
     int | None,
     option("Number of jobs at a time.  [default: one for each core]", min=1, max=MOST_PROCESSES),
 ]
-EngineName = Annotated[
-    str, option("Where jobs run: local, ray, or a mapping such as {name: ray, address: auto}.")
-]
-EngineAddress = Annotated[str | None, option("Address of a running Ray cluster, such as auto.")]
+EngineName = Annotated[Literal["local", "ray"], option("Where jobs run.")]
+EngineAddress = Annotated[str | None, option("Ray: address of a running cluster, such as auto.")]
 RobotBackend = Annotated[
     str | None,
     option(
@@ -182,10 +181,21 @@ def read_settings(
     return settings
 
 
-def read_engine(text: str, processes: int | None, address: str | None) -> "Engine":
-    """Return an engine by its name or parameters."""
+def run_jobs(
+    jobs: "Sequence[Job]",
+    kind: str,
+    engine: Literal["local", "ray"],
+    processes: int | None,
+    address: str | None,
+) -> "list[Result]":
+    """Return the results of jobs on an engine, with a progress bar."""
+    from kinfeas.api import counter
     from kinfeas.jobs.job import build_engine
+    from kinfeas.jobs.job import run_jobs as run
 
-    return build_engine(
-        strict_yaml.parse(text, "--engine"), processes or os.cpu_count() or 1, address
-    )
+    paths = {job.path for job in jobs}
+    missing = sum(not path.exists() for path in paths)
+    text = f"{missing} {kind} to do ({len(paths) - missing} kept)"
+    runner = build_engine(engine, processes or os.cpu_count() or 1, address)
+    with progress() as on_progress:
+        return run(jobs, runner, counter(on_progress, text, missing))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from kinfeas.api import counter
 from kinfeas.cli import options
 from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import (
@@ -78,10 +79,11 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
         if path.exists():
             raise KinfeasError(f"{path}: exists; choose another --out or --name")
     replacements = dict(_replacement(text) for text in mesh_path or ())
-    with progress(f"reading {urdf.name}") as advance:
+    with progress() as on_progress:
         draft = draft_robot(
-            urdf, called, ee, base, drive, advance, meshes=not no_meshes, mesh_paths=replacements
-        )
+            urdf, called, ee, base, drive, counter(on_progress, f"reading {urdf.name}"),
+            meshes=not no_meshes, mesh_paths=replacements,
+        )  # fmt: skip
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml)):

@@ -41,6 +41,6 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
         done = api.servo(
             policy, robot=robot, backend=backend, source=source, rate=rate, seconds=seconds,
             record=record, adapters=adapters, guards=guards, filters=filters,
-            settings=options.read_settings(overrides), on_start=preparing.close,
+            settings=options.read_settings(overrides), on_start=preparing.stop,
         )  # fmt: skip
     raise typer.Exit(report(done, json))

@@ -11,7 +11,6 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import minutes as as_minutes
 from kinfeas.cli.output import percent, print_table, progress
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
@@ -82,10 +81,10 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
         )  # fmt: skip
         run = train_run(settings, out or training.default_folder(settings))
     else:
-        others = (robot, task, seed, algorithm, adapters, init, processes, out, config, overrides)
-        if world != "analytic" or any(other is not None for other in others):
+        excluded = (robot, task, seed, algorithm, adapters, init, processes, out, config, overrides)
+        if world != "analytic" or any(value is not None for value in excluded):
             raise KinfeasError("--resume excludes all options but --minutes and --steps")
-        with _resumable(resume), training_bar() as report:
+        with training_progress(resume) as report:
             run = training.resume(resume, minutes=minutes, steps=steps, on_progress=report)
     _show(run)
 
@@ -94,39 +93,23 @@ def train_run(config: "TrainConfig", folder: Path) -> "Run":
     """Train with a progress bar and return the run."""
     from kinfeas.api.train import begin
 
-    with _resumable(folder), training_bar() as report:
+    with training_progress(folder) as report:
         return begin(config, folder, report)
 
 
 @contextmanager
-def _resumable(folder: Path) -> Iterator[None]:
-    """End with code 130 on Ctrl-C, and print how the run continues."""
+def training_progress(folder: Path) -> Iterator["OnTraining"]:
+    """Show progress; on Ctrl-C print how the run continues, and end with code 130."""
     from kinfeas.training.run import SETTINGS
 
     try:
-        yield
+        with progress() as on_progress:
+            yield lambda now: on_progress(describe(now), now.share)
     except KeyboardInterrupt:
         resume = shlex.join(["kinfeas", "train", "--resume", str(folder)])
-        sys.stderr.write(
-            f"interrupted; resume with: {resume}\n"
-            if (folder / SETTINGS).is_file()
-            else "interrupted before the run began\n"
-        )
+        begun = (folder / SETTINGS).is_file()
+        sys.stderr.write(f"interrupted; {f'resume with: {resume}' if begun else 'not begun'}\n")
         raise typer.Exit(130) from None
-
-
-@contextmanager
-def training_bar() -> Iterator["OnTraining"]:
-    """Show a bar on standard error, lines where it is no terminal; yields its update."""
-    with progress("training") as advance:
-        reported = 0.0
-
-        def report(now: "Progress") -> None:
-            nonlocal reported
-            advance(now.share - reported, describe(now))
-            reported = now.share
-
-        yield report
 
 
 def describe(now: "Progress") -> str:
@@ -141,7 +124,7 @@ def describe(now: "Progress") -> str:
     return (
         f"{now.steps:,} steps, {now.steps / max(now.seconds, 1e-9):,.0f}/s, "
         f"success while learning {recent}{best if now.best >= 0.0 else ''}, "
-        f"{as_minutes(left)} left"
+        f"{left / 60.0:.1f} min left"
     )
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import phases, print_facts, print_paths, write_json
+from kinfeas.cli.output import print_facts, print_paths, progress, write_json
 
 
 def view(
@@ -26,7 +26,7 @@ def view(
     """
     from kinfeas.api import view as api
 
-    with phases() as on_progress:
+    with progress() as on_progress:
         facts = api.view(
             scene, record=record, settings=options.read_settings(overrides), picture=picture,
             html=html, on_progress=on_progress,
