@@ -8,7 +8,7 @@ __version__ = "0.2.0"
 _MODULES = {
     "ceiling": "evaluate", "deploy": "deploy", "evaluate": "evaluate", "export": "export",
     "fit": "fit", "load_policy": "load", "load_robot": "load", "resume": "train",
-    "servo": "servo", "train": "train", "view": "view",
+    "servo": "deploy", "train": "train", "view": "view",
 }  # fmt: skip
 """Module of `kinfeas.api` that has a function."""
 

@@ -77,24 +77,17 @@ class Evaluation:
             self.robot, self.task, _weights(self) or self.source, self.episodes, self.seed,
             self.first, self.backend, self.settings, self.parameters,
         ]  # fmt: skip
-        parts += [_own_files(self)] if is_path(self.robot) or is_path(self.task) else []
+        if is_path(self.robot):
+            files = Path(self.robot), load_robot(self.robot).urdf_path
+            parts += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        if is_path(self.task):
+            parts.append(config.to_mapping(load_task(self.task, self.parameters)))
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:10]
         return f"{Path(self.robot).stem}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
     def job(self, folder: Path) -> Job:
         """Return the job whose result is a file in `folder`."""
         return Job(compute, self, folder / f"{self.name}.json")
-
-
-def _own_files(case: Evaluation) -> list[str]:
-    """Return the content of the files of an own robot or task."""
-    digests: list[str] = []
-    if is_path(case.robot):
-        files = Path(case.robot), load_robot(case.robot).urdf_path
-        digests += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-    if is_path(case.task):
-        digests.append(json.dumps(config.to_mapping(load_task(case.task, case.parameters))))
-    return digests
 
 
 def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Evaluation]:
@@ -136,14 +129,11 @@ def compute(case: Evaluation) -> Result:
         return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
     robot = load_robot(case.robot)
     policy = load_policy(case.source, robot)
+    parameters = {f"task.{key}": value for key, value in case.parameters.items()}
     plan = configure(
-        robot,
-        case.task,
-        case.backend,
-        episodes=case.episodes,
-        seed=case.seed,
-        settings=nested(case.settings, {f"task.{k}": v for k, v in case.parameters.items()}),
-    )
+        robot, case.task, case.backend, episodes=case.episodes, seed=case.seed,
+        settings=nested(case.settings, parameters),
+    )  # fmt: skip
     sampled = case.backend == "analytic" and isinstance(policy, Network)
     samples = WorkspaceSamples() if sampled else None
     summary = evaluate(replace(plan, first=case.first), policy, case.policy, watch=samples)
@@ -188,26 +178,29 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
                for run in own]  # fmt: skip
     if not own and takes_pretrained(benchmark, case.robot):
         learned = [replace(base, policy=pretrained.NAME, source=pretrained.NAME)]
-    rows = []
-    for row in benchmark.rows if not case.variant else ():
-        if row.has(case.robot, case.task):
-            settings = nested(benchmark.settings, row.settings, _filters(row.filters))
-            rows += [
-                replace(evaluation, row=row.label, settings=settings)
-                for evaluation in learned
-                if evaluation.policy != "td3"
-            ]
+    rows = [
+        replace(
+            evaluation,
+            row=row.label,
+            settings=nested(benchmark.settings, row.settings, _filters(row.filters)),
+        )
+        for row in benchmark.rows
+        if not case.variant and row.has(case.robot, case.task)
+        for evaluation in learned
+        if evaluation.policy != "td3"
+    ]
     baselines = [replace(base, policy=name, source=name)
-                 for name, on in benchmark.baselines.items() if case.task in on]  # fmt: skip
+                 for name, tasks in benchmark.baselines.items() if case.task in tasks]  # fmt: skip
     policies = [*learned, *rows, *baselines]
-    if benchmark.backend != "analytic":
-        beside = [_without_physics(benchmark, evaluation) for evaluation in policies]
-        policies = [
-            *beside,
-            *(part for evaluation in policies for part in _parts(benchmark, evaluation)),
-        ]
-    settings = benchmark.settings if benchmark.backend == "analytic" else {}
-    return [replace(case, settings=settings), *policies]
+    if benchmark.backend == "analytic":
+        return [base, *policies]
+    parts = [
+        replace(evaluation, backend=benchmark.backend, first=at,
+                episodes=min(PART, case.episodes - at))
+        for evaluation in policies
+        for at in range(0, case.episodes, PART)
+    ]  # fmt: skip
+    return [case, *(_without_physics(benchmark, evaluation) for evaluation in policies), *parts]
 
 
 def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
@@ -215,13 +208,6 @@ def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation
     used = read_settings(case.robot_name, benchmark.backend, case.settings).world.filters
     filters = tuple(spec for spec in used if spec.name != "obstacle_distance")
     return replace(case, settings=_filters(filters))
-
-
-def _parts(benchmark: BenchmarkConfig, case: Evaluation) -> list[Evaluation]:
-    return [
-        replace(case, backend=benchmark.backend, first=at, episodes=min(PART, case.episodes - at))
-        for at in range(0, case.episodes, PART)
-    ]
 
 
 def _filters(filters: tuple[PluginSpec, ...] | None) -> dict[str, object]:

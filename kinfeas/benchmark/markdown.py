@@ -3,12 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from kinfeas.benchmark.table import Cell
-from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
+from kinfeas.evaluation.paper import TITLES
 
 NOTHING = "-"
 """Entry of a table where nothing was measured."""
-
-_INDENT = "&nbsp;&nbsp;"
 
 _LEARNED = {"sac": "learned, SAC", "td3": "learned, TD3", "pretrained": "learned, pretrained"}
 
@@ -52,9 +50,9 @@ Entry = Callable[[Cell], str]
 
 
 def to_markdown(
-    cells: Sequence[Cell], note: str, commands: Sequence[str], pictures: Sequence[str] = ()
+    cells: Sequence[Cell], note: str, command: str, pictures: Sequence[str] = ()
 ) -> str:
-    """Return the tables of a benchmark as Markdown, with the commands that produce them.
+    """Return the tables of a benchmark as Markdown, with the command that produces them.
 
     `pictures` are files to show, relative to the text.
     """
@@ -62,7 +60,9 @@ def to_markdown(
     named = "" if world == "analytic" else f" in {' and '.join(worlds)}"
     lines = [f"# Benchmark{named}", ""]
     lines += [f"**{note}**", ""] if note else []
-    lines += [_HOW + (_ANALYTIC if world == "analytic" else _PHYSICS), "", _effort(cells), ""]
+    lines += [_HOW + (_ANALYTIC if world == "analytic" else _PHYSICS), ""]
+    episodes = sorted({f"{cell.episodes_per_seed:,}" for cell in cells})
+    lines += [f"{' or '.join(episodes)} episodes of each policy, the same for all.", ""]
     lines += success_tables(cells)
     for heading, about, entry in _METRICS:
         if any(entry(cell) != NOTHING for cell in cells):
@@ -70,7 +70,7 @@ def to_markdown(
     for name in pictures:
         caption = _CAPTIONS.get(name, "An episode of each task")
         lines += [f"![{caption}]({name})", "", f"*{caption}.*", ""]
-    return "\n".join([*lines, "## How to make it again", "", "```sh", *commands, "```", ""])
+    return "\n".join([*lines, "## How to make it again", "", "```sh", command, "```", ""])
 
 
 def success_tables(cells: Sequence[Cell]) -> list[str]:
@@ -109,18 +109,6 @@ def rows_of(cells: Sequence[Cell]) -> list[dict[str, Cell]]:
     return list(rows.values())
 
 
-def _effort(cells: Sequence[Cell]) -> str:
-    seeds = sorted({cell.seeds for cell in cells if cell.learned})
-    policies = f"{_or(seeds)} training seed{'s' * (seeds != [1])} a policy, " if seeds else ""
-    episodes = f"{_or(sorted({cell.episodes_per_seed for cell in cells}))} episodes of each"
-    worlds = ", ".join(dict.fromkeys(cell.world for cell in cells))
-    return f"World: {worlds}; {policies}{episodes}, the same for all policies."
-
-
-def _or(numbers: Sequence[int]) -> str:
-    return " or ".join(f"{number:,}" for number in numbers)
-
-
 def _success_table(cells: Sequence[Cell]) -> list[str]:
     tasks = list(dict.fromkeys(cell.task for cell in cells))
     rows: list[list[str]] = []
@@ -128,39 +116,17 @@ def _success_table(cells: Sequence[Cell]) -> list[str]:
         first = next(iter(own.values()))
         seeds = f", {first.seeds} seeds" if first.seeds > 1 else ""
         name = f"**{label(first)}**{seeds}" if first.learned else label(first)
-        rows.append([name, *_entries(own, tasks, _ours)])
-        for text, entry in ((f"{_INDENT}*paper*", _papers), (f"{_INDENT}without physics", _beside)):
+        rows.append([name, *_entries(own, tasks, _measured)])
+        below = [("*paper*", _of_paper)]
+        if first.row not in _PAPER_ROWS:
+            below.append(("without physics", _of_analytic))
+        for text, entry in below:
             entries = _entries(own, tasks, entry)
-            if set(entries) != {NOTHING} and not (entry is _beside and first.row in _PAPER_ROWS):
-                rows.append([text, *entries])
-    rows += _unmatched(cells, tasks)
+            if set(entries) != {NOTHING}:
+                rows.append([f"&nbsp;&nbsp;{text}", *entries])
     ceilings = {cell.task: cell for cell in cells}
     rows.append(["**ceiling**", *_entries(ceilings, tasks, _ceiling)])
     return table(["", *tasks], rows)
-
-
-def _unmatched(cells: Sequence[Cell], tasks: Sequence[str]) -> list[list[str]]:
-    """Return rows of the paper's figures that no row of ours has beside it."""
-    robot, variant, world = cells[0].robot, cells[0].variant, cells[0].world
-    if variant or world != "analytic":
-        return []
-    by_task = {task: paper_figures(robot, task, world) for task in tasks}
-    rows = []
-    for name in dict.fromkeys(name for figures in by_task.values() for name in figures):
-        values = {
-            cell.task
-            for cell in cells
-            if (LEARNED if cell.learned else cell.policy) == name and cell.paper_success is not None
-        }
-        entries = [
-            f"*{_percent(figures.success, figures.within_5cm)}*"
-            if (figures := by_task[task].get(name)) and task not in values
-            else NOTHING
-            for task in tasks
-        ]
-        if set(entries) != {NOTHING}:
-            rows.append([f"*paper: {'learned' if name == LEARNED else name}*", *entries])
-    return rows
 
 
 def _metric_table(cells: Sequence[Cell], entry: Entry) -> list[str]:
@@ -178,11 +144,13 @@ def _entries(cells: Mapping[str, Cell], tasks: Sequence[str], entry: Entry) -> l
     return [entry(cells[task]) if task in cells else NOTHING for task in tasks]
 
 
-def _percent(success: float, within: float) -> str:
+def _percent(success: float | None, within: float | None) -> str:
+    if success is None or within is None:
+        return NOTHING
     return f"{100 * success:.1f} ({100 * within:.1f})"
 
 
-def _ours(cell: Cell) -> str:
+def _measured(cell: Cell) -> str:
     value = f"{100 * cell.success:.1f}"
     if cell.success_std is not None:
         value += f" ± {100 * cell.success_std:.1f}"
@@ -190,28 +158,27 @@ def _ours(cell: Cell) -> str:
     return f"{value} ({100 * cell.within_5cm:.1f})"
 
 
-def _papers(cell: Cell) -> str:
-    if cell.paper_success is None or cell.paper_within_5cm is None:
-        return NOTHING
-    return f"*{_percent(cell.paper_success, cell.paper_within_5cm)}*"
+def _of_paper(cell: Cell) -> str:
+    entry = _percent(cell.paper_success, cell.paper_within_5cm)
+    return entry if entry == NOTHING else f"*{entry}*"
 
 
-def _beside(cell: Cell) -> str:
-    if cell.analytic_success is None or cell.analytic_within_5cm is None:
-        return NOTHING
+def _of_analytic(cell: Cell) -> str:
     return _percent(cell.analytic_success, cell.analytic_within_5cm)
 
 
+def _interval(value: float | None, low: float | None, high: float | None) -> str:
+    if value is None or low is None or high is None:
+        return NOTHING
+    return f"{100 * value:.1f} ({100 * low:.1f} - {100 * high:.1f})"
+
+
 def _ceiling(cell: Cell) -> str:
-    ends = f"{100 * cell.ceiling_low:.1f} - {100 * cell.ceiling_high:.1f}"
-    return f"{100 * cell.ceiling:.1f} ({ends})"
+    return _interval(cell.ceiling, cell.ceiling_low, cell.ceiling_high)
 
 
 def _done(cell: Cell) -> str:
-    low, high = cell.task_success_low, cell.task_success_high
-    if cell.task_success is None or low is None or high is None:
-        return NOTHING
-    return f"{100 * cell.task_success:.1f} ({100 * low:.1f} - {100 * high:.1f})"
+    return _interval(cell.task_success, cell.task_success_low, cell.task_success_high)
 
 
 def _collisions(cell: Cell) -> str:

@@ -1,4 +1,4 @@
-"""`kinfeas deploy`: run a policy on a robot or a simulated one."""
+"""`kinfeas deploy` and `kinfeas servo`: run a policy on a robot or a simulated one."""
 
 import sys
 from contextlib import suppress
@@ -15,8 +15,6 @@ from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.api.deploy import Deployment
-    from kinfeas.io.run_log import About
-    from kinfeas.sim2real.deploy.runtime import Outcome
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -75,31 +73,63 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             adapters=adapters, guards=guards, real_time=not no_real_time, filters=filters,
             settings=options.read_settings(overrides), on_start=preparing.stop,
         )  # fmt: skip
-    raise typer.Exit(report(done, json))
+    raise typer.Exit(_report(done, json))
 
 
-def report(done: "Deployment", json: Path | None) -> int:
+def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
+    policy: options.PolicyArgument = "pretrained",
+    robot: options.PolicyRobotName = None,
+    backend: options.RobotBackend = None,
+    source: Annotated[
+        str, option("ros2, ros1, module:Class, or a plugin.", groups=("target_sources",))
+    ] = "ros2",
+    rate: options.Rate = 50.0,
+    seconds: Annotated[float, option("Duration of the run.", min=0.0)] = 3600.0,
+    record: options.Record = None,
+    adapters: options.AdapterList = None,
+    guards: options.GuardsFile = None,
+    filters: options.Filters = None,
+    overrides: options.Overrides = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Let base and arm follow EE poses or twists that arrive meanwhile.
+
+    Settings: rules.KEY (limits of targets), source.KEY, generator.KEY, guards.KEY, ik.KEY,
+    backend.KEY; see docs/teleoperation.md.
+
+    Exit codes: 0 --seconds are over, others as of deploy.
+
+    Example: kinfeas servo pretrained --robot pr2 --backend ros2 --source ros2
+    """
+    from kinfeas.api import deploy as api
+
+    with status("preparing") as preparing:
+        done = api.servo(
+            policy, robot=robot, backend=backend, source=source, rate=rate, seconds=seconds,
+            record=record, adapters=adapters, guards=guards, filters=filters,
+            settings=options.read_settings(overrides), on_start=preparing.stop,
+        )  # fmt: skip
+    raise typer.Exit(_report(done, json))
+
+
+def _report(done: "Deployment", json: Path | None) -> int:
     """Print the results of a run and return its code."""
+    from kinfeas.sim2real.deploy.rate import peak_memory_mb
+
     outcome, about = done.outcome, done.about
     code = int(outcome.code)
     facts = {**asdict(outcome), "code": code, **done.targets, "record": str(done.record)}
+    title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
     with suppress(OSError):  # of a terminal that was closed
-        _show(outcome, about, facts)
+        print_facts(title, {**facts, "peak_memory_mb": peak_memory_mb()})
+        if code:
+            sys.stderr.write(f"stopped: {outcome.reason}\n")
+        if outcome.unstopped:
+            sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
+        if outcome.unclosed:
+            sys.stderr.write(f"could not be closed: {outcome.unclosed}\n")
     try:
         write_json(facts, json)
     except KinfeasError as error:  # keeps the exit code of the run
         sys.stderr.write(f"--json: {error}\n")
     return code
-
-
-def _show(outcome: "Outcome", about: "About", facts: dict[str, object]) -> None:
-    from kinfeas.sim2real.deploy.rate import peak_memory_mb
-
-    title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
-    print_facts(title, {**facts, "peak_memory_mb": peak_memory_mb()})
-    if outcome.code:
-        sys.stderr.write(f"stopped: {outcome.reason}\n")
-    if outcome.unstopped:
-        sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
-    if outcome.unclosed:
-        sys.stderr.write(f"could not be closed: {outcome.unclosed}\n")

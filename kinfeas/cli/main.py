@@ -12,17 +12,15 @@ from typer.exceptions import TyperException
 
 from kinfeas import __version__
 from kinfeas.cli.benchmark import benchmark
-from kinfeas.cli.ceiling import ceiling
 from kinfeas.cli.dataset import dataset
 from kinfeas.cli.demo import demo
-from kinfeas.cli.deploy import deploy
-from kinfeas.cli.evaluate import evaluate
+from kinfeas.cli.deploy import deploy, servo
+from kinfeas.cli.evaluate import ceiling, evaluate
 from kinfeas.cli.export import export
 from kinfeas.cli.fit import fit
 from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
-from kinfeas.cli.servo import servo
 from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train

@@ -127,8 +127,11 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas plugins check minimum_jerk --set min_duration=2 --picture motions.png
     """
+    from kinfeas.api import counter
     from kinfeas.config import nested
-    from kinfeas.testing import RULES, examine
+    from kinfeas.policies.loading import load_policy
+    from kinfeas.robots.loading import load_robot
+    from kinfeas.testing import RULES, check_policy, examine
     from kinfeas.testing.trial import Trial
 
     if name in registry.names("kinfeas.policies") or ":" in name:
@@ -137,14 +140,17 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
         if robot is None:
             robots = ", ".join(registry.names("kinfeas.robots"))
             raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a YAML file")
-        _check_policy(name, robot)
+        model = load_robot(robot)
+        check_policy(load_policy(name, model), model)
         write_json({"policy": name, "robot": robot, "passed": True}, json)
+        typer.echo(f"policy {name} keeps the contract on robot {model.name}")
         return
     parameters = nested(options.read_settings(overrides))
     trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
     generator = registry.build(_GENERATORS, name, parameters)
-    with progress(f"checking {name}", trial.steps) as advance:
-        findings = examine(generator, trial, name, lambda: advance(1.0))
+    with progress() as on_progress:
+        count = counter(on_progress, f"checking {name}", trial.steps)
+        findings = examine(generator, trial, name, count)
     rows = [[RULES[finding.rule], _result(finding), finding.broken or ""] for finding in findings]
     rules = [
         {"rule": finding.rule, "text": text, "result": result, "broken": finding.broken}
@@ -160,16 +166,6 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     if broken:
         raise KinfeasError(f"{len(broken)} of {len(findings)} rules broken: {broken[0]}")
     typer.echo(f"motion generator {name} passes all {len(findings)} rules")
-
-
-def _check_policy(name: str, robot: str) -> None:
-    from kinfeas.policies.loading import load_policy
-    from kinfeas.robots.loading import load_robot
-    from kinfeas.testing import check_policy
-
-    model = load_robot(robot)
-    check_policy(load_policy(name, model), model)
-    typer.echo(f"policy {name} keeps the contract on robot {model.name}")
 
 
 def _result(finding: "Finding") -> str:
@@ -197,7 +193,7 @@ def _summary(plugin: Plugin) -> tuple[str, str | None]:
         if plugin.group == "kinfeas.robots":
             robot = load_robot(plugin.name)
             return f"{robot.base.drive} base, arm of {len(robot.arm)} joints", None
-        return _documentation(_load(plugin)).partition("\n")[0], None
+        return _documentation(registry.load(plugin.group, plugin.name)).partition("\n")[0], None
     except KinfeasError as error:
         return "", " ".join(str(error).split())
 
@@ -212,13 +208,6 @@ def _find(name: str) -> list[Plugin]:
     return plugins
 
 
-def _load(plugin: Plugin) -> Any:
-    loaded = registry.load(plugin.group, plugin.name)
-    if not callable(loaded):
-        registry.build(plugin.group, plugin.name, {})  # raises the error
-    return loaded
-
-
 def _documentation(factory: Any) -> str:
     """Return the docstring of a function, or of a class and its constructor."""
     own = [factory.__doc__]
@@ -228,7 +217,7 @@ def _documentation(factory: Any) -> str:
 
 
 def _facts(plugin: Plugin) -> dict[str, Any]:
-    factory = _load(plugin)
+    factory = registry.load(plugin.group, plugin.name)
     facts = {**vars(plugin), "kind": GROUPS[plugin.group], "text": _documentation(factory)}
     if plugin.group == "kinfeas.robots":
         return facts | {"robot": _robot_facts(plugin.name)}
@@ -282,28 +271,18 @@ def _task_facts(name: str) -> dict[str, Any]:
 
 
 def _robot_facts(name: str) -> dict[str, Any]:
+    from pydantic_core import to_jsonable_python
+
     from kinfeas.robots.loading import load_robot
 
     robot = load_robot(name)
-    joints = [
-        {
-            "name": joint.name,
-            "unit": "m" if robot.urdf.joints[joint.name].kind == "prismatic" else "rad",
-            "lower": None if joint.continuous else joint.lower,
-            "upper": None if joint.continuous else joint.upper,
-            "velocity": joint.velocity,
-        }
-        for joint in robot.arm
-    ]
-    return {
-        "name": robot.name,
-        "urdf": str(robot.urdf_path),
-        "base": vars(robot.base),
-        "arm": joints,
-        "ee_frame": robot.ee_frame,
-        "tool_tip_m": [round(value, 4) for value in robot.tool_tip.tolist()],
-        "goal_heights_m": {key: list(value) for key, value in robot.goal_heights.items()},
-        "pose_tolerance": None if robot.pose_tolerance is None else vars(robot.pose_tolerance),
-        "gripper": None if robot.gripper is None else list(robot.gripper.fingers),
-        "configurations": list(robot.home),
-    }
+    keys = (
+        "name", "urdf_path", "base", "arm", "ee_frame", "tool_tip", "goal_heights",
+        "pose_tolerance", "gripper", "home",
+    )  # fmt: skip
+    facts: dict[str, Any] = to_jsonable_python(
+        {key: getattr(robot, key) for key in keys},
+        inf_nan_mode="null",
+        fallback=lambda array: array.tolist(),
+    )
+    return facts

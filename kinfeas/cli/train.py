@@ -129,25 +129,22 @@ def describe(now: "Progress") -> str:
 
 
 def _show(run: "Run") -> None:
-    from kinfeas.api.train import evaluation_options
+    from kinfeas.api.train import evaluation_settings
     from kinfeas.config import to_options
 
     best, folder = run.metrics, str(run.folder)
+    within = f", with {', '.join(best['adapters'])}" if best["adapters"] else ""
+    success = percent(best["success"], best["success_low"], best["success_high"])
     rows = [
         ["steps", f"{run.steps:,}"],
         ["time of training", f"{run.seconds / 60.0:.1f} min"],
         ["time of evaluations during training", f"{run.evaluation_seconds / 60.0:.1f} min"],
         ["steps per second of training", f"{run.steps / run.seconds:,.0f}"],
-        [
-            f"success of the best checkpoint, {best['episodes']} fresh episodes"
-            + (f", with {', '.join(best['adapters'])}" if best["adapters"] else ""),
-            percent(*(float(best[key]) for key in ("success", "success_low", "success_high"))),
-        ],
+        [f"success of the best checkpoint, {best['episodes']} fresh episodes{within}", success],
         ["steps of the best checkpoint", f"{best['steps']:,}"],
     ]
-    print_table(f"trained: {folder}", ["", "share (95 % interval) or figure"], rows)
+    print_table(f"trained: {folder}", ["", "value (95 % interval)"], rows)
     command = ["kinfeas", "evaluate", "--robot", best["trained_with"], "--task", best["task"]]
-    command += ["--world", best["world"]] if best["world"] != "analytic" else []
-    adapters, settings = evaluation_options(run.folder)
-    command += ["--policy", folder, *(["--adapters", adapters] if adapters else [])]
-    typer.echo(f"evaluate it: {shlex.join([*command, *to_options(settings)])}")
+    command += ["--world", best["world"], "--policy", folder]
+    words = shlex.join([*command, *to_options(evaluation_settings(run.folder))])
+    typer.echo(f"evaluate it: {words}")
