@@ -6,16 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.runs import Run, takes_pretrained
 from kinfeas.config import PluginSpec, nested
-from kinfeas.core import spatial
-from kinfeas.core.motion import Rows
-from kinfeas.core.spatial import Array
-from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
@@ -23,7 +17,7 @@ from kinfeas.io.policy_metadata import policy_folder
 from kinfeas.jobs.job import Job, Result
 from kinfeas.policies import pretrained
 from kinfeas.policies.loading import BASELINES, load_policy
-from kinfeas.policies.network import WEIGHTS, Network
+from kinfeas.policies.network import WEIGHTS
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 
@@ -121,7 +115,7 @@ def check_baselines(cases: Sequence[Evaluation]) -> None:
 
 
 def compute(case: Evaluation) -> Result:
-    """Return the summary of an evaluation, with points of the `workspace` for a learned policy."""
+    """Return the metrics of an evaluation, or the ceiling of its task."""
     if case.policy == CEILING:
         robot, task = load_robot(case.robot), load_task(case.task, case.parameters)
         ik = read_settings(robot.name, case.backend, case.settings).world.ik
@@ -134,40 +128,7 @@ def compute(case: Evaluation) -> Result:
         robot, case.task, case.backend, episodes=case.episodes, seed=case.seed,
         settings=nested(case.settings, parameters),
     )  # fmt: skip
-    sampled = case.backend == "analytic" and isinstance(policy, Network)
-    samples = WorkspaceSamples() if sampled else None
-    summary = evaluate(replace(plan, first=case.first), policy, case.policy, watch=samples)
-    return {**summary, "workspace": samples.kept()} if samples else dict(summary)
-
-
-class WorkspaceSamples:
-    """Desired EE positions in the base frame: of every failure, and of some feasible steps."""
-
-    EVERY, MOST = 20, 2000
-    """Steps of an episode between two feasible points, and points of each kind that are kept."""
-
-    def __init__(self) -> None:
-        self._points: dict[str, list[Array]] = {"feasible": [], "infeasible": []}
-
-    def __call__(self, world: World, transition: Transition, rows: Rows, _: Rows) -> None:
-        """Take in one step; called as `episodes.Watch`."""
-        loop, good = world.loop, transition.outcome.feasible[rows]
-        due = rows[good & (world.steps[rows] % self.EVERY == 0)]
-        for kind, which in (("infeasible", rows[~good]), ("feasible", due)):
-            inside = spatial.relative(loop.desired[which], loop.robots.base_pose[which])
-            self._points[kind].append(inside[:, :3])
-
-    def kept(self) -> dict[str, list[list[float]]]:
-        """Return the points x, y, z of both kinds, metres, rounded to the millimetre."""
-        return {
-            kind: np.round(thinned(np.concatenate(points), self.MOST), 3).tolist()
-            for kind, points in self._points.items()
-        }
-
-
-def thinned(points: Array, most: int) -> Array:
-    """Return at most `most` of the points, shape (k, 3), evenly spread over all."""
-    return points[np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)]
+    return dict(evaluate(replace(plan, first=case.first), policy, case.policy))
 
 
 def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) -> list[Evaluation]:

@@ -40,7 +40,6 @@ _DEVIATION = "Mean distance of the EE from the desired position, mm."
 _CAPTIONS = {
     "table.png": "Episodes without a failure",
     "learning_curves.png": "Learning curves: mean and standard deviation over the training seeds",
-    "workspace.png": "Where in the base frame the end-effector goes, from above and from the side",
 }
 
 _PAPER_ROWS = ("head_start", "no_objects")

@@ -1,14 +1,12 @@
 """Training runs of a benchmark, and the best of them made ready to be shipped."""
 
-import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinfeas import __version__, config
 from kinfeas.benchmark.config import BenchmarkConfig, Training
-from kinfeas.config.recipes import load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_best
 from kinfeas.jobs.job import Job, Result, training_job
@@ -99,25 +97,13 @@ def publish(
             best[run.robot] = run, trained
     for robot, (run, trained) in best.items():
         metrics = {
-            case.task_name: {key: value for key, value in result.items() if key != "workspace"}
+            case.task_name: result
             for case, result in results
             if case.source == str(run.folder) and not (case.variant or case.row)
         }
-        command = train_command(config.from_mapping(TrainConfig, trained.config, str(run.folder)))
-        about = replace(
-            trained, seed=run.seed, version=__version__, command=command, benchmark=metrics
-        )
+        about = replace(trained, seed=run.seed, version=__version__, benchmark=metrics)
         copy_network(policy_folder(run.folder), about, folder / robot)
     return [folder / robot for robot in best]
-
-
-def train_command(settings: TrainConfig) -> str:
-    """Return the command of a run: its changes of the robot's default recipe."""
-    plain = config.to_mapping(load_section(TrainConfig, "train", Path(settings.robot).stem))
-    changed = _changes(config.to_mapping(settings), {**plain, "robot": settings.robot})
-    words = ["kinfeas", "train", "--robot", settings.robot, "--seed", str(settings.seed)]
-    changed.pop("seed", None)
-    return shlex.join([*words, *config.to_options(changed)])
 
 
 def _settings(training: Training, seed: int) -> TrainConfig:
@@ -131,16 +117,3 @@ def _settings(training: Training, seed: int) -> TrainConfig:
     return with_initial_policy(
         load_recipe(training.recipe, config.nested(values, training.settings))
     )
-
-
-def _changes(
-    settings: Mapping[str, object], plain: Mapping[str, object], above: str = ""
-) -> dict[str, object]:
-    changes: dict[str, object] = {}
-    for key, value in settings.items():
-        usual = plain.get(key)
-        if isinstance(value, Mapping) and isinstance(usual, Mapping) and usual:
-            changes |= _changes(value, usual, f"{above}{key}.")
-        elif value != usual:
-            changes[f"{above}{key}"] = value
-    return changes

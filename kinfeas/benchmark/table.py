@@ -13,6 +13,8 @@ from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.jobs.job import Result
 from kinfeas.policies import pretrained
 
+LEARNED_POLICIES = ("sac", "td3", pretrained.NAME)
+
 _MEANS = (
     "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
     "joint_jumps_per_episode", "task_success", "base_collisions", "arm_collisions",
@@ -81,7 +83,7 @@ class Cell:
     @property
     def learned(self) -> bool:
         """Whether the policy is a learned one."""
-        return self.policy in ("sac", "td3", pretrained.NAME)
+        return self.policy in LEARNED_POLICIES
 
 
 def tabulate(results: Sequence[tuple[Evaluation, Result]], *backends: str) -> list[Cell]:

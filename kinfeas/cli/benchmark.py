@@ -4,7 +4,7 @@ import shlex
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import typer
 
@@ -16,27 +16,13 @@ from kinfeas.core.extras import require
 
 
 def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
-    config: Annotated[
-        str | None,
-        option("YAML file, or a name such as benchmark/study.  [default: by --world and --quick]"),
-    ] = None,
-    out: Annotated[
-        Path | None, option("Folder of the results.  [default: runs/benchmark/NAME]")
-    ] = None,
-    world: Annotated[
-        str,
-        option("Backend: analytic, pybullet, mujoco, or a plugin; several engines with commas."),
-    ] = "analytic",
-    quick: Annotated[bool, option("Small version of a few minutes.", "--quick")] = False,
-    episodes: Annotated[
-        int | None, options.episodes_option("Number of episodes for each policy and task.")
-    ] = None,
-    runs: Annotated[
-        list[Path] | None, option("Existing training runs, or folders of them; none is trained.")
-    ] = None,
-    policy: Annotated[
-        Literal["pretrained"] | None, option("Shipped policies; none is trained.")
-    ] = None,
+    config: str | None = option(None, "YAML file or name.  [default: by --world and --quick]"),
+    out: Path | None = option(None, "Folder of the results.  [default: runs/benchmark/NAME]"),
+    world: str = option("analytic", "Backend, or several engines with commas."),
+    quick: bool = option(False, "Small version of a few minutes.", "--quick"),
+    episodes: int | None = options.episodes_option(None, "Episodes of each policy and task."),
+    runs: list[Path] | None = option(None, "Training runs, or folders of them; none is trained."),
+    policy: Literal["pretrained"] | None = option(None, "Shipped policies; none is trained."),
     engine: options.EngineName = "local",
     address: options.EngineAddress = None,
     processes: options.AllProcesses = None,

@@ -1,7 +1,7 @@
 """`kinfeas dataset`: demonstrations and runs of servo as a LeRobot dataset, or as CSV files."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_facts, status
@@ -12,17 +12,12 @@ if TYPE_CHECKING:
 
 
 def dataset(
-    sources: Annotated[
-        list[Path], argument("Demonstrations, records of servo and deploy, or folders of them.")
-    ],
-    out: Annotated[Path, option("New folder to write.", metavar="FOLDER")],
-    kind: Annotated[
-        Literal["lerobot", "csv"],
-        option("LeRobot dataset v3.0, or a CSV file for each motion, for kinfeas fit."),
-    ] = "lerobot",
-    task: Annotated[str, option("Instruction in words.")] = "Follow the motion.",
-    robot: Annotated[str | None, option("Type of the robot.")] = None,
-    fps: Annotated[int, option("Frames per second.", min=1, max=1000)] = 30,
+    sources: list[Path] = argument(..., "Demonstrations, records, or folders of them."),
+    out: Path = option(..., "New folder to write.", metavar="FOLDER"),
+    kind: Literal["lerobot", "csv"] = option("lerobot", "LeRobot dataset v3.0, or CSV files."),
+    task: str = option("Follow the motion.", "Instruction in words."),
+    robot: str | None = option(None, "Type of the robot."),
+    fps: int = option(30, "Frames per second.", min=1, max=1000),
 ) -> None:
     """Convert recorded motions for learning.
 

@@ -5,7 +5,6 @@ import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -23,10 +22,10 @@ PICTURES = ("learning_curve.png", "episodes.png")
 
 def demo(
     robot: options.RobotName = DEFAULT_ROBOT,
-    minutes: Annotated[float, option("Minutes of training.")] = 2.0,
+    minutes: float = option(2.0, "Minutes of training."),
     seed: options.Seed = 0,
     episodes: options.Episodes = 500,
-    out: Annotated[Path, option("Folder of the run; numbered if it exists.")] = Path("runs/demo"),
+    out: Path = option(Path("runs/demo"), "Folder of the run; numbered if it exists."),
     overrides: options.Overrides = None,
 ) -> None:
     """Train, evaluate and report within five minutes.

@@ -4,7 +4,7 @@ import sys
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -24,32 +24,22 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyArgument,
     robot: options.PolicyRobotName = None,
     backend: options.RobotBackend = None,
-    goal: Annotated[
-        Three | None, option("Goal of the EE in the world frame, metres.", metavar="X Y Z")
-    ] = None,
-    rpy: Annotated[
-        Three | None, option("Goal orientation, rad.  [default: the present one]", metavar="R P Y")
-    ] = None,
-    quaternion: Annotated[
-        Four | None, option("Goal orientation as a quaternion.", metavar="X Y Z W")
-    ] = None,
-    generator: Annotated[
-        str | None,
-        option(
-            "Motion generator to the goal.  [default: linear; with a scene whole_body]",
-            groups=("motion_generators",),
-        ),
-    ] = None,
-    task: Annotated[str | None, options.task_option("In place of --goal. ")] = None,
+    goal: Three | None = option(None, "EE goal in the world frame, metres.", metavar="X Y Z"),
+    rpy: Three | None = option(None, "Orientation, rad.  [default: unchanged]", metavar="R P Y"),
+    quaternion: Four | None = option(None, "Goal orientation as a quaternion.", metavar="X Y Z W"),
+    generator: str | None = option(
+        None,
+        "Motion generator.  [default: linear; with a scene whole_body]",
+        groups=("motion_generators",),
+    ),
+    task: str | None = options.task_option(None, "In place of --goal. "),
     rate: options.Rate = 50.0,
-    seconds: Annotated[float, option("Maximum duration.", min=0.0)] = 300.0,
+    seconds: float = option(300.0, "Maximum duration.", min=0.0),
     seed: options.Seed = 0,
     record: options.Record = None,
     adapters: options.AdapterList = None,
     guards: options.GuardsFile = None,
-    no_real_time: Annotated[
-        bool, option("Simulate as fast as possible.", "--no-real-time")
-    ] = False,
+    no_real_time: bool = option(False, "Simulate as fast as possible.", "--no-real-time"),
     filters: options.Filters = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
@@ -80,11 +70,9 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyArgument = "pretrained",
     robot: options.PolicyRobotName = None,
     backend: options.RobotBackend = None,
-    source: Annotated[
-        str, option("ros2, ros1, module:Class, or a plugin.", groups=("target_sources",))
-    ] = "ros2",
+    source: str = option("ros2", "ros2, ros1, module:Class, plugin.", groups=("target_sources",)),
     rate: options.Rate = 50.0,
-    seconds: Annotated[float, option("Duration of the run.", min=0.0)] = 3600.0,
+    seconds: float = option(3600.0, "Duration of the run.", min=0.0),
     record: options.Record = None,
     adapters: options.AdapterList = None,
     guards: options.GuardsFile = None,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
@@ -19,35 +19,25 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.PolicyRobotName = None,
     task: options.TaskName = "ggr",
     world: options.World = "analytic",
-    episodes: Annotated[
-        int | None, options.episodes_option("Number of episodes.  [default: 500, with physics 50]")
-    ] = None,
+    episodes: int | None = options.episodes_option(
+        None, "Episodes.  [default: 500, with physics 50]"
+    ),
     seed: options.Seed = 1,
-    head_start: Annotated[
-        float | None, option("Seconds of base motion before the EE.  [default: 0]")
-    ] = None,
-    time_scale: Annotated[
-        float | None, option("Relative EE speed.  [default: of the robot]")
-    ] = None,
-    without_objects: Annotated[
-        bool, option("Physics: leave out the furniture.", "--no-objects")
-    ] = False,
+    head_start: float | None = option(None, "Seconds of base motion before the EE.  [default: 0]"),
+    time_scale: float | None = option(None, "Relative EE speed.  [default: of the robot]"),
+    without_objects: bool = option(False, "Physics: leave out the furniture.", "--no-objects"),
     filters: options.Filters = None,
-    gui: Annotated[bool, option("PyBullet: show a window.", "--gui")] = False,
+    gui: bool = option(False, "PyBullet: show a window.", "--gui"),
     adapters: options.AdapterList = None,
-    ablation: Annotated[bool, option("Also evaluate single adapters.", "--ablation")] = False,
-    picture: Annotated[Path | None, options.file_option("Draw an episode.", ".png")] = None,
-    video: Annotated[
-        Path | None,
-        options.file_option(
-            "Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"
-        ),
-    ] = None,
-    replay: Annotated[
-        Path | None,
-        options.file_option("Write an episode as an interactive page.", ".html", ".htm"),
-    ] = None,
-    episode: Annotated[int, option("Number of the episode to show.", min=0)] = 0,
+    ablation: bool = option(False, "Also evaluate single adapters.", "--ablation"),
+    picture: Path | None = options.file_option(None, "Draw an episode.", ".png"),
+    video: Path | None = options.file_option(
+        None, "Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"
+    ),
+    replay: Path | None = options.file_option(
+        None, "Interactive page of an episode.", ".html", ".htm"
+    ),
+    episode: int = option(0, "Number of the episode to show.", min=0),
     processes: options.Processes = 1,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
@@ -98,9 +88,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     task: options.TaskName = "ggr",
     episodes: options.Episodes = 500,
     seed: options.Seed = 1,
-    path: Annotated[
-        bool, option("Also check 16 poses on the way to each sub-goal.", "--path")
-    ] = False,
+    path: bool = option(False, "Also check 16 poses on the way to each sub-goal.", "--path"),
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:

@@ -1,7 +1,7 @@
 """`kinfeas fit`: an EE motion from recorded demonstrations."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import typer
 
@@ -11,12 +11,10 @@ from kinfeas.cli.output import print_facts, status, write_json
 
 
 def fit(
-    demonstrations: Annotated[Path, option("Folder of *.csv files.")],
-    out: Annotated[Path, options.file_option("Model to write.", ".yaml", ".yml")],
-    kind: Annotated[
-        Literal["imitation", "gaussian_mixture"], option("Motion generator of the model.")
-    ] = "imitation",
-    components: Annotated[int, option("Number of Gaussians.", min=1, max=50)] = 8,
+    demonstrations: Path = option(..., "Folder of *.csv files."),
+    out: Path = options.file_option(..., "Model to write.", ".yaml", ".yml"),
+    kind: Literal["imitation", "gaussian_mixture"] = option("imitation", "Generator of the model."),
+    components: int = option(8, "Number of Gaussians.", min=1, max=50),
     seed: options.Seed = 0,
     json: options.JsonPath = None,
 ) -> None:

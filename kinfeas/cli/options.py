@@ -28,18 +28,18 @@ _WRITERS = {
 """Optional packages that write files, by suffix."""
 
 
-def option(text: str, *names: str, groups: Sequence[str] = (), **more: Any) -> Any:
-    """Return an option with a help text; `groups` of entry points complete its value."""
+def option(default: object, text: str, *names: str, groups: Sequence[str] = (), **more: Any) -> Any:
+    """Return an option, required if the default is `...`; entry points of groups complete it."""
     if groups:
         more["autocompletion"] = names_of(*groups)
-    return typer.Option(*names, help=text, **more)
+    return typer.Option(default, *names, help=text, **more)
 
 
-def argument(text: str, *, groups: Sequence[str] = (), **more: Any) -> Any:
+def argument(default: object, text: str, *, groups: Sequence[str] = (), **more: Any) -> Any:
     """Return an argument, as `option` does."""
     if groups:
         more["autocompletion"] = names_of(*groups)
-    return typer.Argument(help=text, **more)
+    return typer.Argument(default, help=text, **more)
 
 
 def names_of(*groups: str) -> Callable[[str], list[str]]:
@@ -81,34 +81,35 @@ def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
     return STDOUT
 
 
-def file_option(text: str, *suffixes: str) -> Any:
+def file_option(default: object, text: str, *suffixes: str) -> Any:
     """Return an option for a file to write that ends in one of the suffixes."""
-    return option(text, metavar=f"FILE{suffixes[0]}", callback=output_file(*suffixes))
+    return option(default, text, metavar=f"FILE{suffixes[0]}", callback=output_file(*suffixes))
 
 
-def episodes_option(text: str) -> Any:
+def episodes_option(default: object, text: str) -> Any:
     """Return an option for a number of episodes."""
-    return option(text, min=1, max=MOST_EPISODES)
+    return option(default, text, min=1, max=MOST_EPISODES)
 
 
-def robot_option(default: str = "") -> Any:
-    """Return an option for a robot; the text on its default is added to the help."""
-    text = f"Robot: pr2, tiago, hsr, or a YAML file.{default}"
-    return option(text, groups=("robots",))
+def robot_option(default: object, hint: str = "") -> Any:
+    """Return an option for a robot; a hint is added to the help."""
+    text = f"Robot: pr2, tiago, hsr, or a YAML file.{hint}"
+    return option(default, text, groups=("robots",))
 
 
-def task_option(before: str = "", default: str = "") -> Any:
+def task_option(default: object, before: str = "", hint: str = "") -> Any:
     """Return an option for a task, with texts before and after its help."""
     tasks = "Task: ggr, pick_place, door, drawer, another of `plugins list`, or a YAML file."
-    return option(before + tasks + default, groups=("tasks",))
+    return option(default, before + tasks + hint, groups=("tasks",))
 
 
-RobotName = Annotated[str, robot_option()]
-PolicyRobotName = Annotated[str | None, robot_option("  [default: that of the policy]")]
-TaskName = Annotated[str, task_option()]
+RobotName = Annotated[str, robot_option(...)]
+PolicyRobotName = Annotated[str | None, robot_option(..., "  [default: that of the policy]")]
+TaskName = Annotated[str, task_option(...)]
 PolicyName = Annotated[
     str,
     option(
+        ...,
         "Run folder, ONNX file, module:Class, or a name such as pretrained or follow_ee.",
         autocompletion=complete_policy,
     ),
@@ -116,52 +117,60 @@ PolicyName = Annotated[
 PolicyArgument = Annotated[
     str,
     argument(
+        ...,
         "ONNX file, run folder, module:Class, or a name such as pretrained.",
         autocompletion=complete_policy,
     ),
 ]
 World = Annotated[
-    str, option("Backend: analytic, pybullet, mujoco, or a plugin.", groups=("backends",))
+    str, option(..., "Backend: analytic, pybullet, mujoco, or a plugin.", groups=("backends",))
 ]
-Episodes = Annotated[int, episodes_option("Number of episodes.")]
-Seed = Annotated[int, option("Random seed.", min=0, max=LAST_SEED)]
-Processes = Annotated[int, option("Parallel processes.", min=1, max=MOST_PROCESSES)]
+Episodes = Annotated[int, episodes_option(..., "Number of episodes.")]
+Seed = Annotated[int, option(..., "Random seed.", min=0, max=LAST_SEED)]
+Processes = Annotated[int, option(..., "Parallel processes.", min=1, max=MOST_PROCESSES)]
 AllProcesses = Annotated[
     int | None,
-    option("Number of jobs at a time.  [default: one for each core]", min=1, max=MOST_PROCESSES),
+    option(..., "Jobs at a time.  [default: one for each core]", min=1, max=MOST_PROCESSES),
 ]
-EngineName = Annotated[Literal["local", "ray"], option("Where jobs run.")]
-EngineAddress = Annotated[str | None, option("Ray: address of a running cluster, such as auto.")]
+EngineName = Annotated[Literal["local", "ray"], option(..., "Where jobs run.")]
+EngineAddress = Annotated[str | None, option(..., "Running Ray cluster, such as auto.")]
 RobotBackend = Annotated[
     str | None,
     option(
+        ...,
         "analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
         "[default: pybullet or, without it, mujoco]",
         groups=("backends",),
     ),
 ]
-Rate = Annotated[float, option("Control rate, Hz.", min=1.0, max=1000.0)]
+Rate = Annotated[float, option(..., "Control rate, Hz.", min=1.0, max=1000.0)]
 Record = Annotated[
-    Path | None, option("New file.  [default: one below runs/deploy]", metavar="FILE.csv")
+    Path | None, option(..., "New file.  [default: one below runs/deploy]", metavar="FILE.csv")
 ]
 GuardsFile = Annotated[
-    Path | None, option("Limits of the guards.", "--guards", metavar="FILE.yaml")
+    Path | None, option(..., "Limits of the guards.", "--guards", metavar="FILE.yaml")
 ]
-AdapterList = Annotated[str | None, option("paper, pr2_like, harsh, randomised, or a file.")]
+AdapterList = Annotated[str | None, option(..., "paper, pr2_like, harsh, randomised, or a file.")]
 Filters = Annotated[
     str | None,
-    option("Such as path_planner,feasibility, or none.  [default: the robot's]", metavar="NAMES"),
+    option(
+        ..., "Such as path_planner,feasibility, or none.  [default: the robot's]", metavar="NAMES"
+    ),
 ]
 Overrides = Annotated[
-    list[str] | None, option("Change a setting; may be repeated.", "--set", metavar="KEY=VALUE")
+    list[str] | None,
+    option(..., "Change a setting; may be repeated.", "--set", metavar="KEY=VALUE"),
 ]
 JsonPath = Annotated[
     Path | None,
     option(
-        "Write results as JSON; - is standard output.", metavar="FILE", callback=_read_json_path
+        ...,
+        "JSON of the results; - is standard output.",
+        metavar="FILE",
+        callback=_read_json_path,
     ),
 ]
-Picture = Annotated[Path | None, file_option("Draw a picture.", ".png")]
+Picture = Annotated[Path | None, file_option(..., "Draw a picture.", ".png")]
 
 
 def read_settings(

@@ -5,7 +5,7 @@ import re
 import shlex
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
 
+_KINDS = f"Kind of plugin: {', '.join(Kind)}."
 _GENERATORS = "kinfeas.motion_generators"
 _GIVEN = {
     "kinfeas.adapters": ("backend", "robot"),
@@ -55,13 +56,11 @@ def list_plugins(json: options.JsonPath = None) -> None:
 
 @app.command()
 def info(
-    name: Annotated[
-        str,
-        argument(
-            "Name of a plugin, or YAML file of a robot or task.",
-            groups=[group.removeprefix("kinfeas.") for group in GROUPS],
-        ),
-    ],
+    name: str = argument(
+        ...,
+        "Name of a plugin, or YAML file of a robot or task.",
+        groups=[group.removeprefix("kinfeas.") for group in GROUPS],
+    ),
     json: options.JsonPath = None,
 ) -> None:
     """Show documentation and parameters of a plugin.
@@ -83,11 +82,9 @@ def info(
 
 @app.command()
 def new(
-    name: Annotated[str, argument("Name of the plugin, such as my_motion.")],
-    out: Annotated[Path | None, option("Folder.  [default: ./kinfeas-NAME]")] = None,
-    kind: Annotated[
-        Kind, option(f"Kind of plugin: {', '.join(Kind)}.", metavar="KIND")
-    ] = Kind.MOTION_GENERATOR,
+    name: str = argument(..., "Name of the plugin, such as my_motion."),
+    out: Path | None = option(None, "Folder.  [default: ./kinfeas-NAME]"),
+    kind: Kind = option(Kind.MOTION_GENERATOR, _KINDS, metavar="KIND"),
 ) -> None:
     """Create a plugin distribution with example, test and README.
 
@@ -104,20 +101,18 @@ def new(
 
 @app.command()
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
-    name: Annotated[
-        str,
-        argument(
-            "Name of a motion generator or policy, or module:Class of a policy.",
-            groups=("motion_generators", "policies"),
-        ),
-    ],
+    name: str = argument(
+        ...,
+        "Name of a motion generator or policy, or module:Class of a policy.",
+        groups=("motion_generators", "policies"),
+    ),
     overrides: options.Overrides = None,
-    duration: Annotated[float, option("Seconds within which motions arrive.", min=0.1)] = 120.0,
-    dt: Annotated[float, option("Seconds of a step.", min=0.001)] = 0.1,
-    max_velocity: Annotated[float, option("Speed limit, m/s.", min=0.0)] = 0.1,
-    max_angular_velocity: Annotated[float, option("The same in rad/s.", min=0.0)] = 0.1,
+    duration: float = option(120.0, "Seconds within which motions arrive.", min=0.1),
+    dt: float = option(0.1, "Seconds of a step.", min=0.001),
+    max_velocity: float = option(0.1, "Speed limit, m/s.", min=0.0),
+    max_angular_velocity: float = option(0.1, "The same in rad/s.", min=0.0),
     seed: options.Seed = 0,
-    robot: Annotated[str | None, option("Robot of a policy; policies need one.")] = None,
+    robot: str | None = option(None, "Robot of a policy; policies need one."),
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:

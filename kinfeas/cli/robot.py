@@ -2,7 +2,7 @@
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -27,32 +27,25 @@ app = typer.Typer(no_args_is_help=True, help="Create the files of a robot.")
 
 @app.command("import")
 def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
-    urdf: Annotated[Path, argument("URDF of a mobile manipulator.", metavar="FILE.urdf")],
-    out: Annotated[Path, option("Folder for NAME.yaml and NAME.urdf.")],
-    name: Annotated[str | None, option("Name of the robot.  [default: that of the file]")] = None,
-    drive: Annotated[
-        Literal["differential", "omnidirectional"] | None,
-        option("Drive of the base.  [default: by its wheels, else differential]"),
-    ] = None,
-    ee: Annotated[
-        str | None, option("EE link.  [default: end of the longest chain, before the fingers]")
-    ] = None,
-    base: Annotated[
-        str | None,
-        option(
-            "Base link; links above it are left out.  [default: the root, or the link above "
-            "joints that model a floor]"
-        ),
-    ] = None,
-    no_meshes: Annotated[bool, option("Leave meshes out.", "--no-meshes")] = False,
-    mesh_path: Annotated[
-        list[str] | None,
-        option(
-            "Replace the beginning of mesh addresses, such as package://NAME by a folder; may "
-            "be repeated.",
-            metavar="OLD=NEW",
-        ),
-    ] = None,
+    urdf: Path = argument(..., "URDF of a mobile manipulator.", metavar="FILE.urdf"),
+    out: Path = option(..., "Folder for NAME.yaml and NAME.urdf."),
+    name: str | None = option(None, "Name of the robot.  [default: that of the file]"),
+    drive: Literal["differential", "omnidirectional"] | None = option(
+        None, "Drive.  [default: by the wheels]"
+    ),
+    ee: str | None = option(None, "EE link.  [default: end of the longest chain]"),
+    base: str | None = option(
+        None,
+        "Base link; links above it are left out.  [default: the root, or the link above "
+        "joints that model a floor]",
+    ),
+    no_meshes: bool = option(False, "Leave meshes out.", "--no-meshes"),
+    mesh_path: list[str] | None = option(
+        None,
+        "Replace the beginning of mesh addresses, such as package://NAME by a folder; may "
+        "be repeated.",
+        metavar="OLD=NEW",
+    ),
     json: options.JsonPath = None,
     picture: options.Picture = None,
 ) -> None:

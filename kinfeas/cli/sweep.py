@@ -2,7 +2,7 @@
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
-    config: Annotated[str, argument("YAML file, or a name such as sweep/pr2.")],
-    out: Annotated[Path | None, option("Folder of the sweep.  [default: runs/sweep/NAME]")] = None,
+    config: str = argument(..., "YAML file, or a name such as sweep/pr2."),
+    out: Path | None = option(None, "Folder of the sweep.  [default: runs/sweep/NAME]"),
     engine: options.EngineName = "local",
     address: options.EngineAddress = None,
     processes: options.AllProcesses = None,

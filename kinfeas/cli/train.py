@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -24,38 +24,26 @@ Algorithm = Literal["sac", "td3"]
 
 
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
-    robot: Annotated[
-        str | None, options.robot_option("  [default: robot of --config or --init, else pr2]")
-    ] = None,
-    task: Annotated[str | None, options.task_option(default="  [default: ggr]")] = None,
-    seed: Annotated[int | None, option("Random seed.  [default: 0]")] = None,
-    minutes: Annotated[
-        float | None, option("Time; in the analytic world without evaluations.  [default: 3]")
-    ] = None,
-    steps: Annotated[
-        int | None, option("Environment steps, in place of or beside --minutes.")
-    ] = None,
-    algorithm: Annotated[Algorithm | None, option("Algorithm.  [default: sac]")] = None,
+    robot: str | None = options.robot_option(
+        None, "  [default: robot of --config or --init, else pr2]"
+    ),
+    task: str | None = options.task_option(None, hint="  [default: ggr]"),
+    seed: int | None = option(None, "Random seed.  [default: 0]"),
+    minutes: float | None = option(None, "Time; with physics including evaluations.  [default: 3]"),
+    steps: int | None = option(None, "Environment steps, in place of or beside --minutes."),
+    algorithm: Algorithm | None = option(None, "Algorithm.  [default: sac]"),
     adapters: options.AdapterList = None,
     world: options.World = "analytic",
-    init: Annotated[
-        str | None, option("Policy to start from: a run folder, or pretrained.")
-    ] = None,
-    processes: Annotated[int | None, option("Processes of a physics world.  [default: 2]")] = None,
-    out: Annotated[
-        Path | None, option("Folder of the run.  [default: runs/ROBOT-TASK-SEED]")
-    ] = None,
-    config: Annotated[
-        str | None,
-        option(
-            "Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
-            "[default: that of the robot]"
-        ),
-    ] = None,
+    init: str | None = option(None, "Policy to start from: a run folder, or pretrained."),
+    processes: int | None = option(None, "Processes of a physics world.  [default: 2]"),
+    out: Path | None = option(None, "Folder of the run.  [default: runs/ROBOT-TASK-SEED]"),
+    config: str | None = option(
+        None,
+        "Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
+        "[default: that of the robot]",
+    ),
     overrides: options.Overrides = None,
-    resume: Annotated[
-        Path | None, option("Resume the run of a folder; --minutes and --steps extend.")
-    ] = None,
+    resume: Path | None = option(None, "Resume the run of a folder; --minutes and --steps extend."),
 ) -> None:
     """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
 

@@ -1,7 +1,6 @@
 """`kinfeas view`: a scene or a recorded run as a table, a picture or an interactive page."""
 
 from pathlib import Path
-from typing import Annotated
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
@@ -9,14 +8,12 @@ from kinfeas.cli.output import print_facts, print_paths, progress, write_json
 
 
 def view(
-    scene: Annotated[str | None, option("Scene by name or YAML file.  [default: room]")] = None,
-    record: Annotated[Path | None, option("Record of kinfeas deploy.", metavar="FILE.csv")] = None,
+    scene: str | None = option(None, "Scene by name or YAML file.  [default: room]"),
+    record: Path | None = option(None, "Record of kinfeas deploy.", metavar="FILE.csv"),
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
     picture: options.Picture = None,
-    html: Annotated[
-        Path | None, options.file_option("Write an interactive page.", ".html", ".htm")
-    ] = None,
+    html: Path | None = options.file_option(None, "Write an interactive page.", ".html", ".htm"),
 ) -> None:
     """Show a scene or a recorded run.
 
