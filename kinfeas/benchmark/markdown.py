@@ -14,15 +14,11 @@ _HOW = """\
 Each cell is the percentage of episodes that reach the goal **without an IK failure**. In \
 brackets: EE deviation below 5 cm throughout, and goal reached. `±` is the standard deviation over \
 training seeds. The *ceiling* is the percentage of goals that are reachable from at least one base \
-pose, with its 95 % interval. Rows in italics are the paper's figures, from its own program"""
-
-_ANALYTIC = """\
-. Its `ggr_restricted` has harder start configurations: in self-collision at these heights, and \
-any others beyond them. Tables "any start" use these starts, too."""
+pose, with its 95 % interval. Rows in italics are the paper's figures, from its own program."""
 
 _PHYSICS = """\
- and simulator. *without physics*: the same policy in the same episodes of the analytic world. \
-*head start*: the base moves for 3 s before the EE; *no objects*: an empty floor."""
+*without physics*: the same policy in the same episodes of the analytic world. *head start*: the \
+base moves for 3 s before the EE; *no objects*: an empty floor."""
 
 _JUMPS = "Steps in which an arm joint would exceed its velocity limit."
 
@@ -39,7 +35,7 @@ _DEVIATION = "Mean distance of the EE from the desired position, mm."
 
 _CAPTIONS = {
     "table.png": "Episodes without a failure",
-    "learning_curves.png": "Learning curves: mean and standard deviation over the training seeds",
+    "learning_curves.png": "Learning curves of the training seeds",
 }
 
 _PAPER_ROWS = ("head_start", "no_objects")
@@ -59,7 +55,7 @@ def to_markdown(
     named = "" if world == "analytic" else f" in {' and '.join(worlds)}"
     lines = [f"# Benchmark{named}", ""]
     lines += [f"**{note}**", ""] if note else []
-    lines += [_HOW + (_ANALYTIC if world == "analytic" else _PHYSICS), ""]
+    lines += [_HOW, "", *([] if world == "analytic" else [_PHYSICS, ""])]
     episodes = sorted({f"{cell.episodes_per_seed:,}" for cell in cells})
     lines += [f"{' or '.join(episodes)} episodes of each policy, the same for all.", ""]
     lines += success_tables(cells)

@@ -17,7 +17,6 @@ from kinfeas.benchmark.evaluations import Evaluation
 from kinfeas.benchmark.markdown import groups, label, rows_of, title, to_markdown
 from kinfeas.benchmark.runs import Run
 from kinfeas.benchmark.table import LEARNED_POLICIES, Cell
-from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
@@ -32,7 +31,6 @@ from kinfeas.viz.plots import apart, read_metrics
 from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, failures_text, png
 
 _COLOURS = {"sac": EE, "td3": BASE}
-_POINTS = 200
 _CURVE_INCHES = 4.9
 _BEYOND = "#e4e7eb"
 _ROW_INCHES, _PANEL_INCHES = 0.27, 2.35
@@ -136,7 +134,7 @@ def _table_legend(*, beside: bool) -> list[Line2D]:
 
 
 def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]) -> Figure:
-    """Return the picture of the learning curves, a panel for each robot.
+    """Return the learning curves of runs, a panel for each robot and a line for each run.
 
     `levels` are success rates in 0-1 to compare each robot with, by name.
     """
@@ -145,75 +143,37 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
         figure = Figure(figsize=(0.6 + _CURVE_INCHES * len(robots), 4.3), layout="constrained")
         panels = figure.subplots(1, len(robots), squeeze=False, sharey=True)[0]
         for axes, robot in zip(panels, robots, strict=True):
-            own = [run for run in runs if run.robot == robot]
-            for algorithm in dict.fromkeys(run.algorithm for run in own):
-                _draw_curves(axes, algorithm, [run for run in own if run.algorithm == algorithm])
-            _draw_levels(axes, levels.get(robot, {}))
-            axes.set_title(f"{TITLES.get(robot, robot)}, {own[0].task}")
+            for run in runs:
+                if run.robot == robot:
+                    _draw_curve(axes, run)
+                    axes.set_title(f"{TITLES.get(robot, robot)}, {run.task}")
+            ordered = sorted(levels.get(robot, {}).items(), key=lambda level: level[1])
+            heights = apart([value for _, value in ordered], 0.05)
+            for (name, value), y in zip(ordered, heights, strict=True):
+                axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
+                axes.text(1.015, y, f"{name} {value:.1%}", va="center", fontsize=8.5,
+                          transform=axes.get_yaxis_transform())  # fmt: skip
             axes.set_xlabel("environment steps (thousands)")
             axes.set_xlim(left=0.0)
-            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=9)
+            handles, labels = axes.get_legend_handles_labels()
+            unique = dict(zip(labels, handles, strict=True))
+            axes.legend(unique.values(), unique, loc="upper center", bbox_to_anchor=(0.5, -0.16))
         panels[0].set_ylabel("success")
         panels[0].set_ylim(0.0, 1.02)
         panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))
     return figure
 
 
-def training_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Array]:
-    """Return common steps (k,) of several runs, and the success of each in training (runs, k)."""
-    steps = np.linspace(0.0, min(float(run["steps"][-1]) for run in metrics), _POINTS)
-    values = []
-    for run in metrics:
-        measured = np.isfinite(run["train/success"])
-        # A short run may end before its first training episode does.
-        at, success = (
-            run[key][measured] if measured.any() else [np.nan] for key in ("steps", "train/success")
-        )
-        values.append(np.interp(steps, at, success, left=np.nan))
-    return steps, np.array(values)
-
-
-def evaluation_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Array]:
-    """Return the mean steps (k,) of the k-th evaluations, and their success (runs, k)."""
-    measured = [np.isfinite(run["evaluation/success"]) for run in metrics]
-    count = min(int(rows.sum()) for rows in measured)
-    steps, values = (
-        np.array([run[key][rows][:count] for run, rows in zip(metrics, measured, strict=True)])
-        for key in ("steps", "evaluation/success")
-    )
-    return steps.mean(axis=0), values
-
-
-def _draw_curves(axes: Axes, algorithm: str, runs: Sequence[Run]) -> None:
-    metrics = [read_metrics(run.folder) for run in runs]
-    colour, name = _COLOURS.get(algorithm, INK), algorithm.upper()
-    seeds = f", mean and std of {len(runs)} seeds" if len(runs) > 1 else ", 1 seed"
-    steps, values = training_curve(metrics)
-    mean, deviation = values.mean(axis=0), _deviation(values)
-    low, high = (mean - deviation).clip(0.0), (mean + deviation).clip(max=1.0)
-    axes.fill_between(steps / 1000.0, low, high, color=colour, alpha=0.2, lw=0.0)
-    axes.plot(steps / 1000.0, mean, color=colour, lw=1.8, label=f"{name} training{seeds}")
-    steps, values = evaluation_curve(metrics)
-    axes.errorbar(
-        steps / 1000.0, values.mean(axis=0), yerr=_deviation(values) if len(runs) > 1 else None,
-        fmt="o", color=colour, ms=6.5, mec="white", capsize=3, elinewidth=1.4, zorder=4,
-        label=f"{name} evaluation, without noise",
-    )  # fmt: skip
-
-
-def _deviation(values: Array) -> Array:
-    return values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(values.shape[1])
-
-
-def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
-    """Draw lines to compare with, their names beside the axes and apart from each other."""
-    ordered = sorted(levels.items(), key=lambda item: item[1])
-    heights = apart([value for _, value in ordered], 0.05)
-    for (name, value), y in zip(ordered, heights, strict=True):
-        axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
-        axes.annotate(
-            f"{name} {value:.1%}", (1.015, y), xycoords=("axes fraction", "data"), fontsize=8.5,
-            va="center", color=INK, annotation_clip=False,
+def _draw_curve(axes: Axes, run: Run) -> None:
+    metrics, colour = read_metrics(run.folder), _COLOURS.get(run.algorithm, INK)
+    for key, style, text in (
+        ("train/success", "-", "training"),
+        ("evaluation/success", "o", "evaluation, without noise"),
+    ):
+        measured = np.isfinite(metrics[key])
+        axes.plot(
+            metrics["steps"][measured] / 1000.0, metrics[key][measured], style, color=colour,
+            lw=1.2, alpha=0.7, ms=5.5, mec="white", label=f"{run.algorithm.upper()} {text}",
         )  # fmt: skip
 
 

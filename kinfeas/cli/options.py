@@ -13,7 +13,6 @@ import typer
 from kinfeas.cli.output import STDOUT, check_file_path, progress
 from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 
@@ -50,13 +49,6 @@ def names_of(*groups: str) -> Callable[[str], list[str]]:
         return sorted(name for name in names if name.startswith(incomplete))
 
     return complete
-
-
-def complete_policy(incomplete: str) -> list[str]:
-    """Return the names of policies and the training runs in `runs` that begin with a text."""
-    runs = {str(path.parent) for path in Path("runs").glob("*/config.yaml")}
-    names = {"pretrained", *runs, *registry.names("kinfeas.policies")}
-    return sorted(name for name in names if name.startswith(incomplete))
 
 
 def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
@@ -103,59 +95,37 @@ def task_option(default: object, before: str = "", hint: str = "") -> Any:
     return option(default, before + tasks + hint, groups=("tasks",))
 
 
+_POLICIES = "Run folder, ONNX file, module:Class, or a name such as pretrained."
 RobotName = Annotated[str, robot_option(...)]
 PolicyRobotName = Annotated[str | None, robot_option(..., "  [default: that of the policy]")]
 TaskName = Annotated[str, task_option(...)]
-PolicyName = Annotated[
-    str,
-    option(
-        ...,
-        "Run folder, ONNX file, module:Class, or a name such as pretrained or follow_ee.",
-        autocompletion=complete_policy,
-    ),
-]
-PolicyArgument = Annotated[
-    str,
-    argument(
-        ...,
-        "ONNX file, run folder, module:Class, or a name such as pretrained.",
-        autocompletion=complete_policy,
-    ),
-]
+PolicyName = Annotated[str, option(..., _POLICIES, groups=("policies",))]
+PolicyArgument = Annotated[str, argument(..., _POLICIES, groups=("policies",))]
 World = Annotated[
     str, option(..., "Backend: analytic, pybullet, mujoco, or a plugin.", groups=("backends",))
 ]
 Episodes = Annotated[int, episodes_option(..., "Number of episodes.")]
 Seed = Annotated[int, option(..., "Random seed.", min=0, max=LAST_SEED)]
 Processes = Annotated[int, option(..., "Parallel processes.", min=1, max=MOST_PROCESSES)]
-AllProcesses = Annotated[
-    int | None,
-    option(..., "Jobs at a time.  [default: one for each core]", min=1, max=MOST_PROCESSES),
-]
+AllProcesses = Annotated[int | None, option(..., "Jobs at a time.  [default: all cores]", min=1)]
 EngineName = Annotated[Literal["local", "ray"], option(..., "Where jobs run.")]
 EngineAddress = Annotated[str | None, option(..., "Running Ray cluster, such as auto.")]
 RobotBackend = Annotated[
     str | None,
     option(
         ...,
-        "analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
-        "[default: pybullet or, without it, mujoco]",
+        "analytic, pybullet, mujoco, ros2, ros1.  [default: with physics]",
         groups=("backends",),
     ),
 ]
 Rate = Annotated[float, option(..., "Control rate, Hz.", min=1.0, max=1000.0)]
-Record = Annotated[
-    Path | None, option(..., "New file.  [default: one below runs/deploy]", metavar="FILE.csv")
-]
+Record = Annotated[Path | None, option(..., "New file.  [default: in runs/deploy]", metavar="CSV")]
 GuardsFile = Annotated[
-    Path | None, option(..., "Limits of the guards.", "--guards", metavar="FILE.yaml")
+    Path | None, option(..., "Limits of guards.", "--guards", metavar="FILE.yaml")
 ]
 AdapterList = Annotated[str | None, option(..., "paper, pr2_like, harsh, randomised, or a file.")]
 Filters = Annotated[
-    str | None,
-    option(
-        ..., "Such as path_planner,feasibility, or none.  [default: the robot's]", metavar="NAMES"
-    ),
+    str | None, option(..., "Command filters with commas, or none.  [default: the robot's]")
 ]
 Overrides = Annotated[
     list[str] | None,
@@ -163,12 +133,7 @@ Overrides = Annotated[
 ]
 JsonPath = Annotated[
     Path | None,
-    option(
-        ...,
-        "JSON of the results; - is standard output.",
-        metavar="FILE",
-        callback=_read_json_path,
-    ),
+    option(..., "JSON of results; - is standard output.", metavar="FILE", callback=_read_json_path),
 ]
 Picture = Annotated[Path | None, file_option(..., "Draw a picture.", ".png")]
 
@@ -191,11 +156,7 @@ def read_settings(
 
 
 def run_jobs(
-    jobs: "Sequence[Job]",
-    kind: str,
-    engine: Literal["local", "ray"],
-    processes: int | None,
-    address: str | None,
+    jobs: "Sequence[Job]", kind: str, engine: str, processes: int | None, address: str | None
 ) -> "list[Result]":
     """Return the results of jobs on an engine, with a progress bar."""
     from kinfeas.api import counter

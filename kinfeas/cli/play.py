@@ -15,17 +15,13 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     second_policy: str = option("none", "Policy of a second robot."),
     generator: str = option(
         "servo",
-        "All but servo start when the handle is released.",
+        "Motion generator.",
         groups=("motion_generators",),
     ),
-    filters: str = option(
-        "time_scaling", "Such as path_planner,feasibility, or none.", metavar="NAMES"
-    ),
+    filters: str = option("time_scaling", "Command filters with commas, or none."),
     backend: str = option("analytic", "analytic, pybullet or mujoco.", groups=("backends",)),
     scene: str = option("room", "Scene by name or YAML file, or none."),
-    demonstrations: Path = option(
-        Path("demonstrations"), "Folder of recorded motions.", metavar="FOLDER"
-    ),
+    demonstrations: Path = option(Path("demonstrations"), "Folder of recorded motions."),
     host: str = option("127.0.0.1", "Address; 0.0.0.0 for other computers."),
     port: int = option(8080, "Port; 0 for a free one.", min=0, max=65535),
 ) -> None:

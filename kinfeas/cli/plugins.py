@@ -19,14 +19,13 @@ from kinfeas.io.files import is_path
 from kinfeas.templates import Kind
 
 if TYPE_CHECKING:
-    from kinfeas.testing import Finding
     from kinfeas.testing.trial import Trial
 
 app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
 
 _KINDS = f"Kind of plugin: {', '.join(Kind)}."
 _GENERATORS = "kinfeas.motion_generators"
-_GIVEN = {
+_PASSED = {
     "kinfeas.adapters": ("backend", "robot"),
     "kinfeas.backends": ("robot",),
     "kinfeas.policies": ("robot",),
@@ -69,9 +68,14 @@ def info(
 
     Example: kinfeas plugins info linear
     """
-    plugins = (
-        [_facts_of_file(name)] if is_path(name) else [_facts(plugin) for plugin in _find(name)]
-    )
+    if is_path(name):
+        plugins = [_facts_of_file(name)]
+    else:
+        installed = [plugin for group in GROUPS for plugin in registry.plugins(group)]
+        plugins = [_facts(plugin) for plugin in installed if plugin.name == name]
+        if not plugins:
+            names = {plugin.name for plugin in installed}
+            raise KinfeasError(f"unknown plugin {name!r}{no_such(name, names)}")
     write_json(plugins, json)
     for facts in plugins:
         origin = facts.get("file") or "{distribution} {version}, {target}".format(**facts)
@@ -146,27 +150,25 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     with progress() as on_progress:
         count = counter(on_progress, f"checking {name}", trial.steps)
         findings = examine(generator, trial, name, count)
-    rows = [[RULES[finding.rule], _result(finding), finding.broken or ""] for finding in findings]
     rules = [
-        {"rule": finding.rule, "text": text, "result": result, "broken": finding.broken}
-        for finding, (text, result, _) in zip(findings, rows, strict=True)
-    ]
-    broken = [finding.broken for finding in findings if finding.broken is not None]
-    passed = all(finding.kept for finding in findings)
+        {"rule": result.rule, "text": RULES[result.rule], "checked": result.checked,
+         "broken": result.broken}
+        for result in findings
+    ]  # fmt: skip
+    broken = [result.broken for result in findings if result.broken is not None]
+    passed = all(result.kept for result in findings)
     report = {"generator": name, "parameters": parameters, "passed": passed, "rules": rules}
     write_json(report, json)
-    print_table(f"motion generator {name}", ["rule", "", "error"], rows)
+    rows = [
+        [RULES[result.rule], result.broken or ("kept" if result.checked else "not checked")]
+        for result in findings
+    ]
+    print_table(f"motion generator {name}", ["rule", "result"], rows)
     if all(finding.checked for finding in findings):  # a severe violation ends the motions
         write_drawing(lambda: _drawing(name, parameters, trial), picture)
     if broken:
         raise KinfeasError(f"{len(broken)} of {len(findings)} rules broken: {broken[0]}")
     typer.echo(f"motion generator {name} passes all {len(findings)} rules")
-
-
-def _result(finding: "Finding") -> str:
-    if finding.broken is not None:
-        return "broken"
-    return "kept" if finding.checked else "not checked"
 
 
 def _drawing(name: str, parameters: dict[str, object], trial: "Trial") -> bytes:
@@ -193,16 +195,6 @@ def _summary(plugin: Plugin) -> tuple[str, str | None]:
         return "", " ".join(str(error).split())
 
 
-def _find(name: str) -> list[Plugin]:
-    every = [plugin for group in GROUPS for plugin in registry.plugins(group)]
-    plugins = [plugin for plugin in every if plugin.name == name]
-    if not plugins:
-        raise KinfeasError(
-            f"unknown plugin {name!r}{no_such(name, {plugin.name for plugin in every})}"
-        )
-    return plugins
-
-
 def _documentation(factory: Any) -> str:
     """Return the docstring of a function, or of a class and its constructor."""
     own = [factory.__doc__]
@@ -221,11 +213,15 @@ def _facts(plugin: Plugin) -> dict[str, Any]:
             _parameter(parameter.name, parameter.annotation, parameter.default)
             for parameter in inspect.signature(factory).parameters.values()
             if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
-            and parameter.name not in _GIVEN.get(plugin.group, ())
+            and parameter.name not in _PASSED.get(plugin.group, ())
         ]
     if plugin.group == "kinfeas.tasks" and all("default" in parameter for parameter in parameters):
         facts |= _task_facts(plugin.name)
-    return facts | ({"parameters": parameters} if parameters or "parameters" not in facts else {})
+    return (
+        {"parameters": parameters, **facts}
+        if not parameters
+        else {**facts, "parameters": parameters}
+    )
 
 
 def _facts_of_file(path: str) -> dict[str, Any]:

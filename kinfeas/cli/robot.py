@@ -22,6 +22,7 @@ from kinfeas.core.errors import KinfeasError
 if TYPE_CHECKING:
     from kinfeas.importer.draft import Draft
 
+Drive = Literal["differential", "omnidirectional"]
 app = typer.Typer(no_args_is_help=True, help="Create the files of a robot.")
 
 
@@ -30,21 +31,12 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     urdf: Path = argument(..., "URDF of a mobile manipulator.", metavar="FILE.urdf"),
     out: Path = option(..., "Folder for NAME.yaml and NAME.urdf."),
     name: str | None = option(None, "Name of the robot.  [default: that of the file]"),
-    drive: Literal["differential", "omnidirectional"] | None = option(
-        None, "Drive.  [default: by the wheels]"
-    ),
+    drive: Drive | None = option(None, "Drive of the base.  [default: by the wheels]"),
     ee: str | None = option(None, "EE link.  [default: end of the longest chain]"),
-    base: str | None = option(
-        None,
-        "Base link; links above it are left out.  [default: the root, or the link above "
-        "joints that model a floor]",
-    ),
+    base: str | None = option(None, "Base link; links above it are left out.  [default: the root]"),
     no_meshes: bool = option(False, "Leave meshes out.", "--no-meshes"),
     mesh_path: list[str] | None = option(
-        None,
-        "Replace the beginning of mesh addresses, such as package://NAME by a folder; may "
-        "be repeated.",
-        metavar="OLD=NEW",
+        None, "Replaces the start of mesh addresses; may be repeated.", metavar="OLD=NEW"
     ),
     json: options.JsonPath = None,
     picture: options.Picture = None,

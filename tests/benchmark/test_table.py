@@ -1,12 +1,10 @@
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas.benchmark.evaluations import CEILING, Evaluation
-from kinfeas.benchmark.pictures import evaluation_curve, training_curve
 from kinfeas.benchmark.table import interval, tabulate
 from kinfeas.core.metrics import wilson
 from tests.benchmark.benchmark_cases import cells, result
@@ -76,22 +74,3 @@ def test_seeds_that_differ_widen_the_interval():
     half = 4.302653 * 0.02 / 3**0.5  # Student's t of two degrees of freedom
     assert (apart.low, apart.high) == (pytest.approx(0.7 - half), pytest.approx(0.7 + half))
     assert alike.high - alike.low < 0.02
-
-
-def metrics(end, success, evaluations):
-    evaluated = np.full(5, np.nan)
-    evaluated[[2, 4]] = evaluations
-    rates = np.array([np.nan, *np.linspace(0.0, success, 4)])
-    steps = np.linspace(0.0, end, 5)
-    return {"steps": steps, "train/success": rates, "evaluation/success": evaluated}
-
-
-def test_curves_have_common_steps():
-    runs = [metrics(1000, 0.8, (0.7, 0.9)), metrics(2000, 0.8, (0.5, 0.7))]
-    steps, success = training_curve(runs)
-    assert steps[-1] == 1000.0
-    assert np.isnan(success[:, 0]).all()
-    np.testing.assert_allclose(success[:, -1], [0.8, 0.8 / 3.0])
-    steps, success = evaluation_curve(runs)
-    np.testing.assert_allclose(steps, [750.0, 1500.0])
-    np.testing.assert_allclose(success, [[0.7, 0.9], [0.5, 0.7]])
