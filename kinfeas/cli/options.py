@@ -114,7 +114,8 @@ RobotBackend = Annotated[
     str | None,
     option(
         ...,
-        "analytic, pybullet, mujoco, ros2, ros1.  [default: with physics]",
+        "analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
+        "[default: pybullet or, without it, mujoco]",
         groups=("backends",),
     ),
 ]

@@ -217,11 +217,7 @@ def _facts(plugin: Plugin) -> dict[str, Any]:
         ]
     if plugin.group == "kinfeas.tasks" and all("default" in parameter for parameter in parameters):
         facts |= _task_facts(plugin.name)
-    return (
-        {"parameters": parameters, **facts}
-        if not parameters
-        else {**facts, "parameters": parameters}
-    )
+    return {"parameters": [], **facts, **({"parameters": parameters} if parameters else {})}
 
 
 def _facts_of_file(path: str) -> dict[str, Any]:
