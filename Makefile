@@ -1,7 +1,6 @@
 # `make demo` and `make test` need nothing but Python 3.11 to 3.13: each builds its own .venv.
 
-# The first that runs: a version manager's shim may be on the path without its Python. PyBullet has
-# no wheels for later versions than 3.11.
+# The first that runs: a version manager's shim may be on the path without its Python.
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c "" 2>/dev/null && echo $$p && break; done)
 VENV := .venv
@@ -10,10 +9,11 @@ STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-demo
 PACKAGES := kinfeas plugins scenes sim2real configs
 FRESH = build/$(notdir $(PYTHON))
+MERGED := build/merged
 WORKERS ?= auto
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-python docs reference lint layers format clean
+.PHONY: help install demo test test-slow test-python docs reference lint types layers merged format clean
 
 help:  ## Show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -30,14 +30,14 @@ test-slow: $(STAMP)  ## Run the tests that take longer
 	$(BIN)/python -m pytest -n auto -m slow
 
 # In a copy of the tree, so that the wheel has no file of an earlier build; the tests import the
-# wheel, not the copy's packages.
+# wheel, not the copy's packages, to which the pages link.
 test-python:  ## Run the fast tests with the wheel in a fresh environment of PYTHON=python3.12
 	rm -rf $(FRESH) && mkdir -p $(FRESH)/source && $(PYTHON) -m venv $(FRESH)/venv
 	git ls-files -z -co --exclude-standard | xargs -0 cp --parents -t $(FRESH)/source
 	$(FRESH)/venv/bin/pip wheel -q --no-deps -w $(FRESH) $(FRESH)/source
 	$(FRESH)/venv/bin/pip install -q "$$(echo $(FRESH)/*.whl)[test]"
 	cd $(FRESH)/source && rm -r $(PACKAGES) && \
-		../venv/bin/python -m pytest -n $(WORKERS) -m "not slow" --ignore tests/test_wheel.py
+		../venv/bin/python -m pytest -n $(WORKERS) -m "not slow" --ignore tests/test_wheel.py --ignore tests/test_docs.py
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site
@@ -45,18 +45,26 @@ docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 reference: $(STAMP)  ## Write the generated parts of docs/reference
 	$(BIN)/python docs/reference_pages.py
 
-# mypy ends with 2 if a machine is too busy to start its workers in time.
 lint: $(STAMP)  ## Check style, types and layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy || { test $$? = 2 && $(BIN)/mypy --num-workers 0; }
-	@$(MAKE) --no-print-directory layers
+	@$(MAKE) --no-print-directory types layers
 
-# On a copy in which every package lies below kinfeas, as installed.
-layers: $(STAMP)
-	@copy=$$(mktemp -d) && trap 'rm -rf "$$copy"' EXIT && cp -r kinfeas "$$copy" && \
-		cp -r $(filter-out kinfeas,$(PACKAGES)) "$$copy/kinfeas" && cd "$$copy" && \
-		"$(CURDIR)/$(BIN)/lint-imports" --config "$(CURDIR)/pyproject.toml" --no-cache --no-logo
+# Types and layers are those of a copy in which every package lies below kinfeas, as installed. mypy
+# ends with 2 if a machine is too busy to start its workers in time.
+MYPY = "$(CURDIR)/$(BIN)/mypy" --config-file "$(CURDIR)/pyproject.toml" \
+	--cache-dir "$(CURDIR)/.mypy_cache" kinfeas docs
+
+types: merged
+	cd $(MERGED) && { $(MYPY) || { test $$? = 2 && $(MYPY) --num-workers 0; }; }
+
+layers: merged
+	cd $(MERGED) && "$(CURDIR)/$(BIN)/lint-imports" --config "$(CURDIR)/pyproject.toml" \
+		--no-cache --no-logo
+
+merged: $(STAMP)
+	@rm -rf $(MERGED) && mkdir -p $(MERGED)/docs && cp -p docs/*.py $(MERGED)/docs && \
+		cp -rp kinfeas $(MERGED) && cp -rp $(filter-out kinfeas,$(PACKAGES)) $(MERGED)/kinfeas
 
 format: $(STAMP)  ## Format the code and mend what ruff can mend
 	$(BIN)/ruff check --fix .

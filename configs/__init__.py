@@ -1,4 +1,4 @@
-"""Configuration in YAML: `robots`, one file each with sections; `paper`, `benchmark`, `sim2real`.
+"""Configuration in YAML: `default.yaml` for any robot; `paper`, `benchmark`, `sim2real`, `sweep`.
 
 `kinfeas.config.recipes` reads the files by name.
 """

@@ -18,7 +18,7 @@ from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative
 from kinfeas.evaluation.paper import TITLES
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.kinematics.reachability import reachable
+from kinfeas.planning.placement import reachable
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.viz.drawing import (
@@ -264,10 +264,10 @@ def earned() -> Figure:
         robot = load_robot(name)
         ceiling.plot(HEIGHTS, 100 * reached(robot), "o-", color=colour, ms=4, lw=2.0,
                      label=TITLES[name])  # fmt: skip
-        low, high = robot.goal_heights["ggr"]
+        low, high = robot.reach.low, robot.reach.high
         place = -6.0 - 5.0 * ROBOTS.index(name)
         ceiling.plot([low, high], [place, place], color=colour, lw=4, solid_capstyle="butt")
-    ceiling.text(0.1, -24.5, "bars: goal heights of the task ggr", fontsize=8.5, color="#5a626d")
+    ceiling.text(0.1, -24.5, "bars: reach of the robot", fontsize=8.5, color="#5a626d")
     ceiling.set(xlabel="height of the goal (m)", ylabel="reachable goals, %",
                 ylim=(-26, 104))  # fmt: skip
     ceiling.set_yticks([0, 25, 50, 75, 100])

@@ -24,9 +24,10 @@ SHARES = np.linspace(0.0, 20.0, 400)
 def path(solver: IkSolver, start: Start) -> Array:
     """Return the poses of the EE on its way, shape (m, 7)."""
     ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))[np.newaxis]
-    generator, goal = Planned(), start.target_poses
+    generator, goal, solids = Planned(), start.target_poses, start.solids
+    assert solids is not None
     state = generator.start(ee, goal, [np.random.default_rng(0)])
-    state = generator.replan(state, ee, goal, start.solids)
+    state = generator.replan(state, ee, goal, solids)
     return generator.ahead(state, ee, goal, SHARES)[0]
 
 

@@ -45,7 +45,6 @@ ROWS = {
 """Policy, row and metric of the README's rows by their heads."""
 LEARNED = {
     ("sac", ""): "SAC, 3 seeds",
-    ("td3", ""): "TD3, 3 seeds",
     ("pretrained", ""): "pretrained",
     ("pretrained", "feasibility filter"): "pretrained, feasibility filter",
     ("pretrained", "path planner"): "pretrained, path planner",
@@ -144,7 +143,7 @@ def tables_page(record: Sequence[Entry], pybullet: Sequence[Entry], mujoco: Sequ
         (f"{title}, {name}", [_jumps(cells.get((robot, task, *chosen))) for task in TASKS])
         for robot, title in ROBOTS.items()
         for chosen, name in LEARNED.items()
-        if chosen not in {("td3", ""), ("pretrained", "")}
+        if chosen != ("pretrained", "")
     ]
     lines += _table("robot, policy", TASKS, jumps)
     lines += ["", "## Physics worlds", "", OF_PHYSICS, ""]

@@ -3,7 +3,7 @@
 The functions below are imported with their packages at the first use.
 """
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _MODULES = {
     "ceiling": "evaluate", "deploy": "deploy", "evaluate": "evaluate", "export": "export",

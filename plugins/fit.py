@@ -48,9 +48,9 @@ from kinfeas.plugins.replay import resampled
 _SAMPLES = 200  # of each demonstration
 _DIGITS = 8  # significant ones in a model
 _CLOCK = 30.0  # seconds that a `gaussian_mixture` takes, as the authors' models do
-_METRES_PER_RADIAN = 0.2  # so that the index of `imitation` advances in a turn on the spot too
+_METRES_PER_RADIAN = 0.2  # so that the index of `imitation` also advances in a rotation on the spot
 _STILL = 1e-3  # metres, below which a demonstration has no motion to learn
-_MOST_TURN = 3.0  # radians from the mean orientation; at pi the rotation vector jumps
+_MAX_ROTATION = 3.0  # radians from the mean orientation; at pi the rotation vector jumps
 _FARTHEST = 30.0  # metres from the object
 _STRONG = 0.7  # silhouette from which demonstrations follow two paths
 _APART = 0.1  # of the learned length, the distance from which they do
@@ -116,7 +116,8 @@ def fit(
         raise KinfeasError("there must be at least one demonstration to learn from")
     called = names or [f"demonstration {number}" for number in range(1, len(demonstrations) + 1)]
     paths = [
-        _sampled(shown, kind, name) for shown, name in zip(demonstrations, called, strict=True)
+        _sampled(demonstration, kind, name)
+        for demonstration, name in zip(demonstrations, called, strict=True)
     ]
     duration = float(np.mean([path.duration for path in paths]))
     if not SHORTEST <= duration <= LONGEST:
@@ -149,26 +150,27 @@ def write_model(model: Model, path: Path) -> None:
     strict_yaml.write(config.to_mapping(model), path, compact=True)
 
 
-def _sampled(shown: Demonstration, kind: Kind, name: str) -> _Path:
+def _sampled(demonstration: Demonstration, kind: Kind, name: str) -> _Path:
     """Return a demonstration at even steps of the index; `name` is its name in errors."""
-    frame = shown.object_pose[:1]
-    ee_pose = relative(shown.ee_pose, frame)
+    frame = demonstration.object_pose[:1]
+    ee_pose = relative(demonstration.ee_pose, frame)
     metres, radians = distance(ee_pose[:-1], ee_pose[1:])
     steps = metres + _METRES_PER_RADIAN * radians
     if steps.sum() < _STILL:
         raise KinfeasError(f"{name}: the EE does not move")
     if kind == "gaussian_mixture":
-        steps = np.diff(shown.time)
+        steps = np.diff(demonstration.time)
     # The two sums round differently: the index may end a little past 1, or before it.
     index = np.concatenate([[0.0], np.minimum(np.cumsum(steps) / steps.sum(), 1.0)])
     moves = np.concatenate([[True], np.diff(index) > 0.0])
     index, even = index[moves], np.linspace(0.0, 1.0, _SAMPLES)
     index[-1] = 1.0
-    sampled, planar = resampled(index, ee_pose[moves], even), _planar(shown.base_pose, frame)
+    sampled = resampled(index, ee_pose[moves], even)
+    planar = _planar(demonstration.base_pose, frame)
     base = np.stack([np.interp(even, index, column) for column in planar[moves].T], axis=-1)
     if np.nanmax(np.abs([sampled[:, :3], base])) > _FARTHEST:
         raise KinfeasError(f"{name}: leads more than {_FARTHEST:g} m from the object")
-    duration = float(shown.time[-1] - shown.time[0])
+    duration = float(demonstration.time[-1] - demonstration.time[0])
     return _Path(sampled, base, duration)
 
 
@@ -183,20 +185,20 @@ def _planar(base_pose: Array, frame: Array) -> Array:
 def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> Array:
     """Return the data of the mixture, a row for each sample, shape (paths * m, 7 or 10)."""
     ee_pose = np.concatenate([path.ee_pose for path in paths])
-    turn = (mean_orientation.inv() * rotation(ee_pose)).as_rotvec()
-    if np.linalg.norm(turn, axis=1).max() > _MOST_TURN:
+    rotation_vector = (mean_orientation.inv() * rotation(ee_pose)).as_rotvec()
+    if np.linalg.norm(rotation_vector, axis=1).max() > _MAX_ROTATION:
         raise KinfeasError(
-            f"the EE turns more than {_MOST_TURN:g} rad away from its mean orientation; "
+            f"the EE turns more than {_MAX_ROTATION:g} rad away from its mean orientation; "
             "cut the demonstrations into shorter ones"
         )
     index = np.tile(np.linspace(0.0, 1.0, _SAMPLES), len(paths))
-    features = np.concatenate([index[:, np.newaxis], ee_pose[:, :3], turn], axis=1)
+    features = np.concatenate([index[:, np.newaxis], ee_pose[:, :3], rotation_vector], axis=1)
     base = _bases(paths)
     return features if np.isnan(base).any() else np.concatenate([features, base], axis=1)
 
 
 def _bases(paths: Sequence[_Path]) -> Array:
-    """Return x, y and yaw of the base, shape (paths * m, 3), with no yaws that lie a turn apart."""
+    """Return x, y and yaw of the base, shape (paths * m, 3), without jumps of 2 pi."""
     began = np.array([path.base[0, 2] for path in paths])
     shift = wrap(began - began[0]) + began[0] - began
     bases = np.stack([path.base for path in paths])
@@ -211,10 +213,12 @@ def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ..
 
     search = GaussianMixture(components, reg_covar=_REGULARIZATION, max_iter=500, random_state=seed)
     with threadpool_limits(1):  # threads would sum in another order each time
-        found = search.fit(features)
+        mixture = search.fit(features)
     return tuple(
-        Component(_plain(found.weights_[i]), _plain(found.means_[i]), _plain(found.covariances_[i]))
-        for i in np.argsort(found.means_[:, 0])
+        Component(
+            _plain(mixture.weights_[i]), _plain(mixture.means_[i]), _plain(mixture.covariances_[i])
+        )
+        for i in np.argsort(mixture.means_[:, 0])
     )
 
 
@@ -223,7 +227,7 @@ def _sides(features: Array, count: int, length: float) -> tuple[int, ...]:
 
     Two clusters count as two paths if their mean silhouette is that of a strong structure (Kaufman
     and Rousseeuw, Finding Groups in Data, 1990), which fewer than four demonstrations cannot have,
-    and their means are apart by a share of the `length` of the learned path. Starts may scatter:
+    and their means are apart by a fraction of the `length` of the learned path. Starts may scatter:
     the part of their offsets that is left at an index does not count.
     """
     from sklearn.cluster import AgglomerativeClustering

@@ -6,7 +6,7 @@ A model is a Gaussian mixture over the pose of the EE, in plain YAML::
     kind: imitation                     # or gaussian_mixture: the meaning of the index
     duration: 3.1                       # seconds
     goal: [x, y, z, qx, qy, qz, qw]     # pose of the EE at the end, in the frame of the object
-    mean_orientation: [qx, qy, qz, qw]  # what rotation vectors are relative to
+    mean_orientation: [qx, qy, qz, qw]  # frame of rotation vectors
     fitted_from: {demonstrations: 20, command: kinfeas fit ...}
     components:
     - weight: 0.125
@@ -14,7 +14,7 @@ A model is a Gaussian mixture over the pose of the EE, in plain YAML::
       covariance:
       - [...]                           # as many rows and columns
 
-The index is the share of the path in [0, 1] (`imitation`: of its length, `gaussian_mixture`: of its
+The index is a fraction of the path in [0, 1] (`imitation`: by length, `gaussian_mixture`: by
 time). Positions are metres in the frame of the object at the start; r is the rotation vector from
 the mean orientation, in its own axes. The base moves on the floor, in the frame below the object
 with its heading; a model without a base stops at rz. Only the first column of a covariance is used.
@@ -39,7 +39,7 @@ from kinfeas.plugins.limits import slowed
 from kinfeas.plugins.path import PathMotion, PosePath
 
 Kind = Literal["imitation", "gaussian_mixture"]
-# Beyond any room or turn, and small enough that nothing computed from it overflows.
+# Beyond any room or rotation, and small enough that results do not overflow.
 Number = Annotated[float, Interval(ge=-1000.0, le=1000.0)]
 
 SHORTEST, LONGEST = 0.01, 3600.0
@@ -50,7 +50,7 @@ _FOLDER = Path(__file__).parent / "models"
 _ROUNDING = 1e-6  # error of quaternions and weights
 _SMALLEST = 1e-12  # variance of the index: a millionth of the path, squared
 _SEGMENTS = 256  # of a path
-_PINNED = 0.2  # share of the path over which its end is drawn to the goal
+_PINNED = 0.2  # fraction of the path over which its end is drawn to the goal
 
 
 class Imitation(PathMotion):
@@ -128,9 +128,9 @@ class GaussianMixture(PathMotion):
     ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         phase = np.minimum(state["phase"] + dt / self.duration, 1.0)
-        wanted = twist_between(ee_pose, compose(target_pose, self.path.at(phase)), dt)
-        share = slowed(wanted, self.max_velocity, self.max_angular_velocity)
-        return wanted * share[:, np.newaxis], {"phase": phase}
+        twist = twist_between(ee_pose, compose(target_pose, self.path.at(phase)), dt)
+        scale = slowed(twist, self.max_velocity, self.max_angular_velocity)
+        return twist * scale[:, np.newaxis], {"phase": phase}
 
     def base_pose(self, state: State, target_pose: Array) -> Array:
         """Return the demonstrated base poses, shape (n, 7), in the world; NaN without a base."""
@@ -218,7 +218,7 @@ class Model:
 def shipped_models(kind: Kind | None = None) -> list[str]:
     """Return the sorted names of the installed models, by default of any kind."""
     paths = sorted(_FOLDER.glob("*.yaml"))
-    return [one.stem for one in paths if kind in (None, strict_yaml.read(one).get("kind"))]
+    return [path.stem for path in paths if kind in (None, strict_yaml.read(path).get("kind"))]
 
 
 def read_model(name_or_path: str, kind: Kind) -> Model:
@@ -239,14 +239,14 @@ def learned_path(model: Model) -> PosePath:
     """Return the path of a model, drawn to the model's goal over its last fifth."""
     index = np.linspace(0.0, 1.0, _SEGMENTS + 1)
     features = regress(model, index)
-    turn = Rotation.from_rotvec(features[:, 3:6])
-    knots = make_pose(features[:, :3], Rotation.from_quat(model.mean_orientation) * turn)
-    share = np.clip((index - 1.0) / _PINNED + 1.0, 0.0, 1.0)
-    share = share**2 * (3.0 - 2.0 * share)  # smooth where it begins and ends
+    orientation = Rotation.from_rotvec(features[:, 3:6])
+    knots = make_pose(features[:, :3], Rotation.from_quat(model.mean_orientation) * orientation)
+    fraction = np.clip((index - 1.0) / _PINNED + 1.0, 0.0, 1.0)
+    fraction = fraction**2 * (3.0 - 2.0 * fraction)  # smooth where it begins and ends
     goal = np.array(model.goal)
     goal[3:] /= np.linalg.norm(goal[3:])
     missing = twist_between(knots[-1], goal, 1.0)
-    knots = integrate(knots, missing * share[:, np.newaxis], 1.0)
+    knots = integrate(knots, missing * fraction[:, np.newaxis], 1.0)
     knots[-1] = make_pose(goal[:3], rotation(goal))
     return PosePath(knots, features[:, 6:] if model.has_base else None)
 
@@ -261,10 +261,10 @@ def regress(model: Model, index: Array) -> Array:
     mean = np.array([component.mean for component in model.components])
     covariance = np.array([component.covariance for component in model.components])
     away, variance = index[:, np.newaxis] - mean[:, 0], covariance[:, 0, 0]
-    likely = np.log(weight) - 0.5 * (away**2 / variance + np.log(variance))
-    share = np.exp(likely - likely.max(axis=1, keepdims=True))
-    share /= share.sum(axis=1, keepdims=True)
+    log_likelihood = np.log(weight) - 0.5 * (away**2 / variance + np.log(variance))
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
+    likelihood /= likelihood.sum(axis=1, keepdims=True)
     slope = covariance[:, 1:, 0] / variance[:, np.newaxis]
     expected = mean[:, 1:] + slope * away[:, :, np.newaxis]
-    summed: Array = np.sum(share[:, :, np.newaxis] * expected, axis=1)
+    summed: Array = np.sum(likelihood[:, :, np.newaxis] * expected, axis=1)
     return summed

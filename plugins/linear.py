@@ -10,23 +10,23 @@ from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, twist_between
 from kinfeas.plugins.limits import norm
 
-# Below this distance in metres a motion is a turn on the spot, with a speed set by its angle.
+# Below this distance in metres a motion is a rotation on the spot, with a speed set by its angle.
 _ON_THE_SPOT = 1e-6
-_MIN_ANGULAR_VELOCITY = 0.001  # rad/s, so that a turn on the spot ends
+_MIN_ANGULAR_VELOCITY = 0.001  # rad/s, so that a rotation on the spot ends
 _TINY = 1e-12  # keeps quotients finite; in metres and in radians
 
 
 class Linear:
     """Straight motion of the EE to the target: a linear dynamic system in position and orientation.
 
-    The speed is `clip(gain * distance, min_velocity, max_velocity)`. Position and orientation use
-    up equal shares of the remaining way, so along the straight line the orientation is the slerp
-    from the start to the goal by the fraction of the distance covered; they arrive together. Where
-    the turn would exceed its limit, the whole motion slows down. The twist depends on the EE pose
-    and the goal alone, so a displaced EE heads straight for the goal.
+    The speed is `clip(gain * distance, min_velocity, max_velocity)`. Position and orientation cover
+    equal fractions of the rest of the motion, so along the straight line the orientation is the
+    slerp from the start to the goal by the fraction of the distance covered; they arrive together.
+    Where the rotation would exceed its limit, the whole motion slows down. The twist depends on the
+    EE pose and the goal alone, so a displaced EE heads straight for the goal.
 
     Args:
-        gain: Speed per distance to the goal, 1/s; in a turn on the spot, angular speed per angle.
+        gain: Speed per distance to the goal, 1/s; on the spot, angular speed per angle.
         min_velocity: Lower limit of the speed in m/s, so that the motion arrives; the angular
             limit takes precedence.
         max_velocity: Upper limit of the speed in m/s.
@@ -64,15 +64,15 @@ class Linear:
         self, state: State, ee_pose: Array, target_pose: Array, dt: Array
     ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
-        way = twist_between(ee_pose, target_pose, 1.0)
-        # Never past the goal: at most the whole way within dt.
-        rate = np.minimum(self._rate(way), 1.0 / dt)
-        return way * rate[:, np.newaxis], dict(state)
+        rest = twist_between(ee_pose, target_pose, 1.0)
+        # Never past the goal: at most the whole rest within dt.
+        rate = np.minimum(self._rate(rest), 1.0 / dt)
+        return rest * rate[:, np.newaxis], dict(state)
 
-    def _rate(self, way: Array) -> Array:
-        """Return the share of the remaining `way`, shape (n, 6), to use up per second, (n,)."""
-        metres = np.maximum(norm(way[:, :3]), _TINY)
-        radians = np.maximum(norm(way[:, 3:]), _TINY)
+    def _rate(self, rest: Array) -> Array:
+        """Return the fraction of the rest of the motion, (n, 6), to cover per second, (n,)."""
+        metres = np.maximum(norm(rest[:, :3]), _TINY)
+        radians = np.maximum(norm(rest[:, 3:]), _TINY)
         slowest = np.where(
             metres > _ON_THE_SPOT, self._min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
         )

@@ -1,4 +1,4 @@
-"""The `minimum_jerk` motion: point to point, as people reach."""
+"""The `minimum_jerk` motion: point to point with least jerk."""
 
 from collections.abc import Sequence
 
@@ -15,8 +15,8 @@ _PEAK = 1.875  # greatest slope of the profile, in the middle
 class MinimumJerk:
     """Straight motion to the target, from rest to rest, as fast as the limits allow.
 
-    Position and orientation cover the same share `10 s^3 - 15 s^4 + 6 s^5` of their way, with `s`
-    the share of the time: the motion of least squared jerk (Flash and Hogan, J. Neuroscience 5(7),
+    Position and orientation cover the same fraction `10 s^3 - 15 s^4 + 6 s^5`, with `s` the
+    fraction of the time: the motion of least squared jerk (Flash and Hogan, J. Neuroscience 5(7),
     1985, equation 2). The duration is the shortest in which neither limit is exceeded. A displaced
     EE comes back to the line while the motion's time slows down; the line ends at the current
     target.
@@ -43,9 +43,9 @@ class MinimumJerk:
     ) -> State:
         """Return start poses, shape (n, 7), durations and times in seconds, both (n,)."""
         begin = np.array(ee_pose, dtype=np.float64)
-        way = twist_between(begin, target_pose, 1.0)
-        linear = _PEAK * norm(way[:, :3]) / self._max_velocity
-        angular = _PEAK * norm(way[:, 3:]) / self._max_angular_velocity
+        displacement = twist_between(begin, target_pose, 1.0)
+        linear = _PEAK * norm(displacement[:, :3]) / self._max_velocity
+        angular = _PEAK * norm(displacement[:, 3:]) / self._max_angular_velocity
         duration = np.maximum(np.maximum(linear, angular), self._min_duration)
         return {"start_pose": begin, "duration": duration, "time": np.zeros(len(begin))}
 
@@ -58,10 +58,11 @@ class MinimumJerk:
     ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         time = np.minimum(state["time"] + dt, state["duration"])
-        way = twist_between(state["start_pose"], target_pose, 1.0)
+        displacement = twist_between(state["start_pose"], target_pose, 1.0)
         s = (time / state["duration"])[:, np.newaxis]
         covered = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        wanted = twist_between(ee_pose, integrate(state["start_pose"], way * covered, 1.0), dt)
-        share = slowed(wanted, self._max_velocity, self._max_angular_velocity)
-        passed = state["time"] + share * (time - state["time"])
-        return wanted * share[:, np.newaxis], {**state, "time": passed}
+        desired = integrate(state["start_pose"], displacement * covered, 1.0)
+        twist = twist_between(ee_pose, desired, dt)
+        scale = slowed(twist, self._max_velocity, self._max_angular_velocity)
+        passed = state["time"] + scale * (time - state["time"])
+        return twist * scale[:, np.newaxis], {**state, "time": passed}

@@ -22,7 +22,7 @@ from kinfeas.core.spatial import (
 from kinfeas.plugins.limits import norm, slowed
 
 Frame = Literal["object", "goal", "world"]
-"""What a path moves with: the target as the grasped object, the target as its end, nothing."""
+"""Frame of a path: the target as the grasped object, the target as its end, or the world."""
 
 _END_SECONDS = 1.0
 """Longest rest of a path that counts as its end, if it is within the tolerances of a goal, too."""
@@ -33,7 +33,7 @@ _ROUNDING = 1e-9
 
 
 class PosePath:
-    """Poses of the EE, and of the base if known, at even steps of an index in [0, 1].
+    """Poses of the EE, and optionally of the base, at even steps of an index in [0, 1].
 
     Args:
         knots: EE poses, shape (m + 1, 7).
@@ -49,23 +49,23 @@ class PosePath:
 
     def at(self, index: Array) -> Array:
         """Return the EE poses at `index` in [0, 1], shape (n,) -> (n, 7)."""
-        i, share = self._segment(index)
-        return integrate(self.knots[i], self.segments[i] * share[:, np.newaxis], 1.0)
+        i, fraction = self._segment(index)
+        return integrate(self.knots[i], self.segments[i] * fraction[:, np.newaxis], 1.0)
 
     def base_at(self, index: Array, object_pose: Array) -> Array:
-        """Return the world poses of the base at `index`, shape (n, 7), NaN if unknown.
+        """Return the world poses of the base at `index`, shape (n, 7), NaN without a base.
 
         `object_pose` is the world pose of the object whose frame the path is in, shape (n, 7).
         """
         if self.base is None:
             return np.full((len(index), 7), np.nan)
-        i, share = self._segment(index)
-        base = self.base[i] + (self.base[i + 1] - self.base[i]) * share[:, np.newaxis]
+        i, fraction = self._segment(index)
+        base = self.base[i] + (self.base[i + 1] - self.base[i]) * fraction[:, np.newaxis]
         pose = planar_pose(base[:, 0], base[:, 1], base[:, 2])
         return compose(below(object_pose), pose)
 
     def _segment(self, index: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return the segments of `index`, and the share of each that is behind it."""
+        """Return the segments of `index`, and the fraction of each that is behind it."""
         count = len(self.segments)
         steps = index * count
         i = np.minimum(steps.astype(np.intp), count - 1)
@@ -146,9 +146,9 @@ class PathMotion:
         there = compose(frame, self.path.at(phase + advance))
         # A step longer than 1 / gain would overshoot the path.
         gain = np.minimum(self.gain, 1.0 / dt)[:, np.newaxis]
-        wanted = twist_between(here, there, dt) - gain * error
-        share = slowed(wanted, self.max_velocity, self.max_angular_velocity)
-        return wanted * share[:, np.newaxis], {"phase": phase + share * advance}
+        twist = twist_between(here, there, dt) - gain * error
+        scale = slowed(twist, self.max_velocity, self.max_angular_velocity)
+        return twist * scale[:, np.newaxis], {"phase": phase + scale * advance}
 
     def _frame(self, target_pose: Array) -> Array:
         """Return the world poses of the frames that the path is in, shape (n, 7)."""
@@ -164,8 +164,8 @@ def in_frame(poses: Array, frame: Frame, object_pose: Array) -> Array:
     return relative(poses, np.broadcast_to(origins[frame], poses.shape))
 
 
-def even_moments(duration: float) -> Array:
-    """Return the shares of a path of `duration` seconds at which it gets a knot, shape (m + 1,)."""
+def even_fractions(duration: float) -> Array:
+    """Return the fractions of a path of `duration` seconds at its knots, shape (m + 1,)."""
     segments = min(max(256, math.ceil(duration / _FINEST)), _MOST_SEGMENTS)
     return np.linspace(0.0, 1.0, segments + 1)
 

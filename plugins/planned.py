@@ -11,17 +11,17 @@ from kinfeas.core.metrics import GOAL_METRES
 from kinfeas.core.motion import State, WholeBodyPath, merged, of_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, continuous, distance, integrate, twist_between
-from kinfeas.plugins.limits import norm, slowed
-from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.plugins.path_geometry import (
+from kinfeas.planning.ee_path import EePathSettings, plan_ee_paths
+from kinfeas.planning.spline import (
     POINTS,
     duration,
-    place_at,
+    fraction_after,
+    fractions_ahead,
     pose_at,
-    share_after,
-    shares_ahead,
+    position_at,
 )
-from kinfeas.plugins.path_search import replan_batch
+from kinfeas.plugins.limits import norm, slowed
+from kinfeas.plugins.minimum_jerk import MinimumJerk
 
 _MOVED = 0.05
 """Metres that a target may move before its path is planned anew; paths bend along until then."""
@@ -34,7 +34,7 @@ class SmoothPath:
     """Motion along a path of its own for each start, from rest to rest.
 
     A path is a cubic B-spline of positions and quaternions. The speed rises and falls along quintic
-    ramps. A path may change on the way; its beginning then has the twist of the motion before.
+    ramps. A path may change; its beginning then has the twist of the motion before.
 
     Args:
         ramp: Seconds from rest to full speed, and from full speed to rest.
@@ -60,7 +60,7 @@ class SmoothPath:
         """Return straight motions.
 
         The keys are those of `minimum_jerk`; the target of the plan, shape (n, 7); its control
-        points, (n, 64, 7); its rates at the beginning and on the way as shares of the path in a
+        points, (n, 64, 7); its rates at the beginning and later as fractions of the path in a
         second, (n,), 0 for straight motions; and the twist, (n, 6), by which the motion before
         differs from the beginning of the plan.
         """
@@ -81,10 +81,10 @@ class SmoothPath:
 
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
         """Return whether at most 0.025 m of the paths are left, shape (n,)."""
-        share = np.empty((len(target_pose), 1))
-        now = self._share(state, state["time"])
-        shares_ahead(state["points"], now, np.array([GOAL_METRES]), share)
-        finished: NDArray[np.bool_] = share[:, 0] >= 1.0
+        fraction = np.empty((len(target_pose), 1))
+        now = self._fraction(state, state["time"])
+        fractions_ahead(state["points"], now, np.array([GOAL_METRES]), fraction)
+        finished: NDArray[np.bool_] = fraction[:, 0] >= 1.0
         return finished
 
     def twist(
@@ -92,17 +92,17 @@ class SmoothPath:
     ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         time = np.minimum(state["time"] + dt, state["duration"])
-        wanted = twist_between(ee_pose, self._at(state, target_pose, time), dt)
-        share = slowed(wanted, self._max_velocity, self._max_angular_velocity)
-        passed = state["time"] + share * (time - state["time"])
-        return wanted * share[:, np.newaxis], {**state, "time": passed}
+        twist = twist_between(ee_pose, self._at(state, target_pose, time), dt)
+        scale = slowed(twist, self._max_velocity, self._max_angular_velocity)
+        passed = state["time"] + scale * (time - state["time"])
+        return twist * scale[:, np.newaxis], {**state, "time": passed}
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses that lie ahead on the paths, (n, 7) and (d,) -> (n, d, 7)."""
-        shares = np.empty((len(ee_pose), len(distances)))
-        now = self._share(state, state["time"])
-        shares_ahead(state["points"], now, np.asarray(distances, dtype=np.float64), shares)
-        return self._on_path(state, target_pose, shares.T).swapaxes(0, 1)
+        fractions = np.empty((len(ee_pose), len(distances)))
+        now = self._fraction(state, state["time"])
+        fractions_ahead(state["points"], now, np.asarray(distances, dtype=np.float64), fractions)
+        return self._on_path(state, target_pose, fractions.T).swapaxes(0, 1)
 
     def _begin(
         self,
@@ -124,8 +124,8 @@ class SmoothPath:
         (ee_pose, target_pose), steps = poses, points[:, 1:] - points[:, :-1]
         seconds = self._seconds(points[:, :-1], points[:, 1:]).max(axis=1) * (POINTS - 1)
         seconds = np.maximum(seconds, least_seconds)
-        turn = twist_between(points[:, 0], points[:, 1], 1.0 / (POINTS - 1))[:, 3:]
-        tangent = np.concatenate([steps[:, 0, :3] * (POINTS - 1), turn], axis=1)  # per share
+        angular = twist_between(points[:, 0], points[:, 1], 1.0 / (POINTS - 1))[:, 3:]
+        tangent = np.concatenate([steps[:, 0, :3] * (POINTS - 1), angular], axis=1)  # per fraction
         squared = np.maximum(norm(tangent) ** 2, 1e-12)
         forward = velocity[:, 0] * tangent[:, 0] + velocity[:, 1] * tangent[:, 1]
         first = np.maximum(forward + velocity[:, 2] * tangent[:, 2], 0.0) / squared
@@ -144,27 +144,27 @@ class SmoothPath:
             "duration": duration(first, rate, self._ramp),
         }
 
-    def _share(self, state: State, time: Array) -> Array:
-        """Return the shares of the paths that are behind the EE after some seconds, (..., n)."""
+    def _fraction(self, state: State, time: Array) -> Array:
+        """Return the fractions of the paths that are behind the EE after some seconds, (..., n)."""
         rates = state["first_rate"], state["rate"]
-        share: Array = share_after(time, state["duration"], *rates, self._ramp)
-        return share
+        fraction: Array = fraction_after(time, state["duration"], *rates, self._ramp)
+        return fraction
 
     def _at(self, state: State, target_pose: Array, time: Array) -> Array:
         """Return the poses of the motions after some seconds, shape (n, 7)."""
-        pose = self._on_path(state, target_pose, self._share(state, time))
+        pose = self._on_path(state, target_pose, self._fraction(state, time))
         fade = np.minimum(self._ramp, state["duration"])
         left = np.maximum(1.0 - time / fade, 0.0)
         return integrate(pose, state["drift"] * (time * left * left * left)[:, np.newaxis], 1.0)
 
-    def _on_path(self, state: State, target_pose: Array, share: Array) -> Array:
-        """Return the poses at shares of the paths, which end at the current targets.
+    def _on_path(self, state: State, target_pose: Array, fraction: Array) -> Array:
+        """Return the poses at fractions of the paths, which end at the current targets.
 
         Shape (..., n) -> (..., n, 7).
         """
         straight = state["rate"][:, np.newaxis] == 0.0
         origin = np.where(straight, state["start_pose"], state["planned_target"])
-        pose: Array = pose_at(state["points"], share, state["rate"], origin, target_pose)
+        pose: Array = pose_at(state["points"], fraction, state["rate"], origin, target_pose)
         return pose
 
     def _velocity(self, state: State, target_pose: Array) -> Array:
@@ -215,32 +215,27 @@ class Planned(SmoothPath):
         max_angular_velocity: Positive = 0.1,
     ) -> None:
         super().__init__(ramp, min_duration, max_velocity, max_angular_velocity)
-        self._limits = np.array([radius, clearance, min_height, max_height, foresight])
+        self._settings = EePathSettings(radius, clearance, min_height, max_height, foresight)
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of motions around the solids as they stand now."""
-        share = self._share(state, state["time"])
         moved = distance(state["planned_target"], target_pose)[0]
-        new = (state["rate"] > 0.0) & (moved < _MOVED)
-        points = state["points"][..., :3].copy()
-        places = tuple(
-            np.ascontiguousarray(one)
-            for one in (solids.pose, solids.size, solids.cylinder, solids.velocity)
-        )
-        here, end = (np.ascontiguousarray(pose[:, :3]) for pose in (ee_pose, target_pose))
-        replan_batch(new, share, here, end, places, self._limits, points)
+        leads = (state["rate"] > 0.0) & (moved < _MOVED)
+        current = leads, self._fraction(state, state["time"]), state["points"][..., :3]
+        ends = ee_pose[:, :3], target_pose[:, :3]
+        new, points = plan_ee_paths(self._settings, current, *ends, solids)
         velocity = self._velocity(state, target_pose)
-        turned = _slerped(ee_pose, target_pose)[..., 3:]
-        points = np.concatenate([points, turned], axis=2)
+        orientations = _slerped(ee_pose, target_pose)[..., 3:]
+        points = np.concatenate([points, orientations], axis=2)
         begun = self._begin(state, (ee_pose, target_pose), points, velocity)
-        return _chosen(new, begun, state)
+        return _selected(new, begun, state)
 
 
 class WholeBody(Planned):
     """Motion around solids along which the base can follow, from rest to rest.
 
     A planner finds a motion of base and arm to the target without collisions; the EE moves as it
-    does there. Where none is found, the motion is that of `planned`, whose parameters it has.
+    does there. Without one, the motion is that of `planned`, whose parameters it has.
     """
 
     def start(
@@ -270,7 +265,7 @@ class WholeBody(Planned):
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead, (s,) -> (n, s, 3 + j), or NaN."""
         time = np.minimum(state["time"] + seconds[:, np.newaxis], state["duration"])
-        robot: Array = place_at(waypoints, self._share(state, time))
+        robot: Array = position_at(waypoints, self._fraction(state, time))
         return robot.swapaxes(0, 1)
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
@@ -278,18 +273,18 @@ class WholeBody(Planned):
         alone = np.flatnonzero(state["follows"] == 0.0)
         if not alone.size:
             return state
-        given = of_rows(state, alone), ee_pose[alone], target_pose[alone], solids.of(alone)
-        return merged(state, alone, super().replan(*given), len(ee_pose))
+        rows = of_rows(state, alone), ee_pose[alone], target_pose[alone], solids.of(alone)
+        return merged(state, alone, super().replan(*rows), len(ee_pose))
 
     def _timed(self, path: WholeBodyPath) -> tuple[Array, Array, Array]:
         """Return EE and robot at even times, (64, 7) and (64, 3 + j), and all time, seconds."""
         seconds = np.maximum(self._seconds(path.ee[:-1], path.ee[1:]), path.seconds)
         time = np.concatenate([[0.0], np.cumsum(seconds + 1e-6)])
         at = np.linspace(0.0, time[-1], POINTS)
-        every = np.concatenate([path.ee[:, :3], continuous(path.ee[:, 3:]), path.robot], axis=1)
-        places = np.stack([np.interp(at, time, column) for column in every.T], axis=1)
-        places[:, 3:7] /= np.linalg.norm(places[:, 3:7], axis=1, keepdims=True)
-        return places[:, :7], places[:, 7:], time[-1]
+        columns = np.concatenate([path.ee[:, :3], continuous(path.ee[:, 3:]), path.robot], axis=1)
+        even = np.stack([np.interp(at, time, column) for column in columns.T], axis=1)
+        even[:, 3:7] /= np.linalg.norm(even[:, 3:7], axis=1, keepdims=True)
+        return even[:, :7], even[:, 7:], time[-1]
 
 
 class RandomSpline(SmoothPath):
@@ -343,14 +338,14 @@ def _even(curve: Array) -> Array:
 
 def _slerped(begin: Array, end: Array) -> Array:
     """Return poses at even steps of straight motions, shape (n, 7) -> (n, 64, 7)."""
-    share = np.linspace(0.0, 1.0, POINTS)[:, np.newaxis]
-    way = twist_between(begin, end, 1.0)[:, np.newaxis]
-    poses = integrate(begin[:, np.newaxis], way * share, 1.0)
+    fraction = np.linspace(0.0, 1.0, POINTS)[:, np.newaxis]
+    twist = twist_between(begin, end, 1.0)[:, np.newaxis]
+    poses = integrate(begin[:, np.newaxis], twist * fraction, 1.0)
     poses[..., 3:] = continuous(poses[..., 3:])
     return poses
 
 
-def _chosen(rows: NDArray[np.bool_], new: State, old: State) -> State:
+def _selected(rows: NDArray[np.bool_], new: State, old: State) -> State:
     """Return the new state in some rows, shape (n,), and the old one in the others."""
     return {
         key: np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), new[key], values)

@@ -9,7 +9,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, interpolated, make_pose, rotation
 from kinfeas.io.demonstrations import read_demonstration
 from kinfeas.io.run_log import is_record, read_record
-from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_moments, in_frame
+from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame
 
 
 class Replay(PathMotion):
@@ -39,7 +39,7 @@ class Replay(PathMotion):
     ) -> None:
         time, ee_pose, object_pose = read_recording(Path(file), frame)
         duration = float(time[-1] - time[0])
-        knots = in_frame(resampled(time, ee_pose, even_moments(duration)), frame, object_pose)
+        knots = in_frame(resampled(time, ee_pose, even_fractions(duration)), frame, object_pose)
         super().__init__(
             path=PosePath(knots),
             duration=duration,
@@ -64,8 +64,9 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
             raise KinfeasError(f"{path}: must have 2 moments at least, and their time must ascend")
         ee_pose, first = make_pose(desired[:, :3], rotation(desired)), np.full(7, np.nan)
     else:
-        shown = read_demonstration(path, ("base_pose", "object_pose"))
-        time, ee_pose, first = shown.time, shown.ee_pose, shown.object_pose[0]
+        demonstration = read_demonstration(path, ("base_pose", "object_pose"))
+        time, ee_pose = demonstration.time, demonstration.ee_pose
+        first = demonstration.object_pose[0]
     if frame == "object" and np.isnan(first).any():
         raise KinfeasError(
             f"{path}: no pose of an object (columns object_x, ..., object_qw), which frame "
@@ -74,7 +75,7 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
     return time, ee_pose, first
 
 
-def resampled(time: Array, poses: Array, shares: Array) -> Array:
-    """Return poses, (t, 7), interpolated at ascending `shares` of their time, 0-1, (m, 7)."""
-    moments = np.minimum(time[0] + shares * (time[-1] - time[0]), time[-1])
+def resampled(time: Array, poses: Array, fractions: Array) -> Array:
+    """Return poses, (t, 7), interpolated at ascending `fractions` of their time, 0-1, (m, 7)."""
+    moments = np.minimum(time[0] + fractions * (time[-1] - time[0]), time[-1])
     return interpolated(moments, time, poses)

@@ -70,10 +70,10 @@ class Servo:
         rest = integrate(ee_pose, self._tau * (first + second), 1.0)
         command = twist_between(rest, target_pose, dt)
         command *= slowed(command, *self._velocity)[:, np.newaxis]
-        way = dt[:, np.newaxis] / self._tau
-        decay, away = np.exp(-way), first - command
+        periods = dt[:, np.newaxis] / self._tau
+        decay, away = np.exp(-periods), first - command
         filtered = command + away * decay
-        velocity = command + (second - command + away * way) * decay
+        velocity = command + (second - command + away * periods) * decay
         moved = self._tau * (first + second - filtered - velocity) / dt[:, np.newaxis]
         return command + moved, {"filtered": filtered, "velocity": velocity}
 

@@ -30,7 +30,7 @@ from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_bet
 from kinfeas.io.demonstrations import check_samples
 from kinfeas.io.formats import read_csv
 from kinfeas.plugins.limits import norm
-from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_moments, in_frame
+from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame
 
 _COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _FINE = 2000  # samples of a spline, or 20 between waypoints if these are more
@@ -46,7 +46,7 @@ class Waypoints(PathMotion):
 
     Args:
         file: YAML or CSV file of poses, x y z qx qy qz qw in a row, optionally with their time.
-        frame: What the poses are relative to: `object` is the target, `world` the world; `goal`
+        frame: Frame of the poses: `object` is the target, `world` the world; `goal`
             moves them all so that the last lies on the target.
         ramp: Seconds from rest to full speed, and from full speed to rest, without times.
         gain: Rate at which errors decay, 1/s.
@@ -70,7 +70,7 @@ class Waypoints(PathMotion):
             knots, duration = _at_full_speed(Path(file), poses, limits, ramp)
         else:
             duration = float(time[-1] - time[0])
-            knots = _spline(time, poses)(time[0] + even_moments(duration) * duration)
+            knots = _spline(time, poses)(time[0] + even_fractions(duration) * duration)
         super().__init__(
             path=PosePath(in_frame(knots, frame, IDENTITY)),
             duration=duration,
@@ -101,27 +101,27 @@ def _at_full_speed(
     spline = _spline(np.concatenate([[0.0], np.cumsum(apart)]), poses)
     parameter = np.linspace(0.0, apart.sum(), max(_FINE, 20 * len(poses)) + 1)
     seconds = _seconds(spline(parameter), limits)
-    # The speed of the slowest moment nearby: where a turn reverses, the EE would jerk instead.
+    # The speed of the slowest moment nearby: where a rotation reverses, the EE would jerk instead.
     nearby = max(1, round(min(ramp, 2.0 * parameter[-1]) / parameter[1]))
     spent = np.concatenate([[0.0], np.cumsum(maximum_filter1d(seconds, nearby))])
     ramp = min(ramp, spent[-1])
     duration = spent[-1] + ramp
-    progress = _ramped(even_moments(duration) * duration, duration, ramp)
+    progress = _ramped(even_fractions(duration) * duration, duration, ramp)
     return spline(np.interp(progress, spent, parameter)), float(duration)
 
 
 def _seconds(poses: Array, limits: tuple[float, float]) -> Array:
     """Return the durations from each pose to the next at full speed, shape (m - 1,).
 
-    At full speed the sum of the squares of both shares of the limits is one: the larger of the two
-    alone would make the EE jerk where it changes.
+    At full speed the squares of both fractions of the limits add up to one: the larger alone would
+    make the EE jerk where it changes.
     """
-    way = twist_between(poses[:-1], poses[1:], 1.0)
-    return np.hypot(norm(way[:, :3]) / limits[0], norm(way[:, 3:]) / limits[1])
+    displacement = twist_between(poses[:-1], poses[1:], 1.0)
+    return np.hypot(norm(displacement[:, :3]) / limits[0], norm(displacement[:, 3:]) / limits[1])
 
 
 def _ramped(time: Array, duration: float, ramp: float) -> Array:
-    """Return the seconds at full speed that cover the same way as `time`, of the same shape.
+    """Return the seconds at full speed that cover the same distance as `time`, of the same shape.
 
     The speed rises evenly over the first `ramp` seconds and falls evenly over the last.
     """

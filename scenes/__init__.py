@@ -1,4 +1,4 @@
-"""Scenes: furniture in YAML and URDF, handles, and collisions of robots with them.
+"""Scenes: furniture in YAML and URDF, handles, and furniture as solids.
 
 May import kinematics and lower packages.
 """

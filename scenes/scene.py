@@ -1,4 +1,4 @@
-"""Scenes: a room with objects and handles, read from YAML."""
+"""Scenes: a room with objects and handles, read from YAML, and its furniture as solids."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,12 +12,13 @@ from kinfeas import config
 from kinfeas.config import Settings
 from kinfeas.config.quantities import Vector
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.spatial import Array, compose, make_pose
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.io.files import is_path, reading
 from kinfeas.robots.elements import read_xml
-from kinfeas.robots.urdf import Urdf
+from kinfeas.robots.urdf import Shape, Urdf
 from kinfeas.robots.urdf_file import urdf_of
-from kinfeas.scenes.check import check, check_inertia, check_places
+from kinfeas.scenes.check import check_inertia, check_places
 from kinfeas.scenes.objects import (
     Handle,
     HandleSpec,
@@ -31,6 +32,7 @@ from kinfeas.scenes.objects import (
 
 T = TypeVar("T")
 
+_UPRIGHT = 1.0 - 1e-6  # smallest vertical part of the z axis of an upright shape
 _FOLDER = Path(__file__).parent
 _SHIPPED = ("room", "shelf", "doorway")
 
@@ -72,10 +74,12 @@ class Scene:
             positions: Positions in rad or m, by the names of objects and joints.
         """
         moved = {}
-        for name, given in positions.items():
-            found = self._object(name)
-            _check_joints(found.urdf, given, f"scene {self.name}: object {name!r}")
-            moved[name] = replace(found, joint_positions={**found.joint_positions, **given})
+        for name, joints in positions.items():
+            scene_object = self._object(name)
+            _check_joints(scene_object.urdf, joints, f"scene {self.name}: object {name!r}")
+            moved[name] = replace(
+                scene_object, joint_positions={**scene_object.joint_positions, **joints}
+            )
         return replace(self, objects={**self.objects, **moved})
 
     def check_places(self, source: str) -> None:
@@ -98,8 +102,7 @@ def read_scene(name_or_path: str, settings: Settings | None = None) -> Scene:
         settings: Values by key such as `objects.box.position`.
 
     Raises:
-        KinfeasError: If there is no such scene, one of its files is invalid, objects overlap or a
-            handle cannot be reached.
+        KinfeasError: If there is no such scene, one of its files is invalid, or objects overlap.
     """
     path = _find(name_or_path)
     spec = config.load(SceneSpec, path, settings)
@@ -113,7 +116,7 @@ def read_scene(name_or_path: str, settings: Settings | None = None) -> Scene:
         for name, block in spec.handles.items()
     }
     scene = Scene(spec.name, spec.size, objects, handles)
-    check(str(path), scene.size, objects, {name: scene.handle_pose(name) for name in handles})
+    scene.check_places(str(path))
     return scene
 
 
@@ -121,8 +124,8 @@ def _find(name_or_path: str) -> Path:
     if is_path(name_or_path):
         return Path(name_or_path)
     if name_or_path not in _SHIPPED:
-        known = no_such(name_or_path, _SHIPPED)
-        raise KinfeasError(f"unknown scene {name_or_path!r}{known}, or the path of a YAML file")
+        hint = no_such(name_or_path, _SHIPPED)
+        raise KinfeasError(f"unknown scene {name_or_path!r}{hint}, or the path of a YAML file")
     return _FOLDER / f"{name_or_path}.yaml"
 
 
@@ -170,9 +173,9 @@ def _check_mimics(urdf: Urdf, file: Path) -> None:
             )
 
 
-def _check_joints(urdf: Urdf, given: Mapping[str, float], where: str) -> None:
+def _check_joints(urdf: Urdf, positions: Mapping[str, float], where: str) -> None:
     joints = free_joints(urdf)
-    for name, position in given.items():
+    for name, position in positions.items():
         joint = _of(joints, name, f"{where}: there is no moving joint")
         if not joint.lower <= position <= joint.upper:
             raise KinfeasError(
@@ -187,11 +190,54 @@ def _handle(spec: HandleSpec, objects: Mapping[str, SceneObject], where: str) ->
     return Handle(spec.object, spec.link, pose, moving_joint(urdf, spec.link))
 
 
-def _of(known: Mapping[str, T], name: str, complaint: str) -> T:
-    if name not in known:
-        raise KinfeasError(f"{complaint} {name!r}{no_such(name, known)}")
-    return known[name]
+def _of(entries: Mapping[str, T], name: str, complaint: str) -> T:
+    if name not in entries:
+        raise KinfeasError(f"{complaint} {name!r}{no_such(name, entries)}")
+    return entries[name]
 
 
 def _pose(position: Vector, rpy: Vector) -> Array:
     return make_pose(np.array(position), Rotation.from_euler("xyz", rpy))
+
+
+def furniture_solids(scene: Scene, grasped: tuple[str, str] | None = None) -> Solids:
+    """Return the collision shapes of fixed objects as one row of solids.
+
+    Upright boxes around them stand for shapes that are not upright. Movable objects are left out,
+    and so are the links that move with the `grasped` one, an object and its link: solids do not
+    turn.
+    """
+    lines = []
+    for name, scene_object in scene.objects.items():
+        moved = (
+            _moved_with(scene_object, grasped[1]) if grasped and grasped[0] == name else frozenset()
+        )
+        if scene_object.fixed:
+            lines += [_line(shape) for link, shape in scene_object.shapes() if link not in moved]
+    solids = Solids.empty(1, len(lines))
+    for index, (pose, size, cylinder) in enumerate(lines):
+        solids.pose[0, index], solids.size[0, index] = pose, size
+        solids.cylinder[0, index] = cylinder
+    return solids
+
+
+def _moved_with(scene_object: SceneObject, link: str) -> frozenset[str]:
+    """Return the links that the nearest moving joint above a link carries."""
+    joint = moving_joint(scene_object.urdf, link)
+    return frozenset() if joint is None else scene_object.urdf.below(joint)
+
+
+def _line(shape: Shape) -> tuple[list[float], list[float], bool]:
+    """Return pose and size of a solid, and whether it is a cylinder, as in `Solids`."""
+    high, low = (np.array([shape.reach(side) for side in sign * np.eye(3)]) for sign in (1, -1))
+    heights = [-low[2], high[2]]
+    half, heading = (high + low)[:2] / 2.0, 0.0
+    matrix = rotation(shape.pose).as_matrix()
+    upright = abs(matrix[2, 2]) >= _UPRIGHT
+    if shape.kind == "box" and upright:  # also upside down
+        half, heading = (
+            np.array(shape.size[:2]) / 2.0,
+            float(np.arctan2(matrix[1, 0], matrix[0, 0])),
+        )
+    cylinder = shape.kind == "sphere" or (shape.kind == "cylinder" and upright)
+    return [*shape.pose[:2], heading], [*half, *heights], cylinder

@@ -45,7 +45,7 @@ def first_picture(browser: Browser, out: Path) -> tuple[float, float]:
 
 def frame_rates(browser: Browser, out: Path, seconds: float = 10.0) -> tuple[float, float]:
     """Return frames per second, of the robot and of the browser, while the target is dragged."""
-    from kinfeas.sim2real.servo.choice import Choice
+    from kinfeas.viz.choice import Choice
     from kinfeas.viz.play import PlayPage
     from kinfeas.viz.server import serving
 

@@ -3,7 +3,7 @@
 `python studies/rooms.py DIR`: each evaluation is a JSON file in DIR, as `kinfeas evaluate --json`
 writes it; those that exist are not repeated. `--tasks`, `--policies` and `--filters`, the number of
 a row of `FILTERS`, restrict those of this process. With `--rooms RUN RUN RUN` the rows of
-`pretrained/rooms` are of runs that differ by their seed, all episodes together. The last row is
+`rooms` are of runs that differ by their seed, all episodes together. The last row is
 the upper bound, as `kinfeas ceiling --json` computes it.
 """
 
@@ -21,7 +21,7 @@ from kinfeas.tasks.loading import load_task
 
 EMPTY = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 TASKS = ("ggr_obstacles", "ggr_dynamic", *EMPTY)
-POLICIES = ("pretrained/rooms", "pretrained", "planned_base", "whole_body_qp")
+POLICIES = ("rooms", "pretrained", "planned_base", "whole_body_qp")
 FILTERS = (
     (),
     ("obstacle_distance",),

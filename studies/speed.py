@@ -29,12 +29,12 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.policies import pretrained
 from kinfeas.policies.baselines.following import FollowBase, FollowEe
+from kinfeas.policies.loading import trained_folder
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.deploy.rate import peak_memory_mb
+from kinfeas.sim2real.link.rate import peak_memory_mb
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""
@@ -144,7 +144,7 @@ def measure_rooms(robot: str, effort: Effort) -> Iterator[Figure]:
     from kinfeas.training.worlds import training_world
 
     model, solids = load_robot(robot), "task_parameters={places: 32}"
-    recipe = load_section(TrainConfig, "train_rooms", model.name, [f"robot={robot}", solids])
+    recipe = load_section(TrainConfig, "train_rooms", model.folder, [f"robot={robot}", solids])
     policy = FollowBase(model.base, source="planned_base")
     with one_core():
         batch = recipe.num_envs
@@ -170,7 +170,7 @@ def environment_rate(
 
 def measure_action(robot: Robot, effort: Effort) -> Iterator[Figure]:
     """Yield the time of the packaged policy from one observation to its action."""
-    network = read_network(pretrained.find(robot.name), robot)
+    network = read_network(trained_folder("pretrained", robot), robot)
     seen = np.random.default_rng(0).normal(size=(1, len(network.scale)))
 
     def act() -> None:
@@ -196,9 +196,7 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
     schedule = ["schedule.evaluations=1", "schedule.evaluation_episodes=1"]
     schedule += ["schedule.final_episodes=1", f"schedule.minutes={effort.train_minutes}"]
     with tempfile.TemporaryDirectory() as folder:
-        recipe = load_section(
-            TrainConfig, "train", load_robot(robot).name, [f"robot={robot}", *schedule]
-        )
+        recipe = load_section(TrainConfig, "train", robot, [f"robot={robot}", *schedule])
         progress = train(recipe, Path(folder) / "run")
     steps, seconds = progress.steps, progress.parts["step"]
     yield Figure("training", steps / progress.seconds, "steps/s")

@@ -4,8 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from kinfeas.control import drive, observation
+from kinfeas.control import observation
 from kinfeas.core.spatial import canonical, distance, planar_pose
+from kinfeas.kinematics import drive
 from kinfeas.policies.network import Network
 
 

@@ -48,7 +48,7 @@ def test_runs(name, monkeypatch, tmp_path, capsys, unregistered):
 
 def test_the_robot_of_the_examples_has_ik_and_topics():
     folder = EXAMPLES / "own_robot"
-    robot = load_robot(str(folder / "scout.yaml"))
+    robot = load_robot(folder)
     solver, spread = IkSolver(robot), spread_configurations(robot, 1000)
     free = spread[~self_collides(solver.collision, spread)]
     assert len(free) > 850
@@ -57,4 +57,4 @@ def test_the_robot_of_the_examples_has_ik_and_topics():
     assert solution.feasible.mean() >= 0.995
     reached = forward(solver.chain, solution.joint_positions[solution.feasible])
     assert_near(reached, poses[solution.feasible], 1e-4, 1e-3)
-    assert len(read_topics(robot, 2, str(folder / "scout_topics.yaml")).joints.controllers) == 2
+    assert len(read_topics(robot, 2).joints.controllers) == 2

@@ -29,8 +29,7 @@ from kinfeas.io.run_log import About, Recorder
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import read_scene
-from kinfeas.scenes.solids import furniture_solids
+from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards, ServoConfig
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
@@ -203,7 +202,7 @@ def _read_config(
     settings: Settings | None,
 ) -> T:
     """Return the settings of a section for a robot, with the guards of the user's file."""
-    data, source = section(name, robot.name)
+    data, source = section(name, robot.folder)
     if guards is not None:
         load_config(Guards, Path(guards))  # so that errors name this file
         data = merged(data, {"guards": strict_yaml.read(Path(guards))})

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
 from kinfeas.api.load import checked, load_robot, plugin_settings, robot_of
@@ -14,9 +14,12 @@ from kinfeas.core.policy import Policy
 from kinfeas.evaluation import evaluate as evaluation
 from kinfeas.evaluation.evaluate import EvalConfig, Summary
 from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
-from kinfeas.kinematics.reachability import STAGES
+from kinfeas.planning.placement import STAGES
 from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
+
+if TYPE_CHECKING:
+    from kinfeas.viz.replay import Replay
 
 
 class Metrics(Summary, total=False):
@@ -95,43 +98,35 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
     on_progress: OnProgress | None = None,
 ) -> None:
     """Run an episode of an evaluation again and write it as picture, film and page."""
-    from kinfeas.backends.physics.backend import PhysicsBackend
     from kinfeas.envs.world import World
-    from kinfeas.evaluation.recording import record_episodes
     from kinfeas.io.files import write_file
-    from kinfeas.viz.episodes import EpisodeFilm, SolidsFilm, episodes_figure
-    from kinfeas.viz.film import count_pictures, write_film
-    from kinfeas.viz.physics_film import PhysicsFilm, make_film
+    from kinfeas.viz.episodes import episodes_figure
+    from kinfeas.viz.replay import run_episode
     from kinfeas.viz.style import png
 
-    robot = config.robot
     counter(on_progress, f"episode {episode}")
-    world = World(robot, config.task, config.world, config.seed)
+    world = World(config.robot, config.task, config.world, config.seed)
     try:
-        if isinstance(world.backend, PhysicsBackend):
-            film: SolidsFilm = make_film(world, policy, episode)
-        else:
-            (recording,) = record_episodes(world, policy, 1, first=episode)
-            film = EpisodeFilm(recording, f"{robot.name}, {config.task.name}", robot)
-        recording = film.recording
-        as_film = isinstance(film, PhysicsFilm) and recording.solids is None
-        for path in (video, picture if as_film else None):
-            if path is not None:
-                count = counter(on_progress, "drawing", count_pictures(film, Path(path)))
-                write_film(film, Path(path), count)
-        counter(on_progress, "drawing files")
-        if replay is not None:
-            from kinfeas.viz.pages import episode_html, physics_html  # need viser
-
-            if isinstance(film, PhysicsFilm):
-                html = physics_html(film)
-            else:
-                html = episode_html(recording, robot, recording.scene)
-            write_file(Path(replay), html.encode())
-        if picture is not None and not as_film:
-            write_file(Path(picture), png(episodes_figure(robot, [recording]), dpi=110))
+        shown = run_episode(world, policy, episode)
     finally:
         world.close()
+    if video is not None:
+        draw_film(shown, video, on_progress)
+    counter(on_progress, "drawing files")
+    if replay is not None:
+        from kinfeas.viz.pages import replay_html  # needs viser
+
+        write_file(Path(replay), replay_html(shown).encode())
+    if picture is not None:
+        write_file(Path(picture), png(episodes_figure(config.robot, [shown.recording]), dpi=110))
+
+
+def draw_film(replay: "Replay", path: Name, on_progress: OnProgress | None = None) -> None:
+    """Write an episode as a film."""
+    from kinfeas.viz.film import count_pictures, write_film
+
+    count = counter(on_progress, "drawing", count_pictures(replay, Path(path)))
+    write_film(replay, Path(path), count)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from kinfeas.api import Name
 from kinfeas.api.load import load_robot, robot_of
 from kinfeas.config import to_mapping
 from kinfeas.core.errors import KinfeasError
-from kinfeas.policies import pretrained
+from kinfeas.policies.loading import trained_folder
 from kinfeas.policies.onnx_policy import OnnxPolicy, PolicyMetadata, read_policy_file
 
 
@@ -45,14 +45,15 @@ def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
             be written.
     """
     name, path = str(policy), Path(out)
-    if not pretrained.is_shipped(name) and not Path(name or "-").is_dir():
-        raise KinfeasError(f"policy {name!r} is not a run, a checkpoint or pretrained")
     if path.suffix != ".onnx":
         raise KinfeasError(f"{path}: must end in .onnx")
     model = load_robot(robot or robot_of(name))
-    from kinfeas.sim2real.export import export as run
+    folder = trained_folder(name, model)
+    if not name or not folder.is_dir():
+        raise KinfeasError(f"policy {name!r} is not a run, a checkpoint or pretrained")
+    from kinfeas.policies.export import export as run
 
-    return _file(path, *run(pretrained.folder(model.name, name), model, path))
+    return _file(path, *run(folder, model, path))
 
 
 def check_export(path: Name, *, robot: Name | None = None) -> PolicyFile:

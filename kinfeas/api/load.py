@@ -44,7 +44,7 @@ def robot_of(policy: Name | None) -> str:
         return DEFAULT_ROBOT
     trained = read_trained(path) if path.is_dir() else read_policy_file(path, None).metadata
     robot = trained.trained_with
-    if is_path(robot) and not Path(robot).is_file():
+    if is_path(robot) and not Path(robot).exists():
         raise KinfeasError(f"{policy}: its robot {robot} does not exist; use --robot")
     return robot
 

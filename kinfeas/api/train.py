@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot, read_adapters, robot_of
@@ -52,7 +52,6 @@ class Options(TypedDict, total=False):
     seed: int | None
     minutes: float | None
     steps: int | None
-    algorithm: Literal["sac", "td3"] | None
     adapters: Name | None
     world: str
     init: Name | None
@@ -82,7 +81,7 @@ def train(
 def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainConfig:
     """Return the configuration of a run: the recipe, then the options, then their settings."""
     init, config, world = options.get("init"), options.get("config"), options.get("world", _WORLD)
-    changes: dict[str, object] = {"robot": robot, "learner.algorithm": options.get("algorithm")}
+    changes: dict[str, object] = {"robot": robot}
     changes |= {key: options.get(key) for key in ("task", "seed", "init", "processes")}
     changes = {key: value for key, value in changes.items() if value is not None}
     if (adapters := options.get("adapters")) is not None:
@@ -139,7 +138,7 @@ def duration(minutes: float | None, steps: int | None) -> dict[str, object]:
 
 def default_folder(config: TrainConfig) -> Path:
     """Return `runs/ROBOT-TASK-SEED`, with its engine appended for a run with physics."""
-    robot, task = Path(config.robot).stem, Path(config.task).stem
+    robot, task = load_robot(config.robot).name, Path(config.task).stem
     backend = config.world.backend
     suffix = "" if backend == "analytic" else f"-{backend}"
     return Path("runs") / f"{robot}-{task}-{config.seed}{suffix}"
@@ -148,7 +147,7 @@ def default_folder(config: TrainConfig) -> Path:
 def evaluation_settings(folder: Path) -> dict[str, object]:
     """Return the settings with which `evaluate` repeats a run's figures, where not the robot's."""
     config = training.read_settings(folder)
-    usual = evaluation.read_settings(load_robot(config.robot).name, config.world.backend).world
+    usual = evaluation.read_settings(load_robot(config.robot).folder, config.world.backend).world
     settings: dict[str, object] = {f"task.{k}": v for k, v in config.task_parameters.items()}
     plugins = {"filters": config.world.filters, "adapters": config.evaluation_adapters}
     for key, specs in plugins.items():

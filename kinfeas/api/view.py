@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from kinfeas.api import Name, OnProgress, counter
+from kinfeas.api.evaluate import draw_film
 from kinfeas.api.load import load_robot
 from kinfeas.config import Settings
 from kinfeas.core.errors import KinfeasError
@@ -11,12 +12,13 @@ from kinfeas.io.run_log import Record, read_record
 from kinfeas.scenes.scene import Scene, read_scene
 
 
-def view(
+def view(  # noqa: PLR0913 - options of the command
     scene: Name | None = None,
     *,
     record: Name | None = None,
     settings: Settings | None = None,
     picture: Name | None = None,
+    video: Name | None = None,
     html: Name | None = None,
     on_progress: OnProgress | None = None,
 ) -> dict[str, object]:
@@ -24,12 +26,15 @@ def view(
 
     Example: `kinfeas.view(record="run.csv", picture="run.png")["seconds"]`
 
-    Arguments are the options of the command: `picture` and `html` are files to write. `settings`
+    Arguments are the options of the command: `picture`, `video` and `html` are
+    files to write; only runs have a video. `settings`
     are values by key of the scene.
 
     Raises:
         KinfeasError: If a file or a setting is invalid.
     """
+    if record is None and video is not None:
+        raise KinfeasError("'video' needs 'record'")
     if record is None:
         layout = read_scene(str(scene or "room"), settings)
         facts = _scene_facts(layout)
@@ -41,17 +46,21 @@ def view(
         raise KinfeasError("'record' excludes 'scene' and settings")
     run = read_record(Path(record))
     robot = load_robot(run.about.robot)
-    if picture is not None or html is not None:
+    if picture is not None or video is not None or html is not None:
         counter(on_progress, "drawing")
-        from kinfeas.viz.episodes import as_recording, record_figure, scene_of
+        from kinfeas.viz.episodes import record_figure
+        from kinfeas.viz.replay import as_recording, replay_of
         from kinfeas.viz.style import png
+
+        replay = replay_of(as_recording(run, robot), robot, robot.name, run.time)
     if picture is not None:
         write_file(Path(picture), png(record_figure(run, robot), dpi=110))
+    if video is not None:
+        draw_film(replay, video, on_progress)
     if html is not None:
-        from kinfeas.viz.pages import episode_html
+        from kinfeas.viz.pages import replay_html
 
-        page = episode_html(as_recording(run, robot), robot, scene_of(run), run.time)
-        write_file(Path(html), page.encode())
+        write_file(Path(html), replay_html(replay).encode())
     return _run_facts(run)
 
 

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from kinfeas.core.backend import Backend, ObstacleDistances, RobotState, Scan
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
-from kinfeas.kinematics.base_obstacles import base_obstacles, base_prisms
-from kinfeas.kinematics.scans import scan_now
 from kinfeas.kinematics.self_collision import build_collision_model
+from kinfeas.kinematics.sensing import base_obstacles, base_prisms, scan
 from kinfeas.robots.robot import Robot
 
 
@@ -33,7 +32,7 @@ class AnalyticBackend(Backend):
 
     def scan(self) -> Scan:
         """Return the ranges to solids around the bases."""
-        return Scan(scan_now(self.solids, self.state.base_pose))
+        return Scan(scan(self.solids.after(), self.state.base_pose))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the solids near the bases, as in `ObstacleSensor`."""

@@ -26,7 +26,6 @@ class Training:
 
     Attributes:
         robot: Name or YAML file.
-        algorithm: `sac` or `td3`.
         recipe: Name or file; the section `train` of the robot by default.
         settings: Values by key of the recipe.
         steps: Environment steps in all; the recipe's schedule if neither is set.
@@ -34,7 +33,6 @@ class Training:
     """
 
     robot: str
-    algorithm: Literal["sac", "td3"] = "sac"
     recipe: str | None = None
     settings: dict[str, object] = field(default_factory=dict)
     steps: Count | None = None
@@ -43,7 +41,7 @@ class Training:
 
 @dataclass(frozen=True)
 class Row:
-    """A further row of the learned policies; of several algorithms that of SAC only.
+    """A further row of the learned policies.
 
     Attributes:
         label: Name of the row; the paper's `head_start` and `no_objects` have its figures beside.
@@ -160,7 +158,7 @@ def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConf
         if isinstance(model, StreamTask):
             raise KinfeasError(f"'tasks': {task} has no ceiling, since its targets move")
         build_subgoals(model.subgoals)
-    for robot in robots:
+    for robot in benchmark.robots:
         for row in (Row(""), *benchmark.rows):
             read_settings(robot, benchmark.backend, nested(benchmark.settings, row.settings))
     return benchmark

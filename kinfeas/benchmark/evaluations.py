@@ -10,13 +10,13 @@ from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.runs import Run, takes_pretrained
 from kinfeas.config import PluginSpec, nested
+from kinfeas.config.recipes import robot_file
 from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
 from kinfeas.io.policy_metadata import policy_folder
 from kinfeas.jobs.job import Job, Result
-from kinfeas.policies import pretrained
-from kinfeas.policies.loading import BASELINES, load_policy
+from kinfeas.policies.loading import BASELINES, PRETRAINED, load_policy, trained_folder
 from kinfeas.policies.network import WEIGHTS
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
@@ -34,7 +34,7 @@ class Evaluation:
 
     Attributes:
         robot: Name or YAML file, as of the task.
-        policy: Name in the table: `sac`, `td3`, `pretrained`, a baseline or `ceiling`.
+        policy: Name in the table: `sac`, `pretrained`, a baseline or `ceiling`.
         source: Name for `load_policy`.
         seed: Seed of the episodes.
         first: Number of the first episode.
@@ -72,12 +72,12 @@ class Evaluation:
             self.first, self.backend, self.settings, self.parameters,
         ]  # fmt: skip
         if is_path(self.robot):
-            files = Path(self.robot), load_robot(self.robot).urdf_path
+            files = robot_file(self.robot), load_robot(self.robot).urdf_path
             parts += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
         if is_path(self.task):
             parts.append(config.to_mapping(load_task(self.task, self.parameters)))
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:10]
-        return f"{Path(self.robot).stem}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
+        return f"{self.robot_name}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
     def job(self, folder: Path) -> Job:
         """Return the job whose result is a file in `folder`."""
@@ -118,7 +118,7 @@ def compute(case: Evaluation) -> Result:
     """Return the metrics of an evaluation, or the ceiling of its task."""
     if case.policy == CEILING:
         robot, task = load_robot(case.robot), load_task(case.task, case.parameters)
-        ik = read_settings(robot.name, case.backend, case.settings).world.ik
+        ik = read_settings(robot.folder, case.backend, case.settings).world.ik
         bound = measure_reachability(robot, task, case.episodes, case.seed, ik).share
         return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
     robot = load_robot(case.robot)
@@ -135,10 +135,10 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
     """Return a ceiling and what is beside it: learned policies, rows and baselines."""
     base = replace(case, settings=benchmark.settings)
     own = [run for run in runs if run.robot == case.robot_name]
-    learned = [replace(base, policy=run.algorithm, source=str(run.folder), training_seed=run.seed)
+    learned = [replace(base, policy="sac", source=str(run.folder), training_seed=run.seed)
                for run in own]  # fmt: skip
     if not own and takes_pretrained(benchmark, case.robot):
-        learned = [replace(base, policy=pretrained.NAME, source=pretrained.NAME)]
+        learned = [replace(base, policy=PRETRAINED, source=PRETRAINED)]
     rows = [
         replace(
             evaluation,
@@ -148,7 +148,6 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
         for row in benchmark.rows
         if not case.variant and row.has(case.robot, case.task)
         for evaluation in learned
-        if evaluation.policy != "td3"
     ]
     baselines = [replace(base, policy=name, source=name)
                  for name, tasks in benchmark.baselines.items() if case.task in tasks]  # fmt: skip
@@ -166,7 +165,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
 
 def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
     """Return an evaluation with the same filters in the analytic world, which has no obstacles."""
-    used = read_settings(case.robot_name, benchmark.backend, case.settings).world.filters
+    used = read_settings(case.robot, benchmark.backend, case.settings).world.filters
     filters = tuple(spec for spec in used if spec.name != "obstacle_distance")
     return replace(case, settings=_filters(filters))
 
@@ -180,8 +179,7 @@ def _weights(case: Evaluation) -> str:
     """Return the digest of a learned policy, which may be trained anew in the same folder."""
     if case.source == CEILING or case.source in BASELINES:
         return ""
-    shipped = case.source == pretrained.NAME
-    folder = pretrained.find(case.robot_name) if shipped else Path(case.source)
+    folder = trained_folder(case.source, load_robot(case.robot))
     path = policy_folder(folder) / WEIGHTS
     with reading(path):
         return hashlib.sha256(path.read_bytes()).hexdigest()

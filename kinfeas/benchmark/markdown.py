@@ -8,7 +8,7 @@ from kinfeas.evaluation.paper import TITLES
 NOTHING = "-"
 """Entry of a table where nothing was measured."""
 
-_LEARNED = {"sac": "learned, SAC", "td3": "learned, TD3", "pretrained": "learned, pretrained"}
+_LEARNED = {"sac": "learned, SAC", "pretrained": "learned, pretrained"}
 
 _HOW = """\
 Each cell is the percentage of episodes that reach the goal **without an IK failure**. In \

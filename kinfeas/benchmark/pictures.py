@@ -30,7 +30,6 @@ from kinfeas.viz.episodes import episodes_figure
 from kinfeas.viz.plots import apart, read_metrics
 from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, failures_text, png
 
-_COLOURS = {"sac": EE, "td3": BASE}
 _CURVE_INCHES = 4.9
 _BEYOND = "#e4e7eb"
 _ROW_INCHES, _PANEL_INCHES = 0.27, 2.35
@@ -165,15 +164,15 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
 
 
 def _draw_curve(axes: Axes, run: Run) -> None:
-    metrics, colour = read_metrics(run.folder), _COLOURS.get(run.algorithm, INK)
+    metrics = read_metrics(run.folder)
     for key, style, text in (
         ("train/success", "-", "training"),
         ("evaluation/success", "o", "evaluation, without noise"),
     ):
         measured = np.isfinite(metrics[key])
         axes.plot(
-            metrics["steps"][measured] / 1000.0, metrics[key][measured], style, color=colour,
-            lw=1.2, alpha=0.7, ms=5.5, mec="white", label=f"{run.algorithm.upper()} {text}",
+            metrics["steps"][measured] / 1000.0, metrics[key][measured], style, color=EE,
+            lw=1.2, alpha=0.7, ms=5.5, mec="white", label=text,
         )  # fmt: skip
 
 
@@ -229,7 +228,7 @@ def _examples(robot: str, cases: Sequence[Evaluation]) -> dict[str, Recording]:
     for case in cases:
         plain = case.robot == robot and not (case.variant or case.row)
         if plain and case.policy in LEARNED_POLICIES and case.task_name not in examples:
-            config = read_settings(model.name, case.backend, case.settings).world
+            config = read_settings(model.folder, case.backend, case.settings).world
             world = World(model, load_task(case.task, case.parameters), config, case.seed)
             policy = load_policy(case.source, model)
             (examples[case.task_name],) = record_episodes(world, policy, 1, first=len(examples))

@@ -10,7 +10,7 @@ from kinfeas.benchmark.config import BenchmarkConfig, Training
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_best
 from kinfeas.jobs.job import Job, Result, training_job
-from kinfeas.policies import pretrained
+from kinfeas.policies.loading import PRETRAINED, trained_policies
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
@@ -27,7 +27,6 @@ class Run:
 
     folder: Path
     robot: str
-    algorithm: str
     seed: int
     task: str
 
@@ -36,21 +35,20 @@ def read_run(folder: Path) -> Run:
     """Return the training run of a folder."""
     settings = read_settings(folder)
     robot = load_robot(settings.robot).name
-    return Run(folder, robot, settings.learner.algorithm, settings.seed, task_name(settings.task))
+    return Run(folder, robot, settings.seed, task_name(settings.task))
 
 
 def find_runs(folders: Sequence[Path]) -> list[Run]:
-    """Return the runs in `folders` and one level below, by robot, algorithm and seed."""
-    runs: dict[tuple[str, str, int], Run] = {}
+    """Return the runs in `folders` and one level below, by robot and seed."""
+    runs: dict[tuple[str, int], Run] = {}
     for folder in folders:
         below = sorted(path.parent for path in folder.glob("*/config.yaml"))
         for path in [folder] if (folder / "config.yaml").is_file() or not below else below:
             run = read_run(path)
-            other = runs.setdefault((run.robot, run.algorithm, run.seed), run)
+            other = runs.setdefault((run.robot, run.seed), run)
             if other.folder != run.folder:
                 raise KinfeasError(
-                    f"{other.folder} and {run.folder}: both {run.algorithm} on {run.robot} with "
-                    f"seed {run.seed}"
+                    f"{other.folder} and {run.folder}: both {run.robot} with seed {run.seed}"
                 )
     return [runs[key] for key in sorted(runs)]
 
@@ -59,12 +57,12 @@ def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:
     """Return whether a benchmark takes the shipped policy of a robot."""
     if benchmark.policies == "train":
         return False
-    return benchmark.policies == "pretrained" or load_robot(robot).name in pretrained.robots()
+    return benchmark.policies == PRETRAINED or PRETRAINED in trained_policies(load_robot(robot))
 
 
 def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
     """Return the training runs of a benchmark."""
-    if benchmark.policies == "pretrained":
+    if benchmark.policies == PRETRAINED:
         return []
     robots = [robot for robot in benchmark.robots if not takes_pretrained(benchmark, robot)]
     for robot in robots:
@@ -74,7 +72,7 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
     for training in benchmark.trainings:
         for seed in benchmark.seeds if training.robot in robots else ():
             settings = _settings(training, seed)
-            name = f"{load_robot(settings.robot).name}-{settings.learner.algorithm}-{seed}"
+            name = f"{load_robot(settings.robot).name}-{seed}"
             if name in plans:
                 raise KinfeasError(f"'trainings' has two runs {name}")
             plans[name] = training_job(settings, out / "runs" / name)
@@ -107,11 +105,7 @@ def publish(
 
 
 def _settings(training: Training, seed: int) -> TrainConfig:
-    values: dict[str, object] = {
-        "robot": training.robot,
-        "seed": seed,
-        "learner.algorithm": training.algorithm,
-    }
+    values: dict[str, object] = {"robot": training.robot, "seed": seed}
     if training.steps is not None or training.minutes is not None:
         values |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
     return with_initial_policy(

@@ -11,9 +11,9 @@ from kinfeas.benchmark.evaluations import CEILING, Evaluation
 from kinfeas.core.metrics import Proportion, wilson
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.jobs.job import Result
-from kinfeas.policies import pretrained
+from kinfeas.policies.loading import PRETRAINED
 
-LEARNED_POLICIES = ("sac", "td3", pretrained.NAME)
+LEARNED_POLICIES = ("sac", PRETRAINED)
 
 _MEANS = (
     "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
@@ -29,7 +29,7 @@ class Cell:
 
     Attributes:
         variant: Label of a further table; else empty.
-        policy: `sac`, `td3`, `pretrained` or a baseline.
+        policy: `sac`, `pretrained` or a baseline.
         row: Label of a further row of the policy; else empty.
         world: Backend.
         seeds: Number of policies, each from another training seed.
@@ -185,12 +185,12 @@ def _cell(
 
 
 def _paper(case: Evaluation) -> PaperFigures | None:
-    """Return the paper's figures in the same place; its learned policies are of SAC."""
-    if case.variant or case.policy == "td3":
+    """Return the paper's figures in the same cell."""
+    if case.variant:
         return None
     world = "analytic" if case.backend == "analytic" else "physics"
     figures = paper_figures(case.robot_name, case.task, world)
-    if case.policy not in ("sac", pretrained.NAME):
+    if case.policy not in LEARNED_POLICIES:
         return figures.get(case.policy)
     plain = None if case.row and world == "analytic" else figures.get(LEARNED)
     return figures.get(case.row, plain)

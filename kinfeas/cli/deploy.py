@@ -102,7 +102,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 def _report(done: "Deployment", json: Path | None) -> int:
     """Print the results of a run and return its code."""
-    from kinfeas.sim2real.deploy.rate import peak_memory_mb
+    from kinfeas.sim2real.link.rate import peak_memory_mb
 
     outcome, about = done.outcome, done.about
     code = int(outcome.code)

@@ -31,9 +31,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     adapters: options.AdapterList = None,
     ablation: bool = option(False, "Also evaluate single adapters.", "--ablation"),
     picture: Path | None = options.file_option(None, "Draw an episode.", ".png"),
-    video: Path | None = options.file_option(
-        None, "Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"
-    ),
+    video: options.Video = None,
     replay: Path | None = options.file_option(
         None, "Interactive page of an episode.", ".html", ".htm"
     ),
@@ -101,7 +99,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas ceiling --robot pr2 --task door --path --episodes 100
     """
     from kinfeas.api import evaluate as api
-    from kinfeas.kinematics.reachability import LIMITS
+    from kinfeas.planning.placement import LIMITS
 
     settings = options.read_settings(overrides)
     with progress() as on_progress:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from kinfeas.jobs.job import Job, Result
 
 _WRITERS = {
-    ".png": "matplotlib", ".gif": "matplotlib", ".mp4": "av", ".html": "viser", ".htm": "viser",
-    ".onnx": "onnx",
+    ".png": ("matplotlib",), ".gif": ("PIL", "pybullet"), ".mp4": ("av", "pybullet"),
+    ".html": ("viser",), ".htm": ("viser",), ".onnx": ("onnx",),
 }  # fmt: skip
 """Optional packages that write files, by suffix."""
 
@@ -58,8 +58,7 @@ def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
         if path is not None:
             if path.suffix.lower() not in suffixes:
                 raise KinfeasError(f"{path}: must end in {' or '.join(suffixes)}")
-            if writer := _WRITERS.get(path.suffix.lower()):
-                require(writer)
+            require(*_WRITERS.get(path.suffix.lower(), ()))
         return check_file_path(path)
 
     return check
@@ -85,7 +84,7 @@ def episodes_option(default: object, text: str) -> Any:
 
 def robot_option(default: object, hint: str = "") -> Any:
     """Return an option for a robot; a hint is added to the help."""
-    text = f"Robot: pr2, tiago, hsr, or a YAML file.{hint}"
+    text = f"Robot: pr2, tiago, hsr, or a folder.{hint}"
     return option(default, text, groups=("robots",))
 
 
@@ -137,6 +136,10 @@ JsonPath = Annotated[
     option(..., "JSON of results; - is standard output.", metavar="FILE", callback=_read_json_path),
 ]
 Picture = Annotated[Path | None, file_option(..., "Draw a picture.", ".png")]
+Video = Annotated[
+    Path | None,
+    file_option(..., "Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"),
+]
 
 
 def read_settings(

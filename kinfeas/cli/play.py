@@ -30,7 +30,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas play --robot pr2 --backend mujoco
     """
     require("viser", "fcl")
-    from kinfeas.sim2real.servo.choice import Choice
+    from kinfeas.viz.choice import Choice
     from kinfeas.viz.server import serving
 
     with serving("kinfeas play", host, port) as server:

@@ -57,7 +57,7 @@ def list_plugins(json: options.JsonPath = None) -> None:
 def info(
     name: str = argument(
         ...,
-        "Name of a plugin, or YAML file of a robot or task.",
+        "Name of a plugin, folder of a robot, or YAML file of a task.",
         groups=[group.removeprefix("kinfeas.") for group in GROUPS],
     ),
     json: options.JsonPath = None,
@@ -225,13 +225,10 @@ def _facts_of_file(path: str) -> dict[str, Any]:
     from kinfeas.robots.loading import check_no_urdf
 
     check_no_urdf(path)
-    keys = strict_yaml.read(Path(path)).keys()
-    if "subgoals" in keys:
+    if not Path(path).is_dir() and "subgoals" in strict_yaml.read(Path(path)):
         return {"kind": "task", "name": Path(path).stem, "file": path, **_task_facts(path)}
-    if "urdf" in keys:
-        robot = _robot_facts(path)
-        return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
-    raise KinfeasError(f"{path}: has neither the key 'urdf' of a robot nor 'subgoals' of a task")
+    robot = _robot_facts(path)
+    return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
 
 
 def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:
@@ -264,7 +261,7 @@ def _robot_facts(name: str) -> dict[str, Any]:
 
     robot = load_robot(name)
     keys = (
-        "name", "urdf_path", "base", "arm", "ee_frame", "tool_tip", "goal_heights",
+        "name", "urdf_path", "base", "arm", "ee_frame", "tool_tip", "reach",
         "pose_tolerance", "gripper", "home",
     )  # fmt: skip
     facts: dict[str, Any] = to_jsonable_python(

@@ -1,5 +1,6 @@
 """`kinfeas robot import`: the files of a robot, from its URDF."""
 
+import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -12,7 +13,6 @@ from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import (
     check_file_path,
     print_facts,
-    print_table,
     progress,
     write_drawing,
     write_json,
@@ -29,8 +29,8 @@ app = typer.Typer(no_args_is_help=True, help="Create the files of a robot.")
 @app.command("import")
 def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     urdf: Path = argument(..., "URDF of a mobile manipulator.", metavar="FILE.urdf"),
-    out: Path = option(..., "Folder for NAME.yaml and NAME.urdf."),
-    name: str | None = option(None, "Name of the robot.  [default: that of the file]"),
+    out: Path = option(..., "Folder of the robot, for robot.yaml and robot.urdf."),
+    name: str | None = option(None, "Name of the robot.  [default: that of the folder]"),
     drive: Drive | None = option(None, "Drive of the base.  [default: by the wheels]"),
     ee: str | None = option(None, "EE link.  [default: end of the longest chain]"),
     base: str | None = option(None, "Base link; links above it are left out.  [default: the root]"),
@@ -41,28 +41,27 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     json: options.JsonPath = None,
     picture: options.Picture = None,
 ) -> None:
-    """Draft the YAML of a robot from its URDF.
+    """Draft the folder of a robot from its URDF.
 
-    The draft has arm, hand, home, goal heights and ignored collisions. Collision meshes become
-    primitives in a URDF beside the YAML. The YAML marks guesses: check them, above all the speed of
-    the base.
+    robot.yaml has arm, hand, home, reach and ignored collisions, and marks guesses: check them,
+    above all the speed of the base. In robot.urdf, primitives replace collision meshes.
 
-    Example: kinfeas robot import fetch.urdf --out robots --picture fetch.png
+    Example: kinfeas robot import fetch.urdf --out robots/fetch --picture fetch.png
     """
     from kinfeas.core.errors import check_name
     from kinfeas.importer.draft import draft_robot
-    from kinfeas.importer.text import guessed, warnings
+    from kinfeas.importer.text import warnings
     from kinfeas.io.files import write_file, writing
 
-    called = urdf.stem if name is None else name
+    called = out.resolve().name if name is None else name
     try:
         check_name(called)
     except ValueError as error:
         raise KinfeasError(f"--name: {error}") from error
-    yaml_path, urdf_path = (out / f"{called}.{kind}" for kind in ("yaml", "urdf"))
+    yaml_path, urdf_path = out / "robot.yaml", out / "robot.urdf"
     for path in (yaml_path, urdf_path):
         if path.exists():
-            raise KinfeasError(f"{path}: exists; choose another --out or --name")
+            raise KinfeasError(f"{path}: exists; choose another --out")
     replacements = dict(_replacement(text) for text in mesh_path or ())
     with progress() as on_progress:
         draft = draft_robot(
@@ -77,10 +76,9 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     summary = _summary(draft)
     write_json(summary, json)
     print_facts(f"robot {called}", summary)
-    print_table("guesses to check", ["key", "value"], guessed(draft.spec, draft.guesses))
     for warning in (*draft.guesses.doubts, *warnings(draft.spec, draft.guesses, draft.free)):
         typer.echo(f"warning: {warning}", err=True)
-    quoted = shlex.quote(str(yaml_path))
+    quoted = shlex.quote(str(out if os.sep in str(out) else Path(out)))
     typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
     write_drawing(lambda: _drawing(draft), picture)
 
@@ -109,7 +107,7 @@ def _summary(draft: "Draft") -> dict[str, object]:
         "overloaded": dict(guesses.overloads),
         "overloaded_at_home": list(guesses.overloaded_at_home),
         "heights_m": draft.heights.at.tolist(),
-        "reachable": draft.heights.share.tolist(),
+        "reachable": draft.heights.fraction.tolist(),
         "root_above_floor_m": guesses.lifted,
         "guessed_velocities": list(guesses.speeds),
         "guessed_limits": list(guesses.limits),

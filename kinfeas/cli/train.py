@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.run import Progress
 
-Algorithm = Literal["sac", "td3"]
-
 
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: str | None = options.robot_option(
@@ -31,7 +29,6 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     seed: int | None = option(None, "Random seed.  [default: 0]"),
     minutes: float | None = option(None, "Time; with physics including evaluations.  [default: 3]"),
     steps: int | None = option(None, "Environment steps, in place of or beside --minutes."),
-    algorithm: Algorithm | None = option(None, "Algorithm.  [default: sac]"),
     adapters: options.AdapterList = None,
     world: options.World = "analytic",
     init: str | None = option(None, "Policy to start from: a run folder, or pretrained."),
@@ -39,7 +36,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     out: Path | None = option(None, "Folder of the run.  [default: runs/ROBOT-TASK-SEED]"),
     config: str | None = option(
         None,
-        "Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
+        "Recipe: a YAML file, or a name such as train_rooms or paper/pr2.  "
         "[default: that of the robot]",
     ),
     overrides: options.Overrides = None,
@@ -47,7 +44,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
 
-    Recipes are sections of configs/robots: train, with --world pybullet or mujoco train_physics,
+    Recipes are sections of the robot: train, with --world pybullet or mujoco train_physics,
     with --init as well finetune_physics. Settings: every key of the recipe, such as
     learner.batch_size=256.
 
@@ -63,13 +60,13 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     if resume is None:
         settings = training.configure(
-            robot, task=task, seed=seed, minutes=minutes, steps=steps, algorithm=algorithm,
+            robot, task=task, seed=seed, minutes=minutes, steps=steps,
             adapters=adapters, world=world, init=init, processes=processes, config=config,
             settings=options.read_settings(overrides),
         )  # fmt: skip
         run = train_run(settings, out or training.default_folder(settings))
     else:
-        excluded = (robot, task, seed, algorithm, adapters, init, processes, out, config, overrides)
+        excluded = (robot, task, seed, adapters, init, processes, out, config, overrides)
         if world != "analytic" or any(value is not None for value in excluded):
             raise KinfeasError("--resume excludes all options but --minutes and --steps")
         with training_progress(resume) as report:

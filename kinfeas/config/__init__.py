@@ -191,7 +191,7 @@ def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = 
         keys = [*keys, str(first["loc"][-1])]
     elif first["type"] != "value_error":
         text = f"{text}, not {reprlib.repr(first['input'])}"
-    if _has(changes, keys):
+    if changes is not None and _has(changes, keys):
         source = "settings"
     path = ".".join([key, *keys] if key else keys)
     raise KinfeasError(f"{source}: {path!r}: {text}" if path else f"{source}: {text}")

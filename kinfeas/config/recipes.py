@@ -1,6 +1,5 @@
-"""Shipped configuration: sections of the robots' files, and recipes by name or path."""
+"""Recipes by name or path, and the sections of a robot's `recipes.yaml`."""
 
-import sys
 from collections.abc import Sequence
 from importlib.resources import files
 from importlib.util import find_spec
@@ -8,7 +7,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kinfeas.config import Settings, from_mapping, merged, strict_yaml
+from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.io.files import is_path
 
 T = TypeVar("T")
 
@@ -16,14 +17,13 @@ ENGINES = ("pybullet", "mujoco")
 """Backends with physics, the default one first; each is named like the module that it needs."""
 
 # The package is installed as plain files: numba caches its kernels beside them.
-_ROOT = Path(str(files("kinfeas.configs").joinpath("")))
-_ROBOTS = _ROOT / "robots"
+_ROOT = Path(str(files("kinfeas.configs").joinpath(""))).resolve()
+_DEFAULT = _ROOT / "default.yaml"
 
 
 def recipes(folder: str) -> list[str]:
-    """Return the names of the shipped recipes of a folder or section: `paper/pr2`, `train/pr2`."""
-    place = _ROBOTS if folder in _read_robot("default") else _ROOT / folder
-    return sorted(f"{folder}/{path.stem}" for path in place.glob("*.yaml"))
+    """Return the names of the shipped recipes in a folder of `configs`, such as `paper/pr2`."""
+    return sorted(f"{folder}/{path.stem}" for path in (_ROOT / folder).glob("*.yaml"))
 
 
 def find_recipe(name: str, folder: str, within: Path = Path()) -> Path:
@@ -31,77 +31,105 @@ def find_recipe(name: str, folder: str, within: Path = Path()) -> Path:
 
     Names without a folder are those in the shipped `folder`; paths are relative to `within`.
     """
-    shipped = [_ROOT / f"{stem}.yaml" for stem in (name, f"{folder}/{name}")]
-    for path in (within / name, *(one for one in shipped if one.resolve().is_relative_to(_ROOT))):
+    shipped = (_ROOT / f"{stem}.yaml" for stem in (name, f"{folder}/{name}"))
+    inside = (path for path in shipped if path.resolve().parent.parent == _ROOT)
+    for path in (within / name, *inside):
         if path.is_file():
             return path
-    files = (_ROOT / folder).is_dir()
-    names = [one.removeprefix(f"{folder}/") if files else one for one in recipes(folder)]
-    names += [] if files else recipes("paper")
+    names = [recipe.removeprefix(f"{folder}/") for recipe in recipes(folder)]
     raise KinfeasError(f"unknown configuration {name!r}{no_such(name, names)}, or a YAML file")
 
 
 def read_recipe(
-    name: str, folder: str, within: Path = Path(), above: Sequence[Path] = ()
-) -> tuple[dict[str, Any], bool]:
-    """Return the keys of a recipe, over those of the one that it `extends`, if there is one.
+    name: str, within: Path = Path(), above: Sequence[Path] = ()
+) -> tuple[dict[str, Any], str | None]:
+    """Return the keys of a training recipe, and the section of its robot that it completes.
 
     Args:
-        name: As in `find_recipe`, or `train/pr2` for the section `train` of a robot.
-        folder: Section, or folder of shipped recipes, of names without one.
+        name: Section such as `train_rooms`, shipped recipe such as `paper/pr2`, or path of a file.
+            The key `extends` of a file names another recipe, which has the keys that the file
+            lacks.
         within: Folder of relative paths.
         above: Files that extend this recipe.
 
     Returns:
-        The keys, and whether they come from the section of a robot, and so are complete.
+        The keys, and the section; None where no section is named.
 
     Raises:
         KinfeasError: If there is no such recipe, or it extends itself.
     """
-    for section_name in (name, f"{folder}/{name}"):
-        kind, _, robot = section_name.partition("/")
-        if kind in _read_robot("default") and section_name in recipes(kind):
-            own = {} if robot == "default" else {"robot": robot}
-            return {**own, **section(kind, robot)[0]}, True
-    path = find_recipe(name, folder, within)
+    if name in (trainings := _trainings()):
+        return {}, name
+    try:
+        path = find_recipe(name, ".", within)
+    except KinfeasError:
+        known = no_such(name, [*trainings, *recipes("paper")])
+        raise KinfeasError(f"unknown recipe {name!r}{known}, or a YAML file") from None
     data = strict_yaml.read(path)
     if (extended := data.pop("extends", None)) is None:
-        return data, False
+        return data, None
     if not isinstance(extended, str):
         raise KinfeasError(f"{path}: 'extends' must be the name or path of a recipe")
     if path.resolve() in above:
         raise KinfeasError(f"{path}: 'extends' itself")
     try:
-        keys, complete = read_recipe(extended, folder, path.parent, [*above, path.resolve()])
+        keys, completed = read_recipe(extended, path.parent, [*above, path.resolve()])
     except KinfeasError as error:
         raise KinfeasError(f"{path}: extends: {error}") from error
-    return merged(keys, data), complete
+    return merged(keys, data), completed
 
 
-def section(name: str, robot: str) -> tuple[dict[str, Any], str]:
-    """Return a robot's settings in a section of `configs/robots`, and their source for errors.
+def section(name: str, robot: str | Path | None = None) -> tuple[dict[str, Any], str]:
+    """Return a robot's settings in a section, and their source for errors.
 
-    The robot's file, if there is one, changes keys of the same section of `default.yaml`: `train`,
-    `train_physics`, `finetune_physics`, `deploy`, `baselines`, or a backend, whose section has the
-    settings of evaluations; all engines have the section `physics`.
+    The sections of `configs/default.yaml` are `train`, `train_rooms`, `train_physics`,
+    `finetune_physics`, `deploy`, `servo`, `baselines`, and the settings of evaluations: `analytic`,
+    and `physics` of all engines. The `recipes.yaml` in the robot's folder changes their keys.
+
+    Args:
+        name: Section or backend; one that is in neither file has no settings.
+        robot: Name or folder of the robot; None for settings of any robot.
     """
     name = "physics" if name in ENGINES else name
-    data = merged(_read_robot("default").get(name, {}), _read_robot(robot).get(name, {}))
-    return data, f"configs/robots/{robot}.yaml, {name}"
+    default, path = strict_yaml.read(_DEFAULT), _DEFAULT
+    own: dict[str, Any] = {}
+    if robot is not None and (path := robot_file(robot).with_name("recipes.yaml")).is_file():
+        own = strict_yaml.read(path)
+        for unknown in own.keys() - default.keys():
+            raise KinfeasError(f"{path}: unknown key {unknown!r}{no_such(unknown, default)}")
+    return merged(default.get(name, {}), own.get(name, {})), f"{path}: {name}"
 
 
-def load_section(cls: type[T], name: str, robot: str, settings: Settings | None = None) -> T:
+def load_section(cls: type[T], name: str, robot: str | Path, settings: Settings | None = None) -> T:
     """Return a robot's settings in a section as an instance of the dataclass `cls`."""
     return from_mapping(cls, *section(name, robot), settings)
 
 
-def _read_robot(name: str) -> dict[str, Any]:
-    """Return the sections of a robot's shipped file, if it has one."""
-    path = _ROBOTS / f"{name}.yaml"
-    return strict_yaml.read(path) if name == Path(name).name and path.is_file() else {}
+def robot_file(robot: str | Path) -> Path:
+    """Return the `robot.yaml` of a robot.
+
+    Args:
+        robot: Name of an entry point, which returns a path; or the path of the robot's folder or of
+            the file, with at least one slash.
+
+    Raises:
+        KinfeasError: If the robot is unknown or its entry point returns no path.
+    """
+    path: object = robot
+    if not is_path(robot):
+        name = str(robot)  # a notebook may pass anything
+        if name not in registry.names("kinfeas.robots") and Path(name).is_dir():
+            raise KinfeasError(f"unknown robot {name!r}; the folder is ./{name}")
+        path = registry.build("kinfeas.robots", name, {})
+    if not isinstance(path, str | Path):
+        raise KinfeasError(f"robot {robot!r} must return the Path of its folder, not {path!r}")
+    return Path(path) / "robot.yaml" if Path(path).is_dir() else Path(path)
+
+
+def _trainings() -> list[str]:
+    return [name for name in strict_yaml.read(_DEFAULT) if "train" in name or "tune" in name]
 
 
 def default_engine() -> str:
-    """Return the first of `ENGINES` that is installed, or else the first with wheels."""
-    installable = ENGINES[sys.version_info >= (3, 12)]
-    return next((one for one in ENGINES if find_spec(one)), installable)
+    """Return the first of `ENGINES` that is installed, or else the first."""
+    return next((engine for engine in ENGINES if find_spec(engine)), ENGINES[0])

@@ -1,4 +1,4 @@
-"""The control loop: motion sequence, observation, base drives, command filters and adapters.
+"""The control loop: motion sequence, observation, command filters and adapters.
 
 One batched loop serves training, evaluation and deployment. Backends, envs and sim2real import it.
 """

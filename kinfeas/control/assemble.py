@@ -14,7 +14,7 @@ from kinfeas.control.period import CommandFilter
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import registry
-from kinfeas.core.backend import Backend, BackendWrapper, build_backend
+from kinfeas.core.backend import Backend, BackendWrapper
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
 from kinfeas.kinematics.ik import IkSolver
@@ -78,32 +78,16 @@ def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot
         KinfeasError: If an adapter cannot be built, or needs an ability that the backend lacks.
     """
     for adapter in adapters:
-        backend = _within(backend, adapter, robot)
+        parameters = {**adapter.parameters, "backend": backend, "robot": robot}
+        backend = registry.build("kinfeas.adapters", adapter.name, parameters)
+        if not isinstance(backend, BackendWrapper):
+            raise KinfeasError(f"adapter {adapter.name!r} must derive from BackendWrapper")
         needed = getattr(backend, "needs", "")
         if needed and getattr(backend, needed) is None:
             raise KinfeasError(
                 f"adapter {adapter.name!r} needs a backend with {needed}; {backend.name} has none"
             )
     return backend
-
-
-def adapted_execution(
-    execution: ExecutionConfig, adapters: Sequence[PluginSpec], robot: Robot
-) -> ExecutionConfig:
-    """Return an execution as adapters change it, in any world."""
-    backend: Backend = build_backend("analytic", {})
-    for adapter in adapters:
-        backend = _within(backend, adapter, robot)
-    adapted: ExecutionConfig = backend.execution(execution)
-    return adapted
-
-
-def _within(backend: Backend, adapter: PluginSpec, robot: Robot) -> BackendWrapper:
-    parameters = {**adapter.parameters, "backend": backend, "robot": robot}
-    wrapper = registry.build("kinfeas.adapters", adapter.name, parameters)
-    if not isinstance(wrapper, BackendWrapper):
-        raise KinfeasError(f"adapter {adapter.name!r} must derive from BackendWrapper")
-    return wrapper
 
 
 FOLDER = "sim2real"

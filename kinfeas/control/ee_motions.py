@@ -66,11 +66,11 @@ class EeMotions:
 
     def ask(self, question: Callable[[Motions], Array]) -> Array:
         """Return what the generators answer about all motions, with the leading shape (n,)."""
-        asked = self.of()
-        answers = [question(one) for one in asked]
+        groups = self.of()
+        answers = [question(group) for group in groups]
         if len(answers) == 1:
             return answers[0]
-        order = np.concatenate([one.rows for one in asked]).argsort()
+        order = np.concatenate([group.rows for group in groups]).argsort()
         return np.concatenate(answers)[order]
 
     def twist(self, poses: Array, targets: Array, seconds: Array) -> tuple[Array, list[State]]:
@@ -88,8 +88,7 @@ class EeMotions:
             return twist, [after]
         twist, states = np.zeros((len(poses), 6)), list(self.states)
         for number, generator, rows, state in self.of(np.flatnonzero(seconds)):
-            given = state, poses[rows], targets[rows], seconds[rows]
-            twist[rows], after = generator.twist(*given)
+            twist[rows], after = generator.twist(state, poses[rows], targets[rows], seconds[rows])
             states[number] = merged(states[number], rows, after, len(poses))
         return twist, states
 

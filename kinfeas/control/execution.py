@@ -46,7 +46,7 @@ class ExecutionConfig:
     """Execution of motions by robots with inertia.
 
     Attributes:
-        time_scale: Speed of the EE motion as a share of the planned one; dwells keep their time.
+        time_scale: Speed of the EE motion as a fraction of the planned one; dwells keep their time.
         head_start: Seconds that the EE rests at first while the base moves already.
         grasp_settle_time: Motion seconds for which a sub-goal with a grip continues after the
             arrival, to bring the EE within `GRASP_METRES` of its end.

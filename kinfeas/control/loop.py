@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.arm import Arm
-from kinfeas.control.drive import command_size
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.control.observer import Observer
@@ -25,6 +24,7 @@ from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import Observation, Policy
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import exceeds_joint_velocity

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import command_size
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
 from kinfeas.core.spatial import Array, catch_up, relative
+from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.robot import Robot
 
 HORIZON = 0.1
@@ -29,7 +29,7 @@ _CLOSENESS = f"1 - range / {SCAN_RANGE:g} m"
 QUATERNION = "quaternion xyzw, w >= 0"
 
 
-class Seen:
+class ObservedState:
     """State of n robots in their base frames, from which the terms are computed.
 
     Attributes:
@@ -62,10 +62,10 @@ class Seen:
         self.velocity, self.rotation = catch_up(ee_in_base, planned, base_pose, HORIZON)
 
 
-def _closeness(seen: Seen, band: int) -> Any:
+def _closeness(state: ObservedState, band: int) -> Any:
     """Return 1 at the base and 0 where nothing is in range, shape (n, beams)."""
-    assert seen.ranges is not None
-    return 1.0 - seen.ranges[:, band] / SCAN_RANGE
+    assert state.ranges is not None
+    return 1.0 - state.ranges[:, band] / SCAN_RANGE
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class ObservationTerm:
     size: int | Callable[[Robot], int]
     unit: str
     scale: tuple[float, ...]
-    values: Callable[[Seen], Any]
+    values: Callable[[ObservedState], Any]
 
     def width(self, robot: Robot) -> int:
         """Return the count of numbers for a robot."""
@@ -91,26 +91,31 @@ class ObservationTerm:
 
 # An EE at 0.1 m/s and 0.1 rad/s turns by a quaternion of about 0.005 in `HORIZON`.
 TERMS = {
-    "ee_position": ObservationTerm(3, "m", (1.0,), lambda seen: seen.ee[:, :3]),
-    "ee_orientation": ObservationTerm(4, QUATERNION, (1.0,), lambda seen: seen.ee[:, 3:]),
-    "planned_velocity": ObservationTerm(3, "m/s", (5.0,), lambda seen: seen.velocity),
+    "ee_position": ObservationTerm(3, "m", (1.0,), lambda state: state.ee[:, :3]),
+    "ee_orientation": ObservationTerm(4, QUATERNION, (1.0,), lambda state: state.ee[:, 3:]),
+    "planned_velocity": ObservationTerm(3, "m/s", (5.0,), lambda state: state.velocity),
     "planned_rotation": ObservationTerm(
-        4, f"{QUATERNION}, over {HORIZON:g} s", (20.0, 20.0, 20.0, 1.0), lambda seen: seen.rotation
+        4,
+        f"{QUATERNION}, over {HORIZON:g} s",
+        (20.0, 20.0, 20.0, 1.0),
+        lambda state: state.rotation,
     ),
-    "goal_position": ObservationTerm(3, "m", (0.5,), lambda seen: seen.goal[:, :3]),
-    "goal_orientation": ObservationTerm(4, QUATERNION, (1.0,), lambda seen: seen.goal[:, 3:]),
+    "goal_position": ObservationTerm(3, "m", (0.5,), lambda state: state.goal[:, :3]),
+    "goal_orientation": ObservationTerm(4, QUATERNION, (1.0,), lambda state: state.goal[:, 3:]),
     "joint_positions": ObservationTerm(
-        lambda robot: len(robot.arm), "rad or m", (0.5,), lambda seen: seen.joint_positions
+        lambda robot: len(robot.arm), "rad or m", (0.5,), lambda state: state.joint_positions
     ),
     "previous_command": ObservationTerm(
-        lambda robot: command_size(robot.base), "", (1.0,), lambda seen: seen.previous_command
+        lambda robot: command_size(robot.base), "", (1.0,), lambda state: state.previous_command
     ),
-    "planned_ahead": ObservationTerm(3 * len(AHEAD), "m", (0.5,), lambda seen: seen.ahead),
+    "planned_ahead": ObservationTerm(3 * len(AHEAD), "m", (0.5,), lambda state: state.ahead),
     "planned_base": ObservationTerm(
-        3, "m, yaw in rad", (3.0, 3.0, 2.0), lambda seen: seen.planned_base
+        3, "m, yaw in rad", (3.0, 3.0, 2.0), lambda state: state.planned_base
     ),
-    "scan_low": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda seen: _closeness(seen, 0)),
-    "scan_high": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda seen: _closeness(seen, 1)),
+    "scan_low": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda state: _closeness(state, 0)),
+    "scan_high": ObservationTerm(
+        SCAN_BEAMS, _CLOSENESS, (1.0,), lambda state: _closeness(state, 1)
+    ),
 }
 """Observation terms by name; poses and velocities are in the current base frame."""
 
@@ -128,9 +133,9 @@ ACTION = "base_velocity"
 limit."""
 
 
-def observe(seen: Seen, terms: Sequence[str] = OBSERVATION) -> Array:
+def observe(state: ObservedState, terms: Sequence[str] = OBSERVATION) -> Array:
     """Return the observation of n robots, shape (n, d); `terms` are names in `TERMS`."""
-    return np.concatenate([TERMS[name].values(seen) for name in terms], axis=1)
+    return np.concatenate([TERMS[name].values(state) for name in terms], axis=1)
 
 
 def size(robot: Robot, terms: Sequence[str] = OBSERVATION) -> int:

@@ -8,7 +8,7 @@ from kinfeas.control.observation import (
     HORIZON,
     OBSERVATION,
     SCAN_TERMS,
-    Seen,
+    ObservedState,
     observe,
 )
 from kinfeas.control.sequence import MotionSequence
@@ -60,22 +60,22 @@ class Observer:
         self.prepare()
         sequence, base_pose = self._sequence, robots.base_pose
         preview = planned = sequence.next_step.preview
-        seen = Seen(base_pose, ee_in_base, preview, sequence.goal, robots.joint_positions)
-        seen.previous_command = previous_command
+        state = ObservedState(base_pose, ee_in_base, preview, sequence.goal, robots.joint_positions)
+        state.previous_command = previous_command
         if not SCAN_TERMS.isdisjoint(self.terms):
-            seen.ranges = self._surroundings.ranges()
+            state.ranges = self._surroundings.ranges()
         if self._ahead is not None:
             ahead = spatial.relative(self._ahead, base_pose[:, np.newaxis])
-            seen.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)
+            state.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)
         self._base_offset = None
         if "planned_base" in self.terms:
             self._base_offset = spatial.planar_offset(sequence.planned_base, base_pose)
-        seen.planned_base = self._base_offset
+        state.planned_base = self._base_offset
         if self._time_scale != 1.0:
             twist = spatial.twist_between(sequence.desired, preview, HORIZON)
             planned = spatial.integrate(sequence.desired, twist, HORIZON * self._time_scale)
         return Observation(
-            values=observe(seen, self.terms),
+            values=observe(state, self.terms),
             base_pose=base_pose,
             ee_pose=ee_pose,
             joint_positions=robots.joint_positions,

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import base_twist
 from kinfeas.core.motion import Rows, State
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative
+from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import in_base
 
@@ -167,6 +167,6 @@ class KinematicStep:
             self.max_joint_step,
             allow_reconfiguration=allow_reconfiguration,
             solids=None if solids is None else in_base(solids, reached),
-            guide=inputs.posture_guide,
+            posture_guide=inputs.posture_guide,
         )
         return Move(twist, arm, command)

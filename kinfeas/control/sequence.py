@@ -87,22 +87,27 @@ class MotionSequence:
         execution = execution or ExecutionConfig()
         self.stream, self._gripper = stream, gripper
         self._motion_time = dt * execution.time_scale
-        distinct = {id(one.generator): CheckedMotion(one.generator, one.name) for one in subgoals}
+        distinct = {
+            id(subgoal.generator): CheckedMotion(subgoal.generator, subgoal.name)
+            for subgoal in subgoals
+        }
         order = list(distinct)
         self.subgoals, self._motions = tuple(subgoals), EeMotions(list(distinct.values()))
-        self._which = np.array([order.index(id(one.generator)) for one in subgoals])
+        self._which = np.array([order.index(id(subgoal.generator)) for subgoal in subgoals])
         self.dt, self._head_start = dt, execution.head_start
         self._head_start_jitter = execution.head_start_jitter
         grasp_settle_time = _periods(execution.grasp_settle_time / execution.time_scale, dt)
-        self._periods = np.array([_periods(one.dwell, dt) for one in subgoals], dtype=np.intp)
-        settling = [grasp_settle_time if one.grip else 0 for one in subgoals]
+        self._periods = np.array(
+            [_periods(subgoal.dwell, dt) for subgoal in subgoals], dtype=np.intp
+        )
+        settling = [grasp_settle_time if subgoal.grip else 0 for subgoal in subgoals]
         self._settle_periods = np.array(settling, dtype=np.intp)
         tool, nothing = tool_pose(solver.robot), np.tile(spatial.IDENTITY, (len(subgoals), 1))
-        tips = np.array([one.frame == "tip" for one in subgoals])
+        tips = np.array([subgoal.frame == "tip" for subgoal in subgoals])
         self._tips, self._tool = bool(tips.any()), np.where(tips[:, np.newaxis], tool, nothing)
         self._ee_in_tool = spatial.relative(nothing, self._tool)
-        self._demonstrated = any(one.demonstrated for one in distinct.values())
-        self.avoids_solids = any(one.avoids_solids for one in distinct.values())
+        self._demonstrated = any(generator.demonstrated for generator in distinct.values())
+        self.avoids_solids = any(generator.avoids_solids for generator in distinct.values())
         self._solids: Solids | None = None
         self.whole_body = WholeBodyMotions(solver, dt, execution.time_scale, distinct.values())
         self.desired: Array = np.empty((0, 7))
@@ -159,7 +164,9 @@ class MotionSequence:
         if self._goal is None:
             targets = self._target
             self._goal = self._to_ee(
-                self._motions.ask(lambda one: one.generator.goal_pose(one.state, targets[one.rows]))
+                self._motions.ask(
+                    lambda group: group.generator.goal_pose(group.state, targets[group.rows])
+                )
             )
         return self._goal
 
@@ -180,7 +187,9 @@ class MotionSequence:
         if not self._demonstrated:
             return np.nan * self.desired
         targets = self._target
-        return self._motions.ask(lambda one: one.generator.base_pose(one.state, targets[one.rows]))
+        return self._motions.ask(
+            lambda group: group.generator.base_pose(group.state, targets[group.rows])
+        )
 
     @property
     def planned_base(self) -> Array:
@@ -233,9 +242,9 @@ class MotionSequence:
         """
         frame, targets = self._to_frame(self.desired), self._target
 
-        def answer(one: Motions) -> Array:
-            rows = one.rows
-            return one.generator.ahead(one.state, frame[rows], targets[rows], distances)
+        def answer(group: Motions) -> Array:
+            rows = group.rows
+            return group.generator.ahead(group.state, frame[rows], targets[rows], distances)
 
         poses = self._motions.ask(answer)
         if not self._tips:
@@ -250,8 +259,8 @@ class MotionSequence:
         if self.stream is not None:
             return np.zeros_like(near)
         ended, targets = near.copy(), self._target
-        for one in self._motions.of(np.flatnonzero(near)):
-            ended[one.rows] = one.generator.finished(one.state, targets[one.rows])
+        for group in self._motions.of(np.flatnonzero(near)):
+            ended[group.rows] = group.generator.finished(group.state, targets[group.rows])
         return ended
 
     def copied(self) -> "MotionSequence":
@@ -455,10 +464,12 @@ class MotionSequence:
         self.elapsed = with_rows(self.elapsed, rows, np.array(0.0))
         motions, frame, targets = self._motions, self._to_frame(self.desired), self._target
         motions.which = self._which[self.subgoal]
-        for one in motions.of(rows):
-            keys = zip(self._seeds[one.rows].tolist(), self.subgoal[one.rows].tolist(), strict=True)
+        for group in motions.of(rows):
+            keys = zip(
+                self._seeds[group.rows].tolist(), self.subgoal[group.rows].tolist(), strict=True
+            )
             rngs = [np.random.default_rng(key) for key in keys]
-            motions.put(one, one.generator.start(frame[one.rows], targets[one.rows], rngs))
+            motions.put(group, group.generator.start(frame[group.rows], targets[group.rows], rngs))
         self._changed()
 
     def _replan(self, rows: Rows) -> None:
@@ -466,14 +477,14 @@ class MotionSequence:
         if self._solids is None or not self.avoids_solids or not rows.size:
             return
         frame, targets = self._to_frame(self.desired), self._target
-        for one in self._motions.of(rows):
-            if one.generator.avoids_solids:
-                state, poses = one.state, (frame[one.rows], targets[one.rows])
-                solids = self._solids.of(one.rows)
-                if one.generator.follows_whole_body:
-                    ends = self.goal[one.rows], self._tool[self.subgoal[one.rows]]
-                    state = self.whole_body.follow(one, poses, ends, solids)
-                self._motions.put(one, one.generator.replan(state, *poses, solids))
+        for group in self._motions.of(rows):
+            if group.generator.avoids_solids:
+                state, poses = group.state, (frame[group.rows], targets[group.rows])
+                solids = self._solids.of(group.rows)
+                if group.generator.follows_whole_body:
+                    ends = self.goal[group.rows], self._tool[self.subgoal[group.rows]]
+                    state = self.whole_body.follow(group, poses, ends, solids)
+                self._motions.put(group, group.generator.replan(state, *poses, solids))
         self._changed()
 
     @property
@@ -491,7 +502,7 @@ class MotionSequence:
     @property
     def _planned(self) -> tuple[Array, Array | None]:
         if self._robot_soon is None:
-            motions = [one for one in self._motions.of() if one.generator.follows_whole_body]
+            motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
             self._robot_soon = self.whole_body.soon(motions)
         return self._robot_soon
 

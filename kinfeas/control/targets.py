@@ -130,8 +130,8 @@ class TargetInbox:
     _twist: Array
     _times: Array
     _poses: Array
-    _poses_given: NDArray[np.bool_]
-    _asked: Array
+    _has_poses: NDArray[np.bool_]
+    _last_aim: Array
     _sent: Array
     _until: Array
 
@@ -155,7 +155,7 @@ class TargetInbox:
         """Take world twists (m, 6) of m rows, sent at times (m,) and read at `now`, (m,)."""
         valid = _numbers(twist)
         good = self._admitted(rows, now, sent, sent, valid)
-        self._twist[rows[good]], self._poses_given[rows[good]] = twist[good], False
+        self._twist[rows[good]], self._has_poses[rows[good]] = twist[good], False
 
     def put_poses(self, rows: Rows, now: Array, sent: Array, times: Array, poses: Array) -> None:
         """Take world poses (m, k, 7) for times (m, k); other arguments as in `put_twists`.
@@ -178,19 +178,19 @@ class TargetInbox:
         aims = _interpolated(now, when, usable)
         recent = now <= self._until[rows]
         near = self._near(self.target[rows], aims)
-        near |= recent & self._poses_given[rows] & self._near(self._asked[rows], aims)
-        known = recent & np.isfinite(sent)
-        interval = np.subtract(sent, self._sent[rows], where=known, out=np.zeros(m))
+        near |= recent & self._has_poses[rows] & self._near(self._last_aim[rows], aims)
+        dated = recent & np.isfinite(sent)
+        interval = np.subtract(sent, self._sent[rows], where=dated, out=np.zeros(m))
         good = self._admitted(rows, now, sent, when[:, -1], valid, near)
         if k == 1:
             later = now + np.clip(interval, 1e-6, self.rules.timeout)
             when = np.stack([now, later], axis=1)
             usable = np.concatenate([self.target[rows, np.newaxis], usable], axis=1)
-        chosen = rows[good]
-        self._times[chosen], self._poses[chosen] = np.inf, usable[good, -1:]
-        self._times[chosen, : when.shape[1]] = when[good]
-        self._poses[chosen, : when.shape[1]] = usable[good]
-        self._poses_given[chosen], self._asked[chosen] = True, aims[good]
+        accepted = rows[good]
+        self._times[accepted], self._poses[accepted] = np.inf, usable[good, -1:]
+        self._times[accepted, : when.shape[1]] = when[good]
+        self._poses[accepted, : when.shape[1]] = usable[good]
+        self._has_poses[accepted], self._last_aim[accepted] = True, aims[good]
 
     def reject(self, rows: Rows) -> None:
         """Count messages that are no poses or twists at all."""
@@ -205,12 +205,14 @@ class TargetInbox:
             desired: World poses of the motions now, shape (m, 7), where targets continue if none
                 of the period was carried out.
         """
-        if (time_scale == 1.0).all():
+        waiting = time_scale != 1.0  # other targets keep every bit
+        if not waiting.any():
             return
+        rows, time_scale = rows[waiting], time_scale[waiting]
         before = self._before[rows]
-        way = spatial.twist_between(before, self.target[rows], 1.0)
-        rest = spatial.integrate(before, way, time_scale)
-        rest = np.where(time_scale[:, np.newaxis] == 0.0, desired, rest)
+        displacement = spatial.twist_between(before, self.target[rows], 1.0)
+        rest = spatial.integrate(before, displacement, time_scale)
+        rest = np.where(time_scale[:, np.newaxis] == 0.0, desired[waiting], rest)
         self.target = with_rows(self.target, rows, rest)
 
     def advance(self, rows: Rows, now: Array, dt: float, seconds: float) -> None:
@@ -225,7 +227,7 @@ class TargetInbox:
         rest, live = self.target[rows], now <= self._until[rows]
         aims = _interpolated(now + dt, self._times[rows], self._poses[rows])
         twist = np.where(
-            self._poses_given[rows, np.newaxis],
+            self._has_poses[rows, np.newaxis],
             spatial.twist_between(rest, aims, seconds),
             self._twist[rows],
         )
@@ -240,7 +242,9 @@ class TargetInbox:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
-        return {key: one.copy() for key, one in vars(self).items() if isinstance(one, np.ndarray)}
+        return {
+            k: values.copy() for k, values in vars(self).items() if isinstance(values, np.ndarray)
+        }
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
@@ -249,13 +253,13 @@ class TargetInbox:
     def _put_all(self, target: Array) -> None:
         n = len(target)
         self.target, self._before = target.copy(), target.copy()
-        self.live, self._poses_given = np.zeros((2, n), dtype=np.bool_)
+        self.live, self._has_poses = np.zeros((2, n), dtype=np.bool_)
         self.speed = np.zeros(n)
         self._sent, self._until = np.full((2, n), -np.inf)
         self._twist = np.zeros((n, 6))
         self._times = np.full((n, self._size), np.inf)
         self._poses = np.repeat(target[:, np.newaxis], self._size, axis=1)
-        self._asked = target.copy()
+        self._last_aim = target.copy()
         self.counts = np.zeros((n, len(RULES)), dtype=np.intp)
 
     def _near(self, pose: Array, other: Array) -> NDArray[np.bool_]:
@@ -305,6 +309,6 @@ def _interpolated(now: Array, times: Array, poses: Array) -> Array:
     start, end = times[rows, before], times[rows, after]
     between = (after > before) & np.isfinite(end)
     span = np.subtract(end, start, where=between, out=np.ones_like(end))
-    share = np.subtract(now, start, where=between, out=np.zeros_like(end)) / span
+    fraction = np.subtract(now, start, where=between, out=np.zeros_like(end)) / span
     left = poses[rows, before]
-    return spatial.integrate(left, spatial.twist_between(left, poses[rows, after], 1.0), share)
+    return spatial.integrate(left, spatial.twist_between(left, poses[rows, after], 1.0), fraction)

@@ -12,7 +12,7 @@ from kinfeas.core.motion import WAYPOINTS, Rows, State, WholeBodyPath, merged, o
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.whole_body import CHECKED_AHEAD, WholeBodyPlanner
+from kinfeas.planning.base_goal import CHECKED_AHEAD, BaseGoalPlanner
 
 LEAD = 1.0
 """Seconds by which the planned base that policies see is ahead of the EE."""
@@ -34,10 +34,10 @@ class WholeBodyMotions:
     ) -> None:
         """Set up the planner.
 
-        Motions are carried out in periods of `dt` seconds at a share `time_scale` of their speed.
+        Motions are carried out in periods of `dt` seconds, slower by the factor `time_scale`.
         """
-        used = any(one.follows_whole_body for one in generators)
-        self.planner = WholeBodyPlanner(solver, time_scale) if used else None
+        used = any(each.follows_whole_body for each in generators)
+        self.planner = BaseGoalPlanner(solver, time_scale) if used else None
         self.robots: tuple[Array, Array] | None = None
         self.waypoints: Array = np.empty((0, WAYPOINTS * used, 3 + len(solver.robot.arm)))
         self._soon, self._checked = np.array([LEAD, time_scale * dt]), time_scale * CHECKED_AHEAD
@@ -59,8 +59,8 @@ class WholeBodyMotions:
         if not points:
             return np.full((n, 7), np.nan), None
         robot = np.full((n, len(self._soon), size), np.nan)
-        for one in motions:
-            robot[one.rows] = self._ahead(one, self._soon)
+        for group in motions:
+            robot[group.rows] = self._ahead(group, self._soon)
         return spatial.planar_pose(*robot[:, 0, :3].T), robot[:, 1, 3:]
 
     def follow(
@@ -84,7 +84,7 @@ class WholeBodyMotions:
         if not paths:
             return state
         new = np.array(list(paths))
-        frame, target = (one[new] for one in poses)
+        frame, target = (pose[new] for pose in poses)
         along = list(paths.values())
         followed, waypoints = generator.follow(of_rows(state, new), frame, target, along)
         self.waypoints = with_rows(self.waypoints, rows[new], waypoints)

@@ -134,7 +134,7 @@ class StopCall:
     """
 
     path: str
-    arguments: dict[str, object] = field(default_factory=dict)
+    arguments: Mapping[str, object] = field(default_factory=dict)
 
 
 class Gripper(Protocol):
@@ -166,14 +166,6 @@ class ContactSensor(Protocol):
 
     def touching(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
-        ...
-
-
-class Camera(Protocol):
-    """A camera beside each robot."""
-
-    def render(self, env_id: int, goal: Array) -> NDArray[np.uint8]:
-        """Return an RGB picture of a robot and its goal position (3,), shape (h, w, 3)."""
         ...
 
 
@@ -221,7 +213,6 @@ class Backend(ABC):
         obstacles: Distances to obstacles.
         solids: Solids around all n robots, which `place_solids` puts there.
         contacts: Contact sensors.
-        camera: Cameras.
         dynamics: Masses, frictions and motors that can change.
         resumable: Saves and restores the whole state.
         staging: Sets up the scenes of tasks.
@@ -234,7 +225,6 @@ class Backend(ABC):
     obstacles: ObstacleSensor | None = None
     solids: MovingSolids | None = None
     contacts: ContactSensor | None = None
-    camera: Camera | None = None
     dynamics: Dynamics | None = None
     resumable: Resumable | None = None
     staging: Staging | None = None
@@ -322,7 +312,7 @@ class RealTimeBackend(Backend):
 
 
 ABILITIES = (
-    "gripper", "scanner", "obstacles", "solids", "contacts", "camera", "dynamics", "resumable",
+    "gripper", "scanner", "obstacles", "solids", "contacts", "dynamics", "resumable",
     "staging", "real_time", "max_batch",
 )  # fmt: skip
 """Names of the abilities of a backend."""

@@ -18,7 +18,6 @@ EXTRAS = {
     "ray": ("ray",),
     "sweep": ("optuna",),
     "wandb": ("wandb",),
-    "mlflow": ("mlflow",),
     "lerobot": ("pyarrow",),
 }
 """Names under which the packages of each extra are imported."""

@@ -21,6 +21,9 @@ The counts take half of the time where many rows of arrays are passed on. A kern
 allocates nothing, which numba checks, and returns no array.
 """
 
+FAST = {"contract", "reassoc", "nsz"}
+"""Flags of kernels whose sums may be regrouped and multiply-adds fused, always in the same way."""
+
 _POLL, _DEADLINE = 0.02, time.monotonic() + 10.0
 """Seconds between attempts to lock, and the time after which an import does not wait."""
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core import solid_kernels
 from kinfeas.core.spatial import Array, planar_pose
 
 MOST_SOLIDS = 64
@@ -144,17 +145,14 @@ class Solids:
         Args:
             points: Points of each row in the world, shape (n, m, 3), metres.
         """
-        pose, size = self.pose[:, np.newaxis], self.size[:, np.newaxis]
-        cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-        x, y = (points[:, :, np.newaxis, i] - pose[..., i] for i in (0, 1))
-        along = np.abs(cosine * x + sine * y) - size[..., 0]
-        across = np.abs(cosine * y - sine * x) - size[..., 1]
-        box = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-        round_ = np.maximum(np.hypot(x, y) - size[..., 0], 0.0)
-        planar = np.where(self.cylinder[:, np.newaxis], round_, box)
-        z = points[:, :, np.newaxis, 2]
-        vertical = np.maximum(np.maximum(size[..., 2] - z, z - size[..., 3]), 0.0)
-        return np.where(self.filled[:, np.newaxis], planar, np.inf), vertical
+        planar, vertical = solid_kernels.gaps(points, self.pose, self.size, self.cylinder)
+        return planar, vertical
+
+    def swept(self, first: float, last: float) -> "Solids":
+        """Return solids that fill the room of these between two times, seconds from now."""
+        arrays = self.pose, self.size, self.cylinder, self.velocity
+        pose, size = solid_kernels.swept(*arrays, first, last)
+        return replace(self, pose=pose, size=size)
 
 
 class MovingSolids:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.world import Transition, World, WorldConfig, evaluation_world
+from kinfeas.envs.batch import step_info
+from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
@@ -114,18 +115,13 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of robot and goal, shape (360, 480, 3), in the mode `rgb_array`.
+        """Return None; subclasses return a picture in the mode `rgb_array`.
 
         Raises:
             ResetNeeded: Before the first reset.
         """
         check_reset(self.world)
-        if self.render_mode != "rgb_array":
-            return None
-        camera = self.world.backend.camera
-        if camera is None:
-            raise KinfeasError(f"backend {self.world.config.backend!r} has no camera")
-        return camera.render(0, self.world.loop.sequence.goal[0, :3])
+        return None
 
     def close(self) -> None:
         """Close the backend."""
@@ -140,7 +136,7 @@ def learning_world(backend: str, robot: str) -> WorldConfig:
     """
     if backend == "analytic":
         return WorldConfig()
-    config = evaluation_world(backend, load_robot(robot).name)
+    config = evaluation_world(backend, robot)
     return replace(config, filters=())
 
 
@@ -197,28 +193,3 @@ def check_reset(world: World) -> None:
     """Raise ResetNeeded before the first episode."""
     if not world.next_episode:
         raise ResetNeeded("call reset first")
-
-
-def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
-    """Return the infos of a step of n episodes by name, each of shape (n,).
-
-    `failures` counts from the beginning of the episode; `is_success` is a goal reached without a
-    failure. Backends that measure contacts add the numbers of contacts of base and arm.
-    """
-    outcome, failures = transition.outcome, world.failures.copy()
-    info: dict[str, NDArray[Any]] = {
-        "subgoal": outcome.subgoal,
-        "feasible": outcome.feasible,
-        "failures": failures,
-        "deviation": outcome.deviation,
-        "goal_distance": outcome.goal_distance,
-        "goal_angle": outcome.goal_angle,
-        "joint_jump": outcome.joint_jump,
-        "reached": transition.reached,
-        "is_success": transition.reached & (failures == 0),
-    }
-    if (sensor := world.backend.contacts) is not None:
-        contacts = [sensor.touching(row) for row in range(len(failures))]
-        info["base_contacts"] = np.array([len(one.base) for one in contacts])
-        info["arm_contacts"] = np.array([len(one.arm) for one in contacts])
-    return info

@@ -9,6 +9,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.batch import Batch
 from kinfeas.envs.gym import (
     action_space,
     check_reset,
@@ -17,14 +18,13 @@ from kinfeas.envs.gym import (
     make_world,
     observation_space,
     seed_world,
-    step_info,
 )
-from kinfeas.envs.world import Transition, WorldConfig
+from kinfeas.envs.world import WorldConfig
 
-_Batch = NDArray[np.float32]
+_Rows = NDArray[np.float32]
 
 
-class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
+class BaseMotionVectorEnv(VectorEnv[_Rows, _Rows, NDArray[Any]]):
     """n robots whose base motions keep their EE motions feasible.
 
     An ended episode restarts in the same step; its last observation and info are in `final_obs` and
@@ -52,6 +52,7 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         self.num_envs = num_envs
         config = world or learning_world(backend, robot)
         self.world = make_world(robot, task, task_parameters, config)
+        self._batch = Batch(self.world, num_envs, infos=True)
         self.single_observation_space = observation_space(self.world)
         self.single_action_space = action_space(self.world)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -59,7 +60,7 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[_Batch, dict[str, Any]]:
+    ) -> tuple[_Rows, dict[str, Any]]:
         """Begin n episodes and return their observations, shape (n, 21 + j), and numbers.
 
         Args:
@@ -71,12 +72,12 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         """
         super().reset(seed=checked_seed(seed))
         seed_world(self.world, seed, self.np_random_seed)
-        infos = self._numbers(np.ones(self.num_envs, dtype=np.bool_))
-        return self.world.start_next(self.num_envs).astype(np.float32), infos
+        observation = self._batch.start().astype(np.float32)
+        return observation, self._numbers(np.ones(self.num_envs, dtype=np.bool_))
 
     def step(
-        self, actions: _Batch
-    ) -> tuple[_Batch, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        self, actions: _Rows
+    ) -> tuple[_Rows, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Move all bases and return observations, rewards, terminated, truncated and infos.
 
         Args:
@@ -87,21 +88,19 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
             ResetNeeded: Before the first reset.
         """
         check_reset(self.world)
-        transition = self.world.step(np.asarray(actions, dtype=np.float64))
-        brought = step_info(self.world, transition)
-        infos = _masked(brought, ~transition.done)
-        seen = transition.observation
-        if transition.done.any():
-            infos |= _ended(transition, brought) | self._numbers(transition.done)
-            rows = np.flatnonzero(transition.done)
-            seen = self.world.start_next(rows.size, rows)
-        return (
-            seen.astype(np.float32),
-            transition.reward,
-            transition.terminated,
-            transition.truncated,
-            infos,
-        )
+        step = self._batch.step(np.asarray(actions, dtype=np.float64))
+        done, truncated = np.zeros((2, self.num_envs), dtype=np.bool_)
+        final = np.full(self.num_envs, None, dtype=object)
+        for row, end in step.ends.items():
+            done[row], truncated[row] = True, end.truncated
+            final[row] = end.observation.astype(np.float32)
+        infos = _masked(step.infos, ~done)
+        if step.ends:
+            infos |= {"final_obs": final, "_final_obs": done.copy()}
+            infos |= {"final_info": _masked(step.infos, done), "_final_info": done.copy()}
+            infos |= self._numbers(done)
+        observation = step.observation.astype(np.float32)
+        return observation, step.reward, done & ~truncated, truncated, infos
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the backend."""
@@ -110,8 +109,8 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
             self.world.close()
 
     def _numbers(self, rows: NDArray[np.bool_]) -> dict[str, Any]:
-        """Return the infos of the episodes that begin in `rows`, shape (n,)."""
-        numbers = self.world.next_episode + np.cumsum(rows) - 1
+        """Return the infos of the episodes that have begun in `rows`, shape (n,)."""
+        numbers = self.world.next_episode - rows.sum() + np.cumsum(rows) - 1
         return _masked({"episode_number": numbers}, rows)
 
 
@@ -122,17 +121,3 @@ def _masked(infos: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[
         batched[key] = np.where(rows, values, np.zeros_like(values))
         batched[f"_{key}"] = rows.copy()
     return batched
-
-
-def _ended(transition: Transition, brought: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return last observations and infos of ended episodes."""
-    done = transition.done
-    final = np.full(len(done), None, dtype=object)
-    for row in np.flatnonzero(done):
-        final[row] = transition.observation[row].astype(np.float32)
-    return {
-        "final_obs": final,
-        "_final_obs": done.copy(),
-        "final_info": _masked(brought, done),
-        "_final_info": done.copy(),
-    }

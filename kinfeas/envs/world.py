@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -60,7 +61,7 @@ class WorldConfig(ExecutionConfig):
     backend_parameters: dict[str, object] = field(default_factory=dict)
 
 
-def evaluation_section(backend: str, robot: str) -> tuple[dict[str, Any], str]:
+def evaluation_section(backend: str, robot: str | Path | None) -> tuple[dict[str, Any], str]:
     """Return the settings of the evaluations of a robot as plain data, and their source.
 
     A backend without a section has the defaults.
@@ -69,7 +70,7 @@ def evaluation_section(backend: str, robot: str) -> tuple[dict[str, Any], str]:
     return {**data, "world": {"backend": backend, **data.get("world", {})}}, source
 
 
-def evaluation_world(backend: str = "analytic", robot: str = "default") -> WorldConfig:
+def evaluation_world(backend: str = "analytic", robot: str | Path | None = None) -> WorldConfig:
     """Return the settings in which the policies of a robot are evaluated."""
     data, source = evaluation_section(backend, robot)
     return from_mapping(WorldConfig, data["world"], source)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 
 from kinfeas.config import PluginSpec, Settings, from_mapping
 from kinfeas.control.assemble import adapted_execution
@@ -59,7 +60,9 @@ class EvalSettings:
     world: WorldConfig = field(default_factory=evaluation_world)
 
 
-def read_settings(robot: str, backend: str, settings: Settings | None = None) -> EvalSettings:
+def read_settings(
+    robot: str | Path, backend: str, settings: Settings | None = None
+) -> EvalSettings:
     """Return the settings in which the policies of a robot are evaluated, changed by `settings`."""
     return from_mapping(EvalSettings, *evaluation_section(backend, robot), settings)
 
@@ -81,7 +84,7 @@ def configure(
     Raises:
         KinfeasError: If the task is unknown or a setting is wrong.
     """
-    config = read_settings(robot.name, backend, settings)
+    config = read_settings(robot.folder, backend, settings)
     count = episodes or (500 if backend == "analytic" else 50)
     return EvalConfig(robot, load_task(task, config.task), count, seed, config.world)
 

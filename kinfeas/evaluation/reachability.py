@@ -16,7 +16,7 @@ from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng, stacked
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.kinematics.reachability import (
+from kinfeas.planning.placement import (
     STAGES,
     Reachability,
     at_goals,

@@ -17,7 +17,7 @@ _MIN_JOINTS = 3
 """Joints of an arm; a branch nearer to the base is no hand."""
 
 _FIXED_JAW = 1.0 / 3.0
-"""Length of a fixed jaw, as a share of the moving one."""
+"""Length of a fixed jaw, as a fraction of the moving one."""
 
 _JAW = re.compile(r"jaw|finger|claw", re.IGNORECASE)
 _OFF_AXIS = 0.01  # m, by which shapes on an axis may be off it
@@ -71,7 +71,9 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
         raise KinfeasError(f"{source}: no joint moves between {urdf.root!r} and {hand!r}")
     on_hand = _on_hand(urdf, hand)
     shaped = [
-        one for one in on_hand if any(urdf.links[name].shapes for name in urdf.below(one.name))
+        joint
+        for joint in on_hand
+        if any(urdf.links[name].shapes for name in urdf.below(joint.name))
     ]
     # The frames of fingers without shapes show how far apart these are, if they slide.
     fingers = tuple(shaped or [joint for joint in on_hand if joint.kind == "prismatic"])
@@ -79,7 +81,9 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
 
 
 def _on_hand(urdf: Urdf, hand: str) -> list[Joint]:
-    return [one for one in urdf.joints.values() if one.moves and one.parent in urdf.rigid[hand]]
+    return [
+        joint for joint in urdf.joints.values() if joint.moves and joint.parent in urdf.rigid[hand]
+    ]
 
 
 def ends_of_arms(urdf: Urdf, source: str) -> frozenset[str]:
@@ -108,8 +112,8 @@ def _find_hand(urdf: Urdf, source: str) -> str:
 
 def _hands(urdf: Urdf, source: str) -> dict[str, str]:
     """Return the hand of each of the longest chains of moving joints, by its last joint."""
-    ways = {link: [j for j in urdf.path_to(link) if j.moves] for link in urdf.links}
-    longest = max(map(len, ways.values()))
+    paths = {link: [j for j in urdf.path_to(link) if j.moves] for link in urdf.links}
+    longest = max(map(len, paths.values()))
     if longest < _MIN_JOINTS:
         raise KinfeasError(f"{source}: no arm: no link has {_MIN_JOINTS} moving joints above it")
     branches: dict[frozenset[str], list[str]] = {}
@@ -117,8 +121,8 @@ def _hands(urdf: Urdf, source: str) -> dict[str, str]:
         if joint.moves:
             branches.setdefault(urdf.rigid[joint.parent], []).append(joint.parent)
     forks = {body: _last_common(urdf, links) for body, links in branches.items() if len(links) > 1}
-    arms = {way[-1].name: way for way in ways.values() if len(way) == longest}
-    return {last: _hand_of(urdf, way, forks) for last, way in arms.items()}
+    arms = {path[-1].name: path for path in paths.values() if len(path) == longest}
+    return {last: _hand_of(urdf, path, forks) for last, path in arms.items()}
 
 
 def _hand_of(urdf: Urdf, moving: list[Joint], forks: dict[frozenset[str], str]) -> str:
@@ -136,8 +140,8 @@ def _hand_of(urdf: Urdf, moving: list[Joint], forks: dict[frozenset[str], str]) 
 
 def _last_common(urdf: Urdf, links: list[str]) -> str:
     """Return the last link on the way to all of `links`, or one of them."""
-    ways = [[urdf.root, *(joint.child for joint in urdf.path_to(link))] for link in links]
-    return [level[0] for level in zip(*ways, strict=False) if len(set(level)) == 1][-1]
+    paths = [[urdf.root, *(joint.child for joint in urdf.path_to(link))] for link in links]
+    return [level[0] for level in zip(*paths, strict=False) if len(set(level)) == 1][-1]
 
 
 def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
@@ -154,7 +158,7 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
     sides = urdf.below(joint.name), urdf.rigid[joint.parent]
     jaw, beside = (
         max(
-            (one.reach(direction) for one in place(urdf, sorted(side), joint.child, poses)),
+            (shape.reach(direction) for shape in place(urdf, sorted(side), joint.child, poses)),
             default=0,
         )
         for side in sides
@@ -228,21 +232,21 @@ def _finger_positions(
         return {}, {}
     leaders = list({urdf.followed(finger)[0].name: None for finger in fingers})
     joints = [urdf.joints[name] for name in leaders]
-    ends = [(max(one.lower, -math.pi), min(one.upper, math.pi)) for one in joints]
+    ends = [(max(joint.lower, -math.pi), min(joint.upper, math.pi)) for joint in joints]
 
     def gap(positions: dict[str, float]) -> float:
         poses = urdf.link_poses(positions)
-        one, other = (_middle(urdf, arm, finger, poses) for finger in fingers)
-        return float(np.linalg.norm(one - other))
+        first, second = (_middle(urdf, arm, finger, poses) for finger in fingers)
+        return float(np.linalg.norm(first - second))
 
     # Fingers with mirrored limits are closed at the upper limit of one and the lower of the other.
     mirrored = [ends[0], *(end[::-1] for end in ends[1:])]
     choices = [
-        [dict(zip(leaders, positions, strict=True)) for positions in zip(*way, strict=True)]
-        for way in (ends, mirrored)
+        [dict(zip(leaders, positions, strict=True)) for positions in zip(*ends_pair, strict=True)]
+        for ends_pair in (ends, mirrored)
     ]
-    one, other = max(choices, key=lambda pair: abs(gap(pair[0]) - gap(pair[1])))
-    return (one, other) if gap(one) <= gap(other) else (other, one)
+    first, second = max(choices, key=lambda pair: abs(gap(pair[0]) - gap(pair[1])))
+    return (first, second) if gap(first) <= gap(second) else (second, first)
 
 
 def _gripper(
@@ -251,22 +255,22 @@ def _gripper(
     """Return the gripper, or why there is none."""
     names = [finger.name for finger in arm.fingers]
     if len(names) != 2:
-        more = [one.name for one in _on_hand(urdf, arm.hand) if one.name not in names]
+        more = [finger.name for finger in _on_hand(urdf, arm.hand) if finger.name not in names]
         listed = ", ".join([*names, *(f"{name} without shapes" for name in more)]) or "none"
         return f"fingers on {arm.hand!r}: {listed}; two are supported, no four-bar linkages"
 
     def positions(leaders: dict[str, float]) -> tuple[float, float]:
         first, second = (
-            round(min(max(scale * leaders[leader.name] + offset, one.lower), one.upper), 6)
-            for one in arm.fingers
-            for leader, scale, offset in [urdf.followed(one)]
+            round(min(max(scale * leaders[leader.name] + offset, finger.lower), finger.upper), 6)
+            for finger in arm.fingers
+            for leader, scale, offset in [urdf.followed(finger)]
         )
         return first, second
 
     shut, wide = positions(closed), positions(opened)
     if still := [name for name, *at in zip(names, shut, wide, strict=True) if at[0] == at[1]]:
         return f"the limits of {', '.join(still)} leave no stroke"
-    efforts = [one.effort for one in arm.fingers if 0.0 < one.effort < _MAX_EFFORT]
+    efforts = [finger.effort for finger in arm.fingers if 0.0 < finger.effort < _MAX_EFFORT]
     if not efforts:
         return f"{' and '.join(names)} have no effort limit above 0, below {_MAX_EFFORT:g}"
     same = shut[0] == shut[1] and wide[0] == wide[1]
@@ -300,8 +304,8 @@ def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:
     axis = rotation(relative(poses[last.child], poses[arm.hand])).apply(last.axis)
     own = place(urdf, sorted(urdf.rigid[arm.hand]), arm.hand, poses)
     parent = place(urdf, sorted(urdf.rigid[last.parent]), arm.hand, poses)
-    ahead = sum(float(one.pose[:3] @ axis) / len(own) for one in own)
-    ahead -= sum(float(one.pose[:3] @ axis) / len(parent) for one in parent)
+    ahead = sum(float(shape.pose[:3] @ axis) / len(own) for shape in own)
+    ahead -= sum(float(shape.pose[:3] @ axis) / len(parent) for shape in parent)
     return axis if ahead >= 0.0 else -axis
 
 

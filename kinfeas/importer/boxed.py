@@ -94,7 +94,9 @@ def boxed_urdf(
             originals[name] = [part for part, _ in parts]
         if len(shapes) > MAX_SHAPES:
             require("trimesh")
-            shapes = list(fit_primitives(np.concatenate([_box_triangles(one) for one in shapes])))
+            shapes = list(
+                fit_primitives(np.concatenate([_box_triangles(shape) for shape in shapes]))
+            )
         depth = sum(joint.moves for joint in urdf.path_to(name))
         out.append(_link(name, link.xml.find("inertial"), shapes, _COLOURS[depth % 2]))
         if on_link is not None:
@@ -192,7 +194,7 @@ def on_the_floor(text: str, arm: Arm, source: str) -> tuple[str, float]:
     links = set(urdf.links) - urdf.below(arm.joints[0].name)
     down = np.array([0.0, 0.0, -1.0])
     depth = max(
-        (one.reach(down) for one in place(urdf, sorted(links), urdf.root, urdf.link_poses({}))),
+        (shape.reach(down) for shape in place(urdf, sorted(links), urdf.root, urdf.link_poses({}))),
         default=0.0,
     )
     if depth <= _PLAY:
@@ -256,10 +258,10 @@ def volume(shape: Shape) -> float:
 
 def _box_triangles(shape: Shape) -> Array:
     """Return the triangles of the box around a shape along its axes, (12, 3, 3)."""
-    turn, middle = rotation(shape.pose), shape.pose[:3]
-    extents = [shape.reach(axis) - middle @ axis for axis in turn.as_matrix().T]
+    rotation_of_box, middle = rotation(shape.pose), shape.pose[:3]
+    extents = [shape.reach(axis) - middle @ axis for axis in rotation_of_box.as_matrix().T]
     unit = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    return (turn.apply(unit * extents) + middle)[ConvexHull(unit).simplices]
+    return (rotation_of_box.apply(unit * extents) + middle)[ConvexHull(unit).simplices]
 
 
 def _cut(triangles: Array, whole: Shape, cuts: int) -> list[Shape]:
@@ -274,7 +276,7 @@ def _cut(triangles: Array, whole: Shape, cuts: int) -> list[Shape]:
     best = min(halves, key=lambda parts: sum(volume(shape) for _, shape in parts), default=[])
     if not best or sum(volume(shape) for _, shape in best) > _WORTH * volume(whole):
         return [whole]
-    return [found for half, shape in best for found in _cut(half, shape, cuts - 1)]
+    return [primitive for half, shape in best for primitive in _cut(half, shape, cuts - 1)]
 
 
 def _halves(triangles: Array, whole: Shape, axis: int) -> list[Array]:
@@ -286,8 +288,8 @@ def _halves(triangles: Array, whole: Shape, axis: int) -> list[Array]:
     origin = (along.min() + along.max()) / 2.0 * normal
     corners, faces = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
     sides = []
-    for way in (1.0, -1.0):
-        points, kept, *_ = slice_faces_plane(corners, faces, way * normal, origin)
+    for sign in (1.0, -1.0):
+        points, kept, *_ = slice_faces_plane(corners, faces, sign * normal, origin)
         sides.append(points[kept])
     return sides
 
@@ -300,7 +302,7 @@ def _smallest(points: Array) -> Shape:
     to_box, _ = oriented_bounds(corners[:: len(corners) // _CORNERS + 1])
     matrix = np.linalg.inv(to_box)
     box = make_pose(matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]))
-    cylinders = [_around(corners, "cylinder", compose(box, turn)) for turn in _TURNS]
+    cylinders = [_around(corners, "cylinder", compose(box, axes)) for axes in _TURNS]
     return min(
         _around(corners, "box", box), _around(corners, "sphere", box), *cylinders, key=volume
     )

@@ -62,8 +62,12 @@ def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
     if named := [name for name in names if _OMNIDIRECTIONAL.search(name)]:
         return "omnidirectional", f"the name {named[0]}"
     axes = {joint.name: _axis(urdf, joint) for joint in joints if joint.moves}
-    wheels = [one for one in joints if one.kind == "continuous" and abs(axes[one.name][2]) < _LEVEL]
-    if driven := [one for one in wheels if not _CASTER.search(one.name + one.child)]:
+    wheels = [
+        wheel
+        for wheel in joints
+        if wheel.kind == "continuous" and abs(axes[wheel.name][2]) < _LEVEL
+    ]
+    if driven := [wheel for wheel in wheels if not _CASTER.search(wheel.name + wheel.child)]:
         wheels = driven  # the others follow
     steering = {wheel.name: _steering(urdf, wheel, axes) for wheel in wheels}
     fixed = [wheel for wheel in wheels if steering[wheel.name] is None]
@@ -72,7 +76,7 @@ def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
         return "differential", "a guess: no wheel has a joint"
     if not fixed:
         return "omnidirectional", f"wheels steered by {_listed(filter(None, steering.values()))}"
-    parallel = [abs(axes[fixed[0].name] @ axes[one.name]) > _PARALLEL for one in fixed]
+    parallel = [abs(axes[fixed[0].name] @ axes[wheel.name]) > _PARALLEL for wheel in fixed]
     if not all(parallel):
         return "omnidirectional", f"wheels in several directions: {listed}"
     if len(wheels) == 2:
@@ -88,20 +92,22 @@ def _axis(urdf: Urdf, joint: Joint) -> Array:
 def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None:
     """Return the upright joint that turns a wheel, None without one."""
     above = (
-        one.name for one in urdf.path_to(wheel.parent) if one.kind in ("revolute", "continuous")
+        joint.name
+        for joint in urdf.path_to(wheel.parent)
+        if joint.kind in ("revolute", "continuous")
     )
     return next((name for name in above if abs(axes[name][2]) > _UPRIGHT), None)
 
 
 def doubts(urdf: Urdf) -> tuple[str, ...]:
     """Return warnings about a URDF whose lengths or masses are probably wrong."""
-    found = []
+    warnings = []
     sizes = {
         name: max((max(shape.size) for shape in link.shapes), default=0.0)
         for name, link in urdf.links.items()
     }
     if large := [name for name, size in sizes.items() if size > _LONGEST]:
-        found.append(
+        warnings.append(
             f"{_listed(large)} up to {max(sizes.values()):.0f} m long: if meshes are in "
             'millimetres, <mesh> needs scale="0.001 0.001 0.001"'
         )
@@ -113,10 +119,10 @@ def doubts(urdf: Urdf) -> tuple[str, ...]:
         and any(urdf.links[name].shapes for name in body)
     ]
     if light:
-        found.append(
+        warnings.append(
             f"{_listed(light)} without mass: --world pybullet and mujoco need an <inertial>"
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -13,18 +13,16 @@ from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import Arm, Hand, ends_of_arms, find_arm, read_hand
 from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
-from kinfeas.importer.contacts import only_fitted
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.reach import (
-    EASY,
-    WORTH,
     Heights,
     built_to_touch,
     comfortable,
-    free_share,
+    free_fraction,
     freedom,
     limited,
-    overload_shares,
+    only_fitted,
+    overload_fractions,
     overloads_at,
     touching,
     useful_heights,
@@ -41,15 +39,16 @@ from kinfeas.robots.spec import (
     BaseSpec,
     Drive,
     PoseTolerance,
+    Reach,
     RobotSpec,
 )
 from kinfeas.robots.urdf import Joint, Urdf
 from kinfeas.robots.urdf_file import urdf_of
 
-_HARD = 0.2
-"""Share of reachable goals below which no height is worth learning."""
+_REACHED = (0.8, 0.4, 0.2)
+"""Fractions of reachable goals at the heights of a reach; a lower one where there is no range."""
 
-_BOXING, _TOUCHING, _REACHING = 0.3, 0.1, 0.6  # shares of the work
+_BOXING, _TOUCHING, _REACHING = 0.3, 0.1, 0.6  # fractions of the work
 
 _MAX_TURNS = 4.0 * math.pi + 0.01  # rad; a wider range stands for no limit
 _HALF_TURN = 3.1416
@@ -59,14 +58,12 @@ _VELOCITY = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.1}  # rad/s or m
 _BASE_LIMITS = (0.2, 1.0, 1.0, 2.0)
 _POSE_TOLERANCE = PoseTolerance(position=0.1, rotation=0.2094)
 
-Band = tuple[float, float]
-
 
 @dataclass(frozen=True, eq=False)
 class Draft:
     """A drafted robot: content and text of its YAML file, and text of its URDF.
 
-    `free` is the share of configurations without self-collision, 0-1.
+    `free` is the fraction of configurations without self-collision, 0-1.
     """
 
     spec: RobotSpec
@@ -97,7 +94,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         hand: As of `find_arm`.
         base: As of `boxed_urdf`.
         drive: Drive of the base; by default read from its wheels.
-        on_done: Called with the share of all work, 0-1, that has just been done.
+        on_done: Called with the fraction of all work, 0-1, that has just been done.
         meshes: Whether meshes are read.
         mesh_paths: Beginnings of mesh addresses, and their replacements.
 
@@ -105,7 +102,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         KinfeasError: If the URDF or one of its meshes is invalid, there is no arm or more than one,
             or the arm reaches hardly any goal.
     """
-    report, source = on_done or (lambda share: None), str(path)
+    report, source = on_done or (lambda fraction: None), str(path)
     description = read_description(path, meshes=meshes, mesh_paths=mesh_paths)
     links = len(description.children("link"))
     write = partial(boxed_urdf, path, base, robot=description)
@@ -121,26 +118,25 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     text, lifted = on_the_floor(whole, arm, source)
     urdf = _parsed(text, source)
     fingers = read_hand(urdf, arm)
-    found, why = find_drive(urdf, arm)
-    spec = stated(name, urdf, arm, fingers, drive or found)
-    robot = build_robot(spec, urdf, path, source)
-    shares = touching(robot)
-    ignored = built_to_touch(robot, shares)
-    checked = {pair: share for pair, share in shares.items() if pair not in ignored}
+    wheel_drive, why = find_drive(urdf, arm)
+    spec = stated(name, urdf, arm, fingers, drive or wheel_drive)
+    robot = build_robot(spec, urdf, path, path)
+    fractions = touching(robot)
+    ignored = built_to_touch(robot, fractions)
+    checked = {pair: fraction for pair, fraction in fractions.items() if pair not in ignored}
     false = only_fitted(robot, originals, checked)
     ignored |= false
     pose_tolerance = _POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None
     robot = replace(with_pairs(robot, ignored), pose_tolerance=pose_tolerance)
-    if overloads := overload_shares(robot):
+    if overloads := overload_fractions(robot):
         robot = limited(robot)
     home = comfortable(robot)
     report(_TOUCHING)
-    heights = useful_heights(robot, lambda share: report(_REACHING * share))
-    ggr, restricted = bands(heights, source)
+    heights = useful_heights(robot, lambda fraction: report(_REACHING * fraction))
     spec = replace(
         spec,
         home={"home": tuple(home.tolist())},
-        goal_heights={"ggr": ggr, "ggr_restricted": restricted},
+        reach=reach_of(heights, source),
         pose_tolerance=pose_tolerance,
         ignored_collisions=tuple(ignored),
         max_gravity_load=robot.max_gravity_load,
@@ -152,7 +148,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
         stuck=tuple(joint.name for joint in arm.stuck),
         touching=ignored,
-        contacts={pair: share for pair, share in checked.items() if pair not in false},
+        contacts={pair: fraction for pair, fraction in checked.items() if pair not in false},
         overloads=overloads,
         overloaded_at_home=overloads_at(robot, home),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
@@ -162,34 +158,31 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     )
     yaml = robot_yaml(spec, guesses)
     read = config.from_mapping(RobotSpec, strict_yaml.parse(yaml, source), source)
-    final = build_robot(read, urdf, path, source)
-    return Draft(spec, yaml, text, heights, free_share(robot), guesses, final)
+    final = build_robot(read, urdf, path, path)
+    return Draft(spec, yaml, text, heights, free_fraction(robot), guesses, final)
 
 
 def _parsed(text: str, source: str) -> Urdf:
     return urdf_of(parse_xml(text, "robot", source))
 
 
-def bands(heights: Heights, source: str) -> tuple[Band, Band]:
-    """Return the heights that are worth learning, metres, and the comfortable ones."""
-    for least in (WORTH, WORTH / 2.0, _HARD):
+def reach_of(heights: Heights, source: str) -> Reach:
+    """Return the heights at which most goals are reachable."""
+    for least in _REACHED:
         if band := heights.band(least):
-            break
-    else:
-        best = int(np.argmax(heights.share))
-        raise KinfeasError(
-            f"{source}: the arm reaches {_HARD:.0%} of the goals at no range of heights: at best "
-            f"{heights.share[best]:.0%}, {heights.at[best]:g} m above the floor; is the hand right?"
-        )
-    quarter = (band[1] - band[0]) / 4.0
-    middle = (round(band[0] + quarter, 3), round(band[1] - quarter, 3))
-    return band, heights.band(EASY) or middle
+            return Reach(*band)
+    best = int(np.argmax(heights.fraction))
+    raise KinfeasError(
+        f"{source}: the arm reaches {_REACHED[-1]:.0%} of the goals at no range of heights: at "
+        f"best {heights.fraction[best]:.0%}, {heights.at[best]:g} m above the floor; is the hand "
+        "right?"
+    )
 
 
 def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSpec:
     """Return the content of a robot's YAML file as far as the URDF gives it.
 
-    The home is in the middle of the joint ranges, goal heights are placeholders, and no links may
+    The home is in the middle of the joint ranges, and the reach is a placeholder. No links may
     touch.
     """
     x, y, z = (round(float(number), 4) + 0.0 for number in hand.tip)
@@ -202,14 +195,13 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
     }
     return RobotSpec(
         name=name,
-        urdf=Path(f"{name}.urdf"),
         ee_frame=arm.hand,
         tool_tip=(x, y, z),
         gripper_rotation=tuple(hand.rotation.round(7).tolist()),
         base=BaseSpec(drive, *_BASE_LIMITS),
         arm=joints,
         home={"home": tuple(_middle(joint, joints[joint.name]) for joint in arm.joints)},
-        goal_heights={"ggr": (0.2, 1.4), "ggr_restricted": (0.4, 1.1)},
+        reach=Reach(0.2, 1.4),
         fixed_joints=_fixed(urdf, arm) | _half_open(urdf, hand),
         gripper=hand.gripper,
     )
@@ -235,9 +227,9 @@ def _fixed(urdf: Urdf, arm: Arm) -> dict[str, float]:
     leaders = [urdf.followed(joint)[0] for joint in urdf.path_to(arm.hand) if joint.moves]
     moving = [joint.name for joint in arm.joints]
     return {
-        one.name: min(max(0.0, one.soft_lower), one.soft_upper)
-        for one in leaders
-        if one.name not in moving
+        leader.name: min(max(0.0, leader.soft_lower), leader.soft_upper)
+        for leader in leaders
+        if leader.name not in moving
     }
 
 

@@ -1,29 +1,34 @@
-"""Properties of a robot from sampled configurations: links that may touch, home, goal heights."""
+"""Properties of a robot from sampled configurations: links that may touch, home and reach."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, make_pose, rotation
+from kinfeas.core.extras import require
+from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, rotation
+from kinfeas.importer.boxed import Part
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.gravity import build_gravity_model, overloaded
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
-from kinfeas.kinematics.reachability import at_goals, reachable
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
     build_collision_model,
     checked_links,
     self_collides,
 )
+from kinfeas.planning.placement import at_goals, reachable
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.robots.urdf import Joint, Shape, Urdf
 
 OFTEN, ALWAYS = 1.0 / 3.0, 0.95
-"""Share of configurations in which near neighbours, and any two links, touch by design."""
+"""Fraction of configurations in which near neighbours, and any two links, touch by design."""
 
 _NEAR = 2
 """Revolute joints between near neighbours at most: primitives around their meshes overlap."""
@@ -34,9 +39,10 @@ LOAD = 0.7
 _HELD = 0.02
 """Fraction of configurations that can be held below which effort limits are placeholders."""
 
-WORTH, EASY = 0.8, 0.98
-"""Share of reachable goals at heights worth learning, and at comfortable ones."""
+RELEVANT = 0.01
+"""Fraction of configurations from which on a false contact matters."""
 
+_COMPARED = 256  # configurations in which the parts of a pair are compared at most
 _PARALLEL = 0.999  # cosine of the angle between two axes
 _CONFIGURATIONS, _FEW = 4096, 64
 _STEP, _GOALS = 0.1, 48  # m between heights, and goals at each
@@ -48,14 +54,14 @@ _STIFF = 1e-3  # singular values below count as zero
 
 @dataclass(frozen=True)
 class Heights:
-    """Ascending heights in metres, and the shares of reachable goals there, 0-1, shape (h,)."""
+    """Ascending heights in metres, and the fractions of reachable goals there, 0-1, shape (h,)."""
 
     at: Array
-    share: Array
+    fraction: Array
 
     def band(self, least: float) -> tuple[float, float] | None:
-        """Return the largest range of heights with a share of at least `least`, or None."""
-        good = np.concatenate([[False], self.share >= least, [False]])
+        """Return the largest range of heights with a fraction of at least `least`, or None."""
+        good = np.concatenate([[False], self.fraction >= least, [False]])
         edges = np.flatnonzero(good[1:] != good[:-1])
         starts, ends = edges[::2], edges[1::2] - 1
         if not len(starts):
@@ -66,12 +72,12 @@ class Heights:
 
 
 def sampled(robot: Robot) -> Array:
-    """Return the configurations of which a draft's shares are, spread over the limits, (n, j)."""
+    """Return configurations spread over the limits, shape (n, j), for fractions of a draft."""
     return spread_configurations(robot, _CONFIGURATIONS)
 
 
 def touching(robot: Robot) -> dict[tuple[str, str], float]:
-    """Return the share of configurations, 0-1, in which each checked pair of links touches."""
+    """Return the fraction of configurations, 0-1, in which each checked pair of links touches."""
     joints = sampled(robot)
     return {pair: float(self_collides(alone, joints).mean()) for pair, alone in pair_models(robot)}
 
@@ -84,7 +90,7 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
     for row, (a, b) in enumerate(model.pairs):
         shapes[min(named[a], named[b]), max(named[a], named[b])].append(row)
     for pair, rows in shapes.items():
-        used, places = np.unique(model.pairs[rows], return_inverse=True)
+        used, indices = np.unique(model.pairs[rows], return_inverse=True)
         yield (
             pair,
             model._replace(
@@ -94,26 +100,28 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
                 radius=model.radius[used],
                 rotation=model.rotation[used],
                 offset=model.offset[used],
-                pairs=places.reshape(-1, 2).astype(np.uintp),
+                pairs=indices.reshape(-1, 2).astype(np.uintp),
             ),
         )
 
 
 def built_to_touch(
-    robot: Robot, shares: Mapping[tuple[str, str], float]
+    robot: Robot, fractions: Mapping[tuple[str, str], float]
 ) -> dict[tuple[str, str], float]:
     """Return the pairs of links that touch by design, or since their shapes are too large.
 
     These are links that slide in one another, near neighbours that touch often, and others that
-    touch always. `shares` are those of `touching`.
+    touch always. `fractions` are those of `touching`.
     """
-    return {pair: share for pair, share in shares.items() if share > _allowed(robot, *pair)}
+    return {
+        pair: fraction for pair, fraction in fractions.items() if fraction > _allowed(robot, *pair)
+    }
 
 
-def _allowed(robot: Robot, one: str, other: str) -> float:
-    """Return the share of configurations in which two links may touch and are still checked."""
+def _allowed(robot: Robot, first: str, second: str) -> float:
+    """Return the fraction of configurations in which two links may touch and are still checked."""
     urdf, arm = robot.urdf, {joint.name for joint in robot.arm}
-    apart = {*urdf.path_to(one)} ^ {*urdf.path_to(other)}
+    apart = {*urdf.path_to(first)} ^ {*urdf.path_to(second)}
     between = [joint for joint in apart if urdf.followed(joint)[0].name in arm]
     turning = sum(joint.kind != "prismatic" for joint in between)
     if turning == 0 and _in_line(urdf, between):
@@ -125,7 +133,78 @@ def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
     """Return whether prismatic joints have parallel axes, as the parts of a telescope have."""
     poses = urdf.link_poses({})
     along = [rotation(poses[joint.child]).apply(joint.axis) for joint in slides]
-    return all(abs(float(along[0] @ other)) > _PARALLEL for other in along)
+    return all(abs(float(along[0] @ axis)) > _PARALLEL for axis in along)
+
+
+def only_fitted(
+    robot: Robot,
+    originals: Mapping[str, Sequence[Part]],
+    touching: Mapping[tuple[str, str], float],
+) -> dict[tuple[str, str], float]:
+    """Return the pairs of links that touch in relevant fractions only by their primitives.
+
+    Their original parts touch in none of the configurations compared.
+
+    Args:
+        robot: Robot of primitives.
+        originals: Parts that primitives replace, by link, as of `boxed_urdf`.
+        touching: Checked pairs of links, and the fraction of configurations in which they touch.
+    """
+    suspected = {
+        pair: fraction
+        for pair, fraction in touching.items()
+        if fraction >= RELEVANT and not originals.keys().isdisjoint(pair)
+    }
+    if not suspected:
+        return {}
+    require("fcl")
+    joints = sampled(robot)
+
+    @cache
+    def solids(link: str) -> list[tuple[Any, Array]]:
+        return [_solid(part) for part in originals.get(link, robot.urdf.links[link].shapes)]
+
+    def placed(link: str, joints: Array) -> list[tuple[Any, Array]]:
+        poses = forward(build_chain(replace(robot, ee_frame=link)), joints)
+        return [
+            (solid, compose(poses, np.broadcast_to(pose, poses.shape)))
+            for solid, pose in solids(link)
+        ]
+
+    def touch(pair: tuple[str, str], alone: CollisionModel) -> bool:
+        rows = np.flatnonzero(self_collides(alone, joints))
+        some = joints[rows[:: -(-len(rows) // _COMPARED)]]
+        parts = list(product(*(placed(link, some) for link in pair)))
+        return any(_touch(first, second, i) for i in range(len(some)) for first, second in parts)
+
+    return {
+        pair: suspected[pair]
+        for pair, alone in pair_models(robot)
+        if pair in suspected and not touch(pair, alone)
+    }
+
+
+def _touch(first: tuple[Any, Array], second: tuple[Any, Array], i: int) -> bool:
+    """Return whether two solids for FCL touch at their poses number `i`."""
+    import fcl
+
+    for solid, poses in (first, second):
+        solid.setTransform(fcl.Transform(rotation(poses[i]).as_matrix(), poses[i, :3]))
+    return bool(fcl.collide(first[0], second[0], fcl.CollisionRequest(), fcl.CollisionResult()))
+
+
+def _solid(part: Part) -> tuple[Any, Array]:
+    """Return a part for FCL and its pose in the frame of its link, shape (7,)."""
+    import fcl
+
+    if isinstance(part, Shape):
+        kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
+        return fcl.CollisionObject(kinds[part.kind](*part.size)), part.pose
+    mesh = fcl.BVHModel()
+    mesh.beginModel(len(part), 3 * len(part))
+    mesh.addSubModel(part.reshape(-1, 3), np.arange(3 * len(part)).reshape(-1, 3))
+    mesh.endModel()
+    return fcl.CollisionObject(mesh), IDENTITY
 
 
 def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
@@ -134,18 +213,22 @@ def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
     return replace(robot, ignored_collisions=robot.ignored_collisions | more)
 
 
-def free_share(robot: Robot) -> float:
-    """Return the share of configurations without self-collision, 0-1."""
+def free_fraction(robot: Robot) -> float:
+    """Return the fraction of configurations without self-collision, 0-1."""
     return float(1.0 - self_collides(build_collision_model(robot), sampled(robot)).mean())
 
 
-def overload_shares(robot: Robot) -> dict[str, float]:
-    """Return the joints whose effort limit gravity exceeds, and in which share of configurations.
+def overload_fractions(robot: Robot) -> dict[str, float]:
+    """Return the joints whose effort limit gravity exceeds in some configurations.
 
-    Shares are 0-1.
+    The values are the fractions of configurations, 0-1.
     """
-    shares = _overloaded(robot, sampled(robot)).mean(axis=0).tolist()
-    return {joint.name: share for joint, share in zip(robot.arm, shares, strict=True) if share}
+    fractions = _overloaded(robot, sampled(robot)).mean(axis=0).tolist()
+    return {
+        joint.name: fraction
+        for joint, fraction in zip(robot.arm, fractions, strict=True)
+        if fraction
+    }
 
 
 def overloads_at(robot: Robot, joints: Array) -> tuple[str, ...]:
@@ -185,8 +268,8 @@ def comfortable(robot: Robot) -> Array:
         raise KinfeasError(f"{robot.name}: self-collision in all of {len(joints)} configurations")
     ee = forward(build_chain(robot), free)[:, :3]
     low, high = np.quantile(ee[:, 2], [0.25, 0.75])
-    wanted = (ee[:, 0] > 0.0) & (ee[:, 2] >= low) & (ee[:, 2] <= high)
-    among = free[wanted] if wanted.any() else free
+    in_front = (ee[:, 0] > 0.0) & (ee[:, 2] >= low) & (ee[:, 2] <= high)
+    among = free[in_front] if in_front.any() else free
     least = _singular_values(robot, among)[:, freedom(robot) - 1]
     room = 4.0 * (among - lower) * (upper - among) / (upper - lower) ** 2
     best: Array = among[np.argmax(least * room[:, ~robot.continuous].min(axis=1, initial=1.0))]
@@ -195,8 +278,8 @@ def comfortable(robot: Robot) -> Array:
 
 def freedom(robot: Robot) -> int:
     """Return the degrees of freedom of the hand, 1-6; parallel prismatic joints count once."""
-    ways = _singular_values(robot, spread_configurations(robot, _FEW)) > _STIFF
-    return int(ways.sum(axis=1).max())
+    directions = _singular_values(robot, spread_configurations(robot, _FEW)) > _STIFF
+    return int(directions.sum(axis=1).max())
 
 
 def _singular_values(robot: Robot, joints: Array) -> Array:
@@ -207,11 +290,11 @@ def _singular_values(robot: Robot, joints: Array) -> Array:
 
 
 def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None) -> Heights:
-    """Return the share of reachable goals by height, from the floor up.
+    """Return the fraction of reachable goals by height, from the floor up.
 
     Goals have random orientations. IK decides, from up to 256 base poses around each goal; a pose
     tolerance of the robot does not count beyond the tolerances of success. `on_done` is called with
-    the share of all work, 0-1, that has just been done.
+    the fraction of all work, 0-1, that has just been done.
     """
     solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(0)
     ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]
@@ -221,11 +304,11 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
             "allowed; lengths in a URDF are metres"
         )
     at = np.arange(_STEP, max(highest, 2.0 * _STEP) + _STEP, _STEP)
-    shares = []
+    fractions = []
     for height in at:
-        turn = Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (_GOALS, 3)))
-        goals = make_pose(np.tile([0.0, 0.0, height], (_GOALS, 1)), turn)
-        shares.append(reachable(solver, goals, _STAGES).share.value)
+        orientation = Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (_GOALS, 3)))
+        goals = make_pose(np.tile([0.0, 0.0, height], (_GOALS, 1)), orientation)
+        fractions.append(reachable(solver, goals, _STAGES).share.value)
         if on_done is not None:
             on_done(1.0 / len(at))
-    return Heights(at.round(3), np.array(shares))
+    return Heights(at.round(3), np.array(fractions))

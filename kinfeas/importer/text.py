@@ -8,7 +8,7 @@ from kinfeas.config.strict_yaml import to_line
 from kinfeas.robots.spec import RobotSpec
 
 _FREE = 0.5
-"""Share of configurations free of self-collision below which a warning says so."""
+"""Fraction of configurations free of self-collision below which a warning says so."""
 
 _BASE_UNITS = {
     "max_velocity": "m/s",
@@ -27,9 +27,9 @@ class Guesses:
         speeds: Arm joints without a velocity limit.
         limits: Arm joints of more than two turns that are not continuous.
         stuck: Joints on the way to the hand whose limits leave no range of motion.
-        touching: Share of configurations in which the ignored pairs of links touch, 0-1.
+        touching: Fraction of configurations in which the ignored pairs of links touch, 0-1.
         contacts: The same of the pairs that are checked.
-        overloads: Share of configurations in which gravity exceeds a joint's effort limit, 0-1.
+        overloads: Fraction of configurations in which gravity exceeds a joint's effort limit, 0-1.
         overloaded_at_home: Joints whose effort limit gravity exceeds at home.
         slides: Prismatic joints; their positions are metres.
         drive: What the drive of the base was read from.
@@ -55,32 +55,15 @@ class Guesses:
         return "m" if joint in self.slides else "rad"
 
 
-def guessed(spec: RobotSpec, guesses: Guesses) -> list[list[str]]:
-    """Return key and value, with its unit, of each guess in the YAML file."""
-    found: dict[str, tuple[object, str]] = {
-        f"base.{key}": (value, _BASE_UNITS.get(key, "")) for key, value in vars(spec.base).items()
-    }
-    found |= {"tool_tip": (spec.tool_tip, "m"), "gripper_rotation": (spec.gripper_rotation, "")}
-    for name in guesses.limits:
-        found[f"arm.{name}.soft_limits"] = spec.arm[name].soft_limits, guesses.unit(name)
-    for name in guesses.speeds:
-        found[f"arm.{name}.velocity"] = spec.arm[name].velocity, f"{guesses.unit(name)}/s"
-    if spec.pose_tolerance is not None:
-        found["pose_tolerance"] = vars(spec.pose_tolerance), "m, rad"
-    if spec.ignored_collisions:
-        found["ignored_collisions"] = len(spec.ignored_collisions), "pairs of links"
-    if spec.max_gravity_load is not None:
-        found["max_gravity_load"] = spec.max_gravity_load, "of the effort limits"
-    return [[key, f"{to_line(value)} {unit}".strip()] for key, (value, unit) in found.items()]
-
-
 def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
     """Return what limits the postures of a draft; `free` is as of `Draft`."""
-    found = []
+    messages = []
     if free < _FREE:
         often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
-        pairs = ", ".join(f"{one} and {other} in {share:.0%}" for (one, other), share in often)
-        found.append(
+        pairs = ", ".join(
+            f"{first} and {second} in {fraction:.0%}" for (first, second), fraction in often
+        )
+        messages.append(
             f"{free:.0%} of random postures are free of self-collision; most often touch {pairs}"
         )
     if guesses.overloads:
@@ -88,15 +71,15 @@ def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
         rule = f"IK leaves them out (max_gravity_load: {spec.max_gravity_load})"
         if spec.max_gravity_load is None:
             rule = "IK does not leave them out, since hardly any others are free"
-        found.append(
+        messages.append(
             f"gravity exceeds the effort limit in random postures, {_overloads(guesses)}"
             f"{f', and at home ({home})' if home else ''}; {rule}"
         )
-    return found
+    return messages
 
 
 def _overloads(guesses: Guesses) -> str:
-    return ", ".join(f"{joint} in {share:.0%}" for joint, share in guesses.overloads.items())
+    return ", ".join(f"{joint} in {fraction:.0%}" for joint, fraction in guesses.overloads.items())
 
 
 def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
@@ -125,8 +108,8 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         title = [] if spec.gripper is None else ["# The gripper is half open."]
         why = {name: _fixed(name, spec, guesses) for name in spec.fixed_joints}
         blocks.append([*title, *_block("fixed_joints", spec.fixed_joints, why)])
-    heights = _block("goal_heights", spec.goal_heights, dict.fromkeys(spec.goal_heights, "m"))
-    blocks.append(["# Heights of reachable goals of any orientation.", *heights])
+    reach = f"reach: {{low: {spec.reach.low:g}, high: {spec.reach.high:g}}}"
+    blocks.append(["# Heights at which most goals are reachable, in any orientation, m.", reach])
     if spec.pose_tolerance is not None:
         tolerance = _block(
             "pose_tolerance", vars(spec.pose_tolerance), {"position": "m", "rotation": "rad"}
@@ -146,10 +129,10 @@ def _head(spec: RobotSpec, guesses: Guesses) -> list[str]:
     lifted = f"# A root on the floor was added to the URDF, {guesses.lifted:g} m below its own."
     return [
         f"# {spec.name}, drafted from its URDF. Check all guesses.",
+        "# The shapes in robot.urdf are primitives.",
         "# docs/reference/formats.md describes the keys.",
         f"name: {to_line(spec.name)}",
         *([lifted] if guesses.lifted else []),
-        f"urdf: {to_line(str(spec.urdf))}  # its shapes are primitives",
         f"ee_frame: {to_line(spec.ee_frame)}",
         f"tool_tip: {to_line(spec.tool_tip)}  # m, guess",
         f"gripper_rotation: {to_line(spec.gripper_rotation)}  # x y z w, guess",
@@ -159,7 +142,7 @@ def _head(spec: RobotSpec, guesses: Guesses) -> list[str]:
 def _guessed_units(joint: str, guesses: Guesses) -> str:
     unit = guesses.unit(joint)
     kinds = {unit: guesses.limits, f"{unit}/s": guesses.speeds}
-    units = [one for one, joints in kinds.items() if joint in joints]
+    units = [unit_name for unit_name, joints in kinds.items() if joint in joints]
     return ", ".join([*units, "guess"]) if units else ""
 
 

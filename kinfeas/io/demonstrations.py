@@ -60,10 +60,10 @@ def read_demonstration(path: Path, optional: Collection[str] = ("base_pose",)) -
     """
     values = read_csv(path, columns(), [name for pose in optional for name in columns(pose)])
     poses, time = {}, values["time"]
-    for one in _POSES:
-        missing = [name for name in columns(one) if name not in values]
+    for kind in _POSES:
+        missing = [name for name in columns(kind) if name not in values]
         if not missing:
-            poses[one] = np.stack([values[name] for name in columns(one)], axis=1)
+            poses[kind] = np.stack([values[name] for name in columns(kind)], axis=1)
         elif len(missing) < len(_AXES):
             raise KinfeasError(f"{path}: column {missing[0]!r} is missing")
     check_samples(path, time, poses)
@@ -88,7 +88,7 @@ def write_demonstration(demonstration: Demonstration, path: Path) -> None:
 def columns(pose: str | None = None) -> list[str]:
     """Return the columns of a pose, by default those of a file with all poses."""
     if pose is None:
-        return ["time", *(name for one in _POSES for name in columns(one))]
+        return ["time", *(name for pose in _POSES for name in columns(pose))]
     return [f"{pose.removesuffix('_pose')}_{axis}" for axis in _AXES]
 
 

@@ -15,7 +15,7 @@ from kinfeas.core.errors import KinfeasError
 
 
 def is_path(name: object) -> bool:
-    """Return whether a robot, task or policy is given by the path of a YAML file, not by name."""
+    """Return whether a robot, task or scene is named by a path: with a slash, or a YAML file."""
     if isinstance(name, str):
         return os.sep in name or name.endswith((".yaml", ".yml"))
     return isinstance(name, Path)

@@ -30,18 +30,18 @@ def read_csv(
             rows, names = list(table), table.fieldnames or ()
     except csv.Error as error:
         raise KinfeasError(f"{path}: is no CSV file: {error}") from error
-    found = {}
+    table_columns = {}
     for name in columns:
         if name in names:
-            found[name] = np.empty(len(rows))
+            table_columns[name] = np.empty(len(rows))
             for i, row in enumerate(rows):
                 try:
-                    found[name][i] = float(row[name] or "nan")
+                    table_columns[name][i] = float(row[name] or "nan")
                 except ValueError as error:
                     raise KinfeasError(f"{path}, row {i + 1}, {name}: {error}") from error
         elif name not in optional:
             raise KinfeasError(f"{path}: column {name!r} is missing")
-    return found
+    return table_columns
 
 
 def read_json(path: Path) -> dict[str, object]:

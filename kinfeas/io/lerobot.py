@@ -49,15 +49,17 @@ def write_lerobot_dataset(
 
     if not demonstrations:
         raise KinfeasError("there must be at least one demonstration to write")
-    with_base = all(one.has_base for one in demonstrations)
+    with_base = all(demonstration.has_base for demonstration in demonstrations)
     state = ["ee_pose", "base_pose"] if with_base else ["ee_pose"]
     names = {
         "observation.state": [*EE, *BASE] if with_base else EE,
         "observation.environment_state": [f"{name}.pos" for name in columns("object_pose")],
         "action": EE,
     }
-    episodes = _numbered([_frames(one, state, fps) for one in demonstrations], fps)
-    whole = {name: np.concatenate([one[name] for one in episodes]) for name in episodes[0]}
+    episodes = _numbered(
+        [_frames(demonstration, state, fps) for demonstration in demonstrations], fps
+    )
+    whole = {name: np.concatenate([episode[name] for episode in episodes]) for name in episodes[0]}
     about = {"robot_type": robot, "fps": fps, **_description(whole, names, len(episodes))}
     stats = {name: _statistics(values) for name, values in whole.items()}
     if folder.exists():
@@ -67,11 +69,11 @@ def write_lerobot_dataset(
         meta, first = folder / "meta", _FILE.format(chunk_index=0, file_index=0)
         for path in (folder / "data" / first, meta / "episodes" / first):
             path.parent.mkdir(parents=True)
-        tables = [_table(one) for one in episodes]
+        tables = [_table(episode) for episode in episodes]
         with parquet.ParquetWriter(folder / "data" / first, tables[0].schema) as file:
             for table in tables:
                 file.write_table(table)
-        rows = Table.from_pylist([_row(one, task) for one in episodes])
+        rows = Table.from_pylist([_row(episode, task) for episode in episodes])
         parquet.write_table(rows, meta / "episodes" / first)
         parquet.write_table(_tasks(task), meta / "tasks.parquet")
         for name, content in (("info", about), ("stats", stats)):
@@ -80,11 +82,14 @@ def write_lerobot_dataset(
     write_folder(folder, fill)
 
 
-def _frames(shown: Demonstration, state: list[str], fps: int) -> dict[str, Any]:
+def _frames(demonstration: Demonstration, state: list[str], fps: int) -> dict[str, Any]:
     """Return states, object poses and actions at even times, without the last moment."""
-    seconds = shown.time[-1] - shown.time[0]
-    times = shown.time[0] + np.arange(max(2, int(seconds * fps + 1e-6) + 1)) / fps
-    poses = {name: _at(times, shown.time, getattr(shown, name)) for name in (*state, "object_pose")}
+    seconds = demonstration.time[-1] - demonstration.time[0]
+    times = demonstration.time[0] + np.arange(max(2, int(seconds * fps + 1e-6) + 1)) / fps
+    poses = {
+        name: _at(times, demonstration.time, getattr(demonstration, name))
+        for name in (*state, "object_pose")
+    }
     return {
         "observation.state": np.concatenate([poses[name][:-1] for name in state], axis=1),
         "observation.environment_state": poses["object_pose"][:-1],
@@ -92,11 +97,11 @@ def _frames(shown: Demonstration, state: list[str], fps: int) -> dict[str, Any]:
     }
 
 
-def _at(times: Array, known: Array, poses: Array) -> Any:
+def _at(times: Array, sample_times: Array, poses: Array) -> Any:
     """Return poses (m, 7) at `times`, interpolated between those (t, 7) at `known` times."""
-    found = interpolated(np.clip(times, known[0], known[-1]), known, poses)
-    found[:, 3:] = continuous(found[:, 3:])
-    return found.astype(np.float32)
+    poses_at = interpolated(np.clip(times, sample_times[0], sample_times[-1]), sample_times, poses)
+    poses_at[:, 3:] = continuous(poses_at[:, 3:])
+    return poses_at.astype(np.float32)
 
 
 def _numbered(episodes: list[dict[str, Any]], fps: int) -> list[dict[str, Any]]:
@@ -164,12 +169,12 @@ def _table(frames: dict[str, Any]) -> Any:
 
 def _statistics(values: Any) -> dict[str, Any]:
     rows = values.reshape(len(values), -1).astype(np.float64)
-    found = {
+    statistics = {
         "min": rows.min(axis=0), "max": rows.max(axis=0), "mean": rows.mean(axis=0),
         "std": rows.std(axis=0), "count": np.array([len(rows)]),
     }  # fmt: skip
-    found |= {key: np.quantile(rows, share, axis=0) for key, share in _QUANTILES.items()}
-    return {key: value.tolist() for key, value in found.items()}
+    statistics |= {key: np.quantile(rows, quantile, axis=0) for key, quantile in _QUANTILES.items()}
+    return {key: value.tolist() for key, value in statistics.items()}
 
 
 def _tasks(task: str) -> Any:

@@ -78,8 +78,8 @@ def read_trained(folder: Path) -> Trained:
     if not path.exists():
         raise KinfeasError(f"{folder}: not a training run or checkpoint: there is no {path}")
     data = read_json(path)
-    known = {one.name: data[one.name] for one in fields(Trained) if one.name in data}
-    return config.from_mapping(Trained, known, str(path))
+    entries = {entry.name: data[entry.name] for entry in fields(Trained) if entry.name in data}
+    return config.from_mapping(Trained, entries, str(path))
 
 
 def read_best(run: Path) -> Trained:
@@ -93,5 +93,5 @@ def read_best(run: Path) -> Trained:
 def write_trained(trained: Trained, folder: Path) -> None:
     """Write metadata into an existing folder, for `read_trained`."""
     data = config.to_mapping(trained)
-    known = {key: value for key, value in data.items() if value is not None and value != {}}
-    (folder / _FILE).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
+    entries = {key: value for key, value in data.items() if value is not None and value != {}}
+    (folder / _FILE).write_text(json.dumps(entries, indent=2) + "\n", encoding="utf-8")

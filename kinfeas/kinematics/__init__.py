@@ -1,4 +1,4 @@
-"""Batched kinematics, compiled by numba: chains, IK, self-collision, reachability.
+"""Batched kinematics, compiled by numba: chains, IK, collisions, base drives.
 
 May import robots and lower packages.
 """

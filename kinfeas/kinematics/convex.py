@@ -1,4 +1,4 @@
-"""Distances between boxes, cylinders and spheres, by GJK."""
+"""Whether boxes, cylinders and spheres are near each other, by GJK."""
 
 import math
 
@@ -12,9 +12,6 @@ MAX_ITERATIONS = 30
 SCRATCH_ROWS = 13
 """Rows of scratch memory: four points of a simplex, the point nearest to the origin, and their
 copies while a tetrahedron is reduced."""
-
-PRECISION, MAX_DISTANCE_ITERATIONS = 1e-7, 100
-"""Precision of `distance`, metres, and the iterations after which it ends in any case."""
 
 
 @inner
@@ -35,8 +32,8 @@ def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos
             return True
         w = simplex[count]
         w[:] = 0.0
-        _add_support(w, -1.0, 1.0, v, kind_a, size_a, rot_a, pos_a)
-        _add_support(w, 1.0, -1.0, v, kind_b, size_b, rot_b, pos_b)
+        add_support(w, -1.0, 1.0, v, kind_a, size_a, rot_a, pos_a)
+        add_support(w, 1.0, -1.0, v, kind_b, size_b, rot_b, pos_b)
         if w[0] * v[0] + w[1] * v[1] + w[2] * v[2] > margin * length:
             return False
         count = _nearest(simplex, count + 1, v)
@@ -46,32 +43,7 @@ def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos
 
 
 @inner
-def distance(kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex):
-    """Return the distance of two shapes, metres; 0 if they touch. Arguments as in `closer_than`."""
-    v = simplex[4]
-    for i in range(3):
-        v[i] = pos_a[i] - pos_b[i]
-    count, length = 0, math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    for iteration in range(MAX_DISTANCE_ITERATIONS):
-        if length < PRECISION:
-            return 0.0
-        w = simplex[count]
-        w[:] = 0.0
-        _add_support(w, -1.0, 1.0, v, kind_a, size_a, rot_a, pos_a)
-        _add_support(w, 1.0, -1.0, v, kind_b, size_b, rot_b, pos_b)
-        if length - (w[0] * v[0] + w[1] * v[1] + w[2] * v[2]) / length <= PRECISION:
-            return length
-        count = _nearest(simplex, count + 1, v)
-        if count == 4:
-            return 0.0
-        last, length = length, math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-        if iteration > 0 and length >= last:  # only rounding is left
-            return last
-    return length
-
-
-@inner
-def _add_support(w, toward, sign, v, kind, size, rot, pos):
+def add_support(w, toward, sign, v, kind, size, rot, pos):
     """Add sign times the support point of the shape in the direction toward * v."""
     x = toward * (rot[0, 0] * v[0] + rot[1, 0] * v[1] + rot[2, 0] * v[2])
     y = toward * (rot[0, 1] * v[0] + rot[1, 1] * v[1] + rot[2, 1] * v[2])

@@ -9,12 +9,6 @@ from kinfeas.core.spatial import Array
 from kinfeas.kinematics.forward import Chain, Frames, fill_columns, make_frames, place_chain
 from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 
-STALL_STEPS = 3
-"""Steps without progress after which a descent ends."""
-
-DAMPING_FLOOR, DAMPING_GAIN = 1e-6, 0.02
-"""Damping: the floor plus the gain times the squared error, m^2."""
-
 
 class Descent(NamedTuple):
     """Options of a descent.
@@ -24,12 +18,18 @@ class Descent(NamedTuple):
         rotation_tolerance: Rotation error at which it ends, radians.
         rotation_weight: Metres equivalent to one radian of error.
         max_iterations: Largest number of steps.
+        stall_steps: Steps without progress after which it ends.
+        damping_floor: Least damping, m^2.
+        damping_gain: Factor of the squared error, m^2, that is added to it.
     """
 
     position_tolerance: float
     rotation_tolerance: float
     rotation_weight: float
     max_iterations: int
+    stall_steps: int = 3
+    damping_floor: float = 1e-6
+    damping_gain: float = 0.02
 
 
 class Scratch(NamedTuple):
@@ -41,7 +41,7 @@ class Scratch(NamedTuple):
     error: Array
     solved: Array
     step: Array
-    wanted: Array
+    unbounded: Array
     pull: Array
     side: Array
     released: Array
@@ -94,11 +94,12 @@ def descend(chain: Chain, options: Descent, limits, target, q, scratch):
         stalled = 0 if cost < 0.95 * best else stalled + 1
         best = min(best, cost)
         # The errors returned are those of the last `q`.
-        if stalled > STALL_STEPS or iteration == options.max_iterations:
+        if stalled > options.stall_steps or iteration == options.max_iterations:
             break
         fill_columns(chain.tree, scratch.frames, scratch.columns)
         _weigh(options.rotation_weight, scratch)
-        _step_within_limits(limits, q, DAMPING_FLOOR + DAMPING_GAIN * cost, scratch)
+        damping = options.damping_floor + options.damping_gain * cost
+        _step_within_limits(limits, q, damping, scratch)
         for j in range(len(q)):
             q[j] += scratch.step[j]
         place_chain(chain, q, scratch.frames)
@@ -182,20 +183,25 @@ def _step_within_limits(limits, q, damping, scratch):
     that would move back within its bounds is released, each joint once, and the rest is solved
     again.
     """
-    step, wanted, side, released = scratch.step, scratch.wanted, scratch.side, scratch.released
+    step, unbounded, side, released = (
+        scratch.step,
+        scratch.unbounded,
+        scratch.side,
+        scratch.released,
+    )
     side[:], released[:] = 0, False
     for _ in range(3 * len(q)):
         _solve_damped(scratch, damping)
         blocked = False
         for j in range(len(q)):
-            wanted[j] = scratch.pull[j]
+            unbounded[j] = scratch.pull[j]
             for i in range(6):
-                wanted[j] += scratch.columns[j, i] * scratch.solved[i]
+                unbounded[j] += scratch.columns[j, i] * scratch.solved[i]
             if side[j] == 0:
-                step[j] = wanted[j]
-                if q[j] + wanted[j] > limits[1][j]:
+                step[j] = unbounded[j]
+                if q[j] + unbounded[j] > limits[1][j]:
                     step[j], side[j], blocked = limits[1][j] - q[j], 1, True
-                elif q[j] + wanted[j] < limits[0][j]:
+                elif q[j] + unbounded[j] < limits[0][j]:
                     step[j], side[j], blocked = limits[0][j] - q[j], -1, True
         if not blocked and not _release(scratch):
             return
@@ -206,7 +212,7 @@ def _release(scratch):
     """Release the held joint that would move back farthest; return whether there is one."""
     worst, choice = 0.0, -1
     for j in range(len(scratch.side)):
-        inward = scratch.side[j] * (scratch.step[j] - scratch.wanted[j])
+        inward = scratch.side[j] * (scratch.step[j] - scratch.unbounded[j])
         if scratch.side[j] != 0 and not scratch.released[j] and inward > worst:
             worst, choice = inward, j
     if choice >= 0:

@@ -91,10 +91,10 @@ def build_tree(robot: Robot, tip: str | None = None) -> tuple[Tree, dict[str, Mo
                 mounts[joint.child] = _attach(robot, joint, mounts[link], segments)
                 links.append(joint.child)
     columns = zip(*segments, strict=True) if segments else [()] * len(Tree._fields)
-    parent, turns, offsets, prismatic, variable, multiplier, bias = columns
+    parent, rotations, offsets, prismatic, variable, multiplier, bias = columns
     tree = Tree(
         parent=np.array(parent, dtype=np.intp),
-        rotation=np.array(turns).reshape(-1, 3, 3),
+        rotation=np.array(rotations).reshape(-1, 3, 3),
         offset=np.array(offsets).reshape(-1, 3),
         prismatic=np.array(prismatic, dtype=np.bool_),
         variable=np.array(variable, dtype=np.intp),
@@ -227,26 +227,26 @@ def place_joints(tree: Tree, q, motion):
 @inlined
 def place_chain(chain: Chain, q, frames):
     """Write axes, origins and EE pose of the chain at the variables `q`, shape (v,)."""
-    tree, motion, turn, place = chain.tree, frames.motion, frames.rotation, frames.position
+    tree, motion, rotation, position = chain.tree, frames.motion, frames.rotation, frames.position
     place_joints(tree, q, motion)
     for r in range(3):
         for k in range(3):
-            turn[r, k] = 1.0 if r == k else 0.0
-        place[r] = 0.0
+            rotation[r, k] = 1.0 if r == k else 0.0
+        position[r] = 0.0
     for i in range(len(tree.variable)):
         for r in range(3):
-            a, b, c = turn[r, 0], turn[r, 1], turn[r, 2]
-            place[r] += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
+            a, b, c = rotation[r, 0], rotation[r, 1], rotation[r, 2]
+            position[r] += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
             a, b, c = turn_row(a, b, c, tree.rotation[i], motion[i, 0], motion[i, 1])
-            place[r] += c * motion[i, 2]
-            turn[r, 0], turn[r, 1], turn[r, 2] = a, b, c
-            frames.axis[i, r], frames.origin[i, r] = c, place[r]
+            position[r] += c * motion[i, 2]
+            rotation[r, 0], rotation[r, 1], rotation[r, 2] = a, b, c
+            frames.axis[i, r], frames.origin[i, r] = c, position[r]
     offset = chain.ee_offset
     for r in range(3):
-        a, b, c = turn[r, 0], turn[r, 1], turn[r, 2]
-        place[r] += a * offset[0] + b * offset[1] + c * offset[2]
+        a, b, c = rotation[r, 0], rotation[r, 1], rotation[r, 2]
+        position[r] += a * offset[0] + b * offset[1] + c * offset[2]
         a, b, c = turn_row(a, b, c, chain.ee_rotation, 1.0, 0.0)
-        turn[r, 0], turn[r, 1], turn[r, 2] = a, b, c
+        rotation[r, 0], rotation[r, 1], rotation[r, 2] = a, b, c
 
 
 @inlined

@@ -15,7 +15,7 @@ from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import Chain, build_chain, forward, jacobian
 from kinfeas.kinematics.gravity import build_gravity_model, overloaded
-from kinfeas.kinematics.search import AIM, Problem, library_features, solve_batch
+from kinfeas.kinematics.search import SEARCH, Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
 from kinfeas.kinematics.solids import solid_arrays
 from kinfeas.robots.robot import Robot
@@ -44,8 +44,8 @@ class IkOptions:
         max_iterations: Largest number of steps of a descent.
         solid_clearance: Distance that solutions keep from solids, metres. Where arms may be
             reconfigured, those that are nearer count, too, if there are no others.
-        centering: Pull of a redundant arm's joints towards the middles of their ranges, as a share
-            of the largest joint step; 0 for none.
+        centering: Pull of a redundant arm's joints towards the middles of their ranges, as a
+            fraction of the largest joint step; 0 for none.
     """
 
     library: Annotated[int, Interval(ge=1, le=65536)] = 2048
@@ -89,10 +89,10 @@ class IkSolution:
     position_error: Array
     rotation_error: Array
 
-    def put(self, rows: NDArray[np.intp], found: "IkSolution") -> None:
+    def put(self, rows: NDArray[np.intp], solutions: "IkSolution") -> None:
         """Replace the solutions of the m targets `rows`, shape (m,)."""
         for entry in fields(self):
-            getattr(self, entry.name)[rows] = getattr(found, entry.name)
+            getattr(self, entry.name)[rows] = getattr(solutions, entry.name)
 
 
 class IkSolver:
@@ -133,7 +133,7 @@ class IkSolver:
         allow_reconfiguration: bool = True,
         solids: Solids | None = None,
         hold_torso: bool = False,
-        guide: Array | None = None,
+        posture_guide: Array | None = None,
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
@@ -153,8 +153,8 @@ class IkSolver:
             solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
                 solution.
             hold_torso: Whether the torso stays where the seed has it.
-            guide: Joint positions towards which arms move within `max_joint_step` if a solution is
-                there, shape (n, v); NaN for none.
+            posture_guide: Joint positions towards which arms move within `max_joint_step` if a
+                solution is there, shape (n, v); NaN for none.
 
         Raises:
             KinfeasError: If an array has another shape, `max_joint_step` is needed and missing, or
@@ -162,52 +162,30 @@ class IkSolver:
         """
         if max_joint_step is None and not allow_reconfiguration:
             raise KinfeasError("without reconfiguration, max_joint_step must be given")
-        rules = max_joint_step, allow_reconfiguration, hold_torso
-        clearance = self.options.solid_clearance
-        if solids is None or not clearance:
-            return self._solve(ee_pose_in_base, seed, guide, solids, *rules)
-        # No arm is reconfigured for the clearance.
-        strict = max_joint_step, max_joint_step is None, hold_torso
-        found = self._solve(ee_pose_in_base, seed, guide, solids, *strict, clearance)
-        late = (~found.feasible).nonzero()[0]
-        if allow_reconfiguration and late.size:
-            given = ee_pose_in_base[late], seed[late], None if guide is None else guide[late]
-            found.put(late, self._solve(*given, solids.of(late), *rules))
-        return found
-
-    def _solve(
-        self,
-        ee_pose_in_base: Array,
-        seed: Array,
-        guide: Array | None,
-        solids: Solids | None,
-        max_joint_step: Array | None,
-        allow_reconfiguration: bool,
-        hold_torso: bool,
-        clearance: float = 0.0,
-    ) -> IkSolution:
-        """Return solutions with a clearance from solids; arguments as in `solve`."""
         n, joints = len(ee_pose_in_base), self.chain.variables
         targets = _checked("targets", ee_pose_in_base, (n, 7))
         solution = _checked("seeds", seed, (n, joints)).copy()
-        within, guides = np.empty(0), np.empty((0, joints))
+        step, guide = np.empty(0), np.empty((0, joints))
         if max_joint_step is not None:
-            within = _checked("max_joint_step", max_joint_step, (joints,))
-        if guide is not None:
-            guides = _checked("guides", guide, (n, joints))
+            step = _checked("max_joint_step", max_joint_step, (joints,))
+        if posture_guide is not None:
+            guide = _checked("posture guides", posture_guide, (n, joints))
+        around = _NO_SOLIDS if solids is None else solid_arrays(solids, n)
+        clearance = 0.0 if solids is None else self.options.solid_clearance
+        problem = self._held_torso if hold_torso else self._problem
         feasible, errors = np.empty(n, dtype=np.bool_), np.empty((n, 2))
-        solve_batch(
-            self._held_torso if hold_torso else self._problem,
-            targets,
-            within,
-            allow_reconfiguration,
-            guides,
-            _NO_SOLIDS if solids is None else solid_arrays(solids, n),
-            clearance,
-            solution,
-            feasible,
-            errors,
-        )
+        # No arm is reconfigured for the clearance.
+        anywhere = allow_reconfiguration and not (clearance and len(step))
+        results = solution, feasible, errors
+        solve_batch(problem, targets, step, anywhere, guide, around, clearance, *results)
+        rows = (~feasible).nonzero()[0]
+        if clearance and allow_reconfiguration and rows.size:
+            guide = guide[rows] if len(guide) else guide
+            among = tuple(values[rows] for values in around)
+            again = solution[rows], feasible[rows], errors[rows]
+            solve_batch(problem, targets[rows], step, True, guide, among, 0.0, *again)
+            for values, new in zip(results, again, strict=True):
+                values[rows] = new
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
 
 
@@ -225,11 +203,15 @@ def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     middle, half = _ranges(lower, upper)
-    position, turn, weight = options.position_tolerance, options.rotation_tolerance, ROTATION_WEIGHT
-    aim = (AIM * position, AIM * turn)
+    position, radians, weight = (
+        options.position_tolerance,
+        options.rotation_tolerance,
+        ROTATION_WEIGHT,
+    )
+    aim = (SEARCH.aim * position, SEARCH.aim * radians)
     if options.pose_tolerance and robot.pose_tolerance is not None:
-        position, turn = robot.pose_tolerance.position, robot.pose_tolerance.rotation
-        weight = position / turn
+        position, radians = robot.pose_tolerance.position, robot.pose_tolerance.rotation
+        weight = position / radians
     library = spread_configurations(robot, options.library)
     if held >= 0:
         library[:, held] = middle[held]
@@ -255,7 +237,7 @@ def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
         restarts=min(options.restarts, len(library)),
         candidates=options.candidates,
         accept_position=position,
-        accept_rotation=turn,
+        accept_rotation=radians,
         held=held,
         lift=jacobian(chain, middle)[:3, held].copy(),
     )
@@ -296,15 +278,15 @@ def _reach(chain: Chain, middle: Array, half: Array) -> Array:
     tree = chain.tree
     turning = np.flatnonzero(~tree.prismatic)
     first = int(turning[0]) if len(turning) else len(tree.variable) - 1
-    centre, turn, radius = np.zeros(3), np.eye(3), 0.0
+    centre, orientation, radius = np.zeros(3), np.eye(3), 0.0
     for i in range(len(tree.variable)):
         slide = float(tree.multiplier[i] * middle[tree.variable[i]] + tree.bias[i])
         play = float(abs(tree.multiplier[i]) * half[tree.variable[i]])
         if i <= first:
-            centre = centre + turn @ tree.offset[i]
-            turn = turn @ tree.rotation[i]
+            centre = centre + orientation @ tree.offset[i]
+            orientation = orientation @ tree.rotation[i]
             if tree.prismatic[i]:
-                centre, radius = centre + turn[:, 2] * slide, radius + play
+                centre, radius = centre + orientation[:, 2] * slide, radius + play
         else:
             radius += float(np.linalg.norm(tree.offset[i]))
             radius += abs(slide) + play if tree.prismatic[i] else 0.0

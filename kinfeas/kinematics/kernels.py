@@ -2,21 +2,19 @@
 
 from numba import njit
 
-from kinfeas.core.kernel_cache import UNCOUNTED
+from kinfeas.core.kernel_cache import FAST, UNCOUNTED
 from kinfeas.core.pose_kernels import product
 
-# numpy's error model has no zero check at divisions. Sums may be regrouped and multiply-adds fused,
-# always in the same way: results are deterministic. Without `forceinline=False` a kernel is inlined
-# everywhere if its first caller is. Functions that compute numbers for other kernels are inlined:
-# otherwise each kernel has its own, regrouped copy, and the kernels that a process compiled before
-# determine which copy runs. No kernel has a `**`, since numba compiles it once in a process, with
-# the flags of the first kernel.
-_FAST = {"contract", "reassoc", "nsz"}
-kernel = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True, forceinline=False)
+# numpy's error model has no zero check at divisions. Results are deterministic. Without
+# `forceinline=False` a kernel is inlined everywhere if its first caller is. Functions that compute
+# numbers for other kernels are inlined: otherwise each kernel has its own, regrouped copy, and the
+# kernels that a process compiled before determine which copy runs. No kernel has a `**`, since
+# numba compiles it once in a process, with the flags of the first kernel.
+kernel = njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True, forceinline=False)
 inner = njit(
-    cache=True, error_model="numpy", fastmath=_FAST, nogil=True, forceinline=False, **UNCOUNTED
+    cache=True, error_model="numpy", fastmath=FAST, nogil=True, forceinline=False, **UNCOUNTED
 )
-inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True, **UNCOUNTED)
+inlined = njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, **UNCOUNTED)
 
 
 @inlined

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.solid_kernels import is_empty
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
 from kinfeas.kinematics.forward import Chain, place_chain
@@ -17,18 +18,21 @@ from kinfeas.kinematics.self_collision import (
     place_shapes,
     touches_itself,
 )
-from kinfeas.kinematics.solids import bounds, is_empty, touches_solids
+from kinfeas.kinematics.solids import bounds, touches_solids
 
-AIM = 0.2
-"""Share of the tolerances at which a descent ends early."""
 
-WARM_COST = 0.3**2
-"""Squared error, m^2, up to which the search begins with descents from the seed."""
+class SearchSettings(NamedTuple):
+    """Settings of the search."""
 
-HOPEFUL, HOPELESS_COST = 6, 0.02**2
-"""The search ends after so many restarts if none had a smaller squared error, m^2."""
+    aim: float = 0.2  # fraction of the tolerances at which a descent ends early
+    warm_cost: float = 0.3**2  # squared error up to which descents begin at the seed, m^2
+    restarts: int = 6  # after which the search ends if all of them had ...
+    hopeless_cost: float = 0.02**2  # ... a larger squared error, m^2
 
-GUIDED, DRAWN, NEAR, WIDE = range(4)
+
+SEARCH = SearchSettings()
+
+GUIDED, CENTRED, NEAR, WIDE = range(4)
 """Descents within `max_joint_step` of the seed: from the guide, centring the joints or not; and one
 from where these ended to anywhere."""
 
@@ -47,8 +51,8 @@ class Problem(NamedTuple):
         velocity: Joint velocity limits, shape (v,).
         continuous: Whether joints are continuous, shape (v,).
         middle: Middles of the joint ranges, shape (v,).
-        centering: Pull towards the middles, shape (v,): times the root of the distance, a share of
-            `max_joint_step`. Shape (0,) for none.
+        centering: Pull towards the middles, shape (v,): times the root of the distance, a fraction
+            of `max_joint_step`. Shape (0,) for none.
         reach: Centre and radius of a ball that contains the last joint, shape (4,), metres.
         library: Configurations to restart from, shape (l, v).
         features: Their features for ranking, shape (13, l); see `library_features`.
@@ -83,7 +87,7 @@ class Problem(NamedTuple):
     lift: Array
 
 
-def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.float32]:
+def library_features(position: Array, orientation: Array, weight: float) -> NDArray[np.float32]:
     """Return features that rank library entries by their EE's distance to a target, (13, l).
 
     |p - p'|^2 + (weight^2 / 2) |R - R'|^2 is, except for terms of the target alone, a sum of
@@ -91,7 +95,7 @@ def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.
     (l, 3, 3); `weight` is in metres per radian.
     """
     squares = np.sum(np.square(position), axis=1, keepdims=True)
-    rows = [squares, -2.0 * position, -(weight**2) * turn.reshape(-1, 9)]
+    rows = [squares, -2.0 * position, -(weight**2) * orientation.reshape(-1, 9)]
     return np.ascontiguousarray(np.concatenate(rows, axis=1).T, dtype=np.float32)
 
 
@@ -110,7 +114,7 @@ def solve_batch(
 ):
     """Solve row by row; arguments as in `IkSolver.solve`, `max_joint_step` (0,) for none.
 
-    `solids` are `SolidArrays`, from which arms keep a clearance, metres; those without places may
+    `solids` are `SolidArrays`, from which arms keep a clearance, metres; those without solids may
     have fewer rows, as `guide` without any.
 
     `solution`, shape (n, v), has the seeds and receives the solutions, `feasible` whether there is
@@ -121,7 +125,7 @@ def solve_batch(
     near = np.empty((6, len(max_joint_step)))
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
-    turn, position = np.empty((3, 3)), np.empty(3)
+    orientation, position = np.empty((3, 3)), np.empty(3)
     held, lower, upper = problem.held, problem.lower.copy(), problem.upper.copy()
     limits, (pose, size, cylinder) = (lower, upper), solids
     grown = np.empty(size.shape[1:])
@@ -131,8 +135,8 @@ def solve_batch(
             if len(max_joint_step) == 0:
                 at = min(max(at, problem.lower[held]), problem.upper[held])
             lower[held] = upper[held] = at
-        write_matrix(targets[i], turn)
-        target = turn, targets[i, :3]
+        write_matrix(targets[i], orientation)
+        target = orientation, targets[i, :3]
         row = min(i, len(pose) - 1)
         _grow(size[row], clearance, grown)
         around = pose[row], grown, cylinder[row]
@@ -148,7 +152,7 @@ def solve_batch(
             if held >= 0:
                 for k in range(3):
                     position[k] -= problem.lift[k] * (lower[held] - problem.library[0, held])
-            _rank_library(problem, (turn, position), scores, order)
+            _rank_library(problem, (orientation, position), scores, order)
             feasible[i] = _solve_from_library(
                 problem, limits, target, solution[i], errors[i], order, scratch, touching, around
             )
@@ -194,10 +198,10 @@ def _solve_from_seed(
             trace += target[0][i, k] * scratch.frames.rotation[i, k]
     cost += square(problem.descent.rotation_weight) * (3.0 - trace)
     error[0], error[1] = measure(target, scratch)
-    if cost > WARM_COST:
+    if cost > SEARCH.warm_cost:
         return False
     metres_here, radians_here = error[0], error[1]
-    first = WIDE if len(max_joint_step) == 0 else NEAR if len(problem.centering) == 0 else DRAWN
+    first = WIDE if len(max_joint_step) == 0 else NEAR if len(problem.centering) == 0 else CENTRED
     if first != WIDE and len(guide) > 0 and not math.isnan(guide[0, 0]):
         first = GUIDED
     if first != WIDE:
@@ -205,26 +209,26 @@ def _solve_from_seed(
             near[0, j] = max(own[0][j], q[j] - max_joint_step[j])
             near[1, j] = min(own[1][j], q[j] + max_joint_step[j])
     for attempt in range(first, WIDE + 1 if allow_reconfiguration else WIDE):
-        if attempt == DRAWN and len(problem.centering) == 0:
+        if attempt == CENTRED and len(problem.centering) == 0:
             continue
         bounds = limits if attempt == WIDE else (near[0], near[1])
         if attempt == GUIDED:
             _go_to_guide(problem, max_joint_step, guide[0], near, q)
             bounds = near[2], near[3]
             place_chain(problem.chain, q, scratch.frames)
-        elif attempt == DRAWN:
-            _draw(problem, max_joint_step, q, scratch.pull)
+        elif attempt == CENTRED:
+            _centre(problem, max_joint_step, q, scratch.pull)
         metres, radians = descend(problem.chain, problem.descent, bounds, target, q, scratch)
         # A guide must not cost accuracy.
-        share = AIM if attempt == GUIDED else 1.0
-        if _close_enough(problem, metres / share, radians / share):
+        scale = SEARCH.aim if attempt == GUIDED else 1.0
+        if _close_enough(problem, metres / scale, radians / scale):
             if _free(problem, q, touching, around):
                 error[0], error[1] = metres, radians
                 copy_row(q, solution)
                 return True
         elif _improves(problem, metres, radians, error, q, touching, around):
             error[0], error[1] = metres, radians
-        if attempt <= DRAWN:
+        if attempt <= CENTRED:
             _start(own, solution, q)
             place_chain(problem.chain, q, scratch.frames)
     # With a pose tolerance, the seed itself may be a solution that every descent has left.
@@ -249,15 +253,15 @@ def _start(limits, seed, q):
 def _go_to_guide(problem, max_joint_step, guide, near, q):
     """Move `q` to the guide within the first limits of `near`; write those around it, too."""
     for j in range(len(q)):
-        way = guide[j] - q[j]
-        way = _wrap(way) if problem.continuous[j] else way
-        q[j] = min(max(q[j] + way, near[0, j]), near[1, j])
+        move = guide[j] - q[j]
+        move = _wrap(move) if problem.continuous[j] else move
+        q[j] = min(max(q[j] + move, near[0, j]), near[1, j])
         near[2, j] = max(near[0, j], q[j] - max_joint_step[j])
         near[3, j] = min(near[1, j], q[j] + max_joint_step[j])
 
 
 @inlined
-def _draw(problem, max_joint_step, q, pull):
+def _centre(problem, max_joint_step, q, pull):
     """Write the pull of the joints towards the middles of their ranges, not beyond them."""
     for j in range(len(q)):
         away = q[j] - problem.middle[j]
@@ -271,9 +275,9 @@ def _solve_from_library(problem, limits, target, solution, error, order, scratch
     q, seed = scratch.trial, scratch.seed
     copy_row(solution, seed)
     closest = _cost(problem, error[0], error[1])
-    nearest, found = np.inf, 0
+    nearest, solutions = np.inf, 0
     for attempt in range(len(order)):
-        if attempt >= HOPEFUL and closest > HOPELESS_COST:
+        if attempt >= SEARCH.restarts and closest > SEARCH.hopeless_cost:
             break
         copy_row(problem.library[order[attempt]], q)
         if problem.held >= 0:
@@ -284,17 +288,17 @@ def _solve_from_library(problem, limits, target, solution, error, order, scratch
         if _close_enough(problem, metres, radians):
             if not _free(problem, q, touching, around):
                 continue
-            found += 1
+            solutions += 1
             seconds = _seconds_between(problem, seed, q)
             if seconds < nearest:
                 nearest = seconds
                 error[0], error[1] = metres, radians
                 copy_row(q, solution)
-            if found == problem.candidates:
+            if solutions == problem.candidates:
                 break
-        elif found == 0 and _improves(problem, metres, radians, error, q, touching, around):
+        elif solutions == 0 and _improves(problem, metres, radians, error, q, touching, around):
             error[0], error[1] = metres, radians
-    return found > 0
+    return solutions > 0
 
 
 @inlined
@@ -371,23 +375,23 @@ def _rank_library(problem, target, scores, order):
     for j in range(len(scores)):
         if kept == len(order) and scores[j] >= scores[order[kept - 1]]:
             continue
-        place = min(kept, len(order) - 1)
+        rank = min(kept, len(order) - 1)
         kept = min(kept + 1, len(order))
-        while place > 0 and scores[order[place - 1]] > scores[j]:
-            order[place] = order[place - 1]
-            place -= 1
-        order[place] = j
+        while rank > 0 and scores[order[rank - 1]] > scores[j]:
+            order[rank] = order[rank - 1]
+            rank -= 1
+        order[rank] = j
 
 
 @inlined
 def _out_of_reach(problem, target):
     """Return whether the target would bring the last joint outside the ball `reach`."""
-    turn, squared, lever = problem.chain.ee_rotation, 0.0, 0.0
+    orientation, squared, lever = problem.chain.ee_rotation, 0.0, 0.0
     for i in range(3):
         joint = target[1][i]
         for k in range(3):
             for m in range(3):
-                joint -= target[0][i, k] * turn[m, k] * problem.chain.ee_offset[m]
+                joint -= target[0][i, k] * orientation[m, k] * problem.chain.ee_offset[m]
         squared += square(joint - problem.reach[i])
         lever += square(problem.chain.ee_offset[i])
     pose_tolerance = problem.accept_position + problem.accept_rotation * math.sqrt(lever)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.solid_kernels import PRISM
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.convex import BOX, CYLINDER, SCRATCH_ROWS, SPHERE, closer_than
 from kinfeas.kinematics.forward import Mount, Tree, build_tree, flattened, place_joints, turn_row
@@ -31,7 +32,7 @@ class CollisionModel(NamedTuple):
         rotation: From body to shape, shape (s, 3, 3).
         offset: Same, metres, shape (s, 3).
         pairs: Indices of shapes to check, shape (p, 2); unsigned, since each signed index costs
-            kernels a look whether it is negative.
+            kernels a test whether it is negative.
         variables: Number of the arm's joints.
     """
 
@@ -56,6 +57,7 @@ class CollisionScratch(NamedTuple):
     position: Array
     simplex: Array
     solid: Array
+    prism: Array
     torque: Array
 
 
@@ -74,8 +76,8 @@ def build_collision_model(robot: Robot) -> CollisionModel:
         shapes.setdefault(link, []).append(i)
     pairs = sorted(
         (min(i, k), max(i, k))
-        for one, other in _checked_links(robot, mounts)
-        for i, k in product(shapes[one], shapes[other])
+        for link, other in checked_links(robot)
+        for i, k in product(shapes[link], shapes[other])
     )
     return CollisionModel(
         tree=tree,
@@ -92,8 +94,21 @@ def build_collision_model(robot: Robot) -> CollisionModel:
 
 def checked_links(robot: Robot) -> list[tuple[str, str]]:
     """Return the pairs of links with shapes that are checked, sorted by name."""
-    _, mounts = build_tree(robot)
-    return sorted((min(pair), max(pair)) for pair in _checked_links(robot, mounts))
+    rigid, bodies = robot.urdf.rigid, dict[int, list[str]]()
+    for link, mount in build_tree(robot)[1].items():
+        if robot.urdf.links[link].shapes:
+            bodies.setdefault(mount.joint, []).append(link)
+    joined = {
+        frozenset((rigid[joint.parent], rigid[joint.child])) for joint in robot.urdf.joints.values()
+    }
+    return sorted(
+        (min(a, b), max(a, b))
+        for links, others in combinations(bodies.values(), 2)
+        for a, b in product(links, others)
+        if rigid[a] != rigid[b]
+        and frozenset((rigid[a], rigid[b])) not in joined
+        and frozenset((a, b)) not in robot.ignored_collisions
+    )
 
 
 def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.bool_]:
@@ -126,6 +141,7 @@ def make_collision_scratch(model):
         np.empty((shapes, 3)),
         np.empty((SCRATCH_ROWS, 3)),
         np.empty((5, 3)),
+        np.empty(PRISM),
         np.empty(model.variables),
     )
     for s in range(shapes):
@@ -179,14 +195,14 @@ def place_bodies(tree, q, scratch):
         up = tree.parent[i]
         for r in range(3):
             a, b, c = 1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0
-            place = 0.0
+            origin = 0.0
             if up >= 0:
                 a, b, c = bodies[up, r, 0], bodies[up, r, 1], bodies[up, r, 2]
-                place = origins[up, r]
-            place += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
+                origin = origins[up, r]
+            origin += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
             a, b, c = turn_row(a, b, c, tree.rotation[i], motion[i, 0], motion[i, 1])
             bodies[i, r, 0], bodies[i, r, 1], bodies[i, r, 2] = a, b, c
-            origins[i, r] = place + c * motion[i, 2]
+            origins[i, r] = origin + c * motion[i, 2]
 
 
 @inlined
@@ -213,9 +229,9 @@ def _sphere_misses_box(dx, dy, dz, radius, rot, half):
 
 
 def _mount_shape(mount: Mount, shape: Shape) -> Mount:
-    turn = rotation(shape.pose).as_matrix()
+    matrix = rotation(shape.pose).as_matrix()
     offset = mount.offset + mount.rotation @ shape.pose[:3]
-    return Mount(mount.joint, mount.rotation @ turn, offset)
+    return Mount(mount.joint, mount.rotation @ matrix, offset)
 
 
 def _extents(shape: Shape) -> tuple[Array, float]:
@@ -227,23 +243,3 @@ def _extents(shape: Shape) -> tuple[Array, float]:
         radius, length = shape.size
         return np.array([radius, radius, length / 2.0]), float(np.hypot(radius, length / 2.0))
     return np.full(3, shape.size[0]), float(shape.size[0])
-
-
-def _checked_links(robot: Robot, mounts: dict[str, Mount]) -> set[frozenset[str]]:
-    """Return the pairs of links whose shapes may touch."""
-    rigid = robot.urdf.rigid
-    bodies: dict[int, list[str]] = {}
-    for link, mount in mounts.items():
-        if robot.urdf.links[link].shapes:
-            bodies.setdefault(mount.joint, []).append(link)
-    joined = {
-        frozenset((rigid[joint.parent], rigid[joint.child])) for joint in robot.urdf.joints.values()
-    }
-    return {
-        frozenset((a, b))
-        for one, other in combinations(bodies.values(), 2)
-        for a, b in product(one, other)
-        if rigid[a] != rigid[b]
-        and frozenset((rigid[a], rigid[b])) not in joined
-        and frozenset((a, b)) not in robot.ignored_collisions
-    }

@@ -1,4 +1,4 @@
-"""Robots among solids: collisions and distances."""
+"""Collisions of robots with solids."""
 
 import math
 
@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.pose_kernels import heading
+from kinfeas.core.solid_kernels import is_empty, squared_distance, squared_radius, write_prism
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than, distance
+from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than
 from kinfeas.kinematics.forward import flattened
 from kinfeas.kinematics.kernels import inlined, inner, kernel, square
 from kinfeas.kinematics.self_collision import (
@@ -102,19 +103,6 @@ def base_collides(model: CollisionModel, base_pose: Array, solids: Solids) -> ND
     return touching
 
 
-def distances(
-    model: CollisionModel, joint_positions: Array, base_pose: Array, solids: Solids
-) -> Array:
-    """Return the distances to the nearest solids, shape (n, 2), metres.
-
-    They are 0 in contact and inf without solids; columns and arguments are those of `collides`.
-    """
-    flat, _ = flattened(model.variables, joint_positions)
-    found = np.empty((len(flat), 2))
-    _distances_batch(model, flat, *surroundings(solids, base_pose, len(flat)), found)
-    return found
-
-
 @kernel
 def _collides_batch(model, joint_positions, base, solids, touching):
     pose, size, cylinder = solids
@@ -174,109 +162,36 @@ def touches_solids(
         dx, dy = max(back - x, x - front, 0.0), max(right - y, y - left, 0.0)
         if dx * dx + dy * dy > squared_radius(size[k], cylinder[k]):
             continue
-        kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
+        kind = _place_solid(pose[k], size[k], cylinder[k], scratch)
         for s in range(len(model.body)):
             if (model.body[s] >= 0) == moved and _touches(model, s, kind, scratch):
                 return True
     return False
 
 
-@kernel
-def _distances_batch(model, joint_positions, base, solids, out):
-    pose, size, cylinder = solids
-    scratch, local = make_collision_scratch(model), np.empty(pose.shape[1:])
-    for i in range(len(joint_positions)):
-        place_shapes(model, joint_positions[i], scratch)
-        write_local(pose[i], base[i], local)
-        for moved in range(2):
-            # Centres of shapes are farther away than their surfaces.
-            nearest = _nearest_gap(model, moved == 1, local, size[i], cylinder[i], scratch)
-            out[i, moved] = _distance(
-                model, moved == 1, nearest, local, size[i], cylinder[i], scratch
-            )
-
-
-@inlined
-def _nearest_gap(model, moved, pose, size, cylinder, scratch):
-    """Return the distance of the shapes' centres to the nearest solid."""
-    nearest = np.inf
-    for k in range(len(pose)):
-        if not is_empty(size[k]):
-            kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
-            for s in range(len(model.body)):
-                if (model.body[s] >= 0) == moved:
-                    nearest = min(nearest, _gap(s, kind, scratch))
-    return math.sqrt(nearest)
-
-
-@inlined
-def _distance(model, moved, nearest, pose, size, cylinder, scratch):
-    """Return the distance of the shapes to the nearest solid, at most `nearest`."""
-    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
-    for k in range(len(pose)):
-        if is_empty(size[k]):
-            continue
-        kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
-        for s in range(len(model.body)):
-            if (model.body[s] >= 0) != moved:
-                continue
-            if _gap(s, kind, scratch) < square(nearest + model.radius[s]):
-                found = distance(
-                    model.kind[s], model.size[s], scratch.rotation[s], scratch.position[s],
-                    kind, half, turn, centre,
-                    scratch.simplex,
-                )  # fmt: skip
-                nearest = min(nearest, found)
-    return nearest
-
-
 @inlined
 def _touches(model, s, kind, scratch):
     """Return whether a shape touches the solid in the scratch memory."""
-    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
-    if _gap(s, kind, scratch) > square(model.radius[s] + MARGIN):
+    rotation, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
+    x, y, z = scratch.position[s]
+    if squared_distance(scratch.prism, x, y, z) > square(model.radius[s] + MARGIN):
         return False
     return closer_than(
         MARGIN,
         model.kind[s], model.size[s], scratch.rotation[s], scratch.position[s],
-        kind, half, turn, centre,
+        kind, half, rotation, centre,
         scratch.simplex,
     )  # fmt: skip
 
 
 @inlined
-def is_empty(size):
-    """Return whether a place, a row of `Solids.size`, is empty."""
-    return not (size[0] > 0.0 and size[1] > 0.0)
-
-
-@inlined
-def squared_radius(size, cylinder):
-    """Return the squared radius of the circle around a solid, seen from above."""
-    return square(size[0]) if cylinder else square(size[0]) + square(size[1])
-
-
-@inlined
-def place_solid(pose, size, cylinder, out):
-    """Write orientation, centre and half extents of a solid, shape (5, 3); return its kind."""
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    out[0, 0], out[0, 1], out[0, 2] = cosine, -sine, 0.0
-    out[1, 0], out[1, 1], out[1, 2] = sine, cosine, 0.0
+def _place_solid(pose, size, cylinder, scratch):
+    """Write a solid as a prism, and orientation, centre and half extents; return its kind."""
+    prism, out = scratch.prism, scratch.solid
+    write_prism(pose, size, cylinder, prism)
+    out[0, 0], out[0, 1], out[0, 2] = prism[0], -prism[1], 0.0
+    out[1, 0], out[1, 1], out[1, 2] = prism[1], prism[0], 0.0
     out[2, 0], out[2, 1], out[2, 2] = 0.0, 0.0, 1.0
     out[3, 0], out[3, 1], out[3, 2] = pose[0], pose[1], 0.5 * (size[2] + size[3])
     out[4, 0], out[4, 1], out[4, 2] = size[0], size[1], 0.5 * (size[3] - size[2])
     return CYLINDER if cylinder else BOX
-
-
-@inlined
-def _gap(s, kind, scratch):
-    """Return the squared distance of a shape's centre to the solid in the scratch memory."""
-    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
-    point = scratch.position[s]
-    dx, dy = point[0] - centre[0], point[1] - centre[1]
-    z = max(abs(point[2] - centre[2]) - half[2], 0.0)
-    if kind == CYLINDER:
-        return square(max(math.sqrt(dx * dx + dy * dy) - half[0], 0.0)) + square(z)
-    x = max(abs(turn[0, 0] * dx + turn[1, 0] * dy) - half[0], 0.0)
-    y = max(abs(turn[0, 1] * dx + turn[1, 1] * dy) - half[1], 0.0)
-    return square(x) + square(y) + square(z)

@@ -1,4 +1,4 @@
-"""Policies by name: entry points, trained policies and exported files."""
+"""Policies by name: entry points, trained policies of a robot, and files."""
 
 import sys
 from pathlib import Path
@@ -6,12 +6,14 @@ from pathlib import Path
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.policy import Policy
-from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network
 from kinfeas.policies.onnx_policy import read_policy_file
 from kinfeas.robots.robot import Robot
 
 GROUP = "kinfeas.policies"
+
+PRETRAINED = "pretrained"
+"""Name of the policy in a robot's folder that is used by default."""
 
 BASELINES = (
     "follow_ee",
@@ -27,14 +29,34 @@ QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 """Baselines without set-up time and extra packages, for comparisons."""
 
 
+def trained_policies(robot: Robot) -> list[str]:
+    """Return the sorted names of the trained policies in the folder of a robot."""
+    return sorted(path.parent.name for path in robot.folder.glob("policies/*/policy.json"))
+
+
+def trained_folder(name: str, robot: Robot) -> Path:
+    """Return the folder of a trained policy: a name of `trained_policies`, or a path.
+
+    Raises:
+        KinfeasError: If `name` is `pretrained`, and the robot has no such policy.
+    """
+    if name in trained_policies(robot):
+        return robot.folder / "policies" / name
+    if name == PRETRAINED:
+        raise KinfeasError(
+            f"no policy {name!r} in {robot.folder / 'policies'}; train one with kinfeas train"
+        )
+    return Path(name)
+
+
 def load_policy(name: str, robot: Robot) -> Policy:
     """Return a policy for a robot.
 
     Args:
-        name: Entry point in the group `kinfeas.policies`, such as `follow_ee`; `pretrained` or
-            `pretrained/rooms`; `module:Class`, called with the keyword argument `robot` and also
-            searched for in the working directory; folder of a training run or checkpoint; or
-            exported ONNX file.
+        name: Entry point in the group `kinfeas.policies`, such as `follow_ee`; trained policy in
+            the robot's folder, such as `pretrained`; `module:Class`, called with the keyword
+            argument `robot` and also searched for in the working directory; folder of a training
+            run or checkpoint; or exported ONNX file.
         robot: Robot that the policy is to command.
 
     Raises:
@@ -43,17 +65,17 @@ def load_policy(name: str, robot: Robot) -> Policy:
     if name in registry.names(GROUP):
         policy: Policy = registry.build(GROUP, name, {"robot": robot})
         return policy
-    path = pretrained.folder(robot.name, name)
+    path = trained_folder(name, robot)
     if name and path.is_dir():
         return read_network(path, robot)
     if path.suffix == ".onnx" or path.is_file():
         return read_policy_file(path, robot)
     module, _, attribute = name.partition(":")
     if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):
-        known = no_such(name, (*registry.names(GROUP), pretrained.NAME))
+        names = (*registry.names(GROUP), PRETRAINED, *trained_policies(robot))
         raise KinfeasError(
-            f"unknown policy {name!r}{known}, or the folder of a training run, an exported ONNX "
-            "file, or module:Class"
+            f"unknown policy {name!r}{no_such(name, names)}, or the folder of a training run, an "
+            "exported ONNX file, or module:Class"
         )
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from kinfeas.control.drive import command_size
 from kinfeas.control.observation import (
     ACTION,
     OBSERVATION,
@@ -28,6 +27,7 @@ from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import reading, write_folder
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
+from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.robot import Robot, fingerprint
 
 WEIGHTS = "policy.safetensors"

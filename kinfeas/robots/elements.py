@@ -48,10 +48,10 @@ class Element:
 
     def need(self, tag: str) -> "Element":
         """Return the first child element `tag`; an error if there is none."""
-        found = self.child(tag)
-        if found is None:
+        element = self.child(tag)
+        if element is None:
             raise self.error(f"<{tag}> is missing")
-        return found
+        return element
 
     def text(self, attribute: str) -> str:
         """Return an attribute; an error if it is missing or blank."""
@@ -104,11 +104,11 @@ class Element:
 
     def origin(self) -> Array:
         """Return the pose of the child <origin>, shape (7,); the identity if there is none."""
-        found = self.child("origin")
-        if found is None:
+        element = self.child("origin")
+        if element is None:
             return make_pose(np.zeros(3), Rotation.identity())
-        xyz = np.array(found.vector("xyz", 3, (0.0, 0.0, 0.0), FARTHEST))
-        rpy = found.vector("rpy", 3, (0.0, 0.0, 0.0))
+        xyz = np.array(element.vector("xyz", 3, (0.0, 0.0, 0.0), FARTHEST))
+        rpy = element.vector("rpy", 3, (0.0, 0.0, 0.0))
         return make_pose(xyz, Rotation.from_euler("xyz", rpy))
 
 
@@ -191,9 +191,9 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
 def _packages(name: str, folder: Path) -> Iterator[Path]:
     """Yield folders that may be the package `name` of a URDF in `folder`."""
     above = (folder, *folder.parents)
-    for one in above:
-        if _package_name(one / "package.xml") == name:
-            yield one
+    for parent in above:
+        if _package_name(parent / "package.xml") == name:
+            yield parent
     for root in _roots("ROS_PACKAGE_PATH"):
         yield root / name
         for depth in ("", "*/", "*/*/"):
@@ -202,8 +202,8 @@ def _packages(name: str, folder: Path) -> Iterator[Path]:
             )
     for root in _roots("AMENT_PREFIX_PATH"):
         yield root / "share" / name
-    for one in (*folder.parents, folder):
-        yield one / name
+    for parent in (*folder.parents, folder):
+        yield parent / name
 
 
 def _roots(variable: str) -> list[Path]:
@@ -215,6 +215,6 @@ def _package_name(path: Path) -> str | None:
     with suppress(OSError):
         if path.is_file():
             with path.open("rb") as file:
-                found = _NAME.search(file.read(_MAX_PACKAGE_BYTES))
-            return found[1].decode(errors="replace") if found else None
+                match = _NAME.search(file.read(_MAX_PACKAGE_BYTES))
+            return match[1].decode(errors="replace") if match else None
     return None

@@ -1,4 +1,4 @@
-"""Robots by name or path: the YAML file and the URDF that it names, checked against each other."""
+"""Robots by name or path: `robot.yaml` and the URDF, checked against each other."""
 
 import math
 from collections.abc import Collection
@@ -7,59 +7,57 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas import config
-from kinfeas.core import registry
+from kinfeas.config.recipes import robot_file
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import is_path
 from kinfeas.robots.robot import ArmJoint, Base, Robot
 from kinfeas.robots.spec import MAX_JOINT_VELOCITY, Gripper, RobotSpec
 from kinfeas.robots.urdf import Joint, Urdf
 from kinfeas.robots.urdf_file import parse_urdf
 
 
-def load_robot(name_or_path: str) -> Robot:
-    """Return the robot of a YAML file (`my/robot.yaml`) or of an entry point (`pr2`).
+def load_robot(name_or_path: str | Path) -> Robot:
+    """Return the robot of an entry point (`pr2`) or of a folder (`robots/mine`).
+
+    The `robot.yaml` in the folder, which may be named as well, has the keys of `spec.RobotSpec`.
 
     Raises:
         KinfeasError: If there is no such robot, its YAML or URDF is wrong, or a URDF is named in
-            place of the YAML.
+            place of the folder.
     """
     check_no_urdf(name_or_path)
-    if is_path(name_or_path):
-        return read_robot(Path(name_or_path))
-    path = registry.build("kinfeas.robots", name_or_path, {})
-    if not isinstance(path, str | Path):
-        raise KinfeasError(f"robot {name_or_path!r} must return the Path of its YAML, not {path!r}")
-    return read_robot(Path(path))
+    path = robot_file(name_or_path)
+    spec = config.load(RobotSpec, path)
+    urdf_path = path.parent / spec.urdf
+    return build_robot(spec, parse_urdf(urdf_path), urdf_path, path)
 
 
 def check_no_urdf(name_or_path: object) -> None:
-    """Raise `KinfeasError` if a robot is given as URDF or xacro in place of its YAML."""
+    """Raise `KinfeasError` if a robot is a URDF or xacro in place of a folder."""
     path = Path(str(name_or_path))
     if path.suffix.lower() in (".urdf", ".xacro"):
         raise KinfeasError(
-            f"{path}: a robot is a YAML file; `kinfeas robot import FILE.urdf --out DIR` makes one "
+            f"{path}: a robot is a folder; `kinfeas robot import FILE.urdf --out DIR` makes one "
             "(xacro FILE.xacro > FILE.urdf comes first)"
         )
 
 
-def read_robot(path: Path) -> Robot:
-    """Return the robot of a YAML file, whose keys are those of `spec.RobotSpec`."""
-    spec = config.load(RobotSpec, path)
-    urdf_path = path.parent / spec.urdf
-    return build_robot(spec, parse_urdf(urdf_path), urdf_path, str(path))
-
-
-def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Robot:
+def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, path: Path) -> Robot:
     """Return the robot of a specification and its URDF.
 
-    `urdf_path` is the file that physics engines load; errors begin with `source`.
+    Args:
+        spec: Content of its `robot.yaml`.
+        urdf: Its links and joints.
+        urdf_path: URDF file for physics engines.
+        path: File of the specification, in the folder of the robot; errors begin with it.
     """
+    source = str(path)
     _check_chain(spec, urdf, source)
     arm = tuple(_arm_joint(spec, urdf.joints[name], source) for name in spec.arm)
     rotation = np.array(spec.gripper_rotation)
     return Robot(
         name=spec.name,
+        folder=path.parent,
         urdf_path=urdf_path,
         urdf=urdf,
         ee_frame=spec.ee_frame,
@@ -72,7 +70,7 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Ro
             name: _configuration(arm, positions, f"{source}: 'home.{name}'")
             for name, positions in spec.home.items()
         },
-        goal_heights=spec.goal_heights,
+        reach=spec.reach,
         pose_tolerance=spec.pose_tolerance,
         ignored_collisions=_pairs(spec, urdf, f"{source}: 'ignored_collisions'"),
         gripper=_gripper(spec, urdf, source),
@@ -81,9 +79,9 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Ro
     )
 
 
-def _check_known(name: str, known: Collection[str], kind: str, where: str) -> None:
-    if name not in known:
-        raise KinfeasError(f"{where}: there is no {kind} {name!r}{no_such(name, known)}")
+def _check_known(name: str, names: Collection[str], kind: str, where: str) -> None:
+    if name not in names:
+        raise KinfeasError(f"{where}: there is no {kind} {name!r}{no_such(name, names)}")
 
 
 def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
@@ -96,10 +94,10 @@ def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
             raise KinfeasError(f"{where}: the joint is fixed or a mimic joint")
     moving = [joint for joint in urdf.path_to(spec.ee_frame) if joint.moves]
     if [joint.name for joint in moving if joint.name in spec.arm] != list(spec.arm):
-        known = ", ".join(joint.name for joint in moving) or "none"
+        names = ", ".join(joint.name for joint in moving) or "none"
         raise KinfeasError(
             f"{source}: 'arm' must name joints between {urdf.root!r} and {spec.ee_frame!r}, in "
-            f"order, of {known}"
+            f"order, of {names}"
         )
     for joint in moving:
         if urdf.followed(joint)[0].name not in (*spec.arm, *spec.fixed_joints):
@@ -161,11 +159,11 @@ def _fixed_joints(spec: RobotSpec, urdf: Urdf, source: str) -> dict[str, float]:
 
 
 def _pairs(spec: RobotSpec, urdf: Urdf, where: str) -> frozenset[frozenset[str]]:
-    for one, other in spec.ignored_collisions:
-        _check_known(one, urdf.links, "link", where)
-        _check_known(other, urdf.links, "link", where)
-        if one == other:
-            raise KinfeasError(f"{where}: must hold pairs of two links, not {one!r} twice")
+    for pair in spec.ignored_collisions:
+        for link in pair:
+            _check_known(link, urdf.links, "link", where)
+        if len(set(pair)) < 2:
+            raise KinfeasError(f"{where}: must hold pairs of two links, not {pair[0]!r} twice")
     return frozenset(map(frozenset, spec.ignored_collisions))
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core import pose_kernels
 from kinfeas.core.spatial import Array
-from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance
+from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance, Reach
 from kinfeas.robots.urdf import Joint, Urdf
 
 _ROUNDING = 1.001
@@ -48,6 +48,7 @@ class Robot:
 
     Attributes:
         name: Short name.
+        folder: Folder of its files: recipes, ROS topics, trained policies.
         urdf_path: File that physics engines load.
         urdf: Links and joints of that file.
         ee_frame: Link that motions move and IK places.
@@ -58,7 +59,7 @@ class Robot:
         arm: Joints that IK moves, from the root to the EE.
         fixed_joints: Positions of all other joints, except those that mimic an arm joint.
         home: Named configurations of the arm, each of shape (j,); one is named `home`.
-        goal_heights: Lowest and highest EE goal in metres, for `ggr` and `ggr_restricted`.
+        reach: Heights of EE goals.
         pose_tolerance: Pose error that still counts as feasible; None for exact IK.
         ignored_collisions: Pairs of links that may touch, besides adjacent ones.
         gripper: Finger joints and their positions; None without a gripper.
@@ -68,6 +69,7 @@ class Robot:
     """
 
     name: str
+    folder: Path
     urdf_path: Path
     urdf: Urdf
     ee_frame: str
@@ -77,7 +79,7 @@ class Robot:
     arm: tuple[ArmJoint, ...]
     fixed_joints: dict[str, float]
     home: dict[str, Array]
-    goal_heights: dict[str, tuple[float, float]]
+    reach: Reach
     pose_tolerance: PoseTolerance | None
     ignored_collisions: frozenset[frozenset[str]]
     gripper: Gripper | None
@@ -121,8 +123,8 @@ def _read_only(values: ArrayLike) -> NDArray[Any]:
 
 def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
     """Return the displacement of each joint, (..., j), in (-pi, pi] for continuous joints."""
-    way: Array = pose_kernels.joint_displacement(before, after, robot.continuous)
-    return way
+    displacement: Array = pose_kernels.joint_displacement(before, after, robot.continuous)
+    return displacement
 
 
 def exceeds_joint_velocity(
@@ -140,7 +142,7 @@ def fingerprint(robot: Robot) -> str:
     The hash covers the base and EE frames, the joints between them (type, origin, axis, position or
     mimic), the names and soft limits of the arm's joints, and drive and velocity limits of the
     base. A trained policy stays valid under all other changes: collision shapes, tolerances,
-    accelerations, joint velocities, tool tip, gripper, masses, configurations and goal heights.
+    accelerations, joint velocities, tool tip, gripper, masses, configurations and reach.
     """
     facts = {
         "frames": [robot.base.frame, robot.ee_frame],
@@ -154,8 +156,8 @@ def fingerprint(robot: Robot) -> str:
 
 def _joint(robot: Robot, joint: Joint) -> list[object]:
     # A matrix, since the sign of a quaternion of a half turn depends on rounding.
-    turn = Rotation.from_quat(joint.origin[3:]).as_matrix()
-    origin = _rounded(*joint.origin[:3], *turn.ravel())
+    rotation = Rotation.from_quat(joint.origin[3:]).as_matrix()
+    origin = _rounded(*joint.origin[:3], *rotation.ravel())
     return [joint.kind, origin, _rounded(*joint.axis), *_position(robot, joint)]
 
 
@@ -163,7 +165,7 @@ def _position(robot: Robot, joint: Joint) -> list[object]:
     if not joint.moves:
         return []
     leader, scale, offset = robot.urdf.followed(joint)
-    if leader.name not in {one.name for one in robot.arm}:
+    if leader.name not in {arm_joint.name for arm_joint in robot.arm}:
         return _rounded(robot.fixed_joints[joint.name])
     return [leader.name, *_rounded(scale, offset)]
 

@@ -22,8 +22,6 @@ Acceleration = Annotated[float, Interval(gt=0.0, le=1e4)]
 GravityLoad = Annotated[float, Interval(gt=0.0, le=1.0)]
 Effort = Annotated[float, Interval(gt=0.0, le=1e5)]
 
-GOAL_HEIGHTS = ("ggr", "ggr_restricted")
-
 
 @dataclass(frozen=True)
 class BaseSpec:
@@ -96,8 +94,8 @@ class Gripper:
     def positions(self, grip: Grip) -> dict[str, float]:
         """Return the position of each finger, rad or m, when closed or open."""
         position = self.closed if grip == "close" else self.open
-        both = position if isinstance(position, tuple) else (position, position)
-        return dict(zip(self.fingers, both, strict=True))
+        positions = position if isinstance(position, tuple) else (position, position)
+        return dict(zip(self.fingers, positions, strict=True))
 
     @property
     def ratio(self) -> float:
@@ -112,12 +110,35 @@ class Gripper:
 
 
 @dataclass(frozen=True)
+class Reach:
+    """Heights of the EE above the floor at which the robot reaches most poses.
+
+    Attributes:
+        low: Lowest height, metres.
+        high: Highest height, metres.
+    """
+
+    low: Metres
+    high: Metres
+
+    def __post_init__(self) -> None:
+        """Check that the heights ascend."""
+        if not self.low < self.high:
+            raise ValueError("'low' must be less than 'high'")
+
+    @property
+    def comfortable(self) -> tuple[float, float]:
+        """Lowest and highest EE of easy goals, metres: 0.2 m within the reach, at most 1.1 m."""
+        margin = min(0.2, (self.high - self.low) / 4.0)
+        return self.low + margin, max(min(self.high - margin, 1.1), (self.low + self.high) / 2.0)
+
+
+@dataclass(frozen=True)
 class RobotSpec:
-    """The whole file.
+    """The file `robot.yaml`.
 
     Attributes:
         name: Short name, stored in trained policies.
-        urdf: Path of the URDF, relative to this file.
         ee_frame: EE link: the frame of motions and IK.
         tool_tip: Position of the tool tip in the EE frame, metres.
         gripper_rotation: Quaternion x y z w from the common gripper convention (x is the approach,
@@ -125,8 +146,8 @@ class RobotSpec:
         base: Drive and limits of the base.
         arm: Joints of IK from the root to the EE, including a lift.
         home: Arm configurations by name, rad or m; one is named `home`.
-        goal_heights: Lowest and highest EE goal, metres, for `ggr` (training) and `ggr_restricted`
-            (comfortable).
+        reach: Heights of EE goals; tasks derive theirs from it.
+        urdf: Path of the URDF, relative to this file.
         fixed_joints: Positions of other joints, rad or m, by default as close to 0 as possible;
             required between root and EE.
         pose_tolerance: Error allowed during motions, for arms with fewer than six joints.
@@ -140,14 +161,14 @@ class RobotSpec:
     """
 
     name: str
-    urdf: Path
     ee_frame: str
     tool_tip: tuple[Metres, Metres, Metres]
     gripper_rotation: tuple[float, float, float, float]
     base: BaseSpec
     arm: dict[str, ArmJointSpec]
     home: dict[str, tuple[float, ...]]
-    goal_heights: dict[str, tuple[Metres, Metres]]
+    reach: Reach
+    urdf: Path = Path("robot.urdf")
     fixed_joints: dict[str, float] = field(default_factory=dict)
     pose_tolerance: PoseTolerance | None = None
     ignored_collisions: tuple[tuple[str, str], ...] = ()
@@ -165,8 +186,3 @@ class RobotSpec:
             raise ValueError("'gripper_rotation' must be a unit quaternion x y z w")
         if "home" not in self.home:
             raise ValueError("'home' must hold a configuration of the name 'home'")
-        if set(self.goal_heights) != set(GOAL_HEIGHTS):
-            raise ValueError(f"'goal_heights' must hold {' and '.join(GOAL_HEIGHTS)}, and no more")
-        for name, (low, high) in self.goal_heights.items():
-            if not low < high:
-                raise ValueError(f"'goal_heights.{name}' must ascend")

@@ -131,21 +131,21 @@ class Urdf:
     @cached_property
     def on(self) -> dict[str, list[Joint]]:
         """The joints whose parent is each link, in the file's order."""
-        found: dict[str, list[Joint]] = {link: [] for link in self.links}
+        joints: dict[str, list[Joint]] = {link: [] for link in self.links}
         for joint in self.joints.values():
-            found[joint.parent].append(joint)
-        return found
+            joints[joint.parent].append(joint)
+        return joints
 
     @cached_property
     def rigid(self) -> dict[str, frozenset[str]]:
         """The links that are joined rigidly to each link, itself included."""
-        found: dict[str, frozenset[str]] = {}
+        groups: dict[str, frozenset[str]] = {}
         for base in (self.root, *(joint.child for joint in self.joints.values() if joint.moves)):
             group = [base]
             for link in group:
                 group += [joint.child for joint in self.on[link] if not joint.moves]
-            found |= dict.fromkeys(group, frozenset(group))
-        return found
+            groups |= dict.fromkeys(group, frozenset(group))
+        return groups
 
     @cached_property
     def _above(self) -> dict[str, Joint]:
@@ -192,7 +192,7 @@ class Urdf:
 
 def descendants(on: Mapping[str, list[Joint]], link: str) -> list[str]:
     """Return a link and all links below it, where joints are listed by their parent."""
-    found = [link]
-    for one in found:
-        found += [joint.child for joint in on[one]]
-    return found
+    links = [link]
+    for name in links:
+        links += [joint.child for joint in on[name]]
+    return links

@@ -109,13 +109,13 @@ def _find_root(links: Mapping[str, Link], joints: Iterable[Joint], robot: Elemen
 
 def _check_mimics(joints: Mapping[str, Joint], robot: Element) -> None:
     for name, joint in joints.items():
-        where, seen, mimic = f"joint {name!r}, <mimic>", {name}, joint.mimic
+        where, leaders, mimic = f"joint {name!r}, <mimic>", {name}, joint.mimic
         while mimic is not None:
             if mimic.joint not in joints or not joints[mimic.joint].moves:
                 raise robot.error(f"{where}: there is no moving joint {mimic.joint!r}")
-            if mimic.joint in seen:
+            if mimic.joint in leaders:
                 raise robot.error(f"{where}: the joint follows itself")
-            seen.add(mimic.joint)
+            leaders.add(mimic.joint)
             mimic = joints[mimic.joint].mimic
 
 

@@ -17,8 +17,7 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides
 from kinfeas.scenes.objects import free_joints, moving_joint
-from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.scenes.solids import furniture_solids
+from kinfeas.scenes.scene import Scene, furniture_solids, read_scene
 from kinfeas.tasks.clutter import all_reachable, with_clutter
 from kinfeas.tasks.task import Subgoal, random_arm
 
@@ -188,9 +187,9 @@ class ChainTask:
             places |= scene.handles.keys()
         for number, subgoal in enumerate(self.subgoals):
             if subgoal.place not in places:
-                known = no_such(subgoal.place, places)
+                hint = no_such(subgoal.place, places)
                 raise ValueError(
-                    f"'subgoals.{number}.place': unknown place {subgoal.place!r}{known}"
+                    f"'subgoals.{number}.place': unknown place {subgoal.place!r}{hint}"
                 )
         for name, move in self.scene.moves.items() if self.scene else ():
             self.check_used(move.place, f"scene.moves.{name}.place")
@@ -286,7 +285,7 @@ class ChainTask:
         }
 
 
-def check_scene(wanted: TaskScene, scene: Scene) -> None:
+def check_scene(task_scene: TaskScene, scene: Scene) -> None:
     """Raise ValueError if objects, links or joints of a task are missing or do not fit."""
     objects = scene.objects
 
@@ -294,21 +293,21 @@ def check_scene(wanted: TaskScene, scene: Scene) -> None:
         if word not in names:
             raise ValueError(f"'scene.{key}': no {what} {word!r}{no_such(word, names)}")
 
-    for moved in wanted.moves:
+    for moved in task_scene.moves:
         need(f"moves.{moved}", moved, objects, "object")
-    if (grasped := wanted.grasped_object) is not None:
+    if (grasped := task_scene.grasped_object) is not None:
         need("grasped_object.object", grasped.object, objects, "object")
-        one = objects[grasped.object]
-        need("grasped_object.link", grasped.link, one.urdf.links, "link")
-        if one.fixed and moving_joint(one.urdf, grasped.link) is None:
+        grasped_object = objects[grasped.object]
+        need("grasped_object.link", grasped.link, grasped_object.urdf.links, "link")
+        if grasped_object.fixed and moving_joint(grasped_object.urdf, grasped.link) is None:
             raise ValueError(
                 f"'scene.grasped_object': link {grasped.link!r} of the fixed object "
                 f"{grasped.object!r} is below no moving joint"
             )
-    success = wanted.success
+    success = task_scene.success
     need("success.object", success.object, objects, "object")
     if success.parent is not None:
-        others = [other for other in objects if other != success.object]
+        others = [name for name in objects if name != success.object]
         need("success.parent", success.parent, others, "other object")
     if success.joint is not None:
         joints = free_joints(objects[success.object].urdf)
@@ -330,6 +329,6 @@ def _draw(number: float | tuple[float, float], rng: np.random.Generator) -> floa
     return float(rng.uniform(*number)) if isinstance(number, tuple) else number
 
 
-def _shifted(place: Array, offset: Iterable[float], turn: float = 0.0) -> Array:
+def _shifted(place: Array, offset: Iterable[float], yaw: float = 0.0) -> Array:
     """Return the pose `offset` away from `place` along its axes and turned about its z, (7,)."""
-    return compose(place, make_pose(np.array([*offset]), Rotation.from_rotvec([0.0, 0.0, turn])))
+    return compose(place, make_pose(np.array([*offset]), Rotation.from_rotvec([0.0, 0.0, yaw])))

@@ -26,8 +26,8 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
     source = "the task's parameters"
     changed = config.from_mapping(ChainTask, _changed(data, changes, source), source)
     # Other sub-goals need not use all places of the file, but all places of the changes.
-    given = changes.get("places")
-    _check_places(changed, given if isinstance(given, Mapping) else (), source)
+    changed_places = changes.get("places")
+    _check_places(changed, changed_places if isinstance(changed_places, Mapping) else (), source)
     return changed
 
 
@@ -87,8 +87,8 @@ def _shipped(name: str, parameters: Mapping[str, object]) -> ChainTask:
     return read_chain(Path(__file__).parent / f"{name}.yaml", parameters)
 
 
-def _check_places(task: ChainTask, given: Iterable[str], source: str) -> None:
-    for name in given:
+def _check_places(task: ChainTask, names: Iterable[str], source: str) -> None:
+    for name in names:
         try:
             task.check_used(name, f"places.{name}")
         except ValueError as error:
@@ -109,7 +109,7 @@ def _changed(old: object, change: object, source: str) -> Any:
         return change
     if change.get("generator", old.get("generator")) != old.get("generator"):
         return change  # parameters belong to one generator
-    changes = {key: _changed(old.get(key), one, source) for key, one in change.items()}
+    changes = {key: _changed(old.get(key), value, source) for key, value in change.items()}
     return {**old, **changes}
 
 

@@ -11,9 +11,9 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.free_space import connected, footprint
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import base_collides, collides
+from kinfeas.planning.placement import connected, footprint
 
 SMALLEST = 0.2
 """Smallest length and width of a solid, metres."""
@@ -94,17 +94,17 @@ def with_clutter(
     """
     ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
     goals = start.target_poses[:, :2]
-    way = np.vstack([start.base_pose[:2], goals])
-    drawn = Clutter().draw_solids(rng, (way.min(axis=0) + way.max(axis=0)) / 2.0)
-    ends = np.vstack([way, ee[:2]])
+    route = np.vstack([start.base_pose[:2], goals])
+    drawn = Clutter().draw_solids(rng, (route.min(axis=0) + route.max(axis=0)) / 2.0)
+    ends = np.vstack([route, ee[:2]])
     ends = np.column_stack([ends, np.zeros(len(ends))])[np.newaxis]
     near = drawn.gaps(ends)[0][0].min(axis=0) < _CLEARANCE
     centres = drawn.centre[0, :, :2]
     around = np.column_stack([centres, np.zeros(len(centres))])[np.newaxis]
     gaps = furniture.gaps(around)[0][0].min(axis=1, initial=np.inf)
     overlaps = gaps < np.linalg.norm(drawn.size[0, :, :2], axis=1)
-    away = np.linalg.norm(centres - way[:, np.newaxis], axis=2)
-    legs = np.linalg.norm(np.diff(way, axis=0), axis=1)[:, np.newaxis]
+    away = np.linalg.norm(centres - route[:, np.newaxis], axis=2)
+    legs = np.linalg.norm(np.diff(route, axis=0), axis=1)[:, np.newaxis]
     detour = (away[1:] + away[:-1] - legs).min(axis=0)
     left_out = near | overlaps | touches_robot(solver, start, drawn)
     order = np.argsort(np.where(left_out, np.inf, detour), kind="stable")
@@ -133,8 +133,8 @@ def free_places(solver: IkSolver, goal: Array, moments: Solids) -> Array:
         goal: World pose of the EE, shape (7,).
         moments: The same solids at some moments, one a row.
     """
-    turns = np.linspace(-np.pi, np.pi, 24, endpoint=False)
-    bearing, away = np.tile(turns, len(_REACH)), np.repeat(_REACH, len(turns))
+    bearings = np.linspace(-np.pi, np.pi, 24, endpoint=False)
+    bearing, away = np.tile(bearings, len(_REACH)), np.repeat(_REACH, len(bearings))
     x, y = goal[0] - away * np.cos(bearing), goal[1] - away * np.sin(bearing)
     base = planar_pose(x, y, bearing)
     for row in range(len(moments.pose)):
@@ -146,9 +146,9 @@ def free_places(solver: IkSolver, goal: Array, moments: Solids) -> Array:
 def all_reachable(solver: IkSolver, start: Start, solids: Solids) -> bool:
     """Return whether a disc within the base can be driven to a free place near each goal."""
     places = [free_places(solver, goal, solids) for goal in start.target_poses]
-    if not all(len(one) for one in places):
+    if not all(len(poses) for poses in places):
         return False
     disc = footprint(solver.collision)
-    found = connected(solids, start.base_pose[:2], np.concatenate(places)[:, :2], disc)
-    parts = np.split(found, np.cumsum([len(one) for one in places])[:-1])
+    reached = connected(solids, start.base_pose[:2], np.concatenate(places)[:, :2], disc)
+    parts = np.split(reached, np.cumsum([len(poses) for poses in places])[:-1])
     return all(part.any() for part in parts)

@@ -8,14 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config.quantities import Distance, Metres
-from kinfeas.core.errors import KinfeasError, check_ascending, check_name
+from kinfeas.core.errors import check_ascending, check_name
 from kinfeas.core.spatial import Array, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
-
-_HEIGHTS_OF = {"ggr_obstacles": "ggr", "ggr_dynamic": "ggr", "spline": "ggr_restricted"}
-"""Tasks with the goal heights of another one."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +25,8 @@ class GoalReaching:
         name: Task name.
         motion: Generator of the EE motion.
         distance: Smallest and largest planar distance of the goal from the base, metres.
-        heights: Smallest and largest height of the goal, metres; the robot's of this name by
-            default.
+        heights: Smallest and largest height of the goal, metres; by default the robot's reach, or
+            with `restrict_start` its comfortable part.
         restrict_start: Whether the EE also starts within the goal heights.
         start: `free` draws arm configurations without self-collision; `any` also allows
             self-collision at the goal heights and, even with `restrict_start`, other heights
@@ -77,10 +74,8 @@ class GoalReaching:
     def _heights(self, solver: IkSolver) -> tuple[float, float]:
         if self.heights is not None:
             return self.heights
-        name, known = _HEIGHTS_OF.get(self.name, self.name), solver.robot.goal_heights
-        if name not in known:
-            raise KinfeasError(f"task {self.name!r} needs 'heights', as robots have none for it")
-        return known[name]
+        reach = solver.robot.reach
+        return reach.comfortable if self.restrict_start else (reach.low, reach.high)
 
     def _orientation(self, rng: np.random.Generator) -> Rotation:
         if self.orientation == "so3":
@@ -89,12 +84,12 @@ class GoalReaching:
 
 
 def ggr(**parameters: object) -> GoalReaching:
-    """Goal reaching with the robot's full range of goal heights."""
+    """Goal reaching at all heights of the robot's reach."""
     return config.from_mapping(GoalReaching, parameters, "ggr")
 
 
 def ggr_restricted(**parameters: object) -> GoalReaching:
-    """Goal reaching with start and goal in the robot's restricted range of heights."""
+    """Goal reaching with start and goal at comfortable heights."""
     defaults = {"name": "ggr_restricted", "restrict_start": True}
     return config.from_mapping(GoalReaching, {**defaults, **parameters}, "ggr_restricted")
 

@@ -83,9 +83,9 @@ class ReachingAmongSolids(GoalReaching, Clutter):
         gaps = moments.gaps(np.broadcast_to(goal[:3], (len(moments.pose), 1, 3)))
         at_goal = np.hypot(*gaps).min(axis=(0, 1)) < self.goal_clearance
         detour = np.linalg.norm(drawn.pose[0, :, :2] - ends[::2, np.newaxis, :2], axis=2).sum(0)
-        taken = np.where(at_start | near | at_goal, np.inf, detour)
-        order = np.argsort(taken, kind="stable")[: self.places]
-        order = order[np.isfinite(taken[order])]
+        cost = np.where(at_start | near | at_goal, np.inf, detour)
+        order = np.argsort(cost, kind="stable")[: self.places]
+        order = order[np.isfinite(cost[order])]
         n = len(moments.pose)
         return Solids.empty(n, self.places).put(np.arange(n), moments.only(order))
 
@@ -119,5 +119,5 @@ def ggr_dynamic(**parameters: object) -> ReachingAmongSolids:
 def _reaching(
     name: str, defaults: Mapping[str, object], parameters: Mapping[str, object]
 ) -> ReachingAmongSolids:
-    given = {"name": name, **defaults, **parameters}
-    return config.from_mapping(ReachingAmongSolids, given, name)
+    values = {"name": name, **defaults, **parameters}
+    return config.from_mapping(ReachingAmongSolids, values, name)

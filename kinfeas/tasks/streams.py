@@ -81,8 +81,8 @@ class Stream:
         return Start(base, joints, spatial.IDENTITY[np.newaxis])
 
     def heights(self, solver: IkSolver) -> tuple[float, float]:
-        """Return the lowest and highest target, metres; by default goals of `ggr_restricted`."""
-        return self.rules.heights or solver.robot.goal_heights["ggr_restricted"]
+        """Return the lowest and highest target, metres; by default comfortable ones."""
+        return self.rules.heights or solver.robot.reach.comfortable
 
     def target_stream(self, solver: IkSolver) -> "SimulatedStream":
         """Return the targets of episodes."""

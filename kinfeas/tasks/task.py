@@ -175,11 +175,11 @@ def build_subgoals(subgoals: Sequence[Subgoal]) -> tuple[SubgoalMotion, ...]:
     """Return sub-goals with their generators; those of equal motions share one."""
     built: list[SubgoalMotion] = []
     for number, subgoal in enumerate(subgoals):
-        known = next(
+        equal = next(
             (b for a, b in zip(subgoals, built, strict=False) if a.motion == subgoal.motion), None
         )
         where = f"subgoals.{number}.motion" if len(subgoals) > 1 else "motion"
-        generator = known.generator if known else _build(subgoal.motion, where)
+        generator = equal.generator if equal else _build(subgoal.motion, where)
         built.append(
             SubgoalMotion(
                 generator, subgoal.frame, subgoal.dwell, subgoal.grip, subgoal.motion.generator
@@ -217,14 +217,14 @@ def random_arm(
         joints = rng.uniform(lower, upper, (_DRAWS, len(lower)))
         ee = forward(solver.chain, joints)
         good = compose(ee, np.broadcast_to(tip, ee.shape))[:, 2] > 0.0
-        wanted = np.ones(_DRAWS, dtype=np.bool_) if accept is None else accept(ee)
-        for row in np.flatnonzero(good if either else good & wanted):
-            if (either and wanted[row]) or solver.admissible(joints[row]):
+        accepted = np.ones(_DRAWS, dtype=np.bool_) if accept is None else accept(ee)
+        for row in np.flatnonzero(good if either else good & accepted):
+            if (either and accepted[row]) or solver.admissible(joints[row]):
                 return joints[row]
     raise KinfeasError(
         f"robot {robot.name!r}: {_DRAWS * _ROUNDS} draws have no arm configuration without "
         "self-collision and with the EE in the task's range; check joint limits, ignored "
-        f"collisions, goal heights and max_gravity_load{_culprits(robot)}"
+        f"collisions, heights and max_gravity_load{_culprits(robot)}"
     )
 
 

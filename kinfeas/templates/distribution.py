@@ -59,8 +59,8 @@ def _check_folder(folder: Path) -> None:
 
 def _files(kind: str) -> Iterator[tuple[Path, str]]:
     """Yield the template and the relative path of each file."""
-    for place in ("common", kind):
-        root = Path(__file__).parent / place
+    for folder_name in ("common", kind):
+        root = Path(__file__).parent / folder_name
         for source in sorted(root.rglob(f"*{_SUFFIX}")):
             yield source, source.relative_to(root).as_posix().removesuffix(_SUFFIX)
 

@@ -48,14 +48,14 @@ def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
     world.start(list(episodes))
     actions = []
     for _ in range(_STEPS):
-        given = world.loop.observation
-        arrays = {k: value for k, value in vars(given).items() if isinstance(value, np.ndarray)}
+        observed = world.loop.observation
+        arrays = {k: value for k, value in vars(observed).items() if isinstance(value, np.ndarray)}
         before = {key: value.copy() for key, value in arrays.items()}
         with plugin_note(_name(policy)):
-            action = policy.act(given)
+            action = policy.act(observed)
         _check_action(policy, action, (len(episodes), world.action_size))
         for key, values in before.items():
-            if not np.array_equal(values, getattr(given, key), equal_nan=True):
+            if not np.array_equal(values, getattr(observed, key), equal_nan=True):
                 raise ConformanceError(f"{_name(policy)} writes into its input: {key}")
         actions.append(action.copy())
         world.step(action)

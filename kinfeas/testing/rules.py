@@ -114,19 +114,19 @@ class _Step:
 def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
     """Return the start state after checking `start`."""
     rows = range(len(ee_pose))
-    given = ee_pose.copy(), targets.copy()
-    state = probe.start(*given, rows)
-    kept = np.array_equal(given[0], ee_pose) and np.array_equal(given[1], targets)
+    arguments = ee_pose.copy(), targets.copy()
+    state = probe.start(*arguments, rows)
+    kept = np.array_equal(arguments[0], ee_pose) and np.array_equal(arguments[1], targets)
     probe.require(kept, "copies", "modifies the poses passed to start")
-    shared = any(np.may_share_memory(v, pose) for v in state.values() for pose in given)
+    shared = any(np.may_share_memory(v, pose) for v in state.values() for pose in arguments)
     probe.require(not shared, "copies", "must copy the poses passed to start into its state")
     again = probe.start(ee_pose.copy(), targets.copy(), rows)
     same = _close(state, again, 0.0)
     probe.require(same, "repeatable", "returns another state from start for equal poses and rngs")
     for row in _some(rows):
-        one = slice(row, row + 1)
-        alone = probe.start(ee_pose[one].copy(), targets[one].copy(), [row])
-        same = _close(alone, _rows(state, one), _NEAR)
+        single = slice(row, row + 1)
+        alone = probe.start(ee_pose[single].copy(), targets[single].copy(), [row])
+        same = _close(alone, _rows(state, single), _NEAR)
         probe.require(same, "rows", "starts a motion differently alone and in a batch")
     return state
 
@@ -134,12 +134,12 @@ def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
 def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _Step:
     """Return the step from `state` after checking `twist`."""
     step_state, step_pose = copy.deepcopy(state), ee_pose.copy()
-    given, dt = targets.copy(), np.full(len(ee_pose), probe.trial.dt)
-    twist, after = copy.deepcopy(probe.twist(state, ee_pose, given, dt))
+    target_argument, dt = targets.copy(), np.full(len(ee_pose), probe.trial.dt)
+    twist, after = copy.deepcopy(probe.twist(state, ee_pose, target_argument, dt))
     for name, kept in (
         ("state", _close(state, step_state, 0.0)),
         ("ee_pose", np.array_equal(ee_pose, step_pose)),
-        ("target_pose", np.array_equal(given, targets)),
+        ("target_pose", np.array_equal(target_argument, targets)),
         ("dt", np.all(dt == probe.trial.dt)),
     ):
         probe.require(kept, "copies", f"modifies the {name} passed to twist")
@@ -153,31 +153,31 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
     uneven = dt * np.resize([1.0, 0.5], len(dt))
     mixed = copy.deepcopy(probe.twist(state, ee_pose, targets, uneven))
     for row in _some(range(len(ee_pose))):
-        one = slice(row, row + 1)
+        single = slice(row, row + 1)
         for steps, (moved, later), broken in (
             (dt, (twist, after), "moves a motion differently alone and in a batch"),
             (uneven, mixed, "moves a motion differently if other rows have another dt"),
         ):
-            arrays = [values[one].copy() for values in (ee_pose, targets, steps)]
-            alone, after_alone = probe.twist(_rows(state, one), *arrays)
-            same = _near(alone, moved[one]) and _close(after_alone, _rows(later, one), _NEAR)
+            arrays = [values[single].copy() for values in (ee_pose, targets, steps)]
+            alone, after_alone = probe.twist(_rows(state, single), *arrays)
+            same = _near(alone, moved[single]) and _close(after_alone, _rows(later, single), _NEAR)
             probe.require(same, "rows", broken)
     return _Step(step_state, step_pose, twist)
 
 
-def _check_restart(probe: Probe, seen: list[_Step], targets: Array) -> None:
+def _check_restart(probe: Probe, history: list[_Step], targets: Array) -> None:
     """Check that one motion can restart while the others continue."""
-    first, now = seen[0], seen[-1]
-    row = len(seen) % len(targets)
-    one = slice(row, row + 1)
-    fresh = probe.start(first.ee_pose[one].copy(), targets[one].copy(), [row])
+    first, now = history[0], history[-1]
+    row = len(history) % len(targets)
+    single = slice(row, row + 1)
+    fresh = probe.start(first.ee_pose[single].copy(), targets[single].copy(), [row])
     state, ee_pose = copy.deepcopy(now.state), now.ee_pose.copy()
     for key, value in fresh.items():
-        state[key][one] = value
-    ee_pose[one] = first.ee_pose[one]
+        state[key][single] = value
+    ee_pose[single] = first.ee_pose[single]
     twist, _ = probe.twist(state, ee_pose, targets)
     expected = now.twist.copy()
-    expected[one] = first.twist[one]
+    expected[single] = first.twist[single]
     probe.require(
         _near(twist, expected),
         "restart",

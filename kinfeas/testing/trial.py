@@ -82,8 +82,8 @@ def describe(error: BaseException, subject: str) -> str:
     if isinstance(error, KinfeasError):
         return str(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
-    place = f"{Path(frame.filename).name}, line {frame.lineno}"
-    return f"{subject} raises {type(error).__name__}: {error} ({place})"
+    location = f"{Path(frame.filename).name}, line {frame.lineno}"
+    return f"{subject} raises {type(error).__name__}: {error} ({location})"
 
 
 def _random_poses(rng: np.random.Generator, n: int) -> Array:

@@ -8,11 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
-from stable_baselines3 import SAC
 
 from kinfeas.io.files import reading
-from kinfeas.training.fast_sac import Replay
-from kinfeas.training.learner import Learner
+from kinfeas.training.fast_sac import FastSAC, Replay
 from kinfeas.training.run import loading, read_state, write_state
 
 _TENSORS = "state.safetensors"
@@ -23,7 +21,7 @@ Tensors = dict[str, torch.Tensor]
 
 
 def save_learner(
-    folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]], state: dict[str, Any]
+    folder: Path, learner: FastSAC, world: Mapping[str, NDArray[Any]], state: dict[str, Any]
 ) -> None:
     """Write a learner, a snapshot of its environments and the entries of `state` into a folder."""
     tensors = _tensors(learner, world)
@@ -38,7 +36,7 @@ def save_learner(
 
 
 def load_learner(
-    folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]]
+    folder: Path, learner: FastSAC, world: Mapping[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
     """Restore a fresh learner from a checkpoint and return the snapshot of the environments.
 
@@ -65,7 +63,7 @@ def load_learner(
         return _world_arrays(tensors)
 
 
-def _tensors(learner: Learner, world: Mapping[str, NDArray[Any]]) -> Tensors:
+def _tensors(learner: FastSAC, world: Mapping[str, NDArray[Any]]) -> Tensors:
     """Return the tensors of a checkpoint."""
     tensors = _world_tensors(world) | {"random": torch.get_rng_state()}
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
@@ -99,7 +97,7 @@ def _check_layout(tensors: Tensors, expected: Tensors) -> None:
         raise ValueError(f"{key} is missing, unknown or of another type or shape")
 
 
-def _optimizer_slots(learner: Learner, tensors: Tensors) -> Tensors:
+def _optimizer_slots(learner: FastSAC, tensors: Tensors) -> Tensors:
     """Return the state of Adam like that in `tensors`; what has not learned has none."""
     slots: Tensors = {}
     for name, optimizer in _optimizers(learner).items():
@@ -119,21 +117,21 @@ def _load_optimizer(optimizer: torch.optim.Optimizer, tensors: Tensors) -> None:
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 
 
-def _learned_entropy(learner: Learner) -> torch.Tensor | None:
+def _learned_entropy(learner: FastSAC) -> torch.Tensor | None:
     """Return the logarithm of SAC's entropy coefficient, if it is learned."""
-    if not isinstance(learner, SAC) or learner.log_ent_coef is None:
+    if learner.log_ent_coef is None:
         return None
     return learner.log_ent_coef.detach()
 
 
-def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:
-    found = {"actor": learner.actor.optimizer, "critic": learner.critic.optimizer}
-    if isinstance(learner, SAC) and learner.ent_coef_optimizer is not None:
-        found["entropy"] = learner.ent_coef_optimizer
-    return found
+def _optimizers(learner: FastSAC) -> dict[str, torch.optim.Optimizer]:
+    optimizers = {"actor": learner.actor.optimizer, "critic": learner.critic.optimizer}
+    if learner.ent_coef_optimizer is not None:
+        optimizers["entropy"] = learner.ent_coef_optimizer
+    return optimizers
 
 
-def _buffer(learner: Learner) -> Replay:
+def _buffer(learner: FastSAC) -> Replay:
     assert isinstance(learner.replay_buffer, Replay)
     return learner.replay_buffer
 
@@ -147,9 +145,9 @@ def _world_tensors(world: Mapping[str, NDArray[Any]]) -> Tensors:
     tensors = {}
     for key, values in world.items():
         unsigned = values.dtype == np.uint64
-        seen = values.view(np.int64) if unsigned else values
+        viewed = values.view(np.int64) if unsigned else values
         # A copy, since several entries may share memory.
-        tensors[f"world.{key}{_UNSIGNED if unsigned else ''}"] = torch.from_numpy(np.array(seen))
+        tensors[f"world.{key}{_UNSIGNED if unsigned else ''}"] = torch.from_numpy(np.array(viewed))
     return tensors
 
 

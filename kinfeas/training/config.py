@@ -1,4 +1,4 @@
-"""Settings of a training run: the schema of the sections `train` of `configs/robots`."""
+"""Settings of a training run: the schema of the sections `train`."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
@@ -19,20 +19,18 @@ from kinfeas.config.quantities import (
 from kinfeas.config.recipes import read_recipe, section
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.envs.world import WorldConfig
-from kinfeas.robots.loading import load_robot
 
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """Hyperparameters of SAC and TD3.
+    """Hyperparameters of SAC.
 
     Attributes:
-        algorithm: `sac` or `td3`.
         learning_rate: Of actor and critics.
         schedule: Constant learning rate, or one that falls linearly to 0 over the run.
         batch_size: Transitions in a gradient step.
         gradient_steps: Gradient steps for each action of all environments.
-        policy_delay: SAC: gradient steps of the critics for each one of the actor.
+        policy_delay: Gradient steps of the critics for each one of the actor.
         gamma: Discount of a reward one step later.
         tau: Share of the critics that the target networks take over in a gradient step.
         buffer_size: Transitions in the replay buffer.
@@ -40,15 +38,12 @@ class LearnerConfig:
             with `init` these actions are the policy's, with noise.
         critic_steps: With `init`, steps after these in which only the critics learn.
         net_arch: Units of each hidden layer.
-        anchor: SAC, with `init`: factor on the squared difference between the actions of the actor
+        anchor: With `init`, factor on the squared difference between the actions of the actor
             and of the initial policy, in the actor's loss. Of a policy without the terms of the
             surroundings, it counts where these are 0: no base is planned, nothing in range.
-        ent_coef: SAC: fixed entropy coefficient, or `learned`.
-        exploration_noise: TD3: standard deviation of the noise on actions.
-        policy_noise: TD3: standard deviation of the target policy's noise.
+        ent_coef: Fixed entropy coefficient, or `learned`.
     """
 
-    algorithm: Literal["sac", "td3"] = "sac"
     learning_rate: PositiveShare = 6e-4
     schedule: Literal["constant", "linear"] = "linear"
     batch_size: Annotated[int, Interval(ge=1, le=65_536)] = 256
@@ -62,8 +57,6 @@ class LearnerConfig:
     net_arch: tuple[Annotated[int, Interval(ge=1, le=2048)], ...] = (256, 256)
     ent_coef: NotNegative | Literal["learned"] = 0.01
     anchor: NotNegative = 0.0
-    exploration_noise: NotNegative = 0.25
-    policy_noise: NotNegative = 0.2
 
 
 @dataclass(frozen=True)
@@ -114,11 +107,10 @@ class TrainConfig:
         world: Control period, limits of an episode, adapters, reward and IK.
         evaluation_adapters: Adapters of the evaluations, which select and measure the best policy,
             in place of those of `world`, which may be there for exploration only.
-        trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` and `mlflow`
-            are extras.
+        trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` is an extra.
         init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
             `learner.net_arch`; terms that it lacks have no effect at first.
-        learner: Algorithm and hyperparameters.
+        learner: Hyperparameters.
         schedule: Length, evaluations and checkpoints.
     """
 
@@ -132,7 +124,7 @@ class TrainConfig:
     observation: tuple[str, ...] = OBSERVATION
     world: WorldConfig = field(default_factory=WorldConfig)
     evaluation_adapters: tuple[PluginSpec, ...] = ()
-    trackers: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ("tensorboard",)
+    trackers: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
@@ -157,26 +149,26 @@ def load_recipe(
 
     Args:
         name: Recipe as in `read_recipe`; None for the robot's own. Keys that it lacks are those of
-            the robot's own recipe, unless it extends the recipe of a robot.
+            the section of the robot that it names, by default of `train`, or in worlds with physics
+            of `train_physics`, or of `finetune_physics` with `init`.
         settings: Values by key, as in `from_mapping`.
-        backend: World of the robot's recipe; those with physics have another one, also with `init`.
+        backend: World of the training.
         robot: Robot where neither the settings nor the recipe name one.
 
     Raises:
         KinfeasError: If there is no such recipe or robot, or a key or value is wrong.
     """
-    kind = "train" if backend == "analytic" else "train_physics"
-    data, complete = ({}, False) if name is None else read_recipe(name, kind)
-    source, changes = name or "", nested(settings)
+    data, name_of_section = ({}, None) if name is None else read_recipe(name)
+    changes = nested(settings)
     data = {"robot": robot, **data}
-    chosen = changes.get("robot", data["robot"])
-    if not complete and isinstance(chosen, str):
-        if kind != "train" and (changes.get("init") or data.get("init")):
-            kind = "finetune_physics"
-        base, own = section(kind, load_robot(chosen).name)
-        if kind != "train":
+    robot_name, source = changes.get("robot", data["robot"]), name or ""
+    if isinstance(robot_name, str):
+        physical = "finetune_physics" if changes.get("init", data.get("init")) else "train_physics"
+        kind = name_of_section or ("train" if backend == "analytic" else physical)
+        base, origin = section(kind, robot_name)
+        if backend != "analytic" and "backend" in base.get("world", {}):
             base = merged(base, {"world": {"backend": backend}})
-        if backend == "mujoco":  # steps a batch on all cores; only a world in this process is saved
-            base = {**base, "processes": 1}
-        data, source = merged(base, data), source or own
+            # MuJoCo steps a batch on all cores, and only a world in this process is saved.
+            base |= {"processes": 1} if backend == "mujoco" else {}
+        data, source = merged(base, data), source or origin
     return from_mapping(TrainConfig, data, source, changes)

@@ -35,10 +35,10 @@ class Replay(ReplayBuffer):
 
     def sample(self, batch_size: int, env: object = None) -> ReplayBufferSamples:
         """Return random transitions; the end of an episode by its time limit is not terminal."""
-        chosen = torch.randint(self.size() * self.n_envs, (batch_size,))
-        parts = self._flat.index_select(0, chosen).split(self._widths, dim=1)
-        seen, after, action, reward, done, timeout = parts
-        return ReplayBufferSamples(seen, action, after, done * (1.0 - timeout), reward)
+        indices = torch.randint(self.size() * self.n_envs, (batch_size,))
+        parts = self._flat.index_select(0, indices).split(self._widths, dim=1)
+        observation, after, action, reward, done, timeout = parts
+        return ReplayBufferSamples(observation, action, after, done * (1.0 - timeout), reward)
 
 
 class Perceptrons:
@@ -56,7 +56,7 @@ class Perceptrons:
         self, networks: Sequence[Sequence[Sequence[nn.Linear]]], dtype: torch.dtype
     ) -> None:
         self._shapes = [
-            (len(networks), sum(one.out_features for one in layer), layer[0].in_features)
+            (len(networks), sum(module.out_features for module in layer), layer[0].in_features)
             for layer in networks[0]
         ]
         size = sum(k * outputs * (inputs + 1) for k, outputs, inputs in self._shapes)
@@ -67,12 +67,12 @@ class Perceptrons:
         self._fast = self._views(self._rounded)
         for number, network in enumerate(networks):
             for layer, (weight, bias) in zip(network, self._exact, strict=True):
-                widths = [one.out_features for one in layer]
+                widths = [module.out_features for module in layer]
                 parts = weight[number].split(widths), bias[number, 0].split(widths)
-                for one, rows, shift in zip(layer, *parts, strict=True):
-                    rows.copy_(one.weight.data)
-                    shift.copy_(one.bias.data)
-                    one.weight.data, one.bias.data = rows, shift
+                for module, rows, shift in zip(layer, *parts, strict=True):
+                    rows.copy_(module.weight.data)
+                    shift.copy_(module.bias.data)
+                    module.weight.data, module.bias.data = rows, shift
 
     def refresh(self) -> None:
         """Take over the parameters, which have changed."""
@@ -137,11 +137,15 @@ class FastSAC(SAC):
 
     def use(self, dtype: torch.dtype) -> None:
         """Use another type for products of matrices; resets the optimizers."""
-        trunk: list[Sequence[nn.Linear]] = [[one] for one in linear_layers(self.actor.latent_pi)]
+        trunk: list[Sequence[nn.Linear]] = [
+            [module] for module in linear_layers(self.actor.latent_pi)
+        ]
         heads: Any = [self.actor.mu, self.actor.log_std]
         self._actor = Perceptrons([[*trunk, heads]], dtype)
         self._critic, self._target = (
-            Perceptrons([[[one] for one in linear_layers(q)] for q in critic.q_networks], dtype)
+            Perceptrons(
+                [[[module] for module in linear_layers(q)] for q in critic.q_networks], dtype
+            )
             for critic in (self.critic, self.critic_target)
         )
         for model, ours in ((self.actor, self._actor), (self.critic, self._critic)):
@@ -220,8 +224,8 @@ class FastSAC(SAC):
         action, n = drawn.action, len(observations)
         layers = self._critic.forward(torch.cat([observations, action], dim=1))
         value, lowest = layers[-1].min(dim=0, keepdim=True)
-        share = torch.zeros_like(layers[-1]).scatter_(0, lowest, -1.0 / n)
-        toward = self._critic.backward(layers, share, columns=action.shape[1])
+        weights = torch.zeros_like(layers[-1]).scatter_(0, lowest, -1.0 / n)
+        toward = self._critic.backward(layers, weights, columns=action.shape[1])
         assert toward is not None
         bend = 1.0 - action.square()
         by_mean = bend * (toward.sum(dim=0) + 2.0 * ent_coef / n * action / (bend + _TINY))
@@ -268,4 +272,4 @@ def product_type() -> torch.dtype:
 
 def linear_layers(module: nn.Module) -> list[nn.Linear]:
     """Return the linear layers of a module, in order."""
-    return [one for one in module.modules() if isinstance(one, nn.Linear)]
+    return [layer for layer in module.modules() if isinstance(layer, nn.Linear)]

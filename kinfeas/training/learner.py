@@ -1,4 +1,4 @@
-"""SAC and TD3 as Stable-Baselines3 learners, and the networks that they learn."""
+"""SAC of Stable-Baselines3 as a learner, and the networks that it learns."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3 import SAC, TD3
+from stable_baselines3 import SAC
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
@@ -19,47 +19,37 @@ from kinfeas.training.config import LearnerConfig
 from kinfeas.training.fast_sac import FastSAC, Replay, linear_layers
 from kinfeas.training.vec_env import EpisodesVecEnv
 
-Learner = SAC | TD3
-
 INITIAL_STD = 0.1
-"""Standard deviation, before the bounds, of SAC's actions when it starts from a policy."""
+"""Standard deviation, before the bounds, of the actions when training starts from a policy."""
 
 
 class DivergedError(KinfeasError):
     """Losses or weights of a learner are no longer finite."""
 
 
-def make_learner(config: LearnerConfig, env: EpisodesVecEnv, seed: int) -> Learner:
+def make_learner(config: LearnerConfig, env: EpisodesVecEnv, seed: int) -> FastSAC:
     """Return a fresh learner whose random numbers are seeded."""
     # Small networks gain nothing from a second thread, and threads that wait for each other lose
     # most of their time as soon as another process wants a core.
     torch.set_num_threads(1)
     rate, linear = config.learning_rate, config.schedule == "linear"
-    common: dict[str, Any] = {
-        "policy": "MlpPolicy",
-        "env": env,
-        "learning_rate": (lambda remaining: rate * remaining) if linear else rate,
-        "batch_size": config.batch_size,
-        "gradient_steps": config.gradient_steps,
-        "gamma": config.gamma,
-        "tau": config.tau,
-        "buffer_size": max(config.buffer_size, env.num_envs),
-        "learning_starts": config.learning_starts,
-        "policy_kwargs": {
-            "net_arch": list(config.net_arch),
-            "optimizer_kwargs": {"fused": True},
-        },
-        "replay_buffer_class": Replay,
-        "seed": seed,
-        "device": "cpu",
-    }
-    if config.algorithm == "td3":
-        learner: Learner = TD3(**common, target_policy_noise=config.policy_noise)
-    else:
-        learner = FastSAC(
-            **common, ent_coef="auto" if config.ent_coef == "learned" else config.ent_coef
-        )
-        learner.policy_delay = config.policy_delay
+    learner = FastSAC(
+        policy="MlpPolicy",
+        env=env,
+        learning_rate=(lambda remaining: rate * remaining) if linear else rate,
+        batch_size=config.batch_size,
+        gradient_steps=config.gradient_steps,
+        gamma=config.gamma,
+        tau=config.tau,
+        buffer_size=max(config.buffer_size, env.num_envs),
+        learning_starts=config.learning_starts,
+        policy_kwargs={"net_arch": list(config.net_arch), "optimizer_kwargs": {"fused": True}},
+        replay_buffer_class=Replay,
+        ent_coef="auto" if config.ent_coef == "learned" else config.ent_coef,
+        seed=seed,
+        device="cpu",
+    )
+    learner.policy_delay = config.policy_delay
     learner.set_logger(Logger(None, []))
     return learner
 
@@ -78,7 +68,7 @@ def without_denormals() -> Iterator[None]:
 
 
 def explore(
-    learner: Learner, config: LearnerConfig, observation: NDArray[np.float32], random: bool
+    learner: FastSAC, observation: NDArray[np.float32], *, random: bool
 ) -> NDArray[np.float32]:
     """Return actions to learn from, shape (n, a), for scaled observations, shape (n, d).
 
@@ -88,18 +78,13 @@ def explore(
         assert learner.action_space.shape is not None
         return (2.0 * torch.rand(len(observation), *learner.action_space.shape) - 1.0).numpy()
     with torch.no_grad():
-        seen = torch.from_numpy(observation)
-        if isinstance(learner, FastSAC):
-            return learner.draw(seen).numpy()
-        action = learner.actor(seen)
-        action = action + config.exploration_noise * torch.randn_like(action)
-        return action.clamp(-1.0, 1.0).numpy()
+        return learner.draw(torch.from_numpy(observation)).numpy()
 
 
-def learn(learner: Learner, config: LearnerConfig) -> None:
+def learn(learner: FastSAC, config: LearnerConfig) -> None:
     """Take the gradient steps of one step of all environments."""
     learner.train(config.gradient_steps, config.batch_size)
-    if _diverged(learner):
+    if not learner.finite():
         raise _divergence(config)
 
 
@@ -114,14 +99,7 @@ def _divergence(config: LearnerConfig) -> DivergedError:
     return DivergedError(f"learning diverged: learner.learning_rate is {rate:g}, try a lower one")
 
 
-def _diverged(learner: Learner) -> bool:
-    if isinstance(learner, FastSAC):
-        return not learner.finite()
-    weights = [*learner.actor.parameters(), *learner.critic.parameters()]
-    return not bool(torch.isfinite(nn.utils.get_total_norm(weights)))
-
-
-def network_of(learner: Learner, env: EpisodesVecEnv) -> Network:
+def network_of(learner: SAC, env: EpisodesVecEnv) -> Network:
     """Return the learner's deterministic actor as a network that runs without torch."""
     linear = _layers(learner)
     return Network(
@@ -132,18 +110,18 @@ def network_of(learner: Learner, env: EpisodesVecEnv) -> Network:
     )
 
 
-def save_policy(model: Learner, env: EpisodesVecEnv, folder: Path) -> None:
+def save_policy(model: SAC, env: EpisodesVecEnv, folder: Path) -> None:
     """Write the policy of a Stable-Baselines3 model for `evaluate`, `export` and `deploy`.
 
     Args:
-        model: SAC or TD3 with `MlpPolicy` and ReLU layers.
+        model: SAC with `MlpPolicy` and ReLU layers.
         env: Environment of its training, which determines robot and observation scale.
         folder: Existing folder for `policy.json` and `policy.safetensors`.
 
     Raises:
         KinfeasError: If the actor has other layers.
     """
-    hidden: Any = model.actor.mu[:-1] if isinstance(model, TD3) else model.actor.latent_pi
+    hidden: Any = model.actor.latent_pi
     layers = [*hidden, model.actor.features_extractor]
     if others := {type(m).__name__ for m in layers} - {"Linear", "ReLU", "FlattenExtractor"}:
         raise KinfeasError(f"the actor must have ReLU layers, not {', '.join(sorted(others))}")
@@ -151,11 +129,11 @@ def save_policy(model: Learner, env: EpisodesVecEnv, folder: Path) -> None:
 
 
 def take_network(
-    learner: Learner, network: Network, anchor: float = 0.0, surroundings: Sequence[int] = ()
+    learner: FastSAC, network: Network, anchor: float = 0.0, surroundings: Sequence[int] = ()
 ) -> None:
     """Copy a network into a fresh learner's actor, whose hidden layers are as wide.
 
-    SAC's actions get the deviation `INITIAL_STD`. A positive `anchor` holds SAC near the network
+    Its actions get the deviation `INITIAL_STD`. A positive `anchor` holds it near the network
     where all the inputs `surroundings` that the network ignores are 0.
     """
     with torch.no_grad():
@@ -164,19 +142,13 @@ def take_network(
         ):
             layer.weight.copy_(torch.from_numpy(weight.T.copy()))
             layer.bias.copy_(torch.from_numpy(bias))
-        if isinstance(learner, SAC):
-            log_std: Any = learner.actor.log_std  # a layer, unlike its annotation
-            log_std.weight.zero_()
-            log_std.bias.fill_(math.log(INITIAL_STD))
-        else:
-            learner.actor_target.load_state_dict(learner.actor.state_dict())
-    if isinstance(learner, FastSAC):
-        ignored = [number for number in surroundings if not network.weights[0][number].any()]
-        learner.anchor(anchor, ignored)
+        log_std: Any = learner.actor.log_std  # a layer, unlike its annotation
+        log_std.weight.zero_()
+        log_std.bias.fill_(math.log(INITIAL_STD))
+    ignored = [number for number in surroundings if not network.weights[0][number].any()]
+    learner.anchor(anchor, ignored)
 
 
-def _layers(learner: Learner) -> list[nn.Linear]:
+def _layers(learner: SAC) -> list[nn.Linear]:
     """Return the layers that lead to the deterministic action, in order."""
-    if isinstance(learner, TD3):
-        return linear_layers(learner.actor.mu)
     return [*linear_layers(learner.actor.latent_pi), *linear_layers(learner.actor.mu)]

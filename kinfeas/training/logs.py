@@ -2,7 +2,6 @@
 
 import csv
 import hashlib
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -90,41 +89,10 @@ class Wandb:
         self._run.finish()
 
 
-class Mlflow:
-    """A run of MLflow, in the store that MLFLOW_TRACKING_URI names."""
-
-    def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
-        from mlflow import MlflowClient
-
-        self._client, experiment = MlflowClient(), "kinfeas"
-        found = self._client.get_experiment_by_name(experiment)
-        number = found.experiment_id if found else self._client.create_experiment(experiment)
-        tags = {"kinfeas.run": _identity(out)}
-        runs = self._client.search_runs([number], f"tags.`kinfeas.run` = '{_identity(out)}'")
-        if runs:
-            self._run = runs[0].info.run_id
-            self._client.update_run(self._run, "RUNNING")
-        else:
-            self._run = self._client.create_run(number, tags=tags, run_name=str(out)).info.run_id
-            for name, value in {**_about(settings), "seed": settings.seed}.items():
-                self._client.set_tag(self._run, name, value)
-
-    def log(self, figures: Mapping[str, float], steps: int) -> None:
-        """Add figures by name."""
-        from mlflow.entities import Metric
-
-        now = int(1000.0 * time.time())
-        metrics = [Metric(key, value, now, steps) for key, value in figures.items()]
-        self._client.log_batch(self._run, metrics)
-
-    def close(self) -> None:
-        """End the run."""
-        self._client.set_terminated(self._run)
-
-
 TRACKERS: dict[str, Callable[[Path, TrainConfig, int], Tracker]] = {
-    "tensorboard": TensorBoard, "wandb": Wandb, "mlflow": Mlflow,
-}  # fmt: skip
+    "tensorboard": TensorBoard,
+    "wandb": Wandb,
+}
 
 
 def check_trackers(settings: TrainConfig) -> None:

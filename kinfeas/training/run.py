@@ -23,7 +23,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import find_folder, read_file, writing
 from kinfeas.io.formats import MAX_JSON_BYTES
 from kinfeas.io.policy_metadata import read_best, read_trained
-from kinfeas.policies import pretrained
+from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policies
 from kinfeas.policies.network import Network, read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
@@ -101,12 +101,12 @@ def check_new(out: Path) -> None:
     """Check that a run can begin in a folder."""
     with writing(out):
         # Hidden files may be left by a run that was killed while it wrote its first file.
-        if out.is_dir() and any(not one.name.startswith(".") for one in out.iterdir()):
+        if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
             if (out / SETTINGS).is_file():
                 again = f"--resume {shlex.quote(str(out))}"
                 raise KinfeasError(f"{out}: already there; use {again}, or another --out")
             raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
-        nearest = next(place for place in (out, *out.parents) if place.exists())
+        nearest = next(folder for folder in (out, *out.parents) if folder.exists())
         TemporaryFile(dir=nearest).close()
 
 
@@ -142,7 +142,7 @@ def read_evaluation(out: Path) -> dict[str, Any]:
         "trained_with": config.robot,
         "task": config.task,
         "world": config.world.backend,
-        "adapters": [one.name for one in config.evaluation_adapters],
+        "adapters": [adapter.name for adapter in config.evaluation_adapters],
         "policy": str(out),
         "steps": best.steps,
         **best.fresh_evaluation,
@@ -161,8 +161,12 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
                     f"{last}: a checkpoint of another run: its {key} is {before[key]}, "
                     f"but {last.parents[1] / SETTINGS} has {value}"
                 )
-        known = state["progress"]
-        entries = {one.name: known[one.name] for one in fields(_Saved) if one.name in known}
+        saved_entries = state["progress"]
+        entries = {
+            entry.name: saved_entries[entry.name]
+            for entry in fields(_Saved)
+            if entry.name in saved_entries
+        }
         saved = configuration.from_mapping(_Saved, entries, str(last / _STATE))
     progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
     # The schedule may have been made longer.
@@ -185,14 +189,14 @@ def evaluation_seconds(config: TrainConfig, episodes: int) -> float:
 
 def share_done(config: TrainConfig, progress: Progress) -> float:
     """Return the share of a run's steps, or of its time if that is more, 0-1."""
-    shares, schedule = [0.0], config.schedule
+    fractions, schedule = [0.0], config.schedule
     if schedule.steps is not None:
-        shares.append(progress.steps / schedule.steps)
+        fractions.append(progress.steps / schedule.steps)
     if schedule.minutes is not None:
         last = evaluation_seconds(config, schedule.evaluation_episodes + schedule.final_episodes)
         limit = 60.0 * schedule.minutes - (last if last < math.inf else 0.0)
-        shares.append((progress.seconds + progress.other_seconds) / limit)
-    return min(1.0, max(shares))
+        fractions.append((progress.seconds + progress.other_seconds) / limit)
+    return min(1.0, max(fractions))
 
 
 def evaluations_due(config: TrainConfig, progress: Progress) -> int:
@@ -211,21 +215,19 @@ def with_initial_policy(config: TrainConfig) -> TrainConfig:
     if config.init is None:
         return config
     net_arch = tuple(len(bias) for bias in initial_policy(config).biases[:-1])
-    init = config.init if pretrained.is_shipped(config.init) else str(Path(config.init).absolute())
+    own = config.init in trained_policies(load_robot(config.robot))
+    init = config.init if own else str(Path(config.init).absolute())
     return replace(config, init=init, learner=replace(config.learner, net_arch=net_arch))
 
 
 def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None) -> Network:
     """Return the policy that a run starts from, with observations of the same scale, if given."""
-    init, robot = config.init, load_robot(config.robot)
-    if init and pretrained.is_shipped(init):
-        folder = pretrained.find(robot.name, init)
-    elif init and Path(init).is_dir():  # an empty path is the current folder
-        folder = Path(init)
-    else:
+    init, robot = config.init or "", load_robot(config.robot)
+    folder = trained_folder(init, robot)
+    if not init or not folder.is_dir():  # an empty path is the current folder
         raise KinfeasError(
-            f"init: {init or repr(init)}: neither the folder of a training run or of a checkpoint "
-            f"nor {pretrained.NAME!r}"
+            f"init: {init!r}: neither the folder of a training run or of a checkpoint "
+            f"nor {PRETRAINED!r}"
         )
     network = read_network(folder, robot)
     if config.observation != network.observation_terms:

@@ -240,7 +240,7 @@ class _Run:
         assert self.observation is not None
         filling = progress.steps < max(config.learning_starts, self.config.num_envs)
         random = filling and self.config.init is None
-        action = explore(learner, config, self.observation, random)
+        action = explore(learner, self.observation, random=random)
         # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:
@@ -253,13 +253,13 @@ class _Run:
             with self._timed("update"):
                 learn(learner, config)
         with self._timed("waiting"):
-            seen, rewards, dones, infos = self.env.step_wait()
-        after, ended = seen.copy(), np.flatnonzero(dones)
+            following, rewards, dones, infos = self.env.step_wait()
+        after, ended = following.copy(), np.flatnonzero(dones)
         for row in ended:
             after[row] = infos[row]["terminal_observation"]
         assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
-        self.observation = seen
+        self.observation = following
         progress.steps += self.config.num_envs * self.config.action_repeat
         progress.recent.extend(infos[row]["is_success"] for row in ended)
 

@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from kinfeas.control import observation
-from kinfeas.control.drive import command_size
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.batch import Batch, BatchStep
 from kinfeas.envs.episodes import terminate, workers_alive
 from kinfeas.envs.world import World
+from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.training.batch import Batch, StepResult, begin_batch, call_batch
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.worlds import begin_batch, call_batch
 
 SHARE = 10**9
 """Episode numbers of each process: process i runs episodes `SHARE * i`, `SHARE * i + 1`, ..."""
@@ -63,7 +64,7 @@ class EpisodesVecEnv(VecEnv):
 
     def reset(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
-        return np.concatenate(self._ask("start"))
+        return self._scaled(self._ask("start"))
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Begin a step with the actions, shape (n, a).
@@ -77,15 +78,24 @@ class EpisodesVecEnv(VecEnv):
         check_array(commands, (self.num_envs, *self.action_space.shape), "the action")
         self._begin("step", *[[commands[rows]] for rows in self._rows])
 
-    def step_wait(self) -> StepResult:
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Return observations, rewards, dones and infos; where done, a new episode has begun."""
-        seen, rewards, dones, infos = zip(*self._results(), strict=True)
-        return (
-            np.concatenate(seen),
-            np.concatenate(rewards),
-            np.concatenate(dones),
-            [info for part in infos for info in part],
-        )
+        steps: list[BatchStep] = self._results()
+        dones = np.zeros(self.num_envs, dtype=np.bool_)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for rows, step in zip(self._rows, steps, strict=True):
+            for row, end in step.ends.items():
+                dones[rows.start + row] = True
+                infos[rows.start + row] = {
+                    "terminal_observation": observation.scaled(end.observation, self.scale),
+                    "TimeLimit.truncated": end.truncated,
+                    "is_success": end.success,
+                    "failures": end.failures,
+                }
+        rewards = np.concatenate([step.reward for step in steps]).astype(np.float32)
+        return self._scaled([step.observation for step in steps]), rewards, dones, infos
 
     @abstractmethod
     def snapshot(self) -> dict[str, NDArray[Any]]:
@@ -122,14 +132,17 @@ class EpisodesVecEnv(VecEnv):
         """Let each worker call a method of its batch, with its own arguments."""
         with workers_alive(len(self._workers)):
             self._coming = [
-                worker.submit(self._call, method, *given)
-                for worker, given in zip(self._workers, arguments, strict=True)
+                worker.submit(self._call, method, *inputs)
+                for worker, inputs in zip(self._workers, arguments, strict=True)
             ]
 
     def _results(self) -> list[Any]:
         coming, self._coming = self._coming, []
         with workers_alive(len(self._workers)):
             return [future.result() for future in coming]
+
+    def _scaled(self, parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float32]:
+        return observation.scaled(np.concatenate(parts), self.scale)
 
     def _ask(self, method: str, *arguments: Sequence[Any]) -> list[Any]:
         self._begin(method, *(arguments or [()] * len(self._workers)))
@@ -152,7 +165,7 @@ class WorldVecEnv(EpisodesVecEnv):
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Resume from a snapshot and return the observations, shape (n, d)."""
-        return self.batch.restore(snapshot)
+        return self._scaled([self.batch.restore(snapshot)])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Use another seed from the next reset on."""
@@ -205,4 +218,4 @@ class ProcessVecEnv(EpisodesVecEnv):
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Begin the next episodes of a snapshot and return the observations, shape (n, d)."""
         numbers = [[{"next_episode": number}] for number in snapshot["next_episode"]]
-        return np.concatenate(self._ask("restore", *numbers))
+        return self._scaled(self._ask("restore", *numbers))

@@ -1,13 +1,17 @@
-"""Worlds of a training run: for learning, and for the evaluation of its policies."""
+"""Worlds of a training run: for learning, and for the evaluation of its policies; without torch."""
 
 import math
+import signal
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
+from operator import methodcaller
+from typing import Any
 
 from kinfeas.core.metrics import EpisodeRecords
-from kinfeas.envs.episodes import OnDone, evaluate_episodes, evaluate_within
+from kinfeas.envs.batch import Batch
+from kinfeas.envs.episodes import OnDone, begin_worker, evaluate_episodes, evaluate_within
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
@@ -65,3 +69,23 @@ def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> Pe
         return evaluate_within(*limits, build, network, range(episodes), on_done)
 
     return evaluated
+
+
+_worker: tuple[TrainConfig, int, int] | Batch  # of a worker process
+
+
+def begin_batch(config: TrainConfig, rows: int, first: int) -> None:
+    """Prepare a worker process for a batch of `rows` episodes with physics, from `first` on."""
+    global _worker
+    begin_worker(signal.SIG_IGN)  # its parent handles Ctrl-C
+    _worker = config, rows, first
+
+
+def call_batch(method: str, *arguments: Any) -> Any:
+    """Return the result of a method of this worker's batch, which the first call builds."""
+    global _worker
+    if not isinstance(_worker, Batch):
+        config, rows, first = _worker
+        _worker = Batch(training_world(config), rows, config.action_repeat)
+        _worker.world.next_episode = first
+    return methodcaller(method, *arguments)(_worker)

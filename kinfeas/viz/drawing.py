@@ -50,19 +50,21 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
     elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * np.cos(elevation)
     toward = level + np.array([0.0, 0.0, np.sin(elevation)])
-    seen, colours = [], []
+    polygons, colours = [], []
     for solid in solids:
         for face in faces(solid.shape):
             normal = _normal(face)
             if normal @ toward > 0.0:
                 # mplot3d needs the same number of corners everywhere.
-                seen.append(np.pad(face, ((0, SIDES - len(face)), (0, 0)), mode="edge"))
+                polygons.append(np.pad(face, ((0, SIDES - len(face)), (0, 0)), mode="edge"))
                 brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * normal @ _LIGHT)
                 colours.append(np.array(to_rgba(solid.colour)) * [*[brightness] * 3, 1.0])
-    if seen:
+    if polygons:
         edges = [colour * [0.85, 0.85, 0.85, 1.0] for colour in colours]
         axes.add_collection(
-            Poly3DCollection(seen, facecolors=colours, edgecolors=edges, linewidths=0.25, zorder=3),
+            Poly3DCollection(
+                polygons, facecolors=colours, edgecolors=edges, linewidths=0.25, zorder=3
+            ),
             autolim=False,
         )
 

@@ -1,7 +1,6 @@
-"""Pictures and films of recorded episodes, drawn by matplotlib: robot, paths, failures, goals."""
+"""Pictures of recorded episodes, drawn by matplotlib: robot, paths, failures, goals."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from textwrap import fill
 from typing import Any
 
@@ -9,33 +8,27 @@ import numpy as np
 from matplotlib import patheffects, rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.spatial import ConvexHull
 
 from kinfeas.core import spatial
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
-from kinfeas.io.run_log import REACHED, Record
-from kinfeas.kinematics.forward import build_chain, forward
+from kinfeas.io.run_log import Record
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.viz import drawing, shapes
-from kinfeas.viz.film import SIZE, Film, result
+from kinfeas.viz.replay import as_recording, result
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, failures_text
 
-_ELEVATION, _TURN = np.deg2rad(28.0), np.deg2rad(12.0)
+_ELEVATION = np.deg2rad(28.0)
 _PALEST = 0.62
 _NEAR = 1.0  # m, of furniture from the paths' bounds
-_AROUND, _HEIGHT = 0.7, 1.6  # m, of a film's view beyond the paths, and above the floor
+_AROUND = 0.7  # m, of solids in the side view from the paths
 _FURNITURE = (0.86, 0.79, 0.69, 0.6)
 _CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)]
 
@@ -48,25 +41,29 @@ def episodes_figure(
     """Return a picture with a column for each episode: from the side, and from above."""
     count = len(recordings)
     titles = titles or [
-        f"Episode {one.episode}: {result(one)[0]}, {failures_text(int(np.sum(~one.feasible)))}, "
-        f"{one.times[-1]:.0f} s"
-        for one in recordings
+        f"Episode {recording.episode}: {result(recording)[0]}, "
+        f"{failures_text(int(np.sum(~recording.feasible)))}, {recording.times[-1]:.0f} s"
+        for recording in recordings
     ]
     with rc_context(STYLE):
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
         grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
         for column, (recording, title) in enumerate(zip(recordings, titles, strict=True)):
             furniture = _furniture_near(recording)
-            side = drawing.add_axes(figure, grid[0, column], side_heading(recording), _ELEVATION)
-            _draw_side(side, robot, recording, [one for object_ in furniture for one in object_])
+            side = drawing.add_axes(
+                figure, grid[0, column], shapes.side_heading(recording), _ELEVATION
+            )
+            _draw_side(
+                side, robot, recording, [solid for object_ in furniture for solid in object_]
+            )
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
-            for one in furniture:
-                _draw_outline(top, shapes.corners(one), _FURNITURE, 1.8)
+            for solids in furniture:
+                _draw_outline(top, shapes.corners(solids), _FURNITURE, 1.8)
             _draw_top(top, robot, recording)
         columns = {1: 3, 2: 4}.get(count, 7)
         handles: list[Artist] = [*_legend()]
-        if any(one.solids is not None for one in recordings):
+        if any(recording.solids is not None for recording in recordings):
             handles.append(Patch(color=shapes.LOW, label="solid"))
             handles.append(Patch(color=shapes.HIGH, label="wall"))
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
@@ -78,35 +75,7 @@ def record_figure(record: Record, robot: Robot) -> Figure:
     seconds = record.time[-1] - record.time[0]
     end = record.event[-1] or "the record breaks off"
     title = fill(f"{robot.name}, {record.about.task}, {seconds:.0f} s: {end}", 50)
-    recording = replace(as_recording(record, robot), scene=scene_of(record))
-    return episodes_figure(robot, [recording], [title])
-
-
-def as_recording(record: Record, robot: Robot) -> Recording:
-    """Return a recorded run as an episode; the achieved EE pose is that of the measured joints."""
-    joints = tuple(joint.name for joint in robot.arm)
-    if record.about.joints != joints:
-        raise KinfeasError(
-            f"the record has the joints {', '.join(record.about.joints)}, and the arm of robot "
-            f"{robot.name!r} {', '.join(joints)}"
-        )
-    ee = forward(build_chain(robot), record.joint_positions)
-    around = record.about.solids
-    solids = Solids.from_table(np.array(around)) if around else None
-    last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
-    return Recording(
-        0, record.base_pose, record.joint_positions, record.desired,
-        spatial.compose(record.base_pose, ee), record.feasible, record.goal[last],
-        reached=record.event[-1].startswith(REACHED), dt=record.about.dt, solids=solids,
-    )  # fmt: skip
-
-
-def scene_of(record: Record) -> Scene | None:
-    """Return the furniture at the start of a run; None without a scene."""
-    if not record.about.scene:
-        return None
-    poses = {name: np.array(pose) for name, pose in record.about.objects.items()}
-    return read_scene(record.about.scene).with_poses(poses)
+    return episodes_figure(robot, [as_recording(record, robot)], [title])
 
 
 def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArray[np.intp]:
@@ -118,69 +87,13 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
         most: Largest number of moments.
     """
     base = recording.base_pose[:, :2]
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
-    count = int(np.clip(1 + round(way[-1] / spacing), 2, most))
-    return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count)).clip(0, len(way) - 1))
-
-
-Camera = tuple[float, Array]
-"""Heading to the right of the picture, and opposite corners (2, 3) of what is seen, metres."""
-
-
-def watch(recording: Recording) -> Camera:
-    """Return a camera beside the path of an episode."""
-    points = [recording.base_pose, recording.desired, recording.goals]
-    around = np.concatenate([poses[:, :3] for poses in points])
-    low, high = around.min(axis=0) - _AROUND, around.max(axis=0) + _AROUND
-    low[2], high[2] = 0.0, max(high[2] - _AROUND, _HEIGHT)
-    return side_heading(recording), np.array([low, high])
-
-
-def moment_image(
-    solids: Sequence[shapes.Solid], recording: Recording, camera: Camera, moment: int
-) -> NDArray[np.uint8]:
-    """Return an image of a moment and the paths until then, shape (360, 480, 3).
-
-    `solids` are robot and furniture; solids of the recording are drawn, too.
-    """
-    heading, seen = camera
-    solids = [*solids, *_solids_near(recording, moment, _AROUND)]
-    with rc_context(STYLE):
-        figure = Figure(figsize=(SIZE[0] / 100, SIZE[1] / 100), dpi=100)
-        canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
-        axes = drawing.add_axes(figure, (0.0, 0.0, 1.0, 1.0), heading, _ELEVATION)
-        drawing.draw_floor(axes, seen)
-        drawing.draw_solids(axes, solids)
-        _draw_paths(axes, recording, moment + 1)
-        drawing.show_all(axes, seen, SIZE[0] / SIZE[1])
-        canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-@dataclass(frozen=True, eq=False)
-class SolidsFilm(Film):
-    """An episode drawn as solids."""
-
-    def solids(self, moment: int) -> Sequence[shapes.Solid]:
-        """Return what is visible at a moment."""
-        raise NotImplementedError
-
-    def picture(self, moment: int) -> Image.Image:
-        """Return the picture of one moment with the paths until then."""
-        camera = watch(self.recording)
-        return Image.fromarray(moment_image(self.solids(moment), self.recording, camera, moment))
-
-
-@dataclass(frozen=True, eq=False)
-class EpisodeFilm(SolidsFilm):
-    """An episode in the analytic world."""
-
-    robot: Robot
-
-    def solids(self, moment: int) -> list[shapes.Solid]:
-        """Return the robot at a moment, and the furniture."""
-        furniture = [one for object_ in _furniture_near(self.recording) for one in object_]
-        return [*robot_at(self.robot, self.recording, moment), *furniture]
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
+    count = int(np.clip(1 + round(travelled[-1] / spacing), 2, most))
+    return np.unique(
+        np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count)).clip(
+            0, len(travelled) - 1
+        )
+    )
 
 
 def robot_at(
@@ -200,8 +113,9 @@ def _furniture_near(recording: Recording) -> list[list[shapes.Solid]]:
     low, high = paths.min(axis=0) - _NEAR, paths.max(axis=0) + _NEAR
     near: dict[str, list[shapes.Solid]] = {
         name: []
-        for name, one in scene.objects.items()
-        if np.all((one.pose[:2] > low) & (one.pose[:2] < high)) and not shapes.surrounds(scene, one)
+        for name, entry in scene.objects.items()
+        if np.all((entry.pose[:2] > low) & (entry.pose[:2] < high))
+        and not shapes.surrounds(scene, entry)
     }
     for name, solid in shapes.scene_solids(scene):
         if name in near:
@@ -215,22 +129,13 @@ def _solids_near(recording: Recording, moment: int, within: float = _NEAR) -> li
     paths = np.concatenate([poses[:, :2] for poses in points])
     low, high = paths.min(axis=0) - within, paths.max(axis=0) + within
     return [
-        one
-        for one in shapes.solid_shapes(recording.solids_at(moment)).values()
+        solid
+        for solid in shapes.solid_shapes(recording.solids_at(moment)).values()
         if np.all(
-            np.abs(one.shape.pose[:2] - (low + high) / 2.0)
-            < (high - low) / 2.0 + np.ptp(shapes.corners([one])[:, :2], axis=0) / 2.0
+            np.abs(solid.shape.pose[:2] - (low + high) / 2.0)
+            < (high - low) / 2.0 + np.ptp(shapes.corners([solid])[:, :2], axis=0) / 2.0
         )
     ]
-
-
-def side_heading(recording: Recording) -> float:
-    """Return the world heading to the right of a side view in which the arm is in front."""
-    travel = recording.goal[:2] - recording.base_pose[0, :2]
-    heading = float(np.arctan2(travel[1], travel[0]))
-    arm = (recording.ee_pose[:, :2] - recording.base_pose[:, :2]).mean(axis=0)
-    headings = (heading + _TURN, heading + np.pi - _TURN)
-    return max(headings, key=lambda one: float(arm @ [np.sin(one), -np.cos(one)]))
 
 
 def _draw_side(
@@ -249,9 +154,9 @@ def _draw_side(
 
 def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
     for moment, opacity in ((0, 0.2), (-1, 0.75)):  # pale where they began
-        for one in _solids_near(recording, moment):
-            colour = (*to_rgb(one.colour[:7]), opacity)
-            _draw_outline(axes, shapes.corners([one]), colour, 1.8)
+        for solid in _solids_near(recording, moment):
+            colour = (*to_rgb(solid.colour[:7]), opacity)
+            _draw_outline(axes, shapes.corners([solid]), colour, 1.8)
     for moment, body, arm in _fading(recording):
         solids = robot_at(robot, recording, moment, (body, arm))
         carried = [solid for solid in solids if solid.colour == body]
@@ -276,19 +181,19 @@ def _draw_outline(axes: Axes, points: Array, colour: tuple[float, ...], order: f
     axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="#9aa2ad", lw=0.9, zorder=order))
 
 
-def _draw_paths(axes: Axes, recording: Recording, end: int | None = None) -> None:
-    """Draw base and EE paths until moment `end`, failures and goals, into 2-D or 3-D axes."""
+def _draw_paths(axes: Axes, recording: Recording) -> None:
+    """Draw base and EE paths, failures and goals into 2-D or 3-D axes."""
     size = 3 if isinstance(axes, Axes3D) else 2
 
     def draw(points: Array, *marker: str, **how: Any) -> None:
         if len(points):  # mplot3d cannot draw nothing
             axes.plot(*points[:, :size].T, *marker, **how)
 
-    base, ee = recording.base_pose[:end], recording.ee_pose[:end]
+    base, ee = recording.base_pose, recording.ee_pose
     draw(base, color=BASE, lw=2.2, zorder=2.8)
     draw(ee, color=EE, lw=2.4, zorder=7, path_effects=_CASING)
-    draw(recording.desired[:end], color=DESIRED, lw=1.2, ls=(0, (4, 3)), zorder=8)
-    draw(ee[~recording.feasible[:end]], "o", color=FAILURE, ms=5.0, mew=0.0, zorder=12)
+    draw(recording.desired, color=DESIRED, lw=1.2, ls=(0, (4, 3)), zorder=8)
+    draw(ee[~recording.feasible], "o", color=FAILURE, ms=5.0, mew=0.0, zorder=12)
     draw(ee[:1], "o", color="white", mec=EE, mew=2.0, ms=8.0, zorder=10)
     draw(base[:1], "o", color="white", mec=BASE, mew=2.0, ms=8.0, zorder=6.5)
     for goal in recording.goals:
@@ -299,9 +204,10 @@ def _draw_paths(axes: Axes, recording: Recording, end: int | None = None) -> Non
 def _fading(recording: Recording) -> Iterator[tuple[int, str, str]]:
     """Yield the drawn moments with colours of body and arm, the paler the earlier."""
     drawn = moments(recording)
-    for share, moment in zip(np.linspace(_PALEST, 0.0, len(drawn)), drawn.tolist(), strict=True):
+    for paleness, moment in zip(np.linspace(_PALEST, 0.0, len(drawn)), drawn.tolist(), strict=True):
         body, arm = (
-            to_hex(tuple((1.0 - share) * np.array(to_rgb(one)) + share)) for one in (BODY, ARM)
+            to_hex(tuple((1.0 - paleness) * np.array(to_rgb(colour)) + paleness))
+            for colour in (BODY, ARM)
         )
         yield moment, body, arm
 

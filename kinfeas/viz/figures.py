@@ -45,7 +45,7 @@ def robot_figure(robot: Robot) -> Figure:
 
 def scene_figure(scene: Scene) -> Figure:
     """Return a picture of a scene with doors and drawers open, and the paths of their handles."""
-    shown = {name for name, one in scene.objects.items() if not shapes.surrounds(scene, one)}
+    names = {name for name, entry in scene.objects.items() if not shapes.surrounds(scene, entry)}
     half = np.array([*scene.size, 0.0]) / 2.0
     opened, paths = scene, []
     for name, handle in scene.handles.items():
@@ -53,12 +53,12 @@ def scene_figure(scene: Scene) -> Figure:
         if not joint or joint.kind == "continuous":
             continue
         states = [
-            scene.with_joints({handle.object: {joint.name: share * joint.upper}})
-            for share in np.linspace(0.0, 1.0, 30)
+            scene.with_joints({handle.object: {joint.name: fraction * joint.upper}})
+            for fraction in np.linspace(0.0, 1.0, 30)
         ]
-        paths.append(np.stack([one.handle_pose(name)[:3] for one in states]))
+        paths.append(np.stack([state.handle_pose(name)[:3] for state in states]))
         opened = opened.with_joints({handle.object: {joint.name: _OPEN * joint.upper}})
-    solids = [(name, solid) for name, solid in shapes.scene_solids(opened) if name in shown]
+    solids = [(name, solid) for name, solid in shapes.scene_solids(opened) if name in names]
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.2))
         axes = drawing.add_axes(figure, (0.0, 0.0, 1.0, 0.95), np.deg2rad(28.0), np.deg2rad(38.0))
@@ -68,10 +68,10 @@ def scene_figure(scene: Scene) -> Figure:
             axes.plot(*path.T, color=EE, lw=2.0, zorder=7, path_effects=_CASING)
         for name in scene.handles:
             axes.plot(*scene.handle_pose(name)[:3, np.newaxis], "o", color=EE, ms=5.0, zorder=8)
-        for name in shown:
+        for name in names:
             points = shapes.corners([solid for other, solid in solids if other == name])
-            place = (*points.mean(axis=0)[:2], points[:, 2].max() + 0.1)
-            axes.text(*place, name, fontsize=9, color=INK, ha="center", zorder=9,
+            position = (*points.mean(axis=0)[:2], points[:, 2].max() + 0.1)
+            axes.text(*position, name, fontsize=9, color=INK, ha="center", zorder=9,
                       path_effects=_CASING)  # fmt: skip
         points = shapes.corners([solid for _, solid in solids])
         drawing.show_all(axes, points * [1.0, 1.0, 1.2], 1.4)

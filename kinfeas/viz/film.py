@@ -1,91 +1,177 @@
-"""Films as GIF or MP4 files, or as a PNG with some of their pictures."""
+"""Films of episodes as GIF or MP4 files, or as a PNG with some of their pictures."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from matplotlib import get_data_path
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from kinfeas.backends.pybullet.camera import Camera, View
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.files import replacing
-from kinfeas.io.run_log import TASK_DONE
-from kinfeas.viz.style import EE, FAILURE, INK, failures_text
+from kinfeas.robots.urdf import Shape
+from kinfeas.viz.replay import Replay, result
+from kinfeas.viz.shapes import side_heading
+from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, failures_text
 
 SUFFIXES = (".gif", ".mp4", ".png")
-SIZE = (480, 360)
-"""Width and height of a picture in pixels."""
 
 _RATES = {".gif": (8.0, 56), ".mp4": (25.0, 300)}  # pictures per second, largest number
 _REST_SECONDS = 1.5  # of the last picture
 _COLOURS = 128  # of a GIF
 _PANELS = (2, 2)  # of a PNG
+_ELEVATION, _STEEP = np.deg2rad([30.0, 55.0])  # without and among solids, which hide the robot
+_AROUND, _HEIGHT = 0.7, 1.6  # m, of the view beyond the paths, and above the floor
+_BEYOND = 3.0  # m, of floor beyond the view
+_CELL, _LINE, _FLOOR = 0.5, 0.012, 0.01  # m, cells of the floor, width of lines, thickness
+_FINE = 3  # pixels of the paths' layer in a pixel of the picture
 
 
-@dataclass(frozen=True, eq=False)
-class Film:
-    """A recorded episode with pictures and a title for their captions."""
+class FilmCamera:
+    """A camera beside the path of an episode."""
 
-    recording: Recording
-    title: str
+    def __init__(self, replay: Replay) -> None:
+        """Set up the camera beside the path; `close` ends its engine."""
+        recording = replay.recording
+        paths = [recording.base_pose, recording.desired, recording.goals]
+        points = np.concatenate([poses[:, :3] for poses in paths])
+        low, high = points.min(axis=0) - _AROUND, points.max(axis=0) + _AROUND
+        low[2], high[2] = 0.0, max(high[2] - _AROUND, _HEIGHT)
+        heading = side_heading(recording) + np.pi / 2.0
+        elevation = float(_ELEVATION if recording.solids is None else _STEEP)
+        self._view = View.of_box(low, high, heading, elevation)
+        floor = _floor(low[:2] - _BEYOND, high[:2] + _BEYOND)
+        self._still = [shape.pose for shape, _ in floor]
+        moving = [(shape.shape, shape.colour) for shape in replay.shapes]
+        self._camera = Camera([*floor, *moving])
 
-    def picture(self, moment: int) -> Image.Image:
-        """Return the picture of one moment with the paths until then."""
-        raise NotImplementedError
+    def of(self, replay: Replay, moment: int) -> Image.Image:
+        """Return the picture of a moment with the paths until then, 480 x 360 pixels."""
+        poses = [*self._still, *replay.poses(moment)]
+        image = Image.fromarray(self._camera.picture(poses, self._view)).convert("RGBA")
+        layer = Image.new("RGBA", (_FINE * image.width, _FINE * image.height))
+        _draw_paths(ImageDraw.Draw(layer), self._view, replay.recording, moment + 1)
+        layer = layer.resize(image.size, Image.Resampling.BOX)
+        return Image.alpha_composite(image, layer).convert("RGB")
+
+    def close(self) -> None:
+        """End the camera's engine."""
+        self._camera.close()
 
 
-def write_film(film: Film, path: Path, on_done: Callable[[int], None] | None = None) -> None:
-    """Write a film as GIF or MP4, or four of its pictures as PNG.
+def write_film(replay: Replay, path: Path, on_done: Callable[[int], None] | None = None) -> None:
+    """Write an episode as GIF or MP4, or four of its pictures as PNG.
 
     `on_done` is called with 1 after each picture, `count_pictures` times.
+
+    Raises:
+        KinfeasError: If the suffix is another one, or PyBullet is not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise KinfeasError(f"{path}: a film must end in one of: {', '.join(SUFFIXES)}")
-    moments = _moments(film, path)
+    moments = _moments(replay, path)
     rate, _ = _RATES.get(suffix, (0.0, 0))
-    speed = max(1.0, film.recording.times[-1] * rate / len(moments))
-
-    shown = []
-    for moment in moments:
-        shown.append(captioned(film, int(moment), speed))
-        if on_done is not None:
-            on_done(1)
+    speed = max(1.0, float(replay.times[-1] - replay.times[0]) * rate / len(moments))
+    pictures = []
+    with closing(FilmCamera(replay)) as film:
+        for moment in moments.tolist():
+            pictures.append(film.of(replay, moment))
+            _caption(pictures[-1], replay, moment, speed)
+            if on_done is not None:
+                on_done(1)
     with replacing(path) as fresh:
         if suffix == ".png":
-            _write_png(shown, fresh)
+            _write_png(pictures, fresh)
         elif suffix == ".gif":
-            _write_gif(shown, fresh, rate)
+            _write_gif(pictures, fresh, rate)
         else:
-            _write_mp4(shown, fresh, rate)
+            _write_mp4(pictures, fresh, rate)
 
 
-def count_pictures(film: Film, path: Path) -> int:
+def count_pictures(replay: Replay, path: Path) -> int:
     """Return the number of pictures that `write_film` draws."""
-    return len(_moments(film, path))
+    return len(_moments(replay, path))
 
 
-def result(recording: Recording) -> tuple[str, bool]:
-    """Return the result of an episode as a text, and whether it is a success."""
-    text = "goal reached" if recording.reached else "goal not reached"
-    succeeded = recording.reached and recording.task_done is not False
-    return text + TASK_DONE[recording.task_done], succeeded
+def _moments(replay: Replay, path: Path) -> NDArray[np.intp]:
+    times = replay.times - replay.times[0]
+    rate, most = _RATES.get(path.suffix.lower(), (0.0, 0))
+    count = min(most, int(np.ceil(times[-1] * rate))) if rate else _PANELS[0] * _PANELS[1]
+    moments = np.searchsorted(times, np.linspace(0.0, times[-1], max(2, count)))
+    return np.unique(moments.clip(0, len(times) - 1))
 
 
-def captioned(film: Film, moment: int, speed: float = 1.0) -> Image.Image:
-    """Return a picture with time, playback speed, IK failures and, at the end, the result."""
-    image, recording = film.picture(moment), film.recording
+def _floor(low: Array, high: Array) -> list[tuple[Shape, str]]:
+    """Return a floor with a grid between two corners (2,)."""
+
+    def box(centre: Array, size: Array, height: float, colour: str) -> tuple[Shape, str]:
+        pose = IDENTITY.copy()
+        pose[:3] = *centre, height - _FLOOR / 2.0
+        return Shape("box", (*size.tolist(), _FLOOR), pose), colour
+
+    low, high = np.floor(low / _CELL) * _CELL, np.ceil(high / _CELL) * _CELL
+    middle, size = (low + high) / 2.0, high - low
+    shapes = [box(middle, size, -0.004, "#f5f6f8")]
+    for axis in (0, 1):
+        for at in np.arange(low[axis], high[axis] + _CELL / 2.0, _CELL):
+            centre, length = middle.copy(), size.copy()
+            centre[axis], length[axis] = at, _LINE
+            shapes.append(box(centre, length, -0.002, "#dadee4"))
+    return shapes
+
+
+def _draw_paths(draw: ImageDraw.ImageDraw, view: View, recording: Recording, end: int) -> None:
+    """Draw base and EE paths until moment `end`, failures and goals."""
+
+    def at(poses: Array) -> list[tuple[float, float]]:
+        return [(x, y) for x, y in (_FINE * view.pixels(poses[:, :3])).tolist()]
+
+    def dot(poses: Array, colour: str, radius: float, edge: str | None = None) -> None:
+        for x, y in at(poses):
+            box = (x - radius, y - radius, x + radius, y + radius)
+            draw.ellipse(box, fill=colour, outline=edge, width=_FINE)
+
+    base, ee = recording.base_pose[:end], recording.ee_pose[:end]
+    draw.line(at(base), fill=BASE, width=2 * _FINE)
+    for goal in recording.goals:
+        draw.line(at(np.stack([goal, goal * [1, 1, 0, 1, 1, 1, 1]])), fill=GOAL, width=_FINE)
+    draw.line(at(ee), fill="white", width=4 * _FINE)
+    draw.line(at(ee), fill=EE, width=2 * _FINE)
+    points = view.pixels(recording.desired[:end, :3])
+    for start, stop in _dashes(points):
+        draw.line(at(recording.desired[start:stop]), fill=DESIRED, width=_FINE)
+    dot(recording.goals, GOAL, 5.0 * _FINE, INK)
+    dot(base[:1], "white", 3.0 * _FINE, BASE)
+    dot(ee[:1], "white", 3.0 * _FINE, EE)
+    dot(ee[~recording.feasible[:end]], FAILURE, 2.5 * _FINE)
+
+
+def _dashes(points: Array, length: float = 5.0) -> Iterator[tuple[int, int]]:
+    """Yield the ranges of points (k, 2) that are dashes of a path, for a length in pixels."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    dash = (np.concatenate([[0.0], np.cumsum(steps)]) // length).astype(int)
+    for number in np.unique(dash[dash % 2 == 0]).tolist():
+        (inside,) = np.nonzero(dash == number)
+        yield int(inside[0]), int(inside[-1]) + 2
+
+
+def _caption(image: Image.Image, replay: Replay, moment: int, speed: float) -> None:
+    """Write time, playback speed, IK failures and, at the end, the result into a picture."""
+    recording = replay.recording
     failures = int(np.sum(~recording.feasible[: moment + 1]))
     faster = f"  ({speed:.1f}x)" if speed > 1.05 else ""
-    text = f"{film.title}   {recording.times[moment]:.1f} s{faster}   "
+    seconds = replay.times[moment] - replay.times[0]
+    text = f"{replay.title}   {seconds:.1f} s{faster}   "
     lines = [[(text, INK), (failures_text(failures), FAILURE if failures else EE)]]
     if moment == len(recording.feasible) - 1:
         end, succeeded = result(recording)
         lines.append([(end, EE if succeeded else FAILURE)])
-    font = ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", 13)
+    font = ImageFont.load_default(14)
     draw = ImageDraw.Draw(image, "RGBA")
     for number, words in enumerate(lines):
         left, low = 10.0, image.height - 26 - 27 * number
@@ -95,44 +181,36 @@ def captioned(film: Film, moment: int, speed: float = 1.0) -> Image.Image:
         for text, colour in words:
             draw.text((left, low), text, fill=colour, font=font)
             left += draw.textlength(text, font=font)
-    return image
-
-
-def _moments(film: Film, path: Path) -> NDArray[np.intp]:
-    times = film.recording.times
-    rate, most = _RATES.get(path.suffix.lower(), (0.0, 0))
-    count = min(most, int(np.ceil(times[-1] * rate))) if rate else _PANELS[0] * _PANELS[1]
-    return np.unique(np.linspace(0, len(times) - 1, max(2, count)).round().astype(np.intp))
 
 
 def _write_png(pictures: Sequence[Image.Image], path: Path) -> None:
     columns, gap = _PANELS[0], 6
     width, height = pictures[0].size
     rows = -(-len(pictures) // columns)
-    whole = Image.new("RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), "white")
+    sheet = Image.new("RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), "white")
     for number, picture in enumerate(pictures):
         row, column = divmod(number, columns)
-        whole.paste(picture, (column * (width + gap), row * (height + gap)))
-    whole.save(path, optimize=True)
+        sheet.paste(picture, (column * (width + gap), row * (height + gap)))
+    sheet.save(path, optimize=True)
 
 
 def _write_gif(pictures: Sequence[Image.Image], path: Path, rate: float) -> None:
     # The last picture has all colours; one palette keeps the background from flickering.
     palette = pictures[-1].quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
-    flat = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
-    duration = [round(1000.0 / rate)] * len(flat)
+    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    duration = [round(1000.0 / rate)] * len(frames)
     duration[-1] = round(1000.0 * _REST_SECONDS)
-    flat[0].save(path, save_all=True, append_images=flat[1:], duration=duration, loop=0)
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0)
 
 
 def _write_mp4(pictures: Sequence[Image.Image], path: Path, rate: float) -> None:
-    import av
+    import av  # other films work without it
 
-    shown = [*pictures, *[pictures[-1]] * round(_REST_SECONDS * rate)]
+    pictures = [*pictures, *[pictures[-1]] * round(_REST_SECONDS * rate)]
     with av.open(str(path), "w") as file:
         stream = file.add_stream("libx264", rate=round(rate), options={"crf": "23"})
-        stream.width, stream.height = shown[0].size
+        stream.width, stream.height = pictures[0].size
         stream.pix_fmt = "yuv420p"
-        for picture in shown:
+        for picture in pictures:
             file.mux(stream.encode(av.VideoFrame.from_image(picture)))
         file.mux(stream.encode(None))

@@ -5,28 +5,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.envs.gym import BaseMotionEnv, check_reset
 
 if TYPE_CHECKING:
-    from kinfeas.viz.episodes import Camera
+    from kinfeas.viz.film import FilmCamera
 
 
 class RenderedMotionEnv(BaseMotionEnv):
-    """`BaseMotionEnv` with the render mode `rgb_array`, drawn by matplotlib."""
+    """`BaseMotionEnv` with the render mode `rgb_array`, drawn by PyBullet."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
         "render_modes": ["rgb_array"],
         "render_fps": 10,  # with the control period that it has by default
     }
 
-    _camera: "Camera | None" = None
+    _film: "FilmCamera | None" = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start an episode, as in `BaseMotionEnv`."""
-        self._camera = None
+        self._end_film()
         return super().reset(seed=seed, options=options)
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -34,28 +33,23 @@ class RenderedMotionEnv(BaseMotionEnv):
         check_reset(self.world)
         if self.render_mode != "rgb_array":
             return None
-        from kinfeas.evaluation.recording import Recording
-        from kinfeas.viz.episodes import moment_image, robot_at, watch
-        from kinfeas.viz.physics_film import solids, visible
+        from kinfeas.viz.film import FilmCamera
+        from kinfeas.viz.replay import present
 
-        loop = self.world.loop
-        state, backend = loop.robots, self.world.backend
-        present = None if backend.solids is None else backend.solids.after()
-        if isinstance(backend, PhysicsBackend):  # furniture is visible already
-            present = backend.solid_bodies()
-        around = present.of(np.array([0])) if present else None
-        now = Recording(
-            0, state.base_pose[:1], state.joint_positions[:1], loop.desired[:1], loop.ee_pose[:1],
-            np.array([True]), loop.sequence.goal[:1], reached=False, dt=loop.dt, solids=around,
-        )  # fmt: skip
-        if self._camera is None:  # it stays when the base moves
-            self._camera = watch(now)
-        if isinstance(backend, PhysicsBackend):
-            shapes, links = visible(backend)
-            seen = solids(shapes, links, backend.link_poses(0, links))
-        else:
-            seen = robot_at(self.world.robot, now, 0)
-        return moment_image(seen, now, self._camera, 0)
+        replay = present(self.world)
+        if self._film is None:  # the camera stays when the base moves
+            self._film = FilmCamera(replay)
+        return np.asarray(self._film.of(replay, 0))
+
+    def close(self) -> None:
+        """Close camera and backend."""
+        self._end_film()
+        super().close()
+
+    def _end_film(self) -> None:
+        if self._film is not None:
+            self._film.close()
+            self._film = None
 
 
 class WindowedMotionEnv(RenderedMotionEnv):

@@ -1,33 +1,20 @@
 """HTML pages of scenes and episodes in 3-D, made by viser; they need no server."""
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.spatial import IDENTITY, Array
+from kinfeas.backends.physics.visuals import LinkName
+from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
-from kinfeas.robots.robot import Robot
-from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz.film import result
-from kinfeas.viz.server import PageServer, serving
-from kinfeas.viz.shapes import (
-    corners,
-    link_poses,
-    robot_parts,
-    scene_solids,
-    solid_shapes,
-    surrounds,
-)
-from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
+from kinfeas.viz.replay import Replay, result
+from kinfeas.viz.server import serving
+from kinfeas.viz.shapes import corners, scene_solids, surrounds
+from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, failures_text
 from kinfeas.viz.viewer import aim, draw, draw_floor, draw_scene, place, rgb
-
-if TYPE_CHECKING:
-    from kinfeas.viz.physics_film import PhysicsFilm
 
 _AROUND = 1.5  # m, of floor beyond the paths
 _PIECE = 0.02  # m, length of the pieces of a path
@@ -39,94 +26,61 @@ _RATE, _MOST = 15.0, 1200  # moments of an episode per second, and largest numbe
 def scene_html(scene: Scene) -> str:
     """Return a page of a scene on which all joints open and close."""
     joints = {
-        (name, joint.name): (one.joint_positions[joint.name], min(joint.upper, _TURN))
-        for name, one in scene.objects.items()
-        for joint in free_joints(one.urdf).values()
+        (name, joint.name): (entry.joint_positions[joint.name], min(joint.upper, _TURN))
+        for name, entry in scene.objects.items()
+        for joint in free_joints(entry.urdf).values()
     }
     with serving(f"kinfeas: {scene.name}") as server:
-        around = {name for name, one in scene.objects.items() if surrounds(scene, one)}
+        around = {name for name, entry in scene.objects.items() if surrounds(scene, entry)}
         content = [solid for name, solid in scene_solids(scene) if name not in around]
         aim(server, corners(content) if content else np.array([[*scene.size, 0.0], [0.0] * 3]))
         draw_floor(server, scene.size, 1.0)
         drawn = draw_scene(server, scene)
         film = server.get_scene_serializer()
         for frame in range(_SCENE_FRAMES if joints else 0):
-            share = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
+            fraction = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
             objects: dict[str, dict[str, float]] = {}
             for (name, joint), (at, high) in joints.items():
-                objects.setdefault(name, {})[joint] = at + share * (high - at)
+                objects.setdefault(name, {})[joint] = at + fraction * (high - at)
             moved = scene_solids(scene.with_joints(objects))
-            for one, (_, solid) in zip(drawn, moved, strict=True):
-                place(one, solid.shape.pose)
+            for handle, (_, solid) in zip(drawn, moved, strict=True):
+                place(handle, solid.shape.pose)
             film.insert_sleep(1.0 / _SCENE_RATE)
         return server.titled(film.as_html())
-
-
-def episode_html(
-    recording: Recording, robot: Robot, scene: Scene | None = None, times: Array | None = None
-) -> str:
-    """Return the page of an episode, drawn from the robot's primitive shapes.
-
-    The times of the t moments, shape (t,) in seconds, are by default those of the recording.
-    """
-
-    def poses(moment: int) -> Mapping[Any, Array]:
-        return link_poses(robot, recording.base_pose[moment], recording.joint_positions[moment])
-
-    shapes = [(link, shape, (BODY, ARM)[arm]) for link, shape, arm in robot_parts(robot)]
-    with serving(f"kinfeas: {robot.name}") as server:
-        if scene is not None:
-            draw_scene(server, scene)
-        return _play(server, recording, recording.times if times is None else times, shapes, poses)
-
-
-def physics_html(film: "PhysicsFilm") -> str:
-    """Return the page of an episode in a physics world, with everything that moves."""
-    shapes = [(one.link, one.shape, one.colour) for one in film.shapes]
-
-    def poses(moment: int) -> Mapping[Any, Array]:
-        return dict(zip(film.links, film.moments[moment], strict=True))
-
-    with serving(f"kinfeas: {film.title}") as server:
-        return _play(server, film.recording, film.recording.times, shapes, poses)
 
 
 def moments(times: Array) -> NDArray[np.intp]:
     """Return indices of the moments to show, at most 15 per second, with the last one."""
     seconds = float(times[-1] - times[0])
     count = int(np.clip(np.ceil(seconds * _RATE), 1, min(_MOST, len(times))))
-    wanted = np.linspace(times[0], times[-1], count)
-    return np.unique(np.append(np.searchsorted(times, wanted), len(times) - 1))
+    moment_times = np.linspace(times[0], times[-1], count)
+    return np.unique(np.append(np.searchsorted(times, moment_times), len(times) - 1))
 
 
-def _play(
-    server: PageServer,
-    recording: Recording,
-    times: Array,
-    shapes: Iterable[tuple[Any, Shape, str | tuple[float, ...]]],
-    poses: Callable[[int], Mapping[Any, Array]],
-) -> str:
-    """Return the page of an episode whose shapes move with the poses of their keys."""
-    _draw_paths(server, recording)
-    frames: dict[Any, Any] = {}
-    solids = solid_shapes(recording.solids)
-    around = [(key, replace(one.shape, pose=IDENTITY), one.colour) for key, one in solids.items()]
-    for number, (key, shape, colour) in enumerate([*shapes, *around]):
-        if key not in frames:
-            frames[key] = server.scene.add_frame(f"/bodies/{len(frames)}", show_axes=False)
-        draw(server, f"{frames[key].name}/{number}", shape, colour)
-    text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
-    position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
-    label = server.scene.add_label("/result", text, position=position, visible=False)
-    film, shown = server.get_scene_serializer(), moments(times).tolist()
-    for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
-        solids = solid_shapes(recording.solids_at(moment))
-        now = {**poses(moment), **{key: one.shape.pose for key, one in solids.items()}}
-        for key, frame in frames.items():
-            place(frame, now[key])
-        label.visible = moment == shown[-1]
-        film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
-    return server.titled(film.as_html())
+def replay_html(replay: Replay) -> str:
+    """Return the page of an episode, on which everything moves as it did."""
+    recording, times = replay.recording, replay.times
+    with serving(f"kinfeas: {replay.title}") as server:
+        _draw_paths(server, recording)
+        frames: dict[LinkName, Any] = {}
+        for number, visual in enumerate(replay.shapes):
+            if visual.link not in frames:
+                name = f"/bodies/{len(frames)}"
+                frames[visual.link] = server.scene.add_frame(name, show_axes=False)
+            draw(server, f"{frames[visual.link].name}/{number}", visual.shape, visual.colour)
+        text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
+        position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
+        label = server.scene.add_label("/result", text, position=position, visible=False)
+        film, shown_moments = server.get_scene_serializer(), moments(times).tolist()
+        for moment, after in zip(
+            shown_moments, [*shown_moments[1:], shown_moments[-1]], strict=True
+        ):
+            poses = replay.links(moment)
+            for link, frame in frames.items():
+                place(frame, poses[link])
+            label.visible = moment == shown_moments[-1]
+            film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
+        return server.titled(film.as_html())
 
 
 def _draw_paths(server: Any, recording: Recording) -> None:

@@ -20,13 +20,13 @@ from kinfeas.io.files import writing
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
-from kinfeas.sim2real.servo.choice import DT, NONE, Choice
+from kinfeas.viz.choice import DT, NONE, Choice
 from kinfeas.viz.shapes import corners, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
 from kinfeas.viz.viewer import DrawnRobot, draw_floor, draw_scene, place, rgb
 
 if TYPE_CHECKING:
-    from kinfeas.sim2real.servo.simulation import Episode
+    from kinfeas.viz.live import Episode
 
 _STEPS_PER_FRAME = 2
 _FRAMES_PER_PLOT = 6
@@ -124,8 +124,8 @@ class _Shown:
 
     def draw_paths(self) -> None:
         """Show the paths up to now."""
-        for one in (self._base, self._desired, self._ee):
-            one.draw()
+        for trail in (self._base, self._desired, self._ee):
+            trail.draw()
 
 
 class PlayPage:
@@ -196,21 +196,21 @@ class PlayPage:
             return
         target, held = self.target, self._held
         for _ in range(_STEPS_PER_FRAME):
-            for episode, shown in zip(self._episodes, self._shown, strict=True):
+            for episode, drawn in zip(self._episodes, self._shown, strict=True):
                 episode.step(target, held=held)
-                shown.note()
+                drawn.note()
             self._sample()
         with self.server.atomic():
-            for shown in self._shown:
-                shown.draw(target)
+            for drawn in self._shown:
+                drawn.draw(target)
             if self.frames % _FRAMES_PER_PLOT == 0:
                 self._draw_plots()
         self.frames += 1
 
     def close(self) -> None:
         """Save the recording and end all episodes; raise KinfeasError if it cannot be saved."""
-        for one in self._episodes:
-            one.close()
+        for episode in self._episodes:
+            episode.close()
         self._episodes = []
         if self._samples:
             self._write(self._samples)
@@ -248,9 +248,9 @@ class PlayPage:
 
     def _demonstration(self, samples: list[tuple[float, Array, Array]]) -> Demonstration:
         """Return the motion of the tool tip; the object's frame is its last pose."""
-        time = np.array([one[0] for one in samples])
-        ee = np.array([one[1] for one in samples]).reshape(-1, 7)
-        base = np.array([one[2] for one in samples]).reshape(-1, 7)
+        time = np.array([sample[0] for sample in samples])
+        ee = np.array([sample[1] for sample in samples]).reshape(-1, 7)
+        base = np.array([sample[2] for sample in samples]).reshape(-1, 7)
         return Demonstration(time, ee, base, np.repeat(ee[-1:], len(ee), axis=0))
 
     def _sample(self) -> None:
@@ -287,9 +287,9 @@ class PlayPage:
         }
         inputs, boxes = {}, {}
         with gui.add_folder("Settings", expand_by_default=False):
-            for key, known in options.items():
+            for key, values in options.items():
                 value = getattr(choice, key)
-                names = list(dict.fromkeys([*known, value]))
+                names = list(dict.fromkeys([*values, value]))
                 label = key.replace("_", " ")
                 inputs[key] = gui.add_dropdown(label, names, initial_value=value)
             self._beside = gui.add_checkbox("side by side", True)
@@ -299,19 +299,19 @@ class PlayPage:
 
         def change() -> None:
             filters = tuple(sorted((n for n, box in boxes.items() if box.value), key=_order))
-            chosen = {key: one.value for key, one in inputs.items()}
+            selected = {key: control.value for key, control in inputs.items()}
             try:
-                self._build(Choice(**chosen, filters=filters))
+                self._build(Choice(**selected, filters=filters))
             except (KinfeasError, ImportError) as error:
                 self._message.content = f"**{error}**"
 
         self._beside.on_update(lambda _: self._tasks.put(self._arrange))
-        for one in (*inputs.values(), *boxes.values()):
-            one.on_update(lambda _: self._tasks.put(change))
+        for control in (*inputs.values(), *boxes.values()):
+            control.on_update(lambda _: self._tasks.put(change))
 
     def _build(self, choice: Choice) -> None:
         """Save the recording and replace the episodes; keep all if new ones cannot be built."""
-        from kinfeas.sim2real.servo.simulation import Episode  # after the first picture
+        from kinfeas.viz.live import Episode  # after the first picture
 
         if self._episodes and choice == self.choice:
             return
@@ -323,13 +323,13 @@ class PlayPage:
                 if policy != NONE:
                     fresh.append(Episode(choice, policy, robot, scene))
         except BaseException:
-            for one in fresh:
-                one.close()
+            for episode in fresh:
+                episode.close()
             raise
         self._message.content = ""
         self.save()
-        for one in self._episodes:
-            one.close()
+        for episode in self._episodes:
+            episode.close()
         if choice.scene != self.choice.scene:
             for drawn in self._scene:
                 drawn.remove()
@@ -340,8 +340,8 @@ class PlayPage:
 
     def _reset(self) -> None:
         self.save()
-        for one in self._episodes:
-            one.restart()
+        for episode in self._episodes:
+            episode.restart()
         self._show()
 
     def _show(self) -> None:
@@ -358,14 +358,14 @@ class PlayPage:
         pose = self._episodes[0].ee_pose
         self.handle.position, self.handle.wxyz = pose[:3], np.roll(pose[3:], 1)
         self.handle.visible = True
-        for shown in self._shown:
-            shown.draw(pose)
+        for drawn in self._shown:
+            drawn.draw(pose)
         self._add_plots()
 
     def _arrange(self) -> None:
         """Draw the second robot beside the first, or where it is."""
-        for shown in self._shown[1:]:
-            shown.root.position = _BESIDE * self._beside.value
+        for drawn in self._shown[1:]:
+            drawn.root.position = _BESIDE * self._beside.value
 
     def _draw_scene(self, name: str) -> list[Any]:
         scene = None if name == NONE else read_scene(name)
@@ -398,12 +398,12 @@ class PlayPage:
 
     def _draw_plots(self) -> None:
         first = self._shown[0]
-        for shown in self._shown:
-            shown.draw_paths()
+        for drawn in self._shown:
+            drawn.draw_paths()
         times = np.array(first.times)
-        self._plots[0].data = (times, *(np.array(one.deviations) for one in self._shown))
+        self._plots[0].data = (times, *(np.array(drawn.deviations) for drawn in self._shown))
         self._plots[1].data = (times, *np.ascontiguousarray(np.array(first.speeds).T))
-        status = "\n\n".join(shown.report() for shown in self._shown)
+        status = "\n\n".join(drawn.report() for drawn in self._shown)
         if status != self._status.content:
             self._status.content = status
 
@@ -424,7 +424,7 @@ def _order(name: str) -> tuple[bool, bool, str]:
 def _footprint(robot: Robot) -> Array:
     """Return the outline of the low parts of a body on the floor, shape (k, 3), metres."""
     body = list(robot_solids(robot, spatial.IDENTITY, robot.home["home"], ("", "arm")))
-    low = [one for one in body if not one.colour and corners([one])[:, 2].min() < _LOW]
+    low = [solid for solid in body if not solid.colour and corners([solid])[:, 2].min() < _LOW]
     points = corners(low or body)[:, :2]
     outline = points[ConvexHull(points).vertices]
     return np.column_stack([outline, np.zeros(len(outline))])

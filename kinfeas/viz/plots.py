@@ -85,8 +85,8 @@ def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
             (below[0], linear, trial.max_velocity, "speed (m/s)"),
             (below[1], angular, trial.max_angular_velocity, "angular speed (rad/s)"),
         ):
-            for one, colour in zip(speed.T, colours, strict=True):
-                axes.plot(time, one, color=colour, lw=1.2)
+            for curve, colour in zip(speed.T, colours, strict=True):
+                axes.plot(time, curve, color=colour, lw=1.2)
             if limit is not None:
                 axes.axhline(limit, color=FAILURE, lw=1.2, ls=(0, (4, 2)), label="limit")
                 axes.legend(loc="upper right")
@@ -102,23 +102,23 @@ def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
 
 def search_figure(results: Sequence[Mapping[str, Any]], importances: Mapping[str, float]) -> Figure:
     """Return plots of a sweep: the scores of its trials, and the importance of each key."""
-    finished = [one for one in results if "score" in one]
+    finished = [trial for trial in results if "score" in trial]
     with rc_context(STYLE):
         figure = Figure(figsize=(9.6, 3.8), layout="constrained")
-        history, shares = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
+        history, bars = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
         for state, colour in (("complete", EE), ("pruned", FAINT)):
-            own = [one for one in finished if one["state"] == state]
-            numbers, scores = [one["number"] for one in own], [one["score"] for one in own]
+            own = [trial for trial in finished if trial["state"] == state]
+            numbers, scores = [trial["number"] for trial in own], [one["score"] for one in own]
             history.plot(numbers, scores, "o", color=colour, ms=6.0, mec="white", label=state)
-        complete = [one for one in finished if one["state"] == "complete"]
-        best = np.maximum.accumulate([one["score"] for one in complete])
-        numbers = [one["number"] for one in complete]
+        complete = [trial for trial in finished if trial["state"] == "complete"]
+        best = np.maximum.accumulate([trial["score"] for trial in complete])
+        numbers = [trial["number"] for trial in complete]
         history.step(numbers, best, where="post", color=EE, lw=1.6, zorder=1.5, label="best")
         history.set(xlabel="trial", title="score")
         history.xaxis.get_major_locator().set_params(integer=True)
         history.legend(loc="lower right")
         names = sorted(importances, key=lambda key: importances[key])
-        shares.barh(names, [importances[name] for name in names], color=BASE)
-        shares.grid(axis="y", visible=False)
-        shares.set(title="importance", xlabel="share of the variance of the score")
+        bars.barh(names, [importances[name] for name in names], color=BASE)
+        bars.grid(axis="y", visible=False)
+        bars.set(title="importance", xlabel="share of the variance of the score")
     return figure

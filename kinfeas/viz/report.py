@@ -78,9 +78,9 @@ def to_html(report: Report) -> str:
         *(head for head, *_ in _COLUMNS.values()),
     ]
     pictures = "".join(
-        f"<figure><img src='data:image/png;base64,{base64.b64encode(one.png).decode()}'>"
-        f"<figcaption>{escape(one.caption)}</figcaption></figure>\n"
-        for one in report.pictures
+        f"<figure><img src='data:image/png;base64,{base64.b64encode(picture.png).decode()}'>"
+        f"<figcaption>{escape(picture.caption)}</figcaption></figure>\n"
+        for picture in report.pictures
     )
     facts = "".join(f"<dt>{key}</dt><dd>{escape(value)}</dd>" for key, value in machine().items())
     return (
@@ -116,10 +116,10 @@ def paper_success(robot: str, task: str) -> dict[str, float]:
 
 
 def _line(row: Row) -> str:
-    share = row.success
-    interval = f"{share.low:.1%} &ndash; {share.high:.1%}" if share.low < share.high else ""
-    cells = [escape(row.name), f"<b>{share.value:.1%}</b>", interval]
-    cells.append(f"<meter value={share.value:.4f}></meter>")
+    success = row.success
+    interval = f"{success.low:.1%} &ndash; {success.high:.1%}" if success.low < success.high else ""
+    cells = [escape(row.name), f"<b>{success.value:.1%}</b>", interval]
+    cells.append(f"<meter value={success.value:.4f}></meter>")
     for key, (_, form, factor) in _COLUMNS.items():
         value = row.metrics.get(key)
         cells.append("" if value is None else form.format(factor * float(value)))

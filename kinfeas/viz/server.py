@@ -45,12 +45,12 @@ class Access:
         bound = ip_address(address)
         self._token = "" if bound.is_loopback else secrets.token_urlsafe(16)
         self._any_address = bound.is_unspecified
-        shown = _own_address() if self._any_address else host
-        names = {*_LOCAL, _bracketed(host), _bracketed(address), _bracketed(shown)}
+        name = _own_address() if self._any_address else host
+        names = {*_LOCAL, _bracketed(host), _bracketed(address), _bracketed(name)}
         if self._any_address:
             names |= {socket.gethostname(), f"{socket.gethostname()}.local"}
         self._names = {name.lower() for name in names}
-        self.url = f"http://{_bracketed(shown)}:{port}/{self._token}".rstrip("/")
+        self.url = f"http://{_bracketed(name)}:{port}/{self._token}".rstrip("/")
 
     def allows(self, request: Any) -> bool:
         """Return whether a request, also for a websocket, is one of the page or its reader.

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.backends.physics.visuals import GREY, urdf_visuals
+from kinfeas.backends.physics.visuals import GREY, VisualShape, urdf_visuals
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
+from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.elements import read_xml
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
@@ -29,6 +30,7 @@ CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in
 LOW, HIGH, HIGHEST = "#d8c7a6", "#9fa9b580", 1.2
 """Colours of solids: up to a height in metres, and higher ones."""
 
+_TURN = np.deg2rad(12.0)  # of a side view, so that the arm is in front
 _STICK = 0.03  # m, width of lines in place of links without shapes
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
@@ -88,51 +90,66 @@ def link_poses(robot: Robot, base_pose: Array, joint_positions: Array) -> dict[s
 
 
 def scene_solids(scene: Scene) -> Iterator[tuple[str, Solid]]:
-    """Yield the visible shapes of a scene in the world with the name of their object.
+    """Yield the visible shapes of a scene in the world with the name of their object."""
+    for name, entry in scene.objects.items():
+        poses = entry.link_poses()
+        for visual in scene_shapes(name, entry):
+            pose = compose(poses[visual.link[1]], visual.shape.pose)
+            yield name, Solid(replace(visual.shape, pose=pose), visual.colour)
+
+
+def scene_shapes(name: str, entry: SceneObject) -> list[VisualShape]:
+    """Return the visible shapes of an object in the frames of its links.
 
     Links without visible primitives show those of their collision geometry.
     """
-    for name, one in scene.objects.items():
-        poses, visuals = one.link_poses(), _visuals(one.urdf_path)
-        for link in one.urdf.links.values():
-            grey = [Solid(shape, _hex(GREY)) for shape in link.shapes]
-            for shape, colour in visuals.get(link.name, grey):
-                pose = compose(poses[link.name], shape.pose)
-                yield name, Solid(replace(shape, pose=pose), colour)
+    visuals = _visuals(name, entry.urdf_path)
+    return [
+        visual
+        for link in entry.urdf.links.values()
+        for visual in visuals.get(
+            link.name, [VisualShape((name, link.name), shape, GREY) for shape in link.shapes]
+        )
+    ]
 
 
-@lru_cache(maxsize=32)
-def _visuals(path: Path) -> dict[str, list[Solid]]:
+@lru_cache(maxsize=64)
+def _visuals(name: str, path: Path) -> dict[str, list[VisualShape]]:
     """Return the visible shapes of a URDF in the frames of their links, by link."""
-    visuals: dict[str, list[Solid]] = {}
-    for one in urdf_visuals("", read_xml(path, "robot")):
-        visuals.setdefault(one.link[1], []).append(Solid(one.shape, _hex(one.colour)))
+    visuals: dict[str, list[VisualShape]] = {}
+    for visual in urdf_visuals(name, read_xml(path, "robot")):
+        visuals.setdefault(visual.link[1], []).append(visual)
     return visuals
-
-
-def _hex(colour: tuple[float, ...]) -> str:
-    return "#" + bytes(round(255.0 * share) for share in colour).hex()
 
 
 def solid_shapes(solids: Solids | None) -> dict[int, Solid]:
     """Return the solids of one row by place; high ones are translucent."""
     if solids is None:
         return {}
-    found = {}
-    for place in np.flatnonzero(solids.filled[0]).tolist():
-        x, y, low, high = solids.size[0, place].tolist()
-        height, centre = high - low, solids.centre[0, place]
-        if solids.cylinder[0, place]:
+    shapes = {}
+    for slot in np.flatnonzero(solids.filled[0]).tolist():
+        x, y, low, high = solids.size[0, slot].tolist()
+        height, centre = high - low, solids.centre[0, slot]
+        if solids.cylinder[0, slot]:
             shape = Shape("cylinder", (x, height), centre)
         else:
             shape = Shape("box", (2.0 * x, 2.0 * y, height), centre)
-        found[place] = Solid(shape, HIGH if high > HIGHEST else LOW)
-    return found
+        shapes[slot] = Solid(shape, HIGH if high > HIGHEST else LOW)
+    return shapes
 
 
-def surrounds(scene: Scene, one: SceneObject) -> bool:
+def side_heading(recording: Recording) -> float:
+    """Return the world heading to the right of a side view in which the arm is in front."""
+    travel = recording.goal[:2] - recording.base_pose[0, :2]
+    heading = float(np.arctan2(travel[1], travel[0]))
+    arm = (recording.ee_pose[:, :2] - recording.base_pose[:, :2]).mean(axis=0)
+    headings = (heading + _TURN, heading + np.pi - _TURN)
+    return max(headings, key=lambda angle: float(arm @ [np.sin(angle), -np.cos(angle)]))
+
+
+def surrounds(scene: Scene, entry: SceneObject) -> bool:
     """Return whether an object, such as walls, is as large as the room."""
-    points = corners([Solid(shape, "") for _, shape in one.shapes()])
+    points = corners([Solid(shape, "") for _, shape in entry.shapes()])
     return bool(np.max(np.ptp(points, axis=0)) >= min(scene.size))
 
 
@@ -145,15 +162,15 @@ def faces(shape: Shape) -> list[Array]:
     """Return the polygons (k, 3) around a shape, their corners counter-clockwise from outside."""
     if shape.kind == "box":
         points = CORNERS * np.array(shape.size)
-        found = [points[list(face)] for face in _BOX_FACES]
+        polygons = [points[list(face)] for face in _BOX_FACES]
     elif shape.kind == "cylinder":
         radius, length = shape.size
-        found = _lathed(np.array([radius, radius]), np.array([-length / 2.0, length / 2.0]))
+        polygons = _lathed(np.array([radius, radius]), np.array([-length / 2.0, length / 2.0]))
     else:
         latitude = np.linspace(-np.pi / 2.0, np.pi / 2.0, 7)
-        found = _lathed(shape.size[0] * np.cos(latitude), shape.size[0] * np.sin(latitude))
+        polygons = _lathed(shape.size[0] * np.cos(latitude), shape.size[0] * np.sin(latitude))
     turn = rotation(shape.pose).as_matrix()
-    return [face @ turn.T + shape.pose[:3] for face in found]
+    return [face @ turn.T + shape.pose[:3] for face in polygons]
 
 
 def _lathed(radii: Array, heights: Array) -> list[Array]:
@@ -161,8 +178,8 @@ def _lathed(radii: Array, heights: Array) -> list[Array]:
     angle = np.linspace(0.0, 2.0 * np.pi, SIDES, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)], axis=1)
     rings = [radius * circle + [0, 0, z] for radius, z in zip(radii, heights, strict=True)]
-    found = [rings[0][::-1], rings[-1]]
+    polygons = [rings[0][::-1], rings[-1]]
     for low, high in pairwise(rings):
         after = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
-        found += list(np.stack([low, *after, high], axis=1))
-    return found
+        polygons += list(np.stack([low, *after, high], axis=1))
+    return polygons

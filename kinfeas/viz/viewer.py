@@ -43,7 +43,7 @@ def aim(server: Any, points: Array) -> None:
     server.initial_camera.look_at = middle
 
 
-def draw(server: Any, name: str, shape: Shape, colour: str | tuple[float, ...]) -> Any:
+def draw(server: Any, name: str, shape: Shape, colour: str) -> Any:
     """Draw a shape; return its handle."""
     red, green, blue, *alpha = rgb(colour)
     how: dict[str, Any] = {"position": shape.pose[:3], "wxyz": np.roll(shape.pose[3:], 1)}
@@ -63,11 +63,9 @@ def place(drawn: Any, pose: Array) -> None:
         drawn.position, drawn.wxyz = pose[:3], wxyz  # each change is a message in the page
 
 
-def rgb(colour: str | tuple[float, ...]) -> tuple[int, ...]:
-    """Return a colour, `#rrggbb` or shares of 1, in the range of viser, 0 to 255."""
-    if isinstance(colour, str):
-        return tuple(bytes.fromhex(colour.removeprefix("#")))
-    return tuple(round(255.0 * share) for share in colour)
+def rgb(colour: str) -> tuple[int, ...]:
+    """Return a colour, `#rrggbb` or `#rrggbbaa`, in the range of viser, 0 to 255."""
+    return tuple(bytes.fromhex(colour.removeprefix("#")))
 
 
 class DrawnRobot:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import with_adapters
-from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core.backend import (
     SCAN_BEAMS,
     Backend,
@@ -26,11 +25,12 @@ from kinfeas.core.backend import (
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.robots.robot import Base, Robot
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guard_kernels import limited_targets, limited_velocity
-from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.deploy.state_monitor import StateMonitor, check_limit
+from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.sim2real.link.scans import beam
 
 _CREEP = 0.02  # m/s up to which the base may drive into a blind direction

@@ -21,7 +21,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.reachability import reachable
+from kinfeas.planning.placement import reachable
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.tasks.task import Task, build_subgoals

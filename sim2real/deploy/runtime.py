@@ -30,9 +30,9 @@ from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.preflight import preflight
-from kinfeas.sim2real.deploy.rate import Clock, Rate, Timing
 from kinfeas.sim2real.deploy.signals import Signals
 from kinfeas.sim2real.deploy.watchdog import Watchdog
+from kinfeas.sim2real.link.rate import Clock, Rate, Timing
 from kinfeas.tasks.task import Task, build_subgoals, target_stream
 
 _log = logging.getLogger(__name__)

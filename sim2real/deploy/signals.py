@@ -22,12 +22,12 @@ class Signals:
         noted = [signal.SIGINT, signal.SIGQUIT, signal.SIGTERM]
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             noted.append(signal.SIGHUP)
-        self._before = {one: signal.signal(one, self._note) for one in noted}
+        self._before = {number: signal.signal(number, self._note) for number in noted}
         return self
 
     def __exit__(self, *_: object) -> None:
-        for one, handler in self._before.items():
-            signal.signal(one, handler)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def _note(self, number: int, _: FrameType | None) -> None:
         if self.caught is None:

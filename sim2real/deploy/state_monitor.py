@@ -11,7 +11,7 @@ from kinfeas.core.errors import Fault
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.config import Guards
-from kinfeas.sim2real.deploy.rate import Clock
+from kinfeas.sim2real.link.rate import Clock
 
 
 class StateMonitor:

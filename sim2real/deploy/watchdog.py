@@ -115,15 +115,15 @@ class Watchdog:
 
 def main(order: str) -> None:
     """Watch standard input, with an order in JSON."""
-    given, answers = json.loads(order), os.dup(1)
+    settings, answers = json.loads(order), os.dup(1)
     os.dup2(2, 1)  # prints of libraries must not be read as answers
     try:
-        module, _, name = given["stop"]["path"].partition(":")
-        stop = _Stop(getattr(import_module(module), name)(**given["stop"]["arguments"]))
+        module, _, name = settings["stop"]["path"].partition(":")
+        stop = _Stop(getattr(import_module(module), name)(**settings["stop"]["arguments"]))
     except PLUGIN_ERRORS as error:
         sys.exit(f"watchdog: {error!r}")
     os.write(answers, _READY)
-    if _watch(stop, given["seconds"], answers):
+    if _watch(stop, settings["seconds"], answers):
         end, stops = time.monotonic() + LAST_TRY, 0
         while stops < REPEATS and time.monotonic() < end:
             stops += stop("the run died")

@@ -180,6 +180,6 @@ class Hosted(Protocol):
 
         Args:
             robot: Simulated robot.
-            topics: Name or path of the file with the names on the bus; the robot's by default.
+            topics: Path of the file with the names on the bus; the robot's by default.
         """
         ...

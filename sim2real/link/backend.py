@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config.quantities import PositiveSeconds
-from kinfeas.control.drive import base_velocity
 from kinfeas.core.backend import Grip, RealTimeBackend, RobotState, Scan
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.drive import base_velocity
 from kinfeas.robots.robot import Robot, joint_displacement
-from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.link import Link, ScanLink
 from kinfeas.sim2real.link.measurements import DRIFT, Drift, Inbox
+from kinfeas.sim2real.link.rate import Clock, Rate
 
 _POLL = 0.02  # s between checks of the connection during `reset`
 _OFFSET = 0.02  # rad or m that a joint outside the arm may deviate from the kinematic model
@@ -58,8 +58,8 @@ class LinkBackend(RealTimeBackend):
         self.rate: Rate | None = None
         self.gripper = self
         self._clock = clock or Clock()
-        given = names or {}
-        self._names = {joint.name: given.get(joint.name, joint.name) for joint in robot.arm}
+        aliases = names or {}
+        self._names = {joint.name: aliases.get(joint.name, joint.name) for joint in robot.arm}
         self._inbox = Inbox(robot, self._names, drift, self._clock.monotonic)
         self._seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
@@ -180,11 +180,11 @@ class LinkBackend(RealTimeBackend):
         """Send the arm to joint positions, shape (j,), at a limited velocity from where it is."""
         measured = self._inbox.arm()
         # Continuous joints are measured with their turns and take the shorter way.
-        way = joint_displacement(self.robot, measured, targets)
+        displacement = joint_displacement(self.robot, measured, targets)
         # The peak velocity of a cubic from rest is 1.5 times its mean.
         longest = 1.5 * np.abs(joint_displacement(self.robot, start, targets)) / self._joint_speed
         seconds = max(self._seconds, float(np.max(longest)))
-        self._target, names = measured + way, self._names.values()
+        self._target, names = measured + displacement, self._names.values()
         self.link.move(dict(zip(names, self._target.tolist(), strict=True)), seconds)
 
     def _missing(self) -> str:
@@ -196,8 +196,8 @@ class LinkBackend(RealTimeBackend):
         if len(joints) == len(self.robot.arm):
             return f"no joint positions came from {self.link.joint_source} {within}"
         if joints:
-            known, missing = ", ".join(sorted(self._inbox.positions())), ", ".join(joints)
-            return f"{self.link.joint_source} has no position of {missing}; it has {known}"
+            present, missing = ", ".join(sorted(self._inbox.positions())), ", ".join(joints)
+            return f"{self.link.joint_source} has no position of {missing}; it has {present}"
         return f"{self.link.waits_for()} has no subscriber {within}"
 
     def _check_other_joints(self) -> None:

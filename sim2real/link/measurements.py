@@ -11,9 +11,9 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from kinfeas.control.drive import world_twist
 from kinfeas.core.backend import RobotState, Scan
 from kinfeas.core.spatial import Array, planar_pose, wrap
+from kinfeas.kinematics.drive import world_twist
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Readings
 from kinfeas.sim2real.link.scans import (
@@ -143,7 +143,7 @@ class Inbox:
     def scans(self) -> set[type[LaserReading] | type[CostmapReading]]:
         """Return the kinds of scans that have arrived."""
         with self._lock:
-            return {type(one[0]) for one in (self._laser, self._costmap) if one is not None}
+            return {type(scan[0]) for scan in (self._laser, self._costmap) if scan is not None}
 
     def scan(self) -> Scan:
         """Return the newest scan; a base pose, and a laser or costmap, must have arrived."""
@@ -151,9 +151,9 @@ class Inbox:
             assert self._base is not None
             base, laser, costmap = self._base[0], self._laser, self._costmap
         low = None if laser is None else laser_ranges(laser[0])
-        place = base.x, base.y, base.yaw
-        high = None if costmap is None else costmap_ranges(costmap[0], place)
-        oldest = min(one[1] for one in (laser, costmap) if one is not None)
+        base_position = base.x, base.y, base.yaw
+        high = None if costmap is None else costmap_ranges(costmap[0], base_position)
+        oldest = min(scan[1] for scan in (laser, costmap) if scan is not None)
         return combined(low, high, self._now() - oldest)
 
     def _take_base(self, reading: BaseReading) -> None:

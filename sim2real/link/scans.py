@@ -101,22 +101,24 @@ def costmap_ranges(costmap: CostmapReading, base: tuple[float, float, float]) ->
         base: x, y and yaw of the base in the world, metres and radians.
     """
     x, y, yaw = base
-    ways = np.arange(0.0, SCAN_RANGE, 0.5 * costmap.resolution)
+    distances = np.arange(0.0, SCAN_RANGE, 0.5 * costmap.resolution)
     left, up, turn = costmap.origin
     angles = (yaw - turn) + ANGLES[:, np.newaxis]
     cosine, sine = np.cos(turn), np.sin(turn)
-    u = cosine * (x - left) + sine * (y - up) + ways * np.cos(angles)
-    v = cosine * (y - up) - sine * (x - left) + ways * np.sin(angles)
-    columns, rows = (np.floor(one / costmap.resolution).astype(np.intp) for one in (u, v))
+    u = cosine * (x - left) + sine * (y - up) + distances * np.cos(angles)
+    v = cosine * (y - up) - sine * (x - left) + distances * np.sin(angles)
+    columns, rows = (
+        np.floor(coordinate / costmap.resolution).astype(np.intp) for coordinate in (u, v)
+    )
     height, width = costmap.cells.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     values = np.where(
         inside, costmap.cells[rows.clip(0, height - 1), columns.clip(0, width - 1)], 0
     )
     before = np.cumsum(values >= costmap.occupied, axis=1) == 0
-    reached = np.append(ways, SCAN_RANGE)[before.sum(axis=1)]
-    unknown, known = ((before & inside & (values < 0)), (before & inside & (values >= 0)))
-    blind = (unknown.sum(axis=1) > known.sum(axis=1)) | ~inside.any(axis=1)
+    reached = np.append(distances, SCAN_RANGE)[before.sum(axis=1)]
+    unknown, mapped = ((before & inside & (values < 0)), (before & inside & (values >= 0)))
+    blind = (unknown.sum(axis=1) > mapped.sum(axis=1)) | ~inside.any(axis=1)
     return np.where(blind, np.nan, reached)
 
 
@@ -127,7 +129,7 @@ def combined(low: Array | None, high: Array | None, age: float) -> Scan:
     nothing at all, all beams are blind.
     """
     nothing = np.full(SCAN_BEAMS, np.nan)
-    first, second = (nothing if one is None else one for one in (low, high))
+    first, second = (nothing if ranges is None else ranges for ranges in (low, high))
     bands = np.stack([first, second])
     bands = np.where(np.isnan(bands), bands[::-1], bands)
     blind = np.isnan(bands[0])

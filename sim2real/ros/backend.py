@@ -52,7 +52,7 @@ class RosBackend(LinkBackend):
 
         Args:
             robot: Robot model.
-            topics: Path of a YAML file with the names, or name of a shipped one; the robot's own by
+            topics: Path of a YAML file with the names; the one in the robot's folder by
                 default.
             seconds: Minimum time_from_start of an arm target, seconds.
             timeout: Seconds that `reset` waits for the first measurements.
@@ -67,8 +67,8 @@ class RosBackend(LinkBackend):
     def stop_call(self) -> StopCall:
         """Return the call with which the watchdog stops the base."""
         base = self.topics.base
-        given = {"version": self.version, "topic": base.command, "stamped": base.stamped}
-        return StopCall("kinfeas.sim2real.ros.bus:stop_base", given)
+        arguments = {"version": self.version, "topic": base.command, "stamped": base.stamped}
+        return StopCall("kinfeas.sim2real.ros.bus:stop_base", arguments)
 
     @classmethod
     def robot_link(cls, robot: Robot, topics: str | None = None) -> RobotLink:
@@ -118,7 +118,9 @@ class RosLink:
         topics, messages = self._topics, self._bus.messages
         base = messages.TwistStamped if topics.base.stamped else messages.Twist
         kinds = {topics.base.command: base}
-        kinds |= {one.command: messages.JointTrajectory for one in topics.joints.controllers}
+        kinds |= {
+            controller.command: messages.JointTrajectory for controller in topics.joints.controllers
+        }
         if topics.gripper is not None:
             kinds[topics.gripper.command] = ros_messages.gripper_type(messages, topics.gripper)
         self._publishers = {
@@ -135,8 +137,11 @@ class RosLink:
     def waits_for(self) -> str | None:
         """Return the first topic without a subscriber, except the gripper's."""
         topics = self._topics
-        wanted = [topics.base.command, *(one.command for one in topics.joints.controllers)]
-        return next((one for one in wanted if not self._publishers[one].listeners()), None)
+        commands = [
+            topics.base.command,
+            *(controller.command for controller in topics.joints.controllers),
+        ]
+        return next((topic for topic in commands if not self._publishers[topic].listeners()), None)
 
     def check(self) -> None:
         """Raise Fault if the connection is broken or the odometry is of another frame."""
@@ -152,9 +157,11 @@ class RosLink:
 
     def move(self, positions: Mapping[str, float], seconds: float) -> None:
         """Send each controller its joints."""
-        for one in self._topics.joints.controllers:
-            share = {name: positions[name] for name in one.joints}
-            self._send(one.command, ros_messages.trajectory(self._bus.messages, share, seconds))
+        for controller in self._topics.joints.controllers:
+            targets = {name: positions[name] for name in controller.joints}
+            self._send(
+                controller.command, ros_messages.trajectory(self._bus.messages, targets, seconds)
+            )
 
     def grip(self, grip: Grip) -> None:
         """Close or open the gripper, if the file names one."""
@@ -238,11 +245,13 @@ class RosRobotLink:
         base = messages.TwistStamped if topics.base.stamped else messages.Twist
         bus.subscribe(topics.base.command, base, _passing(_finite_velocity, orders.drive))
         move = _passing(ros_messages.path, orders.move)
-        for one in topics.joints.controllers:
-            bus.subscribe(one.command, messages.JointTrajectory, move)
+        for controller in topics.joints.controllers:
+            bus.subscribe(controller.command, messages.JointTrajectory, move)
         if (gripper := topics.gripper) is not None:
             kind = ros_messages.gripper_type(messages, gripper)
-            grip = _passing(lambda one: ros_messages.from_gripper(gripper, one), orders.grip)
+            grip = _passing(
+                lambda message: ros_messages.from_gripper(gripper, message), orders.grip
+            )
             bus.subscribe(gripper.command, kind, grip)
         self._odometry = bus.publisher(topics.base.odometry, messages.Odometry)
         self._joints = bus.publisher(topics.joints.measured, messages.JointState)

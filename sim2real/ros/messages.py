@@ -159,10 +159,10 @@ def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
     """Return the state nearer to a gripper's commanded position; None if it is invalid."""
     closed, opened = gripper.positions("close"), gripper.positions("open")
     if gripper.kind == "trajectory":
-        way = path(message)
-        if way is None or not way.joints or way.joints[0] not in gripper.joints:
+        points = path(message)
+        if points is None or not points.joints or points.joints[0] not in gripper.joints:
             return None
-        row, position = gripper.joints.index(way.joints[0]), float(way.positions[-1, 0])
+        row, position = gripper.joints.index(points.joints[0]), float(points.positions[-1, 0])
     else:
         row, position = 0, message.position
     nearer = abs(position - closed[row]) <= abs(position - opened[row])
@@ -195,11 +195,14 @@ class TfTree:
     def take(self, message: Any, *, static: bool = False) -> None:
         """Take a tf2_msgs/TFMessage; `static` transforms do not age."""
         now = self._now()
-        for one in message.transforms:
-            child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
-            p, q = one.transform.translation, one.transform.rotation
+        for transform in message.transforms:
+            child, parent = (
+                transform.child_frame_id.lstrip("/"),
+                transform.header.frame_id.lstrip("/"),
+            )
+            p, q = transform.transform.translation, transform.transform.rotation
             pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-            stamp = one.header.stamp.to_sec()
+            stamp = transform.header.stamp.to_sec()
             sent = math.inf if static else now
             if stamp and not static:
                 sent = self._delays[child].sent(stamp, now)
@@ -207,10 +210,10 @@ class TfTree:
 
     def reading(self) -> BaseReading | None:
         """Return the base pose with the age of its oldest transform; None if one is missing."""
-        found = self._base_in(self._world)
-        if found is None:
+        measured = self._base_in(self._world)
+        if measured is None:
             return None
-        pose, oldest, stamp = found
+        pose, oldest, stamp = measured
         return BaseReading(*planar(pose), stamp=stamp or None, age=max(0.0, self._now() - oldest))
 
     def pose(self, frame: str) -> Array | None:

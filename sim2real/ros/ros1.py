@@ -75,8 +75,8 @@ class Ros1Bus:
             return
         time.sleep(_FLUSH)
         if self._master.alive():  # or unregistering would block
-            for one in self._topics:
-                one.unregister()
+            for topic in self._topics:
+                topic.unregister()
         self._master.close()
         self._master, self._topics = None, []
 

@@ -205,7 +205,9 @@ def ros2_message_classes() -> Messages:
 def _message(name: str, methods: dict[str, Any] | None = None, /, **members: Any) -> Any:
     """Return the class of a message; fields are messages, or pairs of a type and a factory."""
     package, short = name.split("/")
-    pairs = {key: one if isinstance(one, tuple) else (one, one) for key, one in members.items()}
+    pairs = {
+        key: types if isinstance(types, tuple) else (types, types) for key, types in members.items()
+    }
     space: dict[str, Any] = {key: field(default_factory=new) for key, (_, new) in pairs.items()}
     space["__annotations__"] = {key: kind for key, (kind, _) in pairs.items()}
     space |= {"__module__": __name__, **(methods or {})}

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,7 +10,7 @@ from annotated_types import Interval
 from kinfeas import config
 from kinfeas.config.quantities import Positive
 from kinfeas.core.backend import Grip
-from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link.scans import OCCUPIED
 from kinfeas.sim2real.ros.bus import Version
@@ -155,16 +154,20 @@ class Topics:
     costmap: CostmapTopic | None = None
 
 
-def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topics:
-    """Return the topics in a YAML file, given by path or shipped name, by default the robot's.
+def read_topics(robot: Robot, version: Version, file: str | None = None) -> Topics:
+    """Return the topics in a file, by default `ros1.yaml` or `ros2.yaml` in the robot's folder.
 
     Raises:
         KinfeasError: If the file is missing or invalid, or its controllers do not have each joint
             of the arm once.
     """
-    path = _find(robot.name if name is None else name, version)
+    path = robot.folder / f"ros{version}.yaml" if file is None else Path(file)
+    if file is None and not path.is_file():
+        raise KinfeasError(f"{path} does not exist; --set backend.topics=FILE or --topics FILE")
     topics = config.load(Topics, path)
-    commanded = Counter(name for one in topics.joints.controllers for name in one.joints)
+    commanded = Counter(
+        name for controller in topics.joints.controllers for name in controller.joints
+    )
     arm = Counter(topics.joints.names.get(joint.name, joint.name) for joint in robot.arm)
     if commanded != arm:
         wrong = sorted((commanded - arm) + (arm - commanded))
@@ -174,14 +177,3 @@ def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topi
     if version != 1 and topics.gripper is not None and topics.gripper.kind == "pr2":
         raise KinfeasError(f"{path}: 'gripper.kind' must be trajectory in ROS {version}")
     return topics
-
-
-def _find(name: str, version: Version) -> Path:
-    if (own := Path(name)).is_file():
-        return own
-    folder = Path(str(files("kinfeas.sim2real.ros").joinpath(f"ros{version}_topics")))
-    known = sorted(path.stem for path in folder.glob("*.yaml"))
-    if name not in known:
-        files_too = "; or a YAML file: --set backend.topics=FILE, --topics FILE"
-        raise KinfeasError(f"unknown topics {name!r}{no_such(name, known)}{files_too}")
-    return folder / f"{name}.yaml"

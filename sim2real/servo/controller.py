@@ -252,8 +252,8 @@ class TargetController:
     def _frame(self, name: str) -> Array | None:
         """Return the world pose of a frame; None if it is unknown."""
         name = name.lstrip("/") if isinstance(name, str) else "?"
-        known = {self.robot.base.frame: self.base_pose, self.robot.ee_frame: self.pose}
-        return spatial.IDENTITY if name in WORLD else known.get(name)
+        frames = {self.robot.base.frame: self.base_pose, self.robot.ee_frame: self.pose}
+        return spatial.IDENTITY if name in WORLD else frames.get(name)
 
 
 def _point(position: Array) -> Array:

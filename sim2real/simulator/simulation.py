@@ -10,18 +10,16 @@ from scipy.interpolate import CubicHermiteSpline
 
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config.recipes import default_engine
-from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip, RobotState, build_backend
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.core.start import episode_rng
 from kinfeas.envs.world import evaluation_world
+from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import read_scene
-from kinfeas.scenes.solids import furniture_solids
-from kinfeas.sim2real.deploy.rate import Clock, Rate
+from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.link import (
     BaseReading,
     Hosted,
@@ -31,6 +29,7 @@ from kinfeas.sim2real.link import (
     RobotLink,
     ScanRobotLink,
 )
+from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.task import Task
 
 _CATCH_UP = 10  # simulation steps in one period at most, if the machine is late
@@ -248,7 +247,7 @@ def spawn(
     """
     around = read_scene(scene) if scene is not None else None
     engine = engine or default_engine()
-    parameters = evaluation_world(engine, robot.name).backend_parameters
+    parameters = evaluation_world(engine, robot.folder).backend_parameters
     backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=around)
     if not isinstance(backend, PhysicsBackend):
         raise KinfeasError(f"backend {engine!r} has no physics")

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from kinfeas.core import registry
-from kinfeas.robots.loading import read_robot
+from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
 from tests.builders import at, twist
 
@@ -105,12 +105,12 @@ def scout(tmp_path):
 
     def read(change=lambda urdf: urdf, **settings):
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "scout.urdf").write_text(change((EXAMPLE / "scout.urdf").read_text()))
-        spec = yaml.safe_load((EXAMPLE / "scout.yaml").read_text())
+        (folder / "robot.urdf").write_text(change((EXAMPLE / "robot.urdf").read_text()))
+        spec = yaml.safe_load((EXAMPLE / "robot.yaml").read_text())
         for key, values in settings.items():
             spec[key] |= values
-        (folder / "scout.yaml").write_text(yaml.safe_dump(spec, sort_keys=False))
-        return read_robot(folder / "scout.yaml")
+        (folder / "robot.yaml").write_text(yaml.safe_dump(spec, sort_keys=False))
+        return load_robot(folder)
 
     return read
 

@@ -7,7 +7,7 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import planar_pose
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.solids import collides, distances
+from kinfeas.kinematics.solids import collides
 from kinfeas.robots.loading import load_robot
 from tests.backends.conftest import place, stay
 from tests.builders import twist
@@ -142,20 +142,16 @@ def test_contacts_are_those_of_the_geometry(rooms, hsr):
 
 
 def test_solids_move_and_are_measured_as_in_the_analytic_world(rooms, hsr):
-    world, analytic, model = rooms(), AnalyticBackend(hsr), IkSolver(hsr).collision
+    world, analytic = rooms(), AnalyticBackend(hsr)
     for command in ((), (), (0.0, 0.3)):  # there and back
         state = run(world, 20 if command else 90, *command)[-1]
-        near = distances(model, state.joint_positions, state.base_pose, world.solids.after())
-        obstacles = world.obstacle_distances(1.0)
-        assert obstacles.distance[0].min() == pytest.approx(near[0, 0], abs=2e-3)
-    analytic.reset(state.base_pose, state.joint_positions)
-    analytic.place_solids(world.solids.after(), ROWS)
+        analytic.reset(state.base_pose, state.joint_positions)
+        analytic.place_solids(world.solids.after(), ROWS)
+        obstacles, near = (each.obstacle_distances(1.0) for each in (world, analytic))
+        assert obstacles.distance[0].min() == pytest.approx(near.distance[0].min(), abs=2e-3)
     np.testing.assert_array_equal(world.scan().ranges, analytic.scan().ranges)
     assert world.scan().ranges.min() < 1.0
-    speeds = [
-        near.closing_speed[ROWS, near.distance.argmin(axis=1)]
-        for near in (obstacles, analytic.obstacle_distances(1.0))
-    ]
+    speeds = [each.closing_speed[ROWS, each.distance.argmin(axis=1)] for each in (obstacles, near)]
     assert np.all(np.abs(speeds[0]) > 0.01)
     np.testing.assert_allclose(*speeds, atol=5e-3)
 

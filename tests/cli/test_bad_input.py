@@ -7,17 +7,17 @@ import pytest
 
 from kinfeas.config.recipes import default_engine
 from kinfeas.io.demonstrations import write_demonstration
-from kinfeas.policies import pretrained
 from kinfeas.robots.loading import load_robot
 from tests.builders import contents
 from tests.cli.conftest import check_one_line
 from tests.cli.test_benchmark import STUDY
 from tests.importer.conftest import ARM
 from tests.plugins.conftest import door_demonstrations
-from tests.sim2real.policy_cases import write_run
+from tests.policy_cases import write_run
 
 ENGINE = default_engine()
-SCOUT = Path(__file__).parents[2] / "examples" / "own_robot" / "scout.yaml"
+SCOUT = Path(__file__).parents[2] / "examples" / "own_robot"
+TIAGO = load_robot("tiago").folder
 SCENE = "{name: office, size: [4, 4], objects: {desk: {urdf: %s}}}"
 
 INPUT = {
@@ -41,11 +41,11 @@ INPUT = {
     "train": [
         ("--robot none/robot.yaml", "none/robot.yaml"),
         ("--task fly", "'fly'"),
-        ("--config train/none", "train/tiago"),
+        ("--config train_room", "train_rooms"),
         ("--set learner.lerning_rate=1", "'learning_rate'"),
         ("--minutes 0", "schedule.minutes"),
         ("--init nowhere", "nowhere"),
-        (f"--world {ENGINE} --config train/default", f"world {ENGINE!r}"),
+        (f"--world {ENGINE} --config train", f"world {ENGINE!r}"),
         ("--resume nowhere", "nowhere"),
         ("--resume nowhere --seed 1", "--resume"),
     ],
@@ -79,8 +79,8 @@ INPUT = {
         (f"--backend {ENGINE} --set 'backend.physics={{gravity: -1}}'", "gravity"),
     ],
     "deploy --goal 0.9 0.1 0.8": [
-        (f"{pretrained.find('tiago')} --robot pr2", "'tiago'"),
-        (f"follow_ee --robot {SCOUT} --backend ros2", "backend.topics"),
+        (f"{TIAGO / 'policies' / 'pretrained'} --robot pr2", "'tiago'"),
+        (f"follow_ee --robot {SCOUT} --backend ros1", "backend.topics"),
     ],
     "simulate --robot hsr": [
         ("--backend analytic", "'analytic'"),

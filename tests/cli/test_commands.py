@@ -12,11 +12,11 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration, write_demonstration
 from kinfeas.io.run_log import read_record
 from kinfeas.plugins.imitation import GaussianMixture, Imitation
-from kinfeas.robots.loading import load_robot, read_robot
+from kinfeas.robots.loading import load_robot
 from tests.cli.conftest import check_one_line
 from tests.importer.conftest import ARM
 from tests.plugins.conftest import door_demonstrations
-from tests.sim2real.policy_cases import write_run
+from tests.policy_cases import write_run
 
 
 @pytest.fixture
@@ -119,21 +119,20 @@ def robot(kinfeas, tmp_path, monkeypatch):
 def test_other_commands_take_the_robot(robot, kinfeas, tmp_path):
     robot("--out", "new", "--json", "found.json", "--picture", "dolly.png", code=0)
     found = json.loads((tmp_path / "found.json").read_text())
-    known = read_robot(tmp_path / "new" / "dolly.yaml")
+    known = load_robot(tmp_path / "new")
     assert list(found["arm"]) == [joint.name for joint in known.arm] == ["pan", "lift", "elbow"]
     assert found["guessed_velocities"] == ["pan"]
     assert len(found["heights_m"]) == len(found["reachable"])
     assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
     words = ("--policy", "follow_ee", "--episodes", "1", "--set", "world.max_seconds=1")
-    kinfeas("evaluate", "--robot", "new/dolly.yaml", *words, code=0)
+    kinfeas("evaluate", "--robot", "./new", *words, code=0)
 
 
 def test_existing_files_are_kept(robot, tmp_path):
     (tmp_path / "new").mkdir()
-    (tmp_path / "new" / "dolly.yaml").write_text("mine")
-    check_one_line(robot("--out", "new"), "new/dolly.yaml")
-    assert (tmp_path / "new" / "dolly.yaml").read_text() == "mine"
-    robot("--out", "new", "--name", "other", code=0)
+    (tmp_path / "new" / "robot.yaml").write_text("mine")
+    check_one_line(robot("--out", "new"), "new/robot.yaml")
+    assert (tmp_path / "new" / "robot.yaml").read_text() == "mine"
 
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "target_source.py"

@@ -9,7 +9,7 @@ import pytest
 
 from kinfeas.config.recipes import ENGINES
 from kinfeas.io.run_log import REACHED, read_record
-from kinfeas.policies import pretrained
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from tests.cli.test_main import HEAVY, kinfeas_process
 from tests.sim2real.doubles import wait
@@ -68,7 +68,7 @@ def test_every_run_has_a_record(kinfeas, tmp_path):
 
 @pytest.mark.parametrize(("adapters", "words"), [
     ("randomised", ("pretrained", "--backend", "pybullet", "--goal", "0.9", "0.1", "0.8")),
-    ("scans.yaml", ("pretrained/rooms", "--backend", "analytic", "--task", "ggr_obstacles")),
+    ("scans.yaml", ("rooms", "--backend", "analytic", "--task", "ggr_obstacles")),
 ])  # fmt: skip
 def test_adapters_for_physics_and_of_scans_deploy(run, tmp_path, adapters, words):
     (tmp_path / "scans.yaml").write_text("adapters: [{name: scan_noise}]")
@@ -95,7 +95,7 @@ def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):
 
 @pytest.mark.parametrize("policy", ["run", "tiago.onnx"])
 def test_policy_moves_its_robot(run, kinfeas, tmp_path, policy):
-    shutil.copytree(pretrained.find("tiago"), tmp_path / "run")
+    shutil.copytree(load_robot("tiago").folder / "policies" / "pretrained", tmp_path / "run")
     if policy != "run":
         kinfeas("export", "run", "--out", policy, code=0)
     _, record = run(policy, *GOAL, "--no-real-time", "--seconds", "0.1", code=4)

@@ -3,7 +3,6 @@ import subprocess
 import sys
 
 import pytest
-import typer
 
 from kinfeas.cli import main as module
 from kinfeas.core.errors import KinfeasError
@@ -18,28 +17,11 @@ finally:
 """
 
 
-def commands(command, words=()):
-    yield words
-    for name, inner in getattr(command, "commands", {}).items():
-        yield from commands(inner, (*words, name))
-
-
-COMMANDS = list(commands(typer.main.get_command(module.app)))
-
-
 def kinfeas_process(code, *arguments, **environment):
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(
         command, capture_output=True, text=True, check=False, env={**os.environ, **environment}
     )
-
-
-@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_help_fits_on_a_screen(kinfeas, monkeypatch, words):
-    monkeypatch.setenv("COLUMNS", "80")
-    shown = kinfeas(*words, "--help").out.splitlines()
-    assert len(shown) <= 40
-    assert max(map(len, shown)) <= 80
 
 
 def test_help_imports_nothing_heavy():

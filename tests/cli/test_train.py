@@ -17,7 +17,7 @@ from kinfeas.training import train as training
 from tests.builders import contents
 from tests.cli.conftest import TINY, check_one_line
 from tests.cli.test_main import HEAVY, kinfeas_process
-from tests.sim2real.policy_cases import write_run
+from tests.policy_cases import write_run
 
 SHORT = ("train", "--robot", "hsr", "--steps", "64", "--out", "run", *TINY)
 
@@ -54,15 +54,12 @@ def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas,
 
 
 def test_robot_and_recipe_by_path_and_default_folder(kinfeas, tmp_path):
-    hsr = load_robot("hsr").urdf_path
-    for file in (hsr, hsr.with_suffix(".yaml")):
-        shutil.copy(file, tmp_path / file.name)
-    (tmp_path / "recipe.yaml").write_text("robot: ./hsr.yaml\nnum_envs: 8\nseed: 5\n")
-    words = ("--config", "recipe.yaml", "--steps", "16", "--algorithm", "td3", *TINY)
+    shutil.copytree(load_robot("hsr").folder, tmp_path / "mine")
+    (tmp_path / "recipe.yaml").write_text("robot: ./mine\nnum_envs: 8\nseed: 5\n")
+    words = ("--config", "recipe.yaml", "--steps", "16", *TINY)
     kinfeas("train", *words, code=0)
     settings = yaml.safe_load((tmp_path / "runs" / "hsr-ggr-5" / "config.yaml").read_text())
-    assert settings["robot"] == str(tmp_path / "hsr.yaml")
-    assert settings["learner"]["algorithm"] == "td3"
+    assert settings["robot"] == str(tmp_path / "mine")
 
 
 def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch):
@@ -100,7 +97,7 @@ def test_initial_policy_gives_robot_and_network(tmp_path):
     recipe = configure("hsr")
     learner = replace(recipe.learner, net_arch=(8, 8))
     assert settings == replace(recipe, init=str(tmp_path), learner=learner)
-    for other in ({"config": "train/pr2"}, {"robot": "pr2"}):
+    for other in ({"config": "paper/pr2"}, {"robot": "pr2"}):
         with pytest.raises(KinfeasError, match=r"'hsr'.*'pr2'"):
             configure(init=str(tmp_path), **other)
 

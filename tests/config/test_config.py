@@ -1,3 +1,4 @@
+import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas.config import PluginSpec, dump, from_mapping, load
-from kinfeas.config.recipes import load_section, recipes, section
+from kinfeas.config.recipes import load_section, section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import EvalSettings
 from kinfeas.policies.baselines.following import BaselineConfig
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.training.config import TrainConfig, load_recipe
 
@@ -146,18 +148,18 @@ SCHEMAS = {
 }
 
 
-@pytest.mark.parametrize("name", [name for part in SCHEMAS for name in recipes(part)])
-def test_shipped_sections_are_valid(name):
-    part, robot = name.split("/")
-    assert load_section(SCHEMAS[part], part, robot)
+@pytest.mark.parametrize("name", SCHEMAS)
+@pytest.mark.parametrize("robot", ["pr2", "tiago", "hsr"])
+def test_shipped_sections_are_valid(name, robot):
+    assert load_section(SCHEMAS[name], name, robot)
 
 
 def test_robot_file_changes_keys_of_the_default():
-    default = section("train", "default")[0]
+    default = section("train")[0]
     tiago = load_section(TrainConfig, "train", "tiago")
     assert tiago.learner.net_arch == (256, 256, 256)
     assert tiago.world.ik.restarts == default["world"]["ik"]["restarts"]
-    assert load_recipe("train/tiago") == replace(tiago, robot="tiago")
+    assert load_recipe("train", robot="tiago") == replace(tiago, robot="tiago")
 
 
 @pytest.mark.parametrize("robot", ["hsr", "pr2", "tiago"])
@@ -179,17 +181,17 @@ def test_keys_that_a_recipe_lacks_are_those_of_its_robot(tmp_path, robot):
 def test_recipes_extend_others_by_name_and_by_path_relative_to_the_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "below").mkdir()
-    (tmp_path / "base.yaml").write_text("extends: tiago\nnum_envs: 5\n")
+    (tmp_path / "base.yaml").write_text("extends: train_rooms\nnum_envs: 5\n")
     top = tmp_path / "below" / "top.yaml"
     top.write_text("extends: ../base.yaml\nrobot: hsr\n")
-    tiago = load_section(TrainConfig, "train", "tiago")
-    assert load_recipe("below/top.yaml") == replace(tiago, robot="hsr", num_envs=5)
+    rooms = load_section(TrainConfig, "train_rooms", "hsr")
+    assert load_recipe("below/top.yaml") == replace(rooms, robot="hsr", num_envs=5)
     top.write_text("extends: paper/pr2\nseed: 2\n")
     assert load_recipe("below/top.yaml") == replace(load_recipe("paper/pr2"), seed=2)
 
 
 @pytest.mark.parametrize(("text", "named"), [
-    ("extends: paper/pr3", "extends: .*paper/pr2.*train/tiago"), ("extends: 3", "'extends'"),
+    ("extends: paper/pr3", "extends: .*paper/pr2.*train_rooms"), ("extends: 3", "'extends'"),
     ("extends: mine.yaml", "mine.yaml: 'extends'"), ("extends: sub", "'sub'"),
     ("robot: 3", "'robot'"), ("robot: hsr\nlerner: {}", "'learner'"), ("robot: pr3", "'pr3'"),
 ])  # fmt: skip
@@ -201,6 +203,15 @@ def test_wrong_recipes_name_the_file_or_the_value(tmp_path, text, named):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("robot", ["no_such_robot", "../robots/pr2", "a/b"])
-def test_robot_without_a_file_has_the_default(robot):
-    assert section("train", robot)[0] == section("train", "default")[0]
+def test_only_the_folder_of_a_robot_has_its_recipes(tmp_path):
+    pr2 = load_robot("pr2").folder
+    for name in ("robot.yaml", "robot.urdf"):
+        shutil.copy(pr2 / name, tmp_path)
+    assert load_robot(tmp_path).name == "pr2"
+    assert section("physics", tmp_path)[0] == section("physics")[0] != section("physics", pr2)[0]
+    (tmp_path / "recipes.yaml").write_text("physics: {world: {time_scale: 0.25}}")
+    for path in (tmp_path, tmp_path / "robot.yaml"):
+        assert section("physics", path)[0]["world"]["time_scale"] == 0.25
+    (tmp_path / "recipes.yaml").write_text("phisics: {}")
+    with pytest.raises(KinfeasError, match=rf"{tmp_path}.*'phisics'.*'physics'"):
+        section("physics", tmp_path)

@@ -6,7 +6,7 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import recipes
-from kinfeas.control.assemble import adapted_execution, read_sim2real, with_adapters
+from kinfeas.control.assemble import read_sim2real, with_adapters
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.backend import BackendWrapper
 from kinfeas.core.spatial import distance
@@ -20,9 +20,10 @@ LADDER = ("ideal", "paper", "pr2_like", "harsh", "randomised")
 def test_shipped_lists_suit_any_robot():
     assert recipes("sim2real") == sorted(f"sim2real/{name}" for name in LADDER)
     for name, robot in product(LADDER, ("pr2", "tiago", "hsr")):
-        adapters = read_sim2real(name).adapters
-        adapted = adapted_execution(ExecutionConfig(time_scale=0.5), adapters, load_robot(robot))
-        assert adapted.time_scale <= 0.5
+        world = AnalyticBackend()
+        world.dynamics = world  # that of a simulator with physics
+        backend = with_adapters(world, read_sim2real(name).adapters, load_robot(robot))
+        assert backend.execution(ExecutionConfig(time_scale=0.5)).time_scale <= 0.5
 
 
 def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2):
@@ -30,10 +31,10 @@ def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2)
     jittered = PluginSpec("head_start", {"seconds": [0.5, 1.5]})
     adapters = [*(PluginSpec(name) for name in names), jittered]
     backend, kinds = with_adapters(AnalyticBackend(), adapters, pr2), []
+    execution = backend.execution(ExecutionConfig(time_scale=0.8, head_start=1.0))
     while isinstance(backend, BackendWrapper):
         kinds, backend = [*kinds, type(backend).__name__], backend.backend
     assert kinds == ["HeadStart", "HeadStart", "BaseNoise", "TimeScale", "TimeScale"]
-    execution = adapted_execution(ExecutionConfig(time_scale=0.8, head_start=1.0), adapters, pr2)
     assert execution == ExecutionConfig(time_scale=0.2, head_start=4.5, head_start_jitter=1.0)
 
 

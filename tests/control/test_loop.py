@@ -6,13 +6,13 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
-from kinfeas.control.drive import base_twist
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion
-from kinfeas.control.observation import HORIZON, Seen, observe
+from kinfeas.control.observation import HORIZON, ObservedState, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, raised_by
 from kinfeas.core.start import Start
+from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.forward import forward
 from kinfeas.plugins.linear import Linear
 from tests.builders import random_poses, rngs
@@ -125,7 +125,7 @@ def test_observations_are_of_the_measured_state(solver):
     np.testing.assert_array_equal(loop.ee_pose, ee)
     off = np.linalg.norm(ee[:, :3] - loop.desired[:, :3], axis=1)
     np.testing.assert_allclose(outcome.deviation, off, atol=1e-12)
-    seen = Seen(base, in_base, loop.observation.planned, loop.sequence.goal, joints)
+    seen = ObservedState(base, in_base, loop.observation.planned, loop.sequence.goal, joints)
     np.testing.assert_array_equal(loop.observation.values, observe(seen))
 
 

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.control.observation import (
     HORIZON,
     OBSERVATION,
-    Seen,
+    ObservedState,
     check_terms,
     describe_action,
     describe_observation,
@@ -33,9 +33,9 @@ def parts(solver, n=50):
 
 def test_terms_are_in_order(parts, robot):
     base, ee_in_base, _, goal, joints = parts
-    whole = observe(Seen(*parts))
+    whole = observe(ObservedState(*parts))
     assert whole.shape == (50, size(robot)) == (50, 21 + joints.shape[1])
-    terms = {name: observe(Seen(*parts), [name]) for name in OBSERVATION}
+    terms = {name: observe(ObservedState(*parts), [name]) for name in OBSERVATION}
     np.testing.assert_array_equal(whole, np.hstack(list(terms.values())))
     pose = np.hstack([terms["ee_position"], terms["ee_orientation"]])
     np.testing.assert_array_equal(pose, ee_in_base)
@@ -48,7 +48,8 @@ def test_planned_motion_leads_from_the_achieved_to_the_planned_pose(parts):
     base, ee_in_base, planned, goal, joints = parts
     planned[:, 0] += 0.3  # far from the desired pose: the tracking error is part of the velocity
     terms = observe(
-        Seen(base, ee_in_base, planned, goal, joints), ["planned_velocity", "planned_rotation"]
+        ObservedState(base, ee_in_base, planned, goal, joints),
+        ["planned_velocity", "planned_rotation"],
     )
     position = ee_in_base[:, :3] + HORIZON * terms[:, :3]
     change = Rotation.from_quat(terms[:, 3:])
@@ -61,8 +62,8 @@ def test_moving_the_world_changes_nothing(parts, angle):
     base, ee_in_base, planned, goal, joints = parts
     world = planar_pose(np.array(4.0), np.array(-7.0), np.array(angle))
     moved = [compose(np.broadcast_to(world, pose.shape), pose) for pose in (base, planned, goal)]
-    before = observe(Seen(base, ee_in_base, planned, goal, joints))
-    after = observe(Seen(moved[0], ee_in_base, moved[1], moved[2], joints))
+    before = observe(ObservedState(base, ee_in_base, planned, goal, joints))
+    after = observe(ObservedState(moved[0], ee_in_base, moved[1], moved[2], joints))
     # At a half turn, rounding decides between a quaternion and its negative.
     half_turn = np.abs(before[:, [6, 13, 20]]).min(axis=1) < 1e-9
     np.testing.assert_allclose(after[~half_turn], before[~half_turn], atol=1e-9)

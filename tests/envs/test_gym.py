@@ -13,7 +13,8 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 from kinfeas import envs
 from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.gym import BaseMotionEnv, step_info
+from kinfeas.envs.batch import step_info
+from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.vector import BaseMotionVectorEnv
 from kinfeas.envs.world import WorldConfig
 

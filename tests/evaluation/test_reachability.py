@@ -9,7 +9,7 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.start import Start
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.kinematics.reachability import limits_of
+from kinfeas.planning.placement import limits_of
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr

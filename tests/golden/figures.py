@@ -13,18 +13,17 @@ import numpy as np
 import onnxruntime
 
 from kinfeas.config.recipes import load_section
-from kinfeas.control.drive import command_size
 from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.evaluation.evaluate import configure, run
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.policies import pretrained
+from kinfeas.policies.export import export
 from kinfeas.policies.loading import load_policy
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.export import export
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import train
@@ -41,7 +40,7 @@ def episodes(robot, task, count, filters=None, backend="analytic"):
     known = load_robot(robot)
     settings = {} if filters is None else {"world.filters": filters}
     config = configure(known, task, backend, episodes=count, seed=SEED, settings=settings)
-    return _records(run(config, load_policy(pretrained.NAME, known)))
+    return _records(run(config, load_policy("pretrained", known)))
 
 
 def obstacle_filter(robot, count=300, obstacles=3):
@@ -88,7 +87,7 @@ def policy(robot, count=8, steps=5):
     The actions are those of the network and those of its ONNX export in onnxruntime.
     """
     known = load_robot(robot)
-    folder = pretrained.find(robot)
+    folder = known.folder / "policies" / "pretrained"
     network, observations = read_network(folder, known), []
     for task in TASKS:
         world = World(known, load_task(task, {}), evaluation_world(), SEED)

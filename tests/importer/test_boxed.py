@@ -1,6 +1,3 @@
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -93,32 +90,6 @@ def test_broken_meshes_are_errors(changed, corners):
         boxed_urdf(path)
 
 
-TEXTURED = {
-    "obj": "mtllib part.mtl\nusemtl wood\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\n"
-    "f 1/1 3/1 2/1\nf 1/1 2/1 4/1\nf 1/1 4/1 3/1\nf 2/1 3/1 4/1\n",
-    "ply": "ply\nformat ascii 1.0\ncomment TextureFile wood.png\nelement vertex 4\n"
-    + "".join(f"property float {name}\n" for name in "xyzst")
-    + "element face 4\nproperty list uchar int vertex_indices\nend_header\n0 0 0 0 0\n1 0 0 0 1\n"
-    "0 1 0 1 0\n0 0 1 1 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n",
-}
-WITHOUT_PILLOW = (
-    "import sys; sys.modules['PIL'] = None\nfrom pathlib import Path\n"
-    "from kinfeas.importer.boxed import boxed_urdf\nprint(boxed_urdf(Path(sys.argv[1])))"
-)
-
-
-@pytest.mark.parametrize("suffix", TEXTURED)
-def test_textures_need_no_pillow(changed, tmp_path, suffix):
-    (tmp_path / f"part.{suffix}").write_text(TEXTURED[suffix])
-    (tmp_path / "part.mtl").write_text("newmtl wood\nmap_Kd wood.png\n")
-    (tmp_path / "wood.png").write_bytes(b"\x89PNG\r\n")
-    path = changed((PALM, f'<mesh filename="part.{suffix}"/>'))
-    command = [sys.executable, "-c", WITHOUT_PILLOW, str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "<mesh" not in done.stdout
-
-
 SLIDE = (
     '<link name="world"/><joint name="slide" type="prismatic"><parent link="world"/>'
     '<child link="base"/><limit lower="-9" upper="9" velocity="1"/></joint>'
@@ -144,7 +115,9 @@ def test_planar_joints_below_the_base_are_left_out(changed, joints, root):
     ({'name="mount"': 'name="base_footprint_joint"'}, "footprint"),
     ({"head": "base_footprint", '"tool"': '"footprint"'}, "footprint_2"),
 ])  # fmt: skip
-def test_a_root_above_the_floor_gets_one_on_it(changed, taken, name):
+def test_a_root_above_the_floor_gets_one_on_it(dolly, changed, taken, name):
+    on_floor, arm = dolly.read_text(), find_arm(parse_urdf(dolly), None, "dolly")
+    assert on_the_floor(on_floor, arm, "") == (on_floor, 0.0)
     path = changed(('origin xyz="0 0 0.2"', 'origin xyz="0 0 -0.1"'), *taken.items())
     text, lifted = on_the_floor(path.read_text(), find_arm(parse_urdf(path), None, "dolly"), "")
     path.write_text(text)
@@ -153,8 +126,3 @@ def test_a_root_above_the_floor_gets_one_on_it(changed, taken, name):
     down = np.array([0.0, 0.0, -1.0])
     lowest = max(one.reach(down) for one in place(urdf, urdf.links, urdf.root, urdf.link_poses({})))
     assert lowest == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_root_on_the_floor_stays(dolly):
-    text, arm = dolly.read_text(), find_arm(parse_urdf(dolly), None, "dolly")
-    assert on_the_floor(text, arm, "") == (text, 0.0)

@@ -2,9 +2,8 @@ import pytest
 
 from kinfeas.importer.arm import find_arm, read_hand
 from kinfeas.importer.boxed import boxed_urdf
-from kinfeas.importer.contacts import RELEVANT, only_fitted
 from kinfeas.importer.draft import stated
-from kinfeas.importer.reach import touching
+from kinfeas.importer.reach import RELEVANT, only_fitted, touching
 from kinfeas.robots.loading import build_robot
 from kinfeas.robots.urdf_file import parse_urdf
 
@@ -35,7 +34,7 @@ def test_pairs_are_false_contacts_if_their_meshes_never_touch(changed, parts, fa
     urdf = parse_urdf(path.with_name("boxed.urdf"))
     arm = find_arm(urdf, None, "dolly")
     spec = stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
-    robot = build_robot(spec, urdf, path, "dolly")
+    robot = build_robot(spec, urdf, path, path)
     shares, pair = touching(robot), ("lower", "palm")  # the folded arm brings the palm into lower
     assert shares[pair] > RELEVANT
     found = only_fitted(robot, originals, shares)

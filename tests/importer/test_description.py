@@ -4,7 +4,6 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.draft import draft_robot
-from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf_file import parse_urdf
 
 
@@ -48,13 +47,6 @@ def test_the_drive_is_read_from_names_and_axes_of_wheels(changed, text, drive, n
     found, why = find_drive(urdf, find_arm(urdf, None, "dolly"))
     assert found == drive
     assert named in why
-
-
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
-def test_shipped_robots_without_wheel_joints_are_guesses_or_right(name):
-    robot = load_robot(name)
-    drive, why = find_drive(robot.urdf, find_arm(robot.urdf, robot.ee_frame, name))
-    assert drive == robot.base.drive or "guess" in why
 
 
 LIGHT = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'

@@ -5,13 +5,14 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
-from kinfeas.importer.draft import bands, draft_robot, stated
+from kinfeas.importer.draft import draft_robot, reach_of, stated
 from kinfeas.importer.reach import Heights
 from kinfeas.importer.text import warnings
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.gravity import build_gravity_model, overloaded
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.loading import read_robot
+from kinfeas.robots.loading import load_robot
+from kinfeas.robots.spec import Reach
 from kinfeas.robots.urdf_file import parse_urdf
 from tests.importer.conftest import STUCK
 
@@ -32,9 +33,9 @@ def test_a_draft_is_a_robot(changed, tmp_path, few):
     given = {"name": "my dolly", "drive": "omnidirectional"}
     draft = draft_robot(path, **given, on_done=shares.append)
     assert sum(shares) == pytest.approx(1.0)
-    (tmp_path / "my dolly.urdf").write_text(draft.urdf)
-    (tmp_path / "my dolly.yaml").write_text(draft.yaml)
-    robot = read_robot(tmp_path / "my dolly.yaml")
+    (tmp_path / "robot.urdf").write_text(draft.urdf)
+    (tmp_path / "robot.yaml").write_text(draft.yaml)
+    robot = load_robot(tmp_path)
     assert (robot.name, robot.ee_frame, robot.base.drive) == ("my dolly", "palm", "omnidirectional")
     assert [joint.name for joint in robot.arm] == ["a: b", "on", "elbow"]
     assert robot.pose_tolerance is not None
@@ -48,18 +49,19 @@ def test_a_draft_is_a_robot(changed, tmp_path, few):
     assert (again.yaml, again.urdf) == (draft.yaml, draft.urdf)
 
 
-@pytest.mark.parametrize(("share", "expected"), [
-    ([0.1, 0.9, 1.0, 1.0, 0.9, 0.1], ((1.0, 4.0), (2.0, 3.0))),
-    ([1.0, 1.0, 0.0, 0.9, 0.9, 0.9], ((3.0, 5.0), (0.0, 1.0))),  # the longest range
+@pytest.mark.parametrize(("fraction", "expected"), [
+    ([0.1, 0.9, 1.0, 1.0, 0.9, 0.1], (1.0, 4.0)),
+    ([1.0, 1.0, 0.0, 0.9, 0.9, 0.9], (3.0, 5.0)),  # the longest range
+    ([0.1, 0.3, 0.5, 0.5, 0.0, 0.0], (2.0, 3.0)),
     ([0.0, 0.9, 0.0, 0.0, 0.0, 0.0], None),
 ])  # fmt: skip
-def test_goal_heights_are_those_with_many_reachable_goals(share, expected):
-    heights = Heights(np.arange(6.0), np.array(share))
+def test_the_reach_has_heights_with_many_reachable_goals(fraction, expected):
+    heights = Heights(np.arange(6.0), np.array(fraction))
     if expected is None:
         with pytest.raises(KinfeasError, match=r"^arm: .*90%.*1 m"):
-            bands(heights, "arm")
+            reach_of(heights, "arm")
     else:
-        assert bands(heights, "arm") == expected
+        assert reach_of(heights, "arm") == Reach(*expected)
 
 
 @pytest.mark.parametrize(("limits", "turn"), [

@@ -1,6 +1,4 @@
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +12,6 @@ from kinfeas.io.demonstrations import (
     read_demonstration,
     write_demonstration,
 )
-
-DOCUMENT = Path(__file__).parents[2] / "docs" / "demonstrations.md"
-
 
 FIELDS = ("time", "ee_pose", "base_pose", "object_pose")
 
@@ -44,12 +39,6 @@ def test_what_is_written_is_read_back(tmp_path_factory, samples, seed):
     read = read_demonstration(path)
     for name in FIELDS:
         np.testing.assert_allclose(getattr(read, name), getattr(written, name), atol=1e-15)
-
-
-def test_the_documented_file_can_be_read(tmp_path):
-    table = re.search(r"```csv\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)[1]
-    (tmp_path / "one.csv").write_text(table)
-    assert read_demonstration(tmp_path / "one.csv").time.tolist() == [0.0, 0.02, 0.04]
 
 
 def test_the_base_may_be_missing(tmp_path):

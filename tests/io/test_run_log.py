@@ -1,5 +1,3 @@
-import json
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -54,18 +52,6 @@ def test_round_trip(path):
     for name in ("base_pose", "joint_positions", "desired", "goal", "base_twist", "joint_targets"):
         expected = np.stack([getattr(one, name) for one in moments])
         np.testing.assert_allclose(getattr(record, name), expected, rtol=1e-8)
-
-
-def test_records_without_settings_are_readable(path):
-    write(path, [moment(0)])
-    head, *lines = path.read_text().splitlines(keepends=True)
-    mark, _, about = head.partition("{")
-    known = json.loads("{" + about)
-    for name in ("seed", "adapters", "filters", "generators", "guards"):
-        del known[name]
-    path.write_text(f"{mark}{json.dumps(known)}\n" + "".join(lines))
-    about = read_record(path).about
-    assert (about.robot, about.seed, about.adapters, about.guards) == ("pr2", None, (), {})
 
 
 def test_an_empty_run_leaves_no_file(path):

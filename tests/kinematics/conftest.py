@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose, rotation
-from kinfeas.robots.loading import read_robot
+from kinfeas.kinematics.self_collision import build_collision_model
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 
@@ -85,12 +86,12 @@ class Pinocchio:
     def miss(self, ee_pose: Array, joint_positions: Array) -> Array:
         """Return the errors of joint positions (n, v) for EE poses (n, 7): (n, 2), metres, rad."""
         turns = Rotation.from_quat(ee_pose[:, 3:]).as_matrix()
-        found = np.empty((len(ee_pose), 2))
+        errors = np.empty((len(ee_pose), 2))
         for i, joints in enumerate(joint_positions):
             position, turn = self.pose(joints)
-            found[i, 0] = np.linalg.norm(position - ee_pose[i, :3])
-            found[i, 1] = np.linalg.norm(Rotation.from_matrix(turn.T @ turns[i]).as_rotvec())
-        return found
+            errors[i, 0] = np.linalg.norm(position - ee_pose[i, :3])
+            errors[i, 1] = np.linalg.norm(Rotation.from_matrix(turn.T @ turns[i]).as_rotvec())
+        return errors
 
 
 class Primitives:
@@ -135,10 +136,58 @@ def touch(one: Any, other: Any) -> bool:
     return fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
 
 
+def fcl_solids(solids, row):
+    """Return the solids of a row for FCL."""
+    objects = []
+    for (x, y, turn), size, cylinder in zip(
+        solids.pose[row], solids.size[row], solids.cylinder[row], strict=True
+    ):
+        if size[0] > 0.0:
+            high = size[3] - size[2]
+            shape = fcl.Cylinder(size[0], high) if cylinder else fcl.Box(*2.0 * size[:2], high)
+            matrix = Rotation.from_euler("z", turn).as_matrix()
+            placement = fcl.Transform(matrix, [x, y, (size[2] + size[3]) / 2.0])
+            objects.append(fcl.CollisionObject(shape, placement))
+    return objects
+
+
+class Among(Primitives):
+    def __init__(self, robot, judge):
+        super().__init__(robot, judge)
+        body = build_collision_model(robot).body
+        self.groups = np.flatnonzero(body < 0), np.flatnonzero(body >= 0)
+
+    def touch(self, joint_positions, solids, row):
+        """Return whether each group of shapes touches; bounding spheres rule most pairs out."""
+        centres, objects = self.place(joint_positions), fcl_solids(solids, row)
+        middle = np.array([solid.getTranslation() for solid in objects]).reshape(-1, 3)
+        used = solids.size[row, solids.size[row, :, 0] > 0.0]
+        reach = np.linalg.norm([used[:, 0], used[:, 1], (used[:, 3] - used[:, 2]) / 2.0], axis=0)
+        near = np.linalg.norm(centres[:, np.newaxis] - middle, axis=2) <= (
+            self.radius[:, np.newaxis] + reach
+        )
+        return [
+            any(touch(self.objects[i], objects[k]) for i in group for k in np.flatnonzero(near[i]))
+            for group in self.groups
+        ]
+
+    def distances(self, joint_positions, solids, row):
+        """Return the distance of each group of shapes to the nearest solid, metres."""
+        self.place(joint_positions)
+        objects = fcl_solids(solids, row)
+        return [
+            min(
+                (fcl.distance(self.objects[i], solid) for i in group for solid in objects),
+                default=np.inf,
+            )
+            for group in self.groups
+        ]
+
+
 @pytest.fixture(scope="session")
 def odd_robot() -> Robot:
     """A robot with skewed axes and mimic joints, prismatic ones too."""
-    return read_robot(Path(__file__).parent / "odd_robot.yaml")
+    return load_robot(Path(__file__).parent / "odd_robot.yaml")
 
 
 @pytest.fixture(scope="session")

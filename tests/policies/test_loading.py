@@ -3,18 +3,15 @@ import os
 import pickle
 import shutil
 import sys
+from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.policies import pretrained
-from kinfeas.policies.loading import BASELINES, load_policy
+from kinfeas.policies.loading import BASELINES, load_policy, trained_folder, trained_policies
 from kinfeas.policies.network import read_network, write_network
-from kinfeas.robots.loading import load_robot
 from kinfeas.testing import ConformanceError, check_policy
 from tests.builders import random_network
-from tests.policies.policy_inputs import policy_inputs
 
 
 @pytest.fixture
@@ -57,30 +54,32 @@ def test_wrong_folders_and_files_raise_errors_that_name_them(hsr, trained, tmp_p
     for name in ("empty.onnx", "none"):
         with pytest.raises(KinfeasError, match=name):
             load_policy(str(tmp_path / name), hsr)
-    os.mkfifo(tmp_path / "pipe.onnx")
+    os.mkfifo(tmp_path / "pipe.onnx")  # a reader of a pipe waits for its writer
     for name, why in {"pipe": "regular file", "missing": "No such file"}.items():
         with pytest.raises(KinfeasError, match=rf"{name}\.onnx: .*{why}"):
             load_policy(str(tmp_path / f"{name}.onnx"), hsr)
-    for name in ("policy.safetensors", "policy.json"):  # a reader of a pipe waits for its writer
-        shutil.copytree(trained, tmp_path / f"pipe-{name}")
-        (tmp_path / f"pipe-{name}" / name).unlink()
-        os.mkfifo(tmp_path / f"pipe-{name}" / name)
-        with pytest.raises(KinfeasError, match=f"pipe-{name}/{name}: .*regular file"):
-            load_policy(str(tmp_path / f"pipe-{name}"), hsr)
     path = trained / "policy.json"
     path.write_text(path.read_text().replace('"hsr"', '"other"'))
     with pytest.raises(KinfeasError, match="'other'"):
         load_policy(str(trained), hsr)
 
 
-@pytest.mark.parametrize("name", pretrained.robots())
-def test_each_shipped_policy_is_complete(name):
-    folder, robot = pretrained.find(name), load_robot(name)
-    network = load_policy("pretrained", robot)
+def test_policies_in_the_folder_of_a_robot_have_names(hsr, trained, tmp_path):
+    assert trained_policies(hsr) == ["pretrained", "rooms"]
+    own = replace(hsr, folder=tmp_path)  # the name of the robot gives it nothing
+    assert trained_policies(own) == []
+    with pytest.raises(KinfeasError, match=f"{tmp_path}.*kinfeas train"):
+        load_policy("pretrained", own)
+    shutil.copytree(trained, tmp_path / "policies" / "mine")
+    assert load_policy("mine", own).equals(read_network(trained, hsr))
+
+
+@pytest.mark.parametrize("name", ["pretrained", "rooms"])
+def test_each_shipped_policy_is_complete(robot, name):
+    folder = trained_folder(name, robot)
+    network = load_policy(name, robot)
     assert network.equals(read_network(folder, robot))
     about = json.loads((folder / "policy.json").read_text())
     assert about["command"].startswith("kinfeas train ")
-    assert {"config", "seed", "benchmark", "evaluation"} <= about.keys()
-    given = policy_inputs(robot, 4)
-    again = pickle.loads(pickle.dumps(network))
-    np.testing.assert_array_equal(again.act(given), network.act(given))
+    assert {"config", "kinematics"} <= about.keys()
+    assert pickle.loads(pickle.dumps(network)).equals(network)

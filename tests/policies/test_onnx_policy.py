@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-from kinfeas.control.drive import command_size
 from kinfeas.control.observation import HORIZON, size
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation
+from kinfeas.kinematics.drive import command_size
 from kinfeas.policies import onnx_policy
 from kinfeas.policies.onnx_policy import digest_entry, read_policy_file
 from kinfeas.robots.loading import load_robot
-from tests.sim2real.policy_cases import change, get_entry, set_entry, write_policy_file
+from tests.policy_cases import change, get_entry, set_entry, write_policy_file
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +42,6 @@ def test_acts_as_the_training_policy_whatever_the_batch(path, exported, hsr):
     np.testing.assert_array_equal(policy(np.asfortranarray(seen)[::-1]), together[::-1])
     unused = np.full((64, 7), np.nan)
     np.testing.assert_array_equal(policy.act(Observation(seen, *[unused] * 7, 0.1)), together)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
-def test_non_finite_observations_give_nan(path, hsr, bad):
-    seen = np.zeros((3, size(hsr)))
-    seen[1, 5] = bad
-    with np.errstate(over="ignore"):
-        finite = np.isfinite(read_policy_file(path, hsr)(seen)).all(axis=1)
-    assert finite.tolist() == [True, False, True]
 
 
 def test_metadata_describe_the_robot(robot, tmp_path):
@@ -115,10 +106,6 @@ def edit_entry(key, edit):
     return lambda model: set_entry(model, key, edit(get_entry(model, key)))
 
 
-def deep(levels):
-    return [deep(levels - 1)] if levels else []
-
-
 def without_layers(model):
     first, last = model.graph.node[0], model.graph.node[-1]
     last.input[0] = first.output[0]
@@ -131,11 +118,8 @@ def without_layers(model):
 
 SIGNED = {
     "other weights": (set_tensor("weight_0", lambda w: w * np.float32(0.9)), "golden"),
-    "other shape": (set_tensor("weight_0", lambda w: w.T), "graph"),
     "other clip": (set_tensor("low", lambda c: c - np.float32(1.0)), "clips"),
-    "other order": (lambda m: m.graph.node[0].CopyFrom(m.graph.node[3]), "graph"),
     "missing tensor": (lambda m: m.graph.initializer.pop(3), "graph"),
-    "other type": (lambda m: setattr(m.graph.initializer[0], "raw_data", b"123"), "graph"),
     "custom operator": (lambda m: setattr(m.graph.node[1], "domain", "evil"), "graph"),
     "schema": (edit_entry("schema", lambda s: 2), "schema"),
     "robot": (edit_entry("robot", lambda r: "pr2"), "'robot'"),
@@ -148,21 +132,11 @@ SIGNED = {
         "observation or action",
     ),
     "deep metadata": (lambda m: setattr(m.metadata_props[3], "value", "[" * 100_000), "JSON"),
-    "deep training": (edit_entry("training", lambda t: {**t, "config": deep(250)}), "metadata"),
     "empty golden pairs": (
         edit_entry("golden", lambda g: {"observation": [], "action": []}),
         "gol",
     ),
-    "fewer golden actions": (
-        edit_entry("golden", lambda g: {**g, "action": g["action"][:1]}),
-        "gol",
-    ),
-    "short golden row": (
-        edit_entry("golden", lambda g: {**g, "action": [[0.0]] * len(g["action"])}),
-        "gol",
-    ),
     "no layers": (without_layers, "graph"),
-    "huge axis": (lambda m: m.graph.initializer[0].dims.append(2**63 - 1), "graph"),
     "other horizon": (edit_entry("control", lambda c: {**c, "horizon": 0.2}), "observation or"),
 }
 

@@ -8,7 +8,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.robots.loading import load_robot, read_robot
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity, fingerprint, joint_displacement
 
 URDF = """
@@ -35,7 +35,6 @@ URDF = """
 def crane() -> dict:
     return {
         "name": "crane",
-        "urdf": "crane.urdf",
         "ee_frame": "hook",
         "tool_tip": [0.1, 0, 0],
         "gripper_rotation": [0, 0, 0.7071, 0.7071],
@@ -48,15 +47,14 @@ def crane() -> dict:
         },
         "arm": {"lift": {}, "swing": {"velocity": 0.5}, "spin": {"velocity": 3}},
         "home": {"home": [0.5, 0.0, 9.0], "low": [0.2, 1.5, 0.0]},
-        "goal_heights": {"ggr": [0.2, 1.2], "ggr_restricted": [0.4, 1.0]},
+        "reach": {"low": 0.2, "high": 1.2},
     }
 
 
 def write(folder: Path, spec: dict, urdf: str = URDF) -> Path:
-    (folder / "crane.urdf").write_text(urdf)
-    path = folder / "crane.yaml"
-    path.write_text(yaml.safe_dump(spec, sort_keys=False))
-    return path
+    (folder / "robot.urdf").write_text(urdf)
+    (folder / "robot.yaml").write_text(yaml.safe_dump(spec, sort_keys=False))
+    return folder
 
 
 GRIPPER = {"fingers": ["wave", "grip"], "closed": 0.5, "open": 0.9, "effort": 5.0}
@@ -70,13 +68,13 @@ def test_reads_a_robot(tmp_path):
         "counterbalanced": ["swing"],
         "max_gravity_load": 0.8,
     }
-    robot = load_robot(str(write(tmp_path, spec)))
+    robot = load_robot(write(tmp_path, spec))
     assert (robot.name, robot.ee_frame, robot.base.frame) == ("crane", "hook", "floor")
-    assert robot.urdf_path == tmp_path / "crane.urdf"
+    assert (robot.folder, robot.urdf_path) == (tmp_path, tmp_path / "robot.urdf")
     assert (robot.base.drive, robot.base.max_rotation_acceleration) == ("differential", 2.0)
     np.testing.assert_array_equal(robot.home["low"], [0.2, 1.5, 0.0])
     np.testing.assert_allclose(robot.gripper_rotation, [0, 0, 0.5**0.5, 0.5**0.5])
-    assert robot.goal_heights == {"ggr": (0.2, 1.2), "ggr_restricted": (0.4, 1.0)}
+    assert (robot.reach.low, robot.reach.high) == (0.2, 1.2)
     assert (robot.pose_tolerance.position, robot.pose_tolerance.rotation) == (0.1, 0.2)
     assert robot.ignored_collisions == {frozenset(("mast", "hook"))}
     assert (robot.gripper.fingers, robot.gripper.open) == (("wave", "grip"), 0.9)
@@ -85,14 +83,14 @@ def test_reads_a_robot(tmp_path):
 
 def test_each_finger_may_have_its_own_positions(tmp_path):
     spec = crane() | {"gripper": GRIPPER | {"open": [0.9, -0.3]}}
-    gripper = load_robot(str(write(tmp_path, spec))).gripper
+    gripper = load_robot(write(tmp_path, spec)).gripper
     assert gripper.positions("close") == {"wave": 0.5, "grip": 0.5}
     assert gripper.positions("open") == {"wave": 0.9, "grip": -0.3}
     assert gripper.ratio == pytest.approx(-2.0)
 
 
 def test_arm_limits_are_read_only_arrays(tmp_path):
-    robot = read_robot(write(tmp_path, crane()))
+    robot = load_robot(write(tmp_path, crane()))
     for found, values in (
         (robot.continuous, [False, False, True]),
         (robot.max_joint_velocity, [0.1, 0.5, 3.0]),
@@ -117,7 +115,7 @@ WITHOUT_SWING = {"arm": {"lift": {}, "spin": {"velocity": 3}}, "home": {"home": 
     ),
 ])  # fmt: skip
 def test_other_joints_are_fixed_or_mimic(tmp_path, changes, positions):
-    assert read_robot(write(tmp_path, crane() | changes)).fixed_joints == pytest.approx(positions)
+    assert load_robot(write(tmp_path, crane() | changes)).fixed_joints == pytest.approx(positions)
 
 
 ARM = crane()["arm"]
@@ -128,37 +126,30 @@ ARM = crane()["arm"]
     ({"urdf": "none.urdf"}, "none.urdf"),
     ({"ee_frame": "hok"}, "'ee_frame'.*'hook'"),
     ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation'"),
-    ({"name": "a/b"}, "'name'"),
     ({"arm": {"lfit": {}}}, "'arm.lfit'.*'lift'"),
-    ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip'"),
     ({"arm": {"lift": {}, "wave": {}}}, "'arm'"),
     ({"arm": ARM | {"spin": {}}}, "'arm.spin'.*'velocity'"),
     ({"arm": ARM | {"spin": {"velocity": 3, "soft_limits": [-1, 1]}}}, "'arm.spin'"),
     ({"arm": ARM | {"swing": {"soft_limits": [-3, 1]}}}, "'arm.swing'.*-3"),
     (WITHOUT_SWING, "'swing'"),
-    ({"home": {"home": [0.5, 1.6, 0]}}, "'home.home': swing.*1.6"),
-    ({"goal_heights": {"ggr": [0.2, 1.2]}}, "'goal_heights'"),
+    ({"reach": {"low": 1.2, "high": 0.2}}, "'reach'.*'low'"),
     ({"fixed_joints": {"wvae": 1.0}}, "'fixed_joints.wvae'"),
     ({"fixed_joints": {"lift": 0.5}}, "'fixed_joints.lift'"),
-    ({"fixed_joints": {"ring": 0.5}}, "'fixed_joints.ring'"),
     ({"fixed_joints": {"wave": 0.1}}, "'fixed_joints.wave'"),
     ({"ignored_collisions": [["mast", "sea"]]}, "'ignored_collisions'.*'sea'"),
     ({"gripper": GRIPPER | {"fingers": ["wave", "wavy"]}}, "'gripper.fingers'"),
     ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
     ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
     ({"gripper": GRIPPER | {"open": [0.9, 9.5]}}, "'gripper.open', grip"),
-    ({"gripper": GRIPPER | {"open": [0.9, 0.5]}}, "'gripper'.*'open'"),
-    ({"gripper": GRIPPER | {"open": [0.9]}}, "'gripper.open"),
     ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
-    ({"max_gravity_load": 1.5}, "'max_gravity_load'.*1"),
 ])  # fmt: skip
 def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
     with pytest.raises(KinfeasError, match=f"^{tmp_path}.*{where}"):
-        read_robot(write(tmp_path, crane() | changes))
+        load_robot(write(tmp_path, crane() | changes))
 
 
 def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path):
-    robot = read_robot(write(tmp_path, crane()))
+    robot = load_robot(write(tmp_path, crane()))
     before = np.array([0.5, 0.0, math.pi - 0.01])
     after = np.array([0.5, 0.05, -math.pi + 0.01])
     np.testing.assert_allclose(joint_displacement(robot, before, after), [0.0, 0.05, 0.02])
@@ -166,16 +157,16 @@ def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path
     assert exceeds_joint_velocity(robot, before, after, 0.099)
 
 
-@pytest.mark.parametrize(("name", "joints", "drive", "limits", "heights"), [
-    ("pr2", 7, "omnidirectional", (0.2, 1.0), ((0.2, 1.2), (0.4, 1.0))),
-    ("tiago", 8, "differential", (0.2, 0.4), ((0.2, 1.5), (0.4, 1.1))),
-    ("hsr", 5, "omnidirectional", (0.2, 1.5), ((0.2, 1.4), (0.4, 1.1))),
+@pytest.mark.parametrize(("name", "joints", "drive", "limits", "high", "comfortable"), [
+    ("pr2", 7, "omnidirectional", (0.2, 1.0), 1.2, (0.4, 1.0)),
+    ("tiago", 8, "differential", (0.2, 0.4), 1.5, (0.4, 1.1)),
+    ("hsr", 5, "omnidirectional", (0.2, 1.5), 1.4, (0.4, 1.1)),
 ])  # fmt: skip
-def test_shipped_robots_are_those_of_the_method(name, joints, drive, limits, heights):
+def test_shipped_robots_are_those_of_the_method(name, joints, drive, limits, high, comfortable):
     robot = load_robot(name)
     assert (robot.name, len(robot.arm), robot.base.drive) == (name, joints, drive)
     assert (robot.base.max_velocity, robot.base.max_rotation) == limits
-    assert tuple(robot.goal_heights[task] for task in ("ggr", "ggr_restricted")) == heights
+    assert (robot.reach.low, robot.reach.high, robot.reach.comfortable) == (0.2, high, comfortable)
     assert (robot.pose_tolerance is None) == (name != "hsr")
     assert all(finger in robot.fixed_joints for finger in robot.gripper.fingers)
 
@@ -218,16 +209,13 @@ def moved(robot, name, metres):
 
 OTHER = {
     "velocity": lambda r: replace(r, base=replace(r.base, max_velocity=0.3)),
-    "rotation": lambda r: replace(r, base=replace(r.base, max_rotation=0.3)),
     "drive": lambda r: replace(r, base=replace(r.base, drive="differential")),
-    "base frame": lambda r: replace(r, base=replace(r.base, frame="odom")),
     "soft limit": lambda r: with_arm(r, lower=r.arm[0].lower + 1e-3),
     "fewer joints": lambda r: replace(
         r, arm=r.arm[:-1], fixed_joints={**r.fixed_joints, r.arm[-1].name: 0.0}
     ),
     "torso": lambda r: replace(r, fixed_joints={**r.fixed_joints, "torso_lift_joint": 0.2}),
     "link length": lambda r: moved(r, "r_elbow_flex_joint", 1e-5),
-    "axis": lambda r: with_joint(r, "r_elbow_flex_joint", axis=(0.0, 0.0, 1.0)),
     "EE frame": lambda r: replace(r, ee_frame="r_gripper_palm_link"),
 }
 
@@ -235,9 +223,6 @@ SAME = {
     "acceleration": lambda r: replace(r, base=replace(r.base, max_acceleration=0.1)),
     "joint velocity": lambda r: with_arm(r, velocity=0.1),
     "tool tip": lambda r: replace(r, tool_tip=np.zeros(3)),
-    "pose_tolerance": lambda r: replace(r, pose_tolerance=None),
-    "collisions": lambda r: replace(r, ignored_collisions=frozenset()),
-    "home": lambda r: replace(r, home={}),
     "left arm": lambda r: moved(r, "l_elbow_flex_joint", 0.1),
     "rounding": lambda r: moved(r, "r_elbow_flex_joint", 1e-13),
 }

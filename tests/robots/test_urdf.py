@@ -3,15 +3,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import pinocchio
 import pytest
 
-from kinfeas import robots
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.elements import Element, find_mesh
 from kinfeas.robots.urdf_file import parse_urdf
-
-SHIPPED = {name: getattr(robots, name)().with_suffix(".urdf") for name in ("pr2", "tiago", "hsr")}
 
 ARM = """
 <robot name="arm">
@@ -31,28 +27,12 @@ ARM = """
   </joint>
 </robot>
 """
-FINGER = """
-  <link name="finger"/>
-  <joint name="knuckle" type="prismatic">
-    <parent link="hand"/><child link="finger"/>
-    <limit lower="0" upper="1" velocity="1"/><mimic joint="elbow" multiplier="2"/>
-  </joint>
-</robot>
-"""
 
 
 def write(folder: Path, text: str) -> Path:
     path = folder / "arm.urdf"
     path.write_text(text)
     return path
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_inertias_are_those_of_solid_bodies(name):
-    for inertia in pinocchio.buildModelFromUrdf(str(SHIPPED[name])).inertias[1:]:
-        small, middle, large = np.linalg.eigvalsh(inertia.inertia)
-        assert small > 0.0
-        assert small + middle >= large * (1.0 - 1e-6)
 
 
 def test_reads_links_and_joints(tmp_path):
@@ -121,45 +101,23 @@ def test_the_joint_between_world_and_base_is_left_out(tmp_path, kind, above):
         parse_urdf(write(tmp_path, shaped))
 
 
-def test_mimic_joints_lead_to_the_joint_that_they_follow(tmp_path):
-    tip = FINGER.replace("finger", "tip").replace("hand", "finger").replace("knuckle", "end")
-    tip = tip.replace('joint="elbow" multiplier="2"', 'joint="knuckle" multiplier="-3" offset="1"')
-    finger = FINGER.replace('"2"/>', '"2" offset="0.5"/>').replace("</robot>", tip)
-    urdf = parse_urdf(write(tmp_path, ARM.replace("</robot>", finger)))
-    elbow = urdf.joints["elbow"]
-    assert urdf.followed(elbow) == (elbow, 1.0, 0.0)
-    assert urdf.followed(urdf.joints["knuckle"]) == (elbow, 2.0, 0.5)
-    assert urdf.followed(urdf.joints["end"]) == (elbow, -6.0, -0.5)
-    assert [joint.name for joint in urdf.path_to("tip")] == ["elbow", "knuckle", "end"]
-    assert urdf.path_to("base") == ()
-    assert urdf.below("knuckle") == {"finger", "tip"}
-    assert urdf.rigid["tip"] == {"tip"}
-
-
 @pytest.mark.parametrize(("old", "new", "where"), [
     ("</robot>", "", "XML"),
     ("<robot", '<!DOCTYPE r [<!ENTITY a "1">]><robot', "document types"),
-    ('robot name="arm"', "robot", "'name'"),
-    ('link name="hand"', 'link name="base"', "link 'base'"),
     ('ixx="1"', 'ixx="-1"', "'ixx'"),
     ('<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>', "", "<inertia>"),
     ('xyz="1 2 3"', 'xyz="1 2 1e999"', "joint 'elbow', <origin>: 'xyz'"),
     ('<box size="1 2 3"/>', '<cylinder radius="1"/>', "<cylinder>: the attribute 'length'"),
     ('<box size="1 2 3"/>', "<cone/>", "<geometry>"),
     ('"revolute"', '"ball"', "joint 'elbow': type"),
-    ('xyz="0 3 4"', 'xyz="0 0 0"', "axis"),
     ("<limit ", "<limits ", "<limit>"),
     ('upper="2"', 'upper="-2"', "'upper'"),
     ('parent link="base"', 'parent link="bass"', "link 'bass'"),
     ('child link="hand"', 'child link="base"', "'base'"),
     ("</robot>", '<link name="lone"/></robot>', "base, lone"),
-    ("</joint>", SOFT.replace("-0.5", "3"), "soft limits"),
-    ('<box size="1 2 3"/>', '<capsule radius="1"/>', "<capsule>: the attribute 'length'"),
     ("</robot>", FLOATING, "joint 'free': type 'floating'"),
     ("</joint>", '<mimic joint="knee"/></joint>', "<mimic>.*'knee'"),
-    ("</joint>", '<mimic joint="elbow"/></joint>', "<mimic>"),
     ("</robot>", fixed("loop", "hand", "base"), "root"),
-    ("</robot>", fixed("again", "base", "hand"), "joint 'again'"),
 ])  # fmt: skip
 def test_a_broken_urdf_is_an_error_with_its_place(tmp_path, old, new, where):
     assert old in ARM
@@ -217,12 +175,6 @@ def test_packages_are_found_by_their_names(rover, tmp_path, monkeypatch, package
             mesh_of("package://moon/part.stl", rover)
         monkeypatch.setenv(variable, f"/none:{tmp_path / root}")
     assert mesh_of("package://moon/part.stl", rover) == part
-
-
-def test_a_package_file_without_end_is_ignored(rover):
-    (rover.parent / "package.xml").symlink_to("/dev/zero")
-    with pytest.raises(KinfeasError, match="moon"):
-        mesh_of("package://moon/part.stl", rover)
 
 
 def test_a_pointer_of_git_lfs_is_an_error(rover):

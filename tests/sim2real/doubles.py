@@ -5,9 +5,9 @@ import time as clock
 import numpy as np
 
 from kinfeas.core.errors import Fault
-from kinfeas.sim2real.deploy.rate import Clock
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
+from kinfeas.sim2real.link.rate import Clock
 
 TIMEOUT = 300.0
 """Seconds that a busy machine may take to start a process and to compile its kernels."""

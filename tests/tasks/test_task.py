@@ -33,9 +33,12 @@ def test_wrong_motions_raise(motion, named):
     ("ggr", {"distance": [2, 1]}, "distance"), ("ggr_obstacles", {"heights": [2, 1]}, "heights"),
     ("ggr_dynamic", {"span": [2, 1]}, "span"), ("joystick", {"rate": [2, 1]}, "rate"),
     ("carried", {"rules": {"heights": [2, 1]}}, "heights"),
+    ("ggr_obstacles", {"places": 65}, "places"),
+    ("ggr_obstacles", {"spacing": 0.1}, "places"),
+    ("ggr_obstacles", {"footprint": [0.1, 1]}, "footprint"),
 ])  # fmt: skip
-def test_ranges_ascend(task, wrong, named):
-    with pytest.raises(KinfeasError, match=f"'{named}' must not descend"):
+def test_parameters_out_of_range_raise(task, wrong, named):
+    with pytest.raises(KinfeasError, match=f"'{named}' must"):
         load_task(task, wrong)
 
 

@@ -185,11 +185,6 @@ def test_all_rules_have_a_bad_generator():
     assert {rule for rule, _ in BAD.values()} == set(RULES)
 
 
-def test_limits_can_be_lifted():
-    check_motion_generator(TooFast(), max_velocity=None)
-    check_motion_generator(TurnsTooFast(), max_angular_velocity=None)
-
-
 def test_examine_tells_all_rules_of_a_good_generator():
     steps = []
     findings = examine(Good(), Trial(duration=30.0, dt=0.1), on_step=lambda: steps.append(1))

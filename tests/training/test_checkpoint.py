@@ -24,7 +24,6 @@ class Toy:
     """A learner and its environments, without train.py."""
 
     def __init__(self, config):
-        self.config = config.learner
         self.env = WorldVecEnv(
             World(load_robot(config.robot), load_task("ggr"), config.world, 1), 4
         )
@@ -33,7 +32,7 @@ class Toy:
 
     def learn(self, steps):
         for _ in range(steps):
-            action = explore(self.learner, self.config, self.seen, random=False)
+            action = explore(self.learner, self.seen, random=False)
             seen, rewards, dones, infos = self.env.step(action)
             self.learner.replay_buffer.add(self.seen, seen, action, rewards, dones, infos)
             self.seen = seen
@@ -58,9 +57,7 @@ def saved(tiny, tmp_path):
 
 
 @pytest.mark.parametrize("steps", [3, 40], ids=["buffer not full", "buffer full"])
-@pytest.mark.parametrize(
-    "settings", [{}, {"learner.ent_coef": "learned"}, {"learner.algorithm": "td3"}]
-)
+@pytest.mark.parametrize("settings", [{}, {"learner.ent_coef": "learned"}])
 def test_resumes_to_the_bit(tiny, tmp_path, settings, steps):
     config = tiny({"learner.buffer_size": 100, **settings})
     toy = Toy(config)

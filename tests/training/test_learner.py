@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import SAC, TD3
+from stable_baselines3 import SAC
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from torch import nn
 
@@ -36,18 +36,13 @@ def env():
     env.close()
 
 
-@pytest.fixture(params=["sac", "td3"])
-def config(request):
-    return replace(SMALL, algorithm=request.param)
-
-
 def observations(env, n=50):
     return env.world.start(range(n))
 
 
 @pytest.mark.parametrize("net_arch", [(8,), (32, 16, 8)])
-def test_the_network_acts_as_the_actor_and_is_a_copy(config, env, net_arch, tmp_path):
-    learner = make_learner(replace(config, net_arch=net_arch), env, 0)
+def test_the_network_acts_as_the_actor_and_is_a_copy(env, net_arch, tmp_path):
+    learner = make_learner(replace(SMALL, net_arch=net_arch), env, 0)
     with torch.no_grad():
         for parameter in learner.actor.parameters():
             parameter.mul_(3.0)  # so that no action is near 0
@@ -70,27 +65,23 @@ class Doubled(FlattenExtractor):
         return 2.0 * super().forward(observations)
 
 
-@pytest.mark.parametrize(("algorithm", "options", "named"), [
-    (SAC, {"activation_fn": nn.Tanh}, "Tanh"), (TD3, {"activation_fn": nn.Tanh}, "Tanh"),
-    (SAC, {"features_extractor_class": Doubled}, "Doubled"),
+@pytest.mark.parametrize(("options", "named"), [
+    ({"activation_fn": nn.Tanh}, "Tanh"), ({"features_extractor_class": Doubled}, "Doubled"),
 ])  # fmt: skip
-def test_only_actors_that_the_format_holds_are_saved(env, algorithm, options, named, tmp_path):
-    save_policy(algorithm("MlpPolicy", env), env, tmp_path)
+def test_only_actors_that_the_format_holds_are_saved(env, options, named, tmp_path):
+    save_policy(SAC("MlpPolicy", env), env, tmp_path)
     with pytest.raises(KinfeasError, match=named):
-        save_policy(algorithm("MlpPolicy", env, policy_kwargs=options), env, tmp_path)
+        save_policy(SAC("MlpPolicy", env, policy_kwargs=options), env, tmp_path)
 
 
-def test_exploration_scatters_about_the_actor(config, env):
-    learner = make_learner(config, env, 0)
+def test_exploration_scatters_about_the_actor(env):
+    learner = make_learner(SMALL, env, 0)
     one = env.reset()[:1]
-    actions = explore(learner, config, np.repeat(one, 4_000, axis=0), random=False)
+    actions = explore(learner, np.repeat(one, 4_000, axis=0), random=False)
     assert np.abs(actions).max() <= 1.0
     assert actions.std(axis=0).min() > 0.1
     mean, _ = learner.predict(one, deterministic=True)
     np.testing.assert_allclose(actions.mean(axis=0), mean[0], atol=0.1)
-    if config.algorithm == "td3":
-        exact = explore(learner, replace(config, exploration_noise=0.0), one, random=False)
-        np.testing.assert_allclose(exact, mean, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -106,24 +97,16 @@ def test_hyperparameters_reach_sb3(env, schedule, half, end):
     assert (sac.gamma, float(sac.ent_coef_tensor), sac.tau) == (0.9, pytest.approx(0.3), 0.02)
     learned = make_learner(replace(SMALL, ent_coef="learned"), env, 0)
     assert learned.ent_coef_optimizer is not None
-    td3 = make_learner(replace(SMALL, algorithm="td3", policy_noise=0.5), env, 0)
-    assert td3.target_policy_noise == 0.5
-    assert td3.replay_buffer.handle_timeout_termination
 
 
-def test_a_learner_acts_as_the_network_that_it_takes(config, env):
-    network = network_of(make_learner(config, env, 0), env)
-    learner = make_learner(config, env, 1)
+def test_a_learner_acts_as_the_network_that_it_takes(env):
+    network = network_of(make_learner(SMALL, env, 0), env)
+    learner = make_learner(SMALL, env, 1)
     take_network(learner, network)
     seen = observations(env)
     np.testing.assert_array_equal(network_of(learner, env)(seen), network(seen))
-    if config.algorithm == "td3":
-        pairs = zip(learner.actor.parameters(), learner.actor_target.parameters(), strict=True)
-        assert all(torch.equal(own, target) for own, target in pairs)
-    else:
-        explored = np.arctanh(explore(learner, config, scaled(seen, env.scale), random=False))
-        spread = np.std(explored - np.arctanh(network(seen)))
-        assert spread == pytest.approx(INITIAL_STD, rel=0.3)
+    explored = np.arctanh(explore(learner, scaled(seen, env.scale), random=False))
+    assert np.std(explored - np.arctanh(network(seen))) == pytest.approx(INITIAL_STD, rel=0.3)
 
 
 def filled(env, config, kind=FastSAC):
@@ -132,7 +115,7 @@ def filled(env, config, kind=FastSAC):
         learner = make_learner(config, env, seed=0)
     seen = env.reset()
     for _ in range(8):
-        action = explore(learner, config, seen, random=True)
+        action = explore(learner, seen, random=True)
         after, rewards, dones, infos = env.step(action)
         learner.replay_buffer.add(seen, after, action, rewards, dones, infos)
         seen = after

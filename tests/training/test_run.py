@@ -131,9 +131,12 @@ def test_wrong_progress_raises(write_run, tmp_path, key, value):
         finished(tmp_path)
 
 
-@pytest.mark.parametrize("name", [*recipes("train"), *recipes("paper")])
-def test_every_recipe_makes_a_world(name):
-    recipe = load_recipe(name)
+@pytest.mark.parametrize(("name", "robot"), [
+    *((name, robot) for name in ("train", "train_rooms") for robot in ("pr2", "tiago", "hsr")),
+    *((name, "pr2") for name in recipes("paper")),
+])  # fmt: skip
+def test_every_recipe_makes_a_world(name, robot):
+    recipe = load_recipe(name, robot=robot)
     task = load_task(recipe.task, recipe.task_parameters)
     World(load_robot(recipe.robot), task, recipe.world, recipe.seed)
     assert config.from_mapping(TrainConfig, config.to_mapping(recipe), "again") == recipe
@@ -141,7 +144,7 @@ def test_every_recipe_makes_a_world(name):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("learner.algorithm", "ppo"), ("learner.gamma", 1.5), ("schedule.steps", None),
+    [("learner.schedule", "cosine"), ("learner.gamma", 1.5), ("schedule.steps", None),
      ("processes", 9)],
 )  # fmt: skip
 def test_values_out_of_range_raise(tiny, key, value):

@@ -18,24 +18,6 @@ def run_twice(settings, out):
 
 
 @pytest.mark.slow
-def test_mlflow_has_version_recipe_seed_and_figures(settings, tmp_path, monkeypatch):
-    pytest.importorskip("mlflow")
-    from mlflow import MlflowClient
-
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/mlflow.db")
-    run_twice(settings("mlflow"), tmp_path / "run")
-    client = MlflowClient()
-    (run,) = client.search_runs([client.get_experiment_by_name("kinfeas").experiment_id])
-    assert run.info.status == "FINISHED"
-    assert run.data.tags["version"] == __version__
-    assert run.data.tags["seed"] == str(settings("mlflow").seed)
-    assert "net_arch" in run.data.tags["recipe"]
-    assert 0.0 <= run.data.metrics["fresh/success"] <= 1.0
-    seen = client.get_metric_history(run.info.run_id, "evaluation/success")
-    assert [one.step for one in seen] == [80, 160, 320]
-
-
-@pytest.mark.slow
 def test_wandb_has_recipe_and_figures_offline(settings, tmp_path, monkeypatch):
     wandb = pytest.importorskip("wandb")
     monkeypatch.setenv("WANDB_MODE", "offline")

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -78,21 +76,6 @@ def test_steps_are_the_worlds_repeated_with_the_mean_reward_until_the_end(repeat
     assert following > 2 * n
     assert truncations == {True, False}
     assert (early > 0) == (repeat > 1)
-
-
-def test_success_is_a_goal_reached_without_a_failure():
-    env = make(3)
-    env.reset()
-    step, world = env.world.step, env.world
-
-    def ended(action):
-        transition, world.failures[:] = step(action), [0, 1, 0]
-        reached = np.array([True, True, False])
-        return replace(transition, reached=reached, terminated=np.ones(3, dtype=bool))
-
-    world.step = ended
-    infos = env.step(np.zeros((3, 3), dtype=np.float32))[3]
-    assert [one["is_success"] for one in infos] == [True, False, False]
 
 
 def test_resumes_from_a_snapshot_to_the_bit():

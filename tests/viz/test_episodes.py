@@ -9,7 +9,8 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.io.run_log import REACHED, About, Record
 from kinfeas.policies.loading import load_policy
-from kinfeas.viz.episodes import as_recording, episodes_figure
+from kinfeas.viz.episodes import episodes_figure
+from kinfeas.viz.replay import as_recording
 from kinfeas.viz.style import FAILURE
 
 

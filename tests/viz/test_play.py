@@ -12,7 +12,7 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance
 from kinfeas.io.demonstrations import read_demonstration
-from kinfeas.sim2real.servo.choice import Choice
+from kinfeas.viz.choice import Choice
 from studies.browser import BINARY, Browser, on_screen
 
 pytest.importorskip("viser")

@@ -65,26 +65,13 @@ def test_furniture_has_the_colours_of_its_urdf_or_is_grey(tmp_path):
     assert len({solids["bare"].colour[i : i + 2] for i in (1, 3, 5)}) == 1
 
 
-def test_the_camera_of_a_page_shows_all_points_from_near():
-    pytest.importorskip("viser")
-    from kinfeas.viz.server import serving
-    from kinfeas.viz.viewer import aim
-
-    points = np.array([[5.0, 5.0, 0.0], [6.0, 5.5, 1.2], [5.5, 6.0, 0.3]])
-    with serving("a page") as server:
-        aim(server, points)
-        camera = server.initial_camera
-        forward, rays = camera.look_at - camera.position, points - camera.position
-    forward, distance = forward / np.linalg.norm(forward), np.linalg.norm(rays, axis=1)
-    assert np.degrees(np.arccos((rays @ forward) / distance)).max() < 37.5
-    assert distance.max() < 3.0
-
-
 def test_pages_are_self_contained(hsr, recordings):
     pytest.importorskip("viser")
-    from kinfeas.viz.pages import episode_html, scene_html
+    from kinfeas.viz.pages import replay_html, scene_html
+    from kinfeas.viz.replay import replay_of
 
-    for html in (scene_html(read_scene("room")), episode_html(recordings[0], hsr)):
+    replay = replay_of(recordings[0], hsr, "HSR")
+    for html in (scene_html(read_scene("room")), replay_html(replay)):
         assert html.lstrip().lower().startswith("<!doctype html")
         assert "<title>kinfeas: " in html
         assert not any(place in html for place in ('src="http', "src='http", 'href="http'))

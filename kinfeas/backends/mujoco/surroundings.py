@@ -12,7 +12,7 @@ from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obsta
 from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.base_obstacles import AS_NEAR
+from kinfeas.kinematics.sensing import AS_NEAR
 
 _OUTSIDE = 1e-3  # m before a corner where its ray starts
 _SIDES = 16  # of a cylinder

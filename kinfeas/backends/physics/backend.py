@@ -17,7 +17,7 @@ from kinfeas.core.backend import Backend, Contacts, Grip, ObstacleDistances, Rob
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, planar_pose
-from kinfeas.kinematics.scans import scan_now
+from kinfeas.kinematics.sensing import scan
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import StreamTask, Task
@@ -107,7 +107,7 @@ class PhysicsBackend(Backend):
 
     def scan(self) -> Scan:
         """Return the ranges to solids around the true bases."""
-        return Scan(scan_now(self.solids, planar_pose(*self._positions[:, :3].T)))
+        return Scan(scan(self.solids.after(), planar_pose(*self._positions[:, :3].T)))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the obstacles nearer than `within` metres to the bases, except grasped links.

@@ -143,7 +143,7 @@ def base_path(base, rows, twist, yaw, time, differential, acceleration, rotation
     """Return setpoints of x, y and yaw at t times within the acceleration limits, (m, t, 3).
 
     A differential drive moves along its heading only, at the part of the twist along its heading at
-    the end of the period, as in `kinfeas.control.drive`.
+    the end of the period, as in `kinfeas.kinematics.drive`.
 
     Args:
         base: Velocity setpoints of all n robots, (n, 3), of a differential drive forward, 0 and

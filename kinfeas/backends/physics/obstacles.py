@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.base_obstacles import AS_NEAR
+from kinfeas.kinematics.sensing import AS_NEAR
 
 _AT_SIDE = 0.02  # m, largest distance of a point on the side of a solid
 _STEEP = 0.5  # horizontal part of a unit normal below which an obstacle is above or beneath

@@ -25,8 +25,8 @@ _UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright un
 class Stage:
     """A task whose episodes also place robot and objects in a physics backend.
 
-    Starts in which the robot touches something are drawn again. The objects stay where the first
-    draw put them, so that the goals equal those without physics.
+    Starts in which the robot touches something are drawn again, with the objects and goals of the
+    first draw, so that the goals equal those without physics.
 
     Attributes:
         task: Task that draws the episodes.
@@ -40,11 +40,11 @@ class Stage:
         self.scene = backend.scene
         self._placed: dict[int, Scene] = {}
         self._chain = task if isinstance(task, ChainTask) else None
-        self._known = self._chain.scene if self._chain and self.scene else None
+        self._task_scene = self._chain.scene if self._chain and self.scene else None
         backend.furniture = 0
         if self._chain and self.scene and self._chain.clutter is not None:
             backend.furniture = self._chain.solids_of(self.scene).places
-        if self._known and (grasped := self._known.grasped_object):
+        if self._task_scene and (grasped := self._task_scene.grasped_object):
             if backend.robot.gripper is None:
                 raise KinfeasError(
                     f"task {self.name!r} grasps an object, and robot {backend.robot.name!r} has no "
@@ -71,20 +71,24 @@ class Stage:
         first, scene = self.task.sample(solver, rng), self.scene
         if scene is not None:
             scene = self._placed[row] = self._moved(scene, first)
-        for number in range(_DRAWS):
-            start = self._again(first, solver, rng) if number else first
+        start = first
+        for _ in range(_DRAWS):
             if self.backend.place(row, scene, start.base_pose, start.joint_positions):
                 return start
+            if self._chain:
+                start = self._chain.toward(first.target_poses, solver, rng, first.solids)
+            else:
+                start = self.task.sample(solver, rng)
         raise KinfeasError(
             f"task {self.name!r}: the robot touches floor or furniture in all of {_DRAWS} starts"
         )
 
     def drawn(self) -> tuple[str, dict[str, Array]]:
         """Return the name of the scene and the poses of moved objects by name, or `("", {})`."""
-        if self._known is None:
+        if self._task_scene is None:
             return "", {}
-        objects = self._in(0).objects
-        return self._known.name, {name: objects[name].pose for name in self._known.moves}
+        objects = self._scene_of(0).objects
+        return self._task_scene.name, {name: objects[name].pose for name in self._task_scene.moves}
 
     def settle(self, joint_positions: Array, dt: float, row: int = 0) -> None:
         """Hold the robot of a row still while objects come to rest; joints of all, (n, j)."""
@@ -94,7 +98,7 @@ class Stage:
     @property
     def has_success_condition(self) -> bool:
         """Whether the task has a success condition on objects of the scene."""
-        return self._known is not None
+        return self._task_scene is not None
 
     def task_done(
         self, row: int, joint_positions: Array, dt: float, *, reached: bool
@@ -106,39 +110,33 @@ class Stage:
         if not self.has_success_condition:
             return None if self._chain and self._chain.scene else reached
         self.settle(joint_positions, dt, row)
-        must_reach = self._known is not None and self._known.success.reached
+        must_reach = self._task_scene is not None and self._task_scene.success.reached
         return False if must_reach and not reached else self.done(row)
 
     def done(self, row: int = 0) -> bool | None:
         """Return whether the objects of a row meet the success condition; None without one."""
-        if self._known is None:
+        if self._task_scene is None:
             return None
-        done = self._known.success
-        if done.joint is not None:
-            position = self.backend.object_joint(row, done.object, done.joint)
-            return position < done.threshold if done.threshold < 0.0 else position > done.threshold
+        success = self._task_scene.success
+        if success.joint is not None:
+            position = self.backend.object_joint(row, success.object, success.joint)
+            limit = success.threshold
+            return position < limit if limit < 0.0 else position > limit
         # An object in the hand was not put down.
-        return not self.backend.holds(row, done.object) and self.stands(
-            row, done.object, str(done.parent)
-        )
+        held = self.backend.holds(row, success.object)
+        return not held and self.stands(row, success.object, str(success.parent))
 
     def stands(self, row: int, name: str, on: str) -> bool:
         """Return whether an object is at rest on another one, and upright as in the scene."""
         pose, speed = self.backend.object_motion(row, name)
-        upright = rotation(self._in(row).objects[name].pose).as_matrix()
+        upright = rotation(self._scene_of(row).objects[name].pose).as_matrix()
         tilt = float((rotation(pose).as_matrix() @ upright.T)[2, 2])
         supported = self.backend.is_on(row, name, on, _UPRIGHT)
         return speed <= _REST and supported and tilt >= _UPRIGHT
 
-    def _in(self, row: int) -> Scene:
+    def _scene_of(self, row: int) -> Scene:
         assert self.scene is not None
         return self._placed.get(row, self.scene)
-
-    def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return another start; of a task that moves objects, with the goals of `first`."""
-        if self._chain:
-            return self._chain.toward(first.target_poses, solver, rng, first.solids)
-        return self.task.sample(solver, rng)
 
     def _moved(self, scene: Scene, start: Start) -> Scene:
         """Return a scene with the objects where an episode places them."""

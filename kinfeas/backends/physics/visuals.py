@@ -17,17 +17,17 @@ ROBOT = ""
 LinkName = tuple[str, str]
 """Name of an object, or `ROBOT`, and of a link."""
 
-GREY = (0.7, 0.7, 0.7)
+GREY = "#b3b3b3"
 """Colour of shapes without a material."""
 
 
 @dataclass(frozen=True, eq=False)
 class VisualShape:
-    """A visible primitive of a link, in its frame, and its colour, each channel in 0-1."""
+    """A visible primitive of a link, in its frame, and its colour, `#rrggbb` or `#rrggbbaa`."""
 
     link: LinkName
     shape: Shape
-    colour: tuple[float, float, float]
+    colour: str
 
 
 def visual_shapes(robot: Robot, scene: Scene | None) -> list[VisualShape]:
@@ -52,9 +52,9 @@ def urdf_visuals(owner: str, urdf: Element) -> Iterator[VisualShape]:
                 yield VisualShape((owner, link.text("name")), shape, colour or GREY)
 
 
-def _colour(material: Any) -> tuple[float, float, float] | None:
+def _colour(material: Any) -> str | None:
     colour = material.find("color")
     if colour is None:
         return None
     red, green, blue, *_ = map(float, colour.get("rgba").split())
-    return red, green, blue
+    return "#" + bytes(round(255.0 * fraction) for fraction in (red, green, blue)).hex()

@@ -41,7 +41,7 @@ class Physics:
 
     def __init__(self, config: PhysicsConfig, *, gui: bool = False) -> None:
         """Make a world with a floor, in a window if `gui`."""
-        self.config, self.client, self._gui = config, _connect(gui), gui
+        self.config, self.client, self._gui = config, connect(gui=gui), gui
         self.client.configureDebugVisualizer(self.client.COV_ENABLE_GUI, 0)
         self.client.setGravity(0.0, 0.0, -config.gravity)
         # Without the second parameter, the order of pairs depends on the history before a reset.
@@ -171,7 +171,8 @@ class Physics:
         return np.concatenate(self.client.getDynamicsInfo(body, ROOT)[3:5])
 
 
-def _connect(gui: bool) -> Any:
+def connect(*, gui: bool) -> Any:
+    """Return the functions of PyBullet, bound to a new world, in a window if `gui`."""
     with silence():
         import pybullet
         from pybullet_utils.bullet_client import BulletClient

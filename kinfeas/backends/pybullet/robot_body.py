@@ -124,7 +124,7 @@ class BaseDrive:
         """Set the world twist, shape (6,), m/s and rad/s, for the next `dt` seconds.
 
         A differential drive follows the part of it along the heading at the end of the period, as
-        in `kinfeas.control.drive`.
+        in `kinfeas.kinematics.drive`.
         """
         x, y, self._target_rotation = float(twist[0]), float(twist[1]), float(twist[5])
         if not self._omnidirectional:

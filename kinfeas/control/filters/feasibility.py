@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config.quantities import NotNegative
-from kinfeas.control.drive import command_size
 from kinfeas.control.period import KinematicInputs, KinematicStep, Move, Period
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array, integrate
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.ik import IkSolver, spread
 from kinfeas.kinematics.solids import base_collides
 from kinfeas.robots.robot import exceeds_joint_velocity
@@ -95,8 +95,8 @@ class FeasibilityFilter:
         return move, good
 
 
-def replaced(move: Move, rows: Rows, other: Move, command: Array) -> Move:
-    """Return a move with another one in some rows; `command` is that of all rows."""
-    twist = with_rows(move.base_twist, rows, other.base_twist)
-    move.arm.put(rows, other.arm)
+def replaced(move: Move, rows: Rows, retried: Move, command: Array) -> Move:
+    """Return a move that is `retried` in some rows; `command` is that of all rows."""
+    twist = with_rows(move.base_twist, rows, retried.base_twist)
+    move.arm.put(rows, retried.arm)
     return Move(twist, move.arm, command)

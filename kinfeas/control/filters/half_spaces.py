@@ -21,8 +21,8 @@ _SLACK = 1e-6
 _ROUNDS = 100
 """Half-spaces at most that are taken up, some of them again; most points take fewer than five."""
 
-_SHARES = (1.0, 0.5, 0.0)
-"""Shares of negative offsets that are tried, until there is a point in all half-spaces."""
+_FRACTIONS = (1.0, 0.5, 0.0)
+"""Fractions of negative offsets that are tried, until there is a point in all half-spaces."""
 
 _PARALLEL = 1e-9
 """Squared sine of the angle to others below which a normal depends on them."""
@@ -30,7 +30,7 @@ _PARALLEL = 1e-9
 
 @compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:,:])"], "(k,p),(k,p),(a)->(k,a)")
 def approach(point, normal, like, out):
-    """Share of each velocity that approaches each obstacle."""
+    """Fraction of each velocity that approaches each obstacle."""
     last = len(like) - 1
     for k in range(len(point)):
         for i in range(last):
@@ -46,10 +46,10 @@ def allowed(distance, closing_speed, rules, out):
     """
     least, braking, seconds = rules
     for k in range(len(distance)):
-        way = distance[k] - least
-        ahead = max(way, 0.0)
-        # A turn leads a little off the straight way, so the base restores the distance.
-        out[k] = min(math.sqrt(braking * ahead), ahead / seconds) + min(way, 0.0) / _RESTORE
+        excess = distance[k] - least
+        ahead = max(excess, 0.0)
+        # A turn leads a little off the straight line, so the base restores the distance.
+        out[k] = min(math.sqrt(braking * ahead), ahead / seconds) + min(excess, 0.0) / _RESTORE
         out[k] -= max(closing_speed[k], 0.0)  # receding obstacles may turn back
 
 
@@ -84,7 +84,7 @@ def project(point, normals, offsets, slack):
 
     The half-spaces are `normals @ point <= offsets`, shapes (k, a) and (k,); `slack` is allowed,
     above 0. Where no point is in all of them, negative offsets are raised up to 0; a point that
-    still finds no place moves to the origin, which is in all half-spaces then.
+    is still outside moves to the origin, which is in all half-spaces then.
     """
     if _worst(point, normals, offsets)[1] <= slack:
         return False
@@ -96,9 +96,9 @@ def project(point, normals, offsets, slack):
 def _bring_inside(point, normals, offsets, slack):
     """Move a point (a,) into all half-spaces."""
     start, lowest = point.copy(), min(offsets.min(), 0.0)
-    for share in _SHARES:
+    for fraction in _FRACTIONS:
         point[:] = start
-        if _move(point, normals, np.maximum(offsets, share * lowest), slack):
+        if _move(point, normals, np.maximum(offsets, fraction * lowest), slack):
             return
         if lowest == 0.0:
             break
@@ -121,20 +121,20 @@ def _move(point, normals, offsets, slack):
             return True
         normal, push = normals[worst], 0.0
         while True:
-            shares = _shares(normals, borders[:count], normal)
-            ahead = normal - normals[borders[:count]].T @ shares
+            weights = _weights(normals, borders[:count], normal)
+            ahead = normal - normals[borders[:count]].T @ weights
             square = _dot(ahead, ahead)
             free = count < len(point) and square > _PARALLEL * _dot(normal, normal)
             step, last = (excess / square if free else np.inf), -1
             for i in range(count):
-                if shares[i] > 0.0 and pushes[i] < step * shares[i]:
-                    step, last = pushes[i] / shares[i], i
+                if weights[i] > 0.0 and pushes[i] < step * weights[i]:
+                    step, last = pushes[i] / weights[i], i
             if step == np.inf:
                 return False
             if free:
                 point -= step * ahead
                 excess -= step * square
-            pushes[:count] -= step * shares
+            pushes[:count] -= step * weights
             push += step
             if last < 0:
                 borders[count], pushes[count] = worst, push
@@ -147,10 +147,10 @@ def _move(point, normals, offsets, slack):
 
 
 @kernel
-def _shares(normals, borders, normal):
-    """Return shares, (b,), of the normals of b borders whose sum is nearest to a normal, (a,)."""
-    chosen = normals[borders]
-    return np.linalg.solve(chosen @ chosen.T, chosen @ normal)
+def _weights(normals, borders, normal):
+    """Return weights, (b,), of the normals of b borders whose sum is nearest to a normal, (a,)."""
+    active = normals[borders]
+    return np.linalg.solve(active @ active.T, active @ normal)
 
 
 @inlined
@@ -165,8 +165,8 @@ def _worst(point, normals, offsets):
 
 
 @inlined
-def _dot(one, other):
+def _dot(a, b):
     total = 0.0
-    for i in range(len(one)):
-        total += one[i] * other[i]
+    for i in range(len(a)):
+        total += a[i] * b[i]
     return total

@@ -7,12 +7,12 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import command_size
 from kinfeas.control.filters.half_spaces import LEVER, allowed, approach, hold
 from kinfeas.control.period import Period
 from kinfeas.core.backend import Backend, ObstacleDistances, ObstacleSensor
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Base
 

@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.base_path import BasePath, BasePathPlanner
 from kinfeas.control.execution import ExecutionConfig
+from kinfeas.control.observation import HORIZON
 from kinfeas.control.period import Period
 from kinfeas.control.targets import TargetStream
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array, distance, wrap, yaw
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.planning.base_path import BasePath, BasePathPlanner
 from kinfeas.robots.robot import Base, joint_displacement
 
 _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.1, 0.7
@@ -126,6 +127,7 @@ class PathPlanner:
                 period.base_pose[row],
                 period.joints[row],
                 ee,
+                HORIZON,
                 begin=motions.elapsed[row],
                 time_scale=self._time_scale,
                 solids=None if solids is None else solids.of(np.array([row])),

@@ -7,13 +7,12 @@ from typing import Literal
 import numpy as np
 
 from kinfeas.config.recipes import load_section
-from kinfeas.control.drive import action_toward, command_size
-from kinfeas.control.drive_kernels import write_action_toward
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.policy import Observation
 from kinfeas.core.pose_kernels import TWIST, clipped, heading, wrapped
 from kinfeas.core.spatial import Array
+from kinfeas.kinematics.drive import action_toward, command_size, write_action_toward
 from kinfeas.robots.robot import Base, Robot
 
 _MIN_SPEED = 0.05
@@ -140,7 +139,7 @@ def _follow_base(
 
 def demonstrated_base(robot: Robot) -> FollowBase:
     """Return the baseline that drives to the base pose of the demonstration."""
-    known = load_section(BaselineConfig, "baselines", robot.name)
+    known = load_section(BaselineConfig, "baselines", robot.folder)
     return FollowBase(robot.base, known.forward_shift)
 
 

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from kinfeas.control.drive import action_toward
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array, make_pose, rotation, wrap, yaw
+from kinfeas.kinematics.drive import action_toward
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread, spread_configurations
 from kinfeas.robots.robot import Robot
@@ -94,7 +94,7 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     centre and the proportions of the places from which it reaches most of them, and both are of
     the size at which they hold the most such places and the fewest others.
     """
-    low, high = robot.goal_heights["ggr"]
+    low, high = robot.reach.low, robot.reach.high
     solver = IkSolver(robot, IkOptions(candidates=1, restarts=8))
     scouts = _Targets(solver, _SCOUTS, 0.0, np.pi)
     bearing = _best_bearing(scouts)
@@ -105,7 +105,7 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     if np.isnan(shapes).all():
         raise KinfeasError(
             f"geometric_modulation finds no place from which the arm of robot {robot.name!r} "
-            f"reaches its goal_heights of ggr, {low:g} to {high:g} m"
+            f"has its reach, {low:g} to {high:g} m"
         )
     return ReachEllipses(heights, pitches, _filled(shapes), bearing)
 
@@ -122,19 +122,21 @@ class _Targets:
 
     def __init__(self, solver: IkSolver, count: int, bearing: float, cone: float) -> None:
         robot = solver.robot
-        share = spread(count, 6)
-        low, high = robot.goal_heights["ggr"]
+        samples = spread(count, 6)
+        low, high = robot.reach.low, robot.reach.high
         ee = forward(solver.chain, spread_configurations(robot, 4096))
         reach = float(np.hypot(ee[:, 0], ee[:, 1]).max())
-        self.height = low - 0.2 + share[:, 0] * (high - low + 0.4)
-        self.pitch = np.pi * (share[:, 1] - 0.5)
-        self.bearing = bearing + cone * (2.0 * share[:, 2] - 1.0)
-        distance = reach * share[:, 3]
-        azimuth, roll = 2.0 * np.pi * share[:, 4], 2.0 * np.pi * share[:, 5]
+        self.height = low - 0.2 + samples[:, 0] * (high - low + 0.4)
+        self.pitch = np.pi * (samples[:, 1] - 0.5)
+        self.bearing = bearing + cone * (2.0 * samples[:, 2] - 1.0)
+        distance = reach * samples[:, 3]
+        azimuth, roll = 2.0 * np.pi * samples[:, 4], 2.0 * np.pi * samples[:, 5]
         x, y = distance * np.cos(self.bearing), distance * np.sin(self.bearing)
         angles = np.stack([azimuth, -self.pitch, roll], axis=1)
-        turn = Rotation.from_euler("ZYX", angles) * Rotation.from_quat(robot.gripper_rotation)
-        ee = make_pose(np.stack([x, y, self.height], axis=1), turn)
+        orientation = Rotation.from_euler("ZYX", angles) * Rotation.from_quat(
+            robot.gripper_rotation
+        )
+        ee = make_pose(np.stack([x, y, self.height], axis=1), orientation)
         home = np.tile(robot.home["home"], (count, 1))
         self.found = solver.solve(ee, home).feasible
         self.place = turned(np.stack([-x, -y], axis=1), -azimuth)
@@ -151,8 +153,8 @@ def _best_bearing(targets: _Targets) -> float:
     """Return the middle of the cone in which the arm reaches most."""
     middles = np.linspace(-np.pi, np.pi, 73)[1:]
     near = np.abs(wrap(targets.bearing - middles[:, None])) < CONE
-    shares = [targets.found[rows].mean() for rows in near]
-    best = np.array(shares) >= 0.98 * max(shares)
+    fractions = [targets.found[rows].mean() for rows in near]
+    best = np.array(fractions) >= 0.98 * max(fractions)
     return float(np.angle(np.exp(1j * middles[best]).sum()))
 
 
@@ -161,14 +163,14 @@ def _fit(targets: _Targets, height: float, pitch: float) -> Array:
     off_height = (targets.height - height) / _HEIGHT_BLUR
     off_pitch = (targets.pitch - pitch) / _PITCH_BLUR
     kernel = np.exp(-0.5 * (off_height * off_height + off_pitch * off_pitch))
-    share = _share(targets, kernel)
-    good = share > _SHARE
+    reach = _share(targets, kernel)
+    good = reach > _SHARE
     if np.count_nonzero(good) < 4:
         return np.full(6, np.nan)
     centre = np.array([_X[good].mean(), _Y[good].mean()])
     axes = 2.0 * np.array([_X[good].std(), _Y[good].std()]) + _CELL / 2.0
     level = np.hypot((_X - centre[0]) / axes[0], (_Y - centre[1]) / axes[1])
-    gain, hole = share - _SHARE, np.full(2, _SIZES[0])
+    gain, hole = reach - _SHARE, np.full(2, _SIZES[0])
     for _ in range(3):
         ring = np.where((_X / hole[0]) ** 2 + (_Y / hole[1]) ** 2 < 1.0, 0.0, gain)
         scale = _SCALES[np.argmax([ring[level < scale].sum() for scale in _SCALES])]
@@ -186,28 +188,28 @@ def _share(targets: _Targets, kernel: Array) -> Array:
         counts, *_ = np.histogram2d(x, y, bins=(edges, edges), weights=weights)
         return gaussian_filter(counts, _BLUR / _CELL).ravel()
 
-    tried, found = counted(kernel), counted(kernel * targets.found)
-    share = np.where(tried > 1e-4 * tried.max(), found / np.maximum(tried, 1e-12), 0.0)
-    reached = share[share > 0.01]
-    return share / np.quantile(reached, 0.98) if len(reached) else share
+    tried, reached = counted(kernel), counted(kernel * targets.found)
+    reach = np.where(tried > 1e-4 * tried.max(), reached / np.maximum(tried, 1e-12), 0.0)
+    positive = reach[reach > 0.01]
+    return reach / np.quantile(positive, 0.98) if len(positive) else reach
 
 
 def _filled(shapes: Array) -> Array:
     """Return the shapes with those that are missing taken from the nearest one that is there."""
     missing = np.isnan(shapes[..., 0])
-    known = np.argwhere(~missing)
+    fitted = np.argwhere(~missing)
     filled = shapes.copy()
     for cell in np.argwhere(missing):
-        nearest = known[np.argmin(np.sum((known - cell) ** 2, axis=1))]
+        nearest = fitted[np.argmin(np.sum((fitted - cell) ** 2, axis=1))]
         filled[tuple(cell)] = shapes[tuple(nearest)]
     return filled
 
 
 def _between(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     """Return the index of the grid point below each value, and the way to the next one."""
-    place = np.clip((value - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
-    index = np.minimum(place.astype(np.intp), len(grid) - 2)
-    return index, (place - index)[:, None]
+    position = np.clip((value - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
+    index = np.minimum(position.astype(np.intp), len(grid) - 2)
+    return index, (position - index)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,9 +238,9 @@ class GeometricModulation:
             action = action_toward(base, observation.base_pose, velocity, HORIZON)
             action[:, 2] = turn / base.max_rotation
         else:
-            seen = turned(velocity, -heading)
-            turn = turn + seen[:, 1] / _AHEAD
-            action = np.stack([seen[:, 0] / base.max_velocity, turn / base.max_rotation], axis=1)
+            in_base = turned(velocity, -heading)
+            turn = turn + in_base[:, 1] / _AHEAD
+            action = np.stack([in_base[:, 0] / base.max_velocity, turn / base.max_rotation], axis=1)
         return np.clip(action, -1.0, 1.0)
 
     def _correction(self, ee: Array, planned: Array, offset: Array) -> Array:
@@ -283,9 +285,9 @@ def modulated(place: Array, velocity: Array, shape: Array) -> Array:
     return velocity + _push(level_in) * normal_in + _push(level_out) * normal_out
 
 
-def _boundary(place: Array, axes: Array) -> tuple[Array, Array]:
+def _boundary(position: Array, axes: Array) -> tuple[Array, Array]:
     """Return the level of an ellipse, 1 on it and more outside, (n, 1), and its normal, (n, 2)."""
-    scaled = place / axes
+    scaled = position / axes
     level = scaled[:, :1] ** 2 + scaled[:, 1:] ** 2
     normal = scaled / axes
     length = np.sqrt(normal[:, :1] ** 2 + normal[:, 1:] ** 2)

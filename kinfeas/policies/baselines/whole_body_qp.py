@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.control.drive import command_size
 from kinfeas.control.filters.obstacle_distance import VelocityConstraints, VelocityDamper
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array, relative
+from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import build_chain
 from kinfeas.robots.robot import Robot
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.period import MotionStep, Period
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, in_base
@@ -18,7 +18,6 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity
 from kinfeas.tasks.loading import load_task
-from tests.kinematics.conftest import draw_solids
 
 DT, ROWS = 0.5, 64
 
@@ -29,7 +28,19 @@ def solver():
     return IkSolver(load_robot("tiago"))
 
 
-@pytest.fixture(params=[0, 6], ids=["empty floor", "solids"])
+def boxes(base_pose, places):
+    """Return boxes of random height on the floor, so near that some bases drive into them."""
+    rng, solids = np.random.default_rng(0), Solids.empty(ROWS, places)
+    angle, distance = rng.uniform([[-np.pi], [0.4]], [[np.pi], [0.6]], (ROWS, 2, places)).swapaxes(
+        0, 1
+    )
+    offset = distance[..., np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    solids.pose[..., :2] = base_pose[:, np.newaxis, :2] + offset
+    solids.size[..., :2], solids.size[..., 3] = 0.1, rng.uniform(0.1, 1.0, (ROWS, places))
+    return solids
+
+
+@pytest.fixture(params=[0, 3], ids=["empty floor", "solids"])
 def period(solver, request):
     """Arms anywhere and EEs that are to rest, with random commands."""
     robot, rng = solver.robot, np.random.default_rng(0)
@@ -43,7 +54,7 @@ def period(solver, request):
         base_pose=base_pose,
         joints=joints,
         desired=desired,
-        solids=draw_solids(ROWS, request.param, reach=4.0) if request.param else None,
+        solids=boxes(base_pose, request.param) if request.param else None,
         step=MotionStep(desired, desired, [], np.full(ROWS, DT)),
         time_scale=np.ones(ROWS),
         motions=None,

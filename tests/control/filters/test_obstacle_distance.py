@@ -6,13 +6,13 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
-from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.execution import SubgoalMotion
 from kinfeas.control.filters.obstacle_distance import ObstacleFilter, VelocityDamper
 from kinfeas.core import spatial
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import Start
+from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear

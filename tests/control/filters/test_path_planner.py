@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.base_path import BasePathPlanner
-from kinfeas.control.drive import base_twist
 from kinfeas.control.filters.path_planner import follow
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import integrate, planar_pose
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.kinematics.drive import base_twist
+from kinfeas.planning.base_path import BasePathPlanner
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task

@@ -1,4 +1,3 @@
-from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -9,6 +8,7 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import read_sim2real, with_adapters
 from kinfeas.core import registry
+from kinfeas.core.backend import ABILITIES
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.adapter import Adapter
 from kinfeas.sim2real.adapters.latency import CommandLatency
@@ -174,16 +174,10 @@ def test_two_adapters_of_a_class_have_independent_random_numbers(rig):
     assert np.std(once.passed[0, :, 0]) == pytest.approx(np.sqrt(2.0), rel=0.06)
 
 
-def test_adapters_have_the_optional_methods_of_their_backend(pr2):
-    passed_on = ("grip", "obstacle_distances", "read", "stop")
-    names = (*passed_on, "snapshot", "restore", "seed", "close")
-    able, bare = SimpleNamespace(**{name: Mock() for name in names}), object()
-    adapter, other = Adapter(able, pr2), Adapter(bare, pr2)
-    for name in (*passed_on, "snapshot", "restore"):
-        assert hasattr(adapter, name)
-        assert not hasattr(other, name)
-    assert all(getattr(adapter, name) is getattr(able, name) for name in passed_on)
-    adapter.seed(np.array([7], dtype=np.uint64), np.array([0]))
-    adapter.close()
-    able.seed.assert_called_once()
-    able.close.assert_called_once()
+def test_adapters_have_the_abilities_of_their_backend(pr2):
+    bare = AnalyticBackend()
+    bare.gripper, bare.resumable = Mock(), None
+    adapter = Adapter(bare, pr2)
+    for name in ABILITIES:
+        assert getattr(adapter, name) is getattr(bare, name)
+    assert Adapter(AnalyticBackend(), pr2).resumable is not None

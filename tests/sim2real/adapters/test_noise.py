@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, Scan
 from kinfeas.core.spatial import yaw
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.sim2real.adapters.noise import BaseNoise, EeNoise, JointNoise, Localisation, ScanNoise
@@ -103,12 +103,12 @@ def scanned(rig):
         ranges = [np.full((n, 2, SCAN_BEAMS), 1.0 + 0.1 * step) for step in range(12)]
         for grown in ranges:
             grown[:, 1, :5] = SCAN_RANGE
-        one.adapter._exact = Mock(side_effect=lambda: ranges[len(one.recorder.twists)])
-        read = [one.adapter.scan()]
+        one.adapter._exact = Mock(scan=lambda: Scan(ranges[len(one.recorder.twists)]))
+        read = [one.adapter.scan().ranges]
         for twist in np.zeros((10, 6)):
             one.run([twist])
-            read.append(one.adapter.scan())
-            np.testing.assert_array_equal(one.adapter.scan(), read[-1])
+            read.append(one.adapter.scan().ranges)
+            np.testing.assert_array_equal(one.adapter.scan().ranges, read[-1])
         return np.stack(read)
 
     return made

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.drive import base_velocity
 from kinfeas.core import registry, spatial
-from kinfeas.core.backend import SCAN_BEAMS, MeasuredScan, RobotState, SupportsScan
+from kinfeas.core.backend import SCAN_BEAMS, Backend, RealTimeBackend, RobotState, Scan
 from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.kinematics.drive import base_velocity
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter
@@ -26,7 +26,7 @@ ROBOTS = {name: load_robot(name) for name in ("pr2", "tiago", "hsr")}
 PR2 = ROBOTS["pr2"]
 
 
-class Double:
+class Double(Backend):
     def __init__(self, robot, time):
         self.robot, self.time, self.took = robot, time, DT
         self.sent = []
@@ -49,7 +49,11 @@ class Double:
 class Following(Double):
     """A backend whose arm reaches its targets, with a gripper."""
 
-    grips, limit = 0, None
+    grips = 0
+
+    def __init__(self, robot, time):
+        super().__init__(robot, time)
+        self.gripper = self
 
     def step(self, base_twist, joint_targets, dt):
         self.state = home(self.robot, joint_positions=joint_targets.copy())
@@ -58,14 +62,11 @@ class Following(Double):
     def grip(self, grip, env_ids):
         self.grips += 1
 
-    def limit_arm(self, velocity):
-        self.limit = velocity
 
+class RealTime(Double, RealTimeBackend):
+    """A robot that moves in real time, and returns the age of its state."""
 
-class RealTime(Double):
-    """A robot that moves in real time, and tells the age of its state."""
-
-    stops = 0
+    stops, limit = 0, None
 
     def __init__(self, robot, time):
         super().__init__(robot, time)
@@ -76,6 +77,9 @@ class RealTime(Double):
 
     def stop(self):
         self.stops += 1
+
+    def limit_arm(self, velocity):
+        self.limit = velocity
 
 
 def home(robot, **changes):
@@ -151,7 +155,8 @@ def test_the_base_brakes_at_once_past_the_limits_of_acceleration():
 
 def test_a_jump_of_the_arm_becomes_a_motion_at_its_speed():
     guard, backend = guarded(guards=Guards(joint_speed=0.5), kind=Following)
-    np.testing.assert_allclose(backend.limit, 0.5 * PR2.max_joint_velocity)
+    _, real = guarded(guards=Guards(joint_speed=0.5), kind=RealTime)
+    np.testing.assert_allclose(real.limit, 0.5 * PR2.max_joint_velocity)
     targets = arm(guard)
     targets[0, [1, 3]] -= [0.8, 0.4]
     for _ in range(100):
@@ -378,10 +383,10 @@ def test_any_error_stops_the_robot_and_a_failing_stop_is_reported(error):
 
 def test_a_gripper_does_nothing_after_a_stop():
     guard, backend = guarded(kind=Following)
-    guard.grip("close", np.array([0]))
+    guard.gripper.grip("close", np.array([0]))
     guard.stop()
     with pytest.raises(Fault):
-        guard.grip("open", np.array([0]))
+        guard.gripper.grip("open", np.array([0]))
     assert backend.grips == 1
     assert backend.sent == []  # since nothing has moved
 
@@ -444,32 +449,22 @@ def test_every_command_is_within_the_limits_or_zero(name, steps):
 class Scanning(RealTime):
     def __init__(self, robot, time):
         super().__init__(robot, time)
-        self.now = MeasuredScan(np.ones((1, 2, SCAN_BEAMS)), np.zeros(SCAN_BEAMS, dtype=bool), 0.0)
-
-    def measured_scan(self):
-        return self.now
+        self.now = Scan(np.ones((1, 2, SCAN_BEAMS)), np.zeros(SCAN_BEAMS, dtype=bool))
+        self.scanner = self
 
     def scan(self):
-        return self.now.ranges
+        return self.now
 
 
 @pytest.mark.parametrize(("age", "blind"), [(0.6, False), (0.0, True), (np.inf, False)])
 def test_an_old_or_blind_scan_stops_the_robot_that_uses_it(age, blind):
     guard, backend = guarded(kind=Scanning)
-    np.testing.assert_array_equal(guard.scan(), backend.now.ranges)
-    assert not isinstance(guarded(kind=RealTime)[0], SupportsScan)
+    assert guard.scanner.scan() is backend.now
+    assert guarded(kind=RealTime)[0].scanner is None
     backend.now = replace(backend.now, age=age, blind=np.full(SCAN_BEAMS, blind))
     guard.step(twist(0.01), arm(guard), DT)  # a policy without scans may go on
     with pytest.raises(Fault, match="scan"):
-        guard.scan()
-    assert backend.stops
-
-
-def test_a_scan_that_is_not_finite_stops_the_robot():
-    guard, backend = guarded(kind=Scanning)
-    backend.now.ranges[0, 1, 3] = np.inf
-    with pytest.raises(Fault, match="scan is not finite"):
-        guard.scan()
+        guard.scanner.scan()
     assert backend.stops
 
 
@@ -478,7 +473,7 @@ def test_the_base_does_not_drive_where_its_scan_is_blind(adapters):
     guard, backend = guarded(kind=Scanning, adapters=adapters)
     backend.now.blind[np.abs(ANGLES) > 0.5 * np.pi] = True
     for command in (twist(0.03), twist(0.0, 0.03), twist(turn=0.05), twist(-0.01)):
-        guard.scan()
+        guard.scanner.scan()
         guard.step(command, arm(guard), DT)
-    guard.scan()
+    guard.scanner.scan()
     stops(guard, backend, "blind", twist(-0.03))

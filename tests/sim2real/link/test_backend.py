@@ -3,16 +3,9 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from kinfeas.control import drive
-from kinfeas.core.backend import (
-    SCAN_BEAMS,
-    ArmLimited,
-    RealTimeBackend,
-    SupportsGripper,
-    SupportsMeasuredScan,
-    SupportsScan,
-)
+from kinfeas.core.backend import SCAN_BEAMS, RealTimeBackend
 from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.kinematics import drive
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
@@ -34,8 +27,8 @@ def ends(time):
 
 def test_reset_leaves_the_robot_where_it_is(ends):
     backend, link = ends
-    for protocol in (RealTimeBackend, SupportsGripper, ArmLimited):
-        assert isinstance(backend, protocol)
+    assert isinstance(backend, RealTimeBackend)
+    assert backend.gripper is backend
     state = backend.read()
     np.testing.assert_allclose(state.base_pose, at(1.0, 2.0, 0.5))
     np.testing.assert_array_equal(state.joint_positions, AT_HOME)
@@ -185,12 +178,12 @@ def test_grips_and_closes_once(ends):
 
 
 def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
-    assert not isinstance(ends[0], SupportsScan)
+    assert ends[0].scanner is None
     link = MemoryLink(present(PR2))
     link.scan_sources = {LaserReading: "/scan", CostmapReading: "/costmap"}
     backend = LinkBackend(PR2, link, clock=time.clock, timeout=1.0)
     backend.reset(None, None)
-    assert isinstance(backend, SupportsMeasuredScan)
+    assert backend.scanner is backend
     link.readings.scan(LaserReading(np.full(SCAN_BEAMS, 2.0), -np.pi, 2.0 * np.pi / SCAN_BEAMS))
     with pytest.raises(KinfeasError, match="/costmap"):
         backend.scan()
@@ -198,7 +191,7 @@ def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
     cells = np.full((10, 10), 100, dtype=np.int8)
     cells[1:-1, 1:-1] = 0
     link.readings.scan(CostmapReading(cells, 0.1, (0.5, 1.5, 0.0)))  # the robot is at (1, 2)
-    scan = backend.measured_scan()
+    scan = backend.scan()
     assert scan.age == pytest.approx(1.25, abs=0.1)
     assert not scan.blind.any()
     np.testing.assert_allclose(scan.ranges[0, 0], 2.0)

@@ -6,12 +6,11 @@ import pytest
 from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, planar_pose
-from kinfeas.kinematics.scans import scan
+from kinfeas.kinematics.sensing import scan
 from kinfeas.sim2real.link.scans import (
     ANGLES,
     CostmapReading,
     LaserReading,
-    beam,
     combined,
     costmap_ranges,
     laser_ranges,
@@ -155,8 +154,3 @@ def test_a_band_without_its_sensor_has_the_ranges_of_the_other():
     assert np.flatnonzero(both.blind).tolist() == [2]
     np.testing.assert_array_equal(combined(low, None, 0.0).blind, np.isnan(low))
     assert combined(np.full(SCAN_BEAMS, np.nan), high, 0.0).blind.all()
-
-
-def test_beams_are_numbered_by_their_angles():
-    np.testing.assert_array_equal(beam(ANGLES), np.arange(SCAN_BEAMS))
-    assert beam(np.array(np.pi)) == 0

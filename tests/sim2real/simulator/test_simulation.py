@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.config.recipes import ENGINES
-from kinfeas.core.backend import SCAN_RANGE, SupportsScan
+from kinfeas.core.backend import SCAN_RANGE
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
 from kinfeas.sim2real.simulator.simulation import (
@@ -119,7 +119,7 @@ def test_runs_in_real_time(world, time):
     assert link.report.call_count == pytest.approx(25, abs=2)
     stamps = [call.args[0].stamp for call in link.report.call_args_list]
     assert stamps == sorted(stamps)
-    reported = 5 if isinstance(robot._backend, SupportsScan) else 0
+    reported = 5 if robot.scan() is not None else 0
     assert link.report_scan.call_count == pytest.approx(reported, abs=1)
 
 

@@ -1,0 +1,309 @@
+"""Paths of base and arm along a known EE path, by beam search."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, compose, distance, integrate, relative, twist_between, yaw
+from kinfeas.kinematics.drive import action_toward, base_twist, command_size
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolution, IkSolver
+from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.robots.robot import joint_displacement
+
+_ROUNDING = 1e-6
+"""Seconds by which a motion time may be below that of a node."""
+
+
+@dataclass(frozen=True)
+class BasePathSettings:
+    """Settings of the search for base paths."""
+
+    metres: float = 0.07  # distance of the EE poses at which the search has a robot, metres
+    radians: float = 0.07  # the same of orientations, radians
+    beam: int = 150  # robots that are kept at each pose
+    commands: int = 1800  # base commands that these try together
+    robot_commands: int = 200  # largest number of commands that one robot tries
+    noise: float = 0.5  # largest difference from the EE's velocity of half of the commands
+    backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on; the EE ...
+    slow: float = 0.1  # ... has this fraction of its speed from there; once for each number
+    velocity: float = 0.3  # largest speed of the base, m/s
+    rotation: float = 0.5  # largest angular speed of the base, rad/s
+    base_fraction: float = 0.8  # of the limits of the base; the rest is for control
+    arm_fraction: float = 0.7  # of the velocity limits of the arm, likewise
+    cell: float = 0.12  # robots in one cell count as the same: its size, metres,
+    heading: float = math.pi / 8.0  # its size in heading, radians,
+    elbows: int = 4  # and the number of parts of the elbow's range
+    cell_robots: int = 4  # robots of a cell that try IK
+    centred: float = 0.6  # fraction of the joint ranges that costs nothing
+    limit_cost: float = 5.0  # cost of the squared rest of the range
+    effort_cost: float = 0.02  # cost of the squared base command
+    change_cost: float = 0.02  # cost of its squared change
+    memory: float = 0.8  # fraction of the costs that counts at the next pose
+    solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
+
+
+@dataclass(frozen=True)
+class BasePath:
+    """A path of base and arm along an EE path.
+
+    Attributes:
+        ee: World poses of the EE, shape (k, 7).
+        step: Motion time from one to the next, seconds.
+        begin: Motion time of the first one, seconds.
+        seconds: Motion times for which the path has a robot, shape (m,).
+        robot: x, y and unwrapped yaw of the base, then arm joints, shape (m, 3 + j).
+        time_scale: Fraction of its speed at which the EE moves until each of these times, (m,).
+    """
+
+    ee: Array
+    step: float
+    begin: float
+    seconds: Array
+    robot: Array
+    time_scale: Array
+
+    def ee_at(self, seconds: float) -> Array:
+        """Return the EE pose nearest to a motion time, shape (7,)."""
+        pose: Array = self.ee[min(round((seconds - self.begin) / self.step), len(self.ee) - 1)]
+        return pose
+
+    def robot_at(self, seconds: float) -> Array:
+        """Return base and arm at a motion time, shape (3 + j,)."""
+        return np.array([np.interp(seconds, self.seconds, column) for column in self.robot.T])
+
+    def time_scale_at(self, seconds: float) -> float:
+        """Return the fraction of its speed at which the EE moves at a motion time."""
+        index = int(np.searchsorted(self.seconds, seconds + _ROUNDING))
+        return float(self.time_scale[min(index, len(self.time_scale) - 1)])
+
+
+@dataclass(frozen=True)
+class _Beam:
+    """Robots with their EE at one pose.
+
+    Attributes:
+        base: World poses of the base, shape (m, 7).
+        joints: Arm joints, shape (m, j).
+        command: Base commands that led here, shape (m, a).
+        cost: Cost of the path, shape (m,).
+        parent: Number of the robot of the beam before, shape (m,).
+    """
+
+    base: Array
+    joints: Array
+    command: Array
+    cost: Array
+    parent: NDArray[np.intp]
+
+    def of(self, rows: NDArray[np.intp]) -> "_Beam":
+        return _Beam(*(values[rows] for values in vars(self).values()))
+
+
+class BasePathPlanner:
+    """Finds paths of base and arm along EE paths, without joint jumps.
+
+    A beam search: at each EE pose, every robot of the beam tries random base commands, IK moves its
+    arm within the joint velocity limits, and the best robot of each cell goes on.
+    """
+
+    def __init__(self, solver: IkSolver, settings: BasePathSettings | None = None) -> None:
+        """Search with the kinematics of a solver."""
+        self.robot = robot = solver.robot
+        self.settings = settings = settings or BasePathSettings()
+        self.solver = IkSolver(robot, replace(solver.options, restarts=0))
+        limits = [robot.base.max_velocity, robot.base.max_rotation]
+        fastest = np.array([settings.velocity, settings.rotation])
+        fastest = np.minimum(fastest / limits, settings.base_fraction)
+        self._fastest = np.repeat(fastest, [command_size(robot.base) - 1, 1])
+        lower, upper = robot.finite_joint_limits
+        self._middle, self._half = (lower + upper) / 2.0, np.maximum((upper - lower) / 2.0, 1e-9)
+        self._bounded = np.isfinite(np.subtract(*robot.joint_limits))
+        self._elbow = max(len(robot.arm) - 4, 0)
+
+    def plan(
+        self,
+        base_pose: Array,
+        joints: Array,
+        ee: Array,
+        step: float,
+        begin: float,
+        time_scale: float = 1.0,
+        solids: Solids | None = None,
+    ) -> BasePath | None:
+        """Return a path, or None if none is found.
+
+        Args:
+            base_pose: World pose of the base now, shape (7,).
+            joints: Arm joints now, shape (j,).
+            ee: World poses of the EE from now on, shape (k, 7).
+            step: Motion time from one to the next, seconds.
+            begin: Motion time now, seconds.
+            time_scale: Fraction of its speed at which the EE moves at most.
+            solids: In the world, one row.
+        """
+        settings = self.settings
+        solids = None if solids is None else _near(solids, ee, settings.solids)
+        rng, rest = np.random.default_rng(0), np.zeros((1, len(self._fastest)))
+        start = base_pose[np.newaxis], joints[np.newaxis], rest
+        beams = [_Beam(*start, np.zeros(1), np.zeros(1, dtype=np.intp))]
+        nodes, scales = _nodes(ee, settings), np.ones(len(ee))
+        retries = list(settings.backtracking)
+        while len(beams) < len(nodes):
+            k = len(beams)
+            seconds = np.diff(nodes[: k + 1]) * step / scales[nodes[:k]] / time_scale
+            then = None if solids is None else solids.at(seconds.sum(keepdims=True))
+            beam = self._moved(beams[-1], ee[nodes[k]], float(seconds[-1]), rng, then)
+            if len(beam.cost):
+                beams.append(beam)
+            elif retries:
+                first = max(k - 1 - retries.pop(0), 0)
+                slow = np.arange(nodes[first], nodes[k])
+                scales[slow] = settings.slow
+                nodes, beams = np.union1d(nodes, slow), beams[: first + 1]
+            else:
+                return None
+        robots = _traced(beams)
+        turning = np.concatenate([[False, False, True], self.robot.continuous])
+        robots[:, turning] = np.unwrap(robots[:, turning], axis=0)
+        seconds = begin + step * nodes.astype(np.float64)
+        until = np.concatenate([[1.0], scales[nodes[:-1]]])
+        return BasePath(ee, step, begin, seconds, robots, until)
+
+    def _moved(
+        self,
+        beam: _Beam,
+        target: Array,
+        seconds: float,
+        rng: np.random.Generator,
+        solids: Solids | None,
+    ) -> _Beam:
+        """Return the best robots with their EE at the next pose."""
+        settings = self.settings
+        command = self._commands(beam, target, seconds, rng)
+        parent = np.arange(len(beam.cost)).repeat(command.shape[1])
+        before, command = beam.of(parent), command.reshape(len(parent), -1)
+        cost = settings.memory * before.cost
+        cost += settings.effort_cost * np.square(command).sum(axis=1)
+        cost += settings.change_cost * np.square(command - before.command).sum(axis=1)
+        base = self._driven(before, command, seconds)
+        tried = _Beam(base, before.joints, command, cost, parent)
+        tried = tried.of(_cheapest(self._cells(tried, target), cost, settings.cell_robots))
+        arm = self._reached(tried.joints, target, tried.base, seconds, solids)
+        joints, rows = arm.joint_positions, np.flatnonzero(arm.feasible)
+        off = np.where(self._bounded, np.abs(joints - self._middle) / self._half, 0.0)
+        beyond = np.maximum(off - settings.centred, 0.0).max(axis=1)
+        cost = tried.cost + settings.limit_cost * np.square(beyond)
+        best = self._best(replace(tried, joints=joints, cost=cost).of(rows), target)
+        return best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
+
+    def _driven(self, beam: _Beam, command: Array, seconds: float) -> Array:
+        """Return the bases after some time, shape (m, 7), along the chords of their arcs."""
+        twist = base_twist(self.robot.base, beam.base, command, seconds / 2.0)
+        return integrate(beam.base, twist, seconds)
+
+    def _reached(
+        self, joints: Array, target: Array, base: Array, seconds: float, solids: Solids | None
+    ) -> IkSolution:
+        """Return the arms, as far as they get in some time from joints (m, j), at a target."""
+        among = None if solids is None else solids.repeated(len(base))
+        arm = self.solver.solve(
+            relative(np.broadcast_to(target, base.shape), base),
+            joints,
+            self.settings.arm_fraction * seconds * self.robot.max_joint_velocity,
+            allow_reconfiguration=False,
+            solids=None if among is None else in_base(among, base),
+        )
+        if among is not None:
+            clearance = self.solver.options.solid_clearance  # of the base, too
+            around = among.wider(clearance, clearance) if clearance else among
+            touches = collides(self.solver.collision, arm.joint_positions, base, around)
+            arm.feasible[touches[:, 0]] = False
+        return arm
+
+    def _passable(
+        self, beam: _Beam, best: _Beam, target: Array, seconds: float, solids: Solids | None
+    ) -> NDArray[np.bool_]:
+        """Return which of the best robots, (m,), also reach the pose halfway to the target."""
+        before = beam.of(best.parent)
+        displacement = joint_displacement(self.robot, before.joints, best.joints)
+        first = compose(beam.base[:1], forward(self.solver.chain, beam.joints[:1]))[0]
+        halfway = integrate(first, twist_between(first, target, 1.0), 0.5)
+        base = self._driven(before, best.command, seconds / 2.0)
+        arm = self._reached(
+            before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
+        )
+        passable = arm.feasible
+        for fraction in (0.25, 0.75):
+            passable &= self.solver.admissible(before.joints + fraction * displacement)
+        return passable
+
+    def _commands(
+        self, beam: _Beam, target: Array, seconds: float, rng: np.random.Generator
+    ) -> Array:
+        """Return the commands that each robot tries, shape (m, t, a).
+
+        The first is the last one, some are random, the others near the velocity of the EE.
+        """
+        settings = self.settings
+        tries = min(settings.commands // len(beam.cost), settings.robot_commands)
+        shape = len(beam.cost), tries, len(self._fastest)
+        command = rng.uniform(-self._fastest, self._fastest, shape)
+        command[:, 0] = beam.command
+        ee = compose(beam.base, forward(self.solver.chain, beam.joints))
+        velocity = (target - ee)[:, :2] / seconds
+        toward = action_toward(self.robot.base, beam.base, velocity, seconds)[:, np.newaxis]
+        near = tries // 2
+        noise = settings.noise * rng.random((len(beam.cost), tries - near, 1))
+        command[:, near:] = np.clip(toward + noise * command[:, near:], -1.0, 1.0)
+        return command
+
+    def _best(self, beam: _Beam, target: Array) -> _Beam:
+        """Return the best robots of different cells, at most as many as the beam has."""
+        elbow = beam.joints[:, self._elbow] - self._middle[self._elbow]
+        bent = elbow / self._half[self._elbow] * self.settings.elbows / 2.0
+        cells = np.column_stack([self._cells(beam, target), np.floor(bent)])
+        best = beam.of(_cheapest(cells, beam.cost, 1))
+        return best.of(np.argsort(best.cost, kind="stable")[: self.settings.beam])
+
+    def _cells(self, beam: _Beam, target: Array) -> Array:
+        """Return the numbers of the cells of base position and heading, shape (m, 3)."""
+        away = (beam.base[:, :2] - target[:2]) / self.settings.cell
+        return np.floor(np.column_stack([away, yaw(beam.base) / self.settings.heading]))
+
+
+def _cheapest(cells: Array, cost: Array, most: int) -> NDArray[np.intp]:
+    """Return which of m robots, in cells (m, c), are the `most` cheapest of their cells."""
+    order = np.lexsort((cost, *cells.T))
+    begins = np.append(True, np.diff(cells[order], axis=0).any(axis=1))
+    rank = np.arange(len(order))
+    return order[rank - np.maximum.accumulate(np.where(begins, rank, 0)) < most]
+
+
+def _near(solids: Solids, ee: Array, reach: float) -> Solids | None:
+    """Return the solids that a robot with its EE on the path may touch, if there are any."""
+    away = solids.gaps(ee[np.newaxis, ::10, :3])[0][0].min(axis=0)
+    near = solids.filled[0] & ((away < reach) | solids.velocity[0].any(axis=1))
+    return solids.only(np.flatnonzero(near)) if near.any() else None
+
+
+def _nodes(ee: Array, settings: BasePathSettings) -> NDArray[np.intp]:
+    """Return the numbers of poses at about even distances, the first and the last among them."""
+    metres, radians = distance(ee[:-1], ee[1:])
+    length = np.cumsum(np.maximum(metres / settings.metres, radians / settings.radians))
+    even = np.linspace(0.0, length[-1], max(math.ceil(length[-1]), 1) + 1)[1:-1]
+    return np.unique([0, *np.searchsorted(length, even) + 1, len(ee) - 1])
+
+
+def _traced(beams: Sequence[_Beam]) -> Array:
+    """Return the path to the best robot of the last beam, shape (k, 3 + j)."""
+    row, robots = int(beams[-1].cost.argmin()), []
+    for beam in reversed(beams):
+        x, y = beam.base[row, :2]
+        robots.append([x, y, float(yaw(beam.base[row])), *beam.joints[row]])
+        row = int(beam.parent[row])
+    return np.array(robots[::-1])

@@ -1,0 +1,254 @@
+"""Where to stand: base poses from which the EE reaches goals, and the fraction reached."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, Proportion, wilson
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, planar_pose, relative, rotation
+from kinfeas.core.start import Start
+from kinfeas.kinematics.convex import add_support
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
+from kinfeas.kinematics.kernels import kernel
+from kinfeas.kinematics.self_collision import CollisionModel
+from kinfeas.kinematics.solids import base_collides, in_base
+from kinfeas.planning.base_lattice import driving_costs
+from kinfeas.robots.robot import Robot
+
+STAGES = (4, 16, 64, 256, 1024)
+"""Base poses tried around a goal by the end of each stage."""
+
+LIMITS = {
+    "height": "above or below the heights of the EE",
+    "orientation": "no arm configuration has this height and tilt",
+    "self-collision": "arm configurations touch the robot",
+    "solids": "solids are in the way of base or arm",
+}
+"""Reasons for which a goal is out of reach."""
+
+_LIFTED = (256,)
+"""Base poses that are tried without a limit."""
+
+
+@dataclass(frozen=True)
+class PlacementSettings:
+    """Settings of the search for base poses."""
+
+    postures: int = 8192  # arm configurations that propose base poses
+    seed: int = 3  # of these configurations
+    cell: float = 0.1  # side of a cell of the floor, metres
+    border: float = 3.0  # width of the floor around all solids and the start, metres
+    directions: int = 64  # in which the extent of the base is measured
+
+
+_SETTINGS = PlacementSettings()
+
+
+@dataclass(frozen=True)
+class Reachability:
+    """Reached goals.
+
+    Attributes:
+        reached: Whether a base pose was found for each goal, shape (n,).
+        share: Share of reached goals with its Wilson interval.
+        convergence: Share reached by the end of each stage.
+        limits: For each sub-goal the numbers of goals out of reach, by `LIMITS`; empty if they were
+            not determined.
+    """
+
+    reached: NDArray[np.bool_]
+    share: Proportion
+    convergence: tuple[float, ...]
+    limits: tuple[dict[str, int], ...] = ()
+
+
+def at_goals(robot: Robot, ik: IkOptions) -> IkOptions:
+    """Return the IK options for goals: tolerances of success replace a pose tolerance."""
+    if robot.pose_tolerance is None or not ik.pose_tolerance:
+        return ik
+    return replace(
+        ik, pose_tolerance=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS
+    )
+
+
+def reachable(
+    solver: IkSolver,
+    goals: Array,
+    stages: Sequence[int] = STAGES,
+    on_done: Callable[[float], None] | None = None,
+    tried: int = 0,
+    start: Start | None = None,
+) -> Reachability:
+    """Return which of `goals` the EE reaches from some base pose.
+
+    Base poses come from configurations spread over the joint limits: the robot is turned and moved
+    until its EE is above or below the goal. Configurations with the least error in height and tilt
+    come first, and IK decides. Goals that are not found are out of reach only if `convergence` has
+    settled.
+
+    Args:
+        solver: IK, with its tolerances and self-collision check.
+        goals: World poses of the EE, shape (n, 7), n at least 1.
+        stages: Ascending numbers of base poses; only open goals enter the next stage.
+        on_done: Called with the share of all work, 0-1, that has just been done.
+        tried: Number of base poses that were tried before.
+        start: Starts with the solids of each goal: then base and arm must be free of them, and the
+            base pose must be connected with the start for a disc within the base.
+    """
+    postures = Postures(solver)
+    reached = np.zeros(len(goals), dtype=np.bool_)
+    convergence = []
+    for first, last in zip((tried, *stages), stages, strict=False):
+        still_open = np.flatnonzero(~reached)
+        for row in still_open:
+            among = None if start is None else start.of(np.array([row]))
+            reached[row] = postures.reach(goals[row], first, last, among)
+            if on_done is not None:
+                on_done(1.0 / (len(still_open) * len(stages)))
+        convergence.append(float(reached.mean()))
+    return Reachability(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
+
+
+def limits_of(solver: IkSolver, goals: Array, start: Start | None = None) -> list[str]:
+    """Return the reason for which each goal is out of reach, one of `LIMITS`, (n, 7) -> n.
+
+    It is the first of solids and self-collision without which a goal is reached; the arguments are
+    those of `reachable`.
+    """
+    heights = Postures(solver).ee_pose[:, 2]
+    z, slack = goals[:, 2], solver.options.position_tolerance
+    beyond = (z < heights.min() - slack) | (z > heights.max() + slack)
+    limits = np.where(beyond, "height", "orientation").astype(object)
+    lifted = [
+        ("self-collision", IkSolver(solver.robot, replace(solver.options, self_collision=False)))
+    ]
+    if start is not None and start.solids is not None:
+        lifted.insert(0, ("solids", solver))
+    for name, without in lifted:
+        rows = np.flatnonzero(limits == "orientation")
+        if rows.size:
+            limits[rows[reachable(without, goals[rows], _LIFTED).reached]] = name
+    return limits.tolist()
+
+
+class Postures:
+    """Admissible arm configurations that propose base poses."""
+
+    def __init__(self, solver: IkSolver) -> None:
+        joints = spread_configurations(solver.robot, _SETTINGS.postures, _SETTINGS.seed)
+        self.solver = solver
+        self.joints = joints[solver.admissible(joints)]
+        self.ee_pose = forward(solver.chain, self.joints)
+        self.rotations = rotation(self.ee_pose).as_matrix()
+        self.footprint = footprint(solver.collision)
+
+    def reach(self, goal: Array, first: int, last: int, start: Start | None = None) -> bool:
+        """Return whether one of the proposals `first` to `last` reaches `goal`, shape (7,)."""
+        proposals, solids = self.around(goal, first, last), None
+        if start is not None and start.solids is not None:
+            solids, base = start.solids, proposals[0][:, :2]
+            near = connected(solids, start.base_pose[0, :2], base, self.footprint)
+            proposals = proposals[0][near], proposals[1][near]
+        return len(self.solve(goal, proposals, solids)[0]) > 0
+
+    def solve(
+        self, goal: Array, proposals: tuple[Array, Array], solids: Solids | None
+    ) -> tuple[Array, Array]:
+        """Return proposals that reach `goal` among one row of solids, with the arms that do."""
+        base, joints = proposals
+        among = None
+        if solids is not None:
+            rows = np.flatnonzero(
+                ~base_collides(self.solver.collision, base, solids.repeated(len(base)))
+            )
+            base, joints = base[rows], joints[rows]
+            among = in_base(solids.repeated(len(base)), base)
+        targets = relative(np.broadcast_to(goal, base.shape), base)
+        arm = self.solver.solve(targets, joints, solids=among)
+        return base[arm.feasible], arm.joint_positions[arm.feasible]
+
+    def around(self, goal: Array, first: int, last: int) -> tuple[Array, Array]:
+        """Return the proposals for `goal`: base poses, shape (m, 7), and arms, shape (m, j).
+
+        Their headings maximize the trace of R_goal' Rz(heading) R_ee.
+        """
+        # R_ee R_goal' as one product of matrices: many small ones take ten times as long.
+        product = (self.rotations.reshape(-1, 3) @ rotation(goal).as_matrix().T).reshape(-1, 3, 3)
+        cosine = product[:, 0, 0] + product[:, 1, 1]
+        sine = product[:, 0, 1] - product[:, 1, 0]
+        tilt = 3.0 - np.hypot(cosine, sine) - product[:, 2, 2]
+        cost = (self.ee_pose[:, 2] - goal[2]) ** 2 + ROTATION_WEIGHT**2 * tilt
+        best = _smallest(cost, last)[first:]
+        heading, ee = np.arctan2(sine[best], cosine[best]), self.ee_pose[best]
+        cosine, sine = np.cos(heading), np.sin(heading)
+        x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
+        y = goal[1] - (sine * ee[:, 0] + cosine * ee[:, 1])
+        return planar_pose(x, y, heading), self.joints[best]
+
+
+def footprint(model: CollisionModel) -> tuple[float, float]:
+    """Return radius and height of a disc, metres, that the convex hull of the base contains.
+
+    The disc is around the origin of the base frame, seen from above; its height is that of the
+    lowest shape.
+    """
+    angle = 2.0 * np.pi / _SETTINGS.directions * np.arange(_SETTINGS.directions)
+    around = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    *aside, down = _extents(model, np.vstack([around, [0.0, 0.0, -1.0]])).tolist()
+    return max(min(aside), 0.0), max(-down if np.isfinite(down) else 0.0, 0.0)
+
+
+@kernel
+def _extents(model, directions):
+    """Return how far the shapes on the base extend in unit directions, (d, 3) -> (d,), metres."""
+    extents, point = np.full(len(directions), -np.inf), np.empty(3)
+    for d in range(len(directions)):
+        direction = directions[d]
+        for s in range(len(model.body)):
+            if model.body[s] < 0:
+                shape = model.kind[s], model.size[s], model.rotation[s], model.offset[s]
+                point[:] = 0.0
+                add_support(point, 1.0, 1.0, direction, *shape)
+                extent = 0.0
+                for i in range(3):
+                    extent += direction[i] * point[i]
+                extents[d] = max(extents[d], extent)
+    return extents
+
+
+def connected(
+    solids: Solids, start: Array, positions: Array, disc: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Return whether a disc can be driven from a start to positions, shape (m,).
+
+    The answer is optimistic by the width of a cell. Moving solids are left out.
+
+    Args:
+        solids: In the world, one row.
+        start: Position of the disc, shape (2,), metres.
+        positions: Positions to reach, shape (m, 2), metres.
+        disc: Its radius and height, metres.
+    """
+    standing = solids.filled[0] & ~solids.velocity[0].any(axis=1)
+    corners = np.vstack([solids.pose[0, standing, :2], start, positions])
+    low, high = corners.min(axis=0) - _SETTINGS.border, corners.max(axis=0) + _SETTINGS.border
+    smaller = disc[0] - _SETTINGS.cell, disc[1]
+    cost = driving_costs(solids, low, high, _SETTINGS.cell, smaller)
+    labels, _ = ndimage.label(np.isfinite(cost))
+    cells = np.rint((np.vstack([start, positions]) - low) / _SETTINGS.cell).astype(np.intp)
+    region = labels[cells[:, 0], cells[:, 1]]
+    reached: NDArray[np.bool_] = (region[1:] == region[0]) & (region[0] > 0)
+    return reached
+
+
+def _smallest(values: Array, count: int) -> NDArray[np.intp]:
+    """Return the indices of the smallest values, (n,), in ascending order, at most `count`."""
+    near = np.arange(len(values))
+    if count < len(values):
+        near = np.argpartition(values, count)[:count]
+    return near[np.argsort(values[near])]

@@ -1,0 +1,118 @@
+"""A simulated robot that follows live targets step by step, for pages and programs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from kinfeas.config import PluginSpec
+from kinfeas.config.recipes import load_section
+from kinfeas.control.assemble import assemble
+from kinfeas.core import spatial
+from kinfeas.core.backend import build_simulator
+from kinfeas.core.spatial import Array
+from kinfeas.core.start import Start, stacked
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.robot import Robot, joint_displacement
+from kinfeas.scenes.scene import Scene
+from kinfeas.sim2real.deploy.config import ServoConfig
+from kinfeas.sim2real.servo.controller import ServoTask, TargetController
+from kinfeas.tasks.task import MotionSpec, build_subgoals
+from kinfeas.viz.choice import DT, Choice
+
+_NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
+_UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
+
+
+class Episode:
+    """A simulated robot whose EE follows targets, step by step.
+
+    Attributes:
+        loop: Loop of one robot.
+        backend: World of the robot.
+        controller: Takes the targets; its clock is the simulated time.
+        feasible: Whether IK found the last desired pose.
+        deviation: Distance of the EE from it, metres.
+        joint_speeds: Joint speeds of the last step as shares of their limits, shape (j,).
+    """
+
+    def __init__(self, choice: Choice, policy: str, robot: Robot, scene: Scene | None) -> None:
+        """Build the parts of a choice with one of its policies.
+
+        Raises:
+            KinfeasError: If a part cannot be built, or the backend is no simulator.
+        """
+        config = load_section(ServoConfig, "servo", robot.folder)
+        self.follows = choice.generator == "servo"
+        rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
+        limits: dict[str, object] = {**rules.generator_limits}
+        if not self.follows:
+            rules = replace(rules, max_velocity=_UNLIMITED, max_angular_velocity=_UNLIMITED)
+        self._steps = 0
+        self.controller = TargetController(robot, rules, clock=lambda: self.seconds)
+        spec = MotionSpec(choice.generator, limits if self.follows else {})
+        self._task = ServoTask(self.controller, spec)
+        self._solver = IkSolver(robot, config.ik)
+        self.backend = build_simulator(choice.backend, config.backend, robot=robot, scene=scene)
+        self.loop = assemble(
+            self._solver,
+            build_subgoals(self._task.subgoals),
+            self.backend,
+            dt=DT,
+            execution=config,
+            filters=(self.controller, *(PluginSpec(name) for name in choice.filters)),
+            stream=self.controller,
+            policy=load_policy(policy, robot),
+        )
+        self.restart()
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time."""
+        return self._steps * DT
+
+    @property
+    def base_pose(self) -> Array:
+        """World pose of the base, shape (7,)."""
+        return self.loop.true_state[0][0]
+
+    @property
+    def ee_pose(self) -> Array:
+        """World pose of the EE, shape (7,)."""
+        return self.loop.true_state[1][0]
+
+    @property
+    def joint_positions(self) -> Array:
+        """Arm joints, shape (j,)."""
+        return self.loop.robots.joint_positions[0]
+
+    def restart(self) -> None:
+        """Put the robot at the origin, with the arm at home."""
+        rng = np.random.default_rng(0)
+        start: Start = stacked([self._task.sample(self._solver, rng)])
+        self.loop.start(start, [rng])
+        self._goal = self.ee_pose
+        self.feasible, self.deviation = True, 0.0
+        self.joint_speeds = np.zeros(len(self._solver.robot.arm))
+
+    def step(self, target: Array, *, held: bool = False) -> None:
+        """Advance by `DT` toward a target (7,); other generators than `servo` wait while `held`."""
+        begins = not self.follows and not held and not np.array_equal(target, self._goal)
+        if self.follows or begins:
+            self._goal = target.copy()
+        metres, radians = spatial.distance(self.loop.desired[0], self._goal)
+        if metres > _NEAR[0] or radians > _NEAR[1]:  # otherwise the base comes to rest
+            self.controller.set_target(self._goal)
+        before = self.joint_positions.copy()
+        outcome = self.loop.step()
+        if begins:
+            self.loop.sequence.begin_again(np.zeros(1, dtype=np.intp))
+        self._steps += 1
+        self.feasible, self.deviation = bool(outcome.feasible[0]), float(outcome.deviation[0])
+        robot = self._solver.robot
+        way = np.abs(joint_displacement(robot, before, self.joint_positions))
+        self.joint_speeds = way / DT / robot.max_joint_velocity
+
+    def close(self) -> None:
+        """End the simulation."""
+        self.backend.close()

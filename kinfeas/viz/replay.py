@@ -1,0 +1,183 @@
+"""Episodes with everything visible at each moment, for films and pages."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinfeas.backends.physics.backend import PhysicsBackend
+from kinfeas.backends.physics.stage import Stage
+from kinfeas.backends.physics.visuals import ROBOT, LinkName, VisualShape, visual_shapes
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import Policy
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import IDENTITY, Array, compose
+from kinfeas.envs.world import World
+from kinfeas.evaluation.paper import TITLES
+from kinfeas.evaluation.recording import Recording, record_episodes
+from kinfeas.io.run_log import REACHED, TASK_DONE, Record
+from kinfeas.kinematics.forward import build_chain, forward
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene, read_scene
+from kinfeas.viz.shapes import link_poses, robot_parts, scene_shapes, solid_shapes, surrounds
+from kinfeas.viz.style import ARM, BODY
+
+_SOLID = "/solid"  # stands for a solid in place of the name of an object
+_WALL = 4.0  # m; longer boxes hide the room
+
+LinkPoses = Callable[[int], Mapping[LinkName, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """A recorded episode and what is visible in it.
+
+    Attributes:
+        recording: The episode.
+        title: Robot and task.
+        times: Seconds of the moments, shape (t,).
+        shapes: Visible shapes in the frames of their links.
+        links: Function that returns the world poses of the links at a moment.
+    """
+
+    recording: Recording
+    title: str
+    times: Array
+    shapes: Sequence[VisualShape]
+    links: LinkPoses
+
+    def poses(self, moment: int) -> list[Array]:
+        """Return the world poses of the shapes at a moment, shape (7,) each."""
+        links = self.links(moment)
+        return [compose(links[shape.link], shape.shape.pose) for shape in self.shapes]
+
+
+def replay_of(recording: Recording, robot: Robot, title: str, times: Array | None = None) -> Replay:
+    """Return a recorded episode with the robot's primitive shapes and the furniture.
+
+    The times of the t moments, shape (t,) in seconds, are by default those of the recording.
+    """
+    shapes = [
+        VisualShape((ROBOT, part.link), part.shape, ARM if part.arm else BODY)
+        for part in robot_parts(robot)
+    ]
+    furniture: dict[LinkName, Array] = {}
+    scene = recording.scene
+    for name, entry in scene.objects.items() if scene is not None else ():
+        if scene is not None and not surrounds(scene, entry):
+            shapes += scene_shapes(name, entry)
+            furniture |= {(name, link): pose for link, pose in entry.link_poses().items()}
+
+    def links(moment: int) -> Mapping[LinkName, Array]:
+        base, joints = recording.base_pose[moment], recording.joint_positions[moment]
+        robot_links = link_poses(robot, base, joints)
+        return {**furniture, **{(ROBOT, link): pose for link, pose in robot_links.items()}}
+
+    times = recording.times if times is None else times
+    return _with_solids(Replay(recording, title, times, shapes, links))
+
+
+def run_episode(world: World, policy: Policy, episode: int) -> Replay:
+    """Run one episode of a world and return it with everything visible."""
+    backend, stage = world.backend, world.task
+    title = f"{TITLES.get(world.robot.name, world.robot.name)}, {world.task.name}"
+    if not isinstance(backend, PhysicsBackend) or not isinstance(stage, Stage):
+        (recording,) = record_episodes(world, policy, 1, first=episode)
+        return replay_of(recording, world.robot, title)
+    stage.sample(world.solver, world.rng(episode))
+    shapes, names = _visible(backend)
+    moments = [backend.link_poses(0, names)]
+    (recording,) = record_episodes(
+        world, policy, 1, episode, lambda *_: moments.append(backend.link_poses(0, names))
+    )
+    if not stage.has_success_condition:
+        recording = replace(recording, task_done=None)
+    if recording.solids is not None:  # furniture is visible already
+        recording = replace(recording, solids=recording.solids.beyond(backend.furniture))
+
+    def links(moment: int) -> Mapping[LinkName, Array]:
+        return dict(zip(names, moments[moment], strict=True))
+
+    return _with_solids(Replay(recording, title, recording.times, shapes, links))
+
+
+def as_recording(record: Record, robot: Robot) -> Recording:
+    """Return a recorded run as an episode; the achieved EE pose is that of the measured joints."""
+    joints = tuple(joint.name for joint in robot.arm)
+    if record.about.joints != joints:
+        raise KinfeasError(
+            f"the record has the joints {', '.join(record.about.joints)}, and the arm of robot "
+            f"{robot.name!r} {', '.join(joints)}"
+        )
+    ee = forward(build_chain(robot), record.joint_positions)
+    around = record.about.solids
+    solids = Solids.from_table(np.array(around)) if around else None
+    last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
+    return Recording(
+        0, record.base_pose, record.joint_positions, record.desired,
+        compose(record.base_pose, ee), record.feasible, record.goal[last],
+        reached=record.event[-1].startswith(REACHED), dt=record.about.dt, solids=solids,
+        scene=_scene_of(record),
+    )  # fmt: skip
+
+
+def _scene_of(record: Record) -> Scene | None:
+    """Return the furniture at the start of a run; None without a scene."""
+    if not record.about.scene:
+        return None
+    poses = {name: np.array(pose) for name, pose in record.about.objects.items()}
+    return read_scene(record.about.scene).with_poses(poses)
+
+
+def present(world: World) -> Replay:
+    """Return the present moment of the first robot of a world."""
+    loop, backend = world.loop, world.backend
+    state = loop.robots
+    now = Recording(
+        0, state.base_pose[:1], state.joint_positions[:1], loop.desired[:1], loop.ee_pose[:1],
+        np.array([True]), loop.sequence.goal[:1], reached=False, dt=loop.dt,
+    )  # fmt: skip
+    if not isinstance(backend, PhysicsBackend):
+        solids = None if backend.solids is None else backend.solids.after()
+        now = replace(now, solids=None if solids is None else solids.of(np.array([0])))
+        return replay_of(now, world.robot, "")
+    shapes, names = _visible(backend)
+    links = dict(zip(names, backend.link_poses(0, names), strict=True))
+    solids = backend.solid_bodies()
+    now = replace(now, solids=None if solids is None else solids.of(np.array([0])))
+    return _with_solids(Replay(now, "", now.times, shapes, lambda _: links))
+
+
+def result(recording: Recording) -> tuple[str, bool]:
+    """Return the result of an episode as a text, and whether it is a success."""
+    text = "goal reached" if recording.reached else "goal not reached"
+    succeeded = recording.reached and recording.task_done is not False
+    return text + TASK_DONE[recording.task_done], succeeded
+
+
+def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]]:
+    """Return what is visible in a world without its walls, and its links."""
+    shapes = [
+        shape
+        for shape in visual_shapes(backend.robot, backend.scene)
+        if shape.shape.kind != "box" or max(shape.shape.size) <= _WALL
+    ]
+    return shapes, list(dict.fromkeys(shape.link for shape in shapes))
+
+
+def _with_solids(episode: Replay) -> Replay:
+    """Return an episode with the solids of its recording."""
+    solids = solid_shapes(episode.recording.solids)
+    if not solids:
+        return episode
+    shapes = [
+        VisualShape((_SOLID, str(number)), replace(solid.shape, pose=IDENTITY), solid.colour)
+        for number, solid in solids.items()
+    ]
+
+    def links(moment: int) -> Mapping[LinkName, Array]:
+        present = solid_shapes(episode.recording.solids_at(moment))
+        poses = {(_SOLID, str(number)): solid.shape.pose for number, solid in present.items()}
+        return {**episode.links(moment), **poses}
+
+    return replace(episode, shapes=[*episode.shapes, *shapes], links=links)

@@ -1,0 +1,99 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinfeas.control.observation import HORIZON
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import compose, distance, integrate, planar_pose
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.kinematics.solids import collides
+from kinfeas.planning.base_path import BasePathPlanner
+from kinfeas.robots.robot import joint_displacement
+
+AT_ORIGIN = planar_pose(*np.zeros((3, 1)))[0]
+
+
+@pytest.fixture(scope="module")
+def solver(hsr):
+    return IkSolver(hsr)
+
+
+@pytest.fixture
+def planned(solver):
+    """Return the path of a robot at home along an EE motion of some twist, and its arm there."""
+    robot = solver.robot
+    joints = robot.home["home"]
+    ee = forward(solver.chain, joints[np.newaxis])[0]
+
+    def plan(twist, seconds=20.0, solids=None, clearance=0.0, **given):
+        time = np.arange(0.0, seconds + 1e-6, HORIZON)[:, np.newaxis]
+        way = integrate(ee, np.array(twist) * time, 1.0)
+        options = replace(solver.options, solid_clearance=clearance)
+        planner = BasePathPlanner(IkSolver(robot, options))
+        return planner.plan(AT_ORIGIN, joints, way, HORIZON, 5.0, solids=solids, **given), joints
+
+    return plan
+
+
+def test_arm_and_base_bring_the_ee_along_its_motion(planned, solver):
+    robot = solver.robot
+    path, joints = planned([-0.08, 0.04, 0.01, 0.0, 0.0, 0.08])
+    np.testing.assert_allclose(path.robot[0], [0.0, 0.0, 0.0, *joints])
+    assert path.seconds[[0, -1]] == pytest.approx([5.0, 25.0])
+    base, arm = planar_pose(*path.robot[:, :3].T), path.robot[:, 3:]
+    wanted = np.stack([path.ee_at(seconds) for seconds in path.seconds])
+    metres, radians = distance(compose(base, forward(solver.chain, arm)), wanted)
+    tolerance = robot.pose_tolerance
+    assert metres.max() <= (0.01 if tolerance is None else tolerance.position)
+    assert radians.max() <= (0.05 if tolerance is None else tolerance.rotation)
+    assert not self_collides(solver.collision, arm).any()
+    seconds = np.diff(path.seconds) / path.time_scale[1:]
+    turned = np.abs(joint_displacement(robot, arm[:-1], arm[1:])).T / seconds
+    assert (turned <= robot.max_joint_velocity[:, np.newaxis]).all()
+    way = np.linalg.norm(np.diff(path.robot[:, :2], axis=0), axis=1)
+    assert (way <= robot.base.max_velocity * seconds).all()
+
+
+def test_between_its_times_a_path_is_straight(planned):
+    path, _ = planned([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    halfway = path.robot_at((path.seconds[1] + path.seconds[2]) / 2.0)
+    np.testing.assert_allclose(halfway, (path.robot[1] + path.robot[2]) / 2.0)
+    np.testing.assert_allclose(path.robot_at(1e3), path.robot[-1])
+    shares = [path.time_scale_at(path.seconds[i] - 0.5 * HORIZON) for i in (1, 2)]
+    assert shares == path.time_scale[1:3].tolist()
+
+
+def test_a_path_is_the_same_each_time(planned):
+    first, second = (planned([0.05, 0.05, 0.0, 0.0, 0.0, 0.0])[0] for _ in range(2))
+    np.testing.assert_array_equal(first.robot, second.robot)
+
+
+def test_no_path_leads_out_of_reach(planned):
+    assert planned([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])[0] is None
+
+
+def test_a_slow_motion_gives_the_base_more_time(planned):
+    quick = planned([0.3, 0.0, 0.0, 0.0, 0.0, 0.0], 5.0)[0]
+    slow, _ = planned([0.3, 0.0, 0.0, 0.0, 0.0, 0.0], 5.0, time_scale=0.2)
+    assert slow is not None
+    assert quick is None or quick.time_scale.min() < slow.time_scale.min() == 1.0
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.03])
+def test_paths_keep_a_clearance_from_solids(planned, solver, clearance):
+    twist, solids = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], Solids.empty(1, 1)
+    free, _ = planned(twist)
+    x, y = free.robot[len(free.robot) // 2, :2]
+    solids.pose[0, 0], solids.size[0, 0] = (x, y - 0.3, 0.0), (0.1, 0.1, 0.0, 0.4)
+
+    def touches(path, margin):
+        base, arm = planar_pose(*path.robot[1:, :3].T), np.ascontiguousarray(path.robot[1:, 3:])
+        around = solids.wider(margin, margin).repeated(len(arm))
+        return collides(solver.collision, arm, base, around).any()
+
+    assert touches(free, 0.0)
+    around, _ = planned(twist, solids=solids, clearance=clearance)
+    assert not touches(around, clearance)

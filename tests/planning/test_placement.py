@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas.core import spatial
+from kinfeas.core.solids import Solids
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.planning.placement import STAGES, at_goals, connected, reachable
+from kinfeas.robots.loading import load_robot
+
+
+def made_by_the_arm(solver, count):
+    rng = np.random.default_rng(4)
+    joints = spread_configurations(solver.robot, 4 * count, seed=9)
+    joints = joints[~self_collides(solver.collision, joints)][:count]
+    base = spatial.planar_pose(*rng.uniform(-3.0, 3.0, (3, len(joints))))
+    return spatial.compose(base, forward(solver.chain, joints))
+
+
+def at_height(count, low, high):
+    rng = np.random.default_rng(5)
+    position = np.stack(
+        [*rng.uniform(-3.0, 3.0, (2, count)), rng.uniform(low, high, count)], axis=1
+    )
+    return spatial.make_pose(position, Rotation.random(count, rng=rng))
+
+
+def by_chance(solver, goals, tries):
+    rng = np.random.default_rng(6)
+    reached = np.zeros(len(goals), dtype=bool)
+    home = np.tile(solver.robot.home["home"], (tries, 1))
+    for i, goal in enumerate(goals):
+        distance = np.sqrt(rng.uniform(0.0, 1.2, tries))
+        bearing, heading = rng.uniform(-np.pi, np.pi, (2, tries))
+        x, y = goal[0] + distance * np.cos(bearing), goal[1] + distance * np.sin(bearing)
+        targets = spatial.relative(np.tile(goal, (tries, 1)), spatial.planar_pose(x, y, heading))
+        reached[i] = solver.solve(targets, home).feasible.any()
+    return reached
+
+
+@pytest.fixture(scope="module")
+def hsr():
+    return IkSolver(load_robot("hsr"))
+
+
+def test_poses_of_the_arm_are_reachable(robot):
+    # Arms of few joints reach a pose exactly from hardly any base pose.
+    nearly = IkOptions(pose_tolerance=False, position_tolerance=0.025, rotation_tolerance=0.2)
+    solver = IkSolver(robot, nearly)
+    found = reachable(solver, made_by_the_arm(solver, 30))
+    assert found.reached.all()
+    assert found.share.low < found.share.value == 1.0
+    assert found.convergence[0] > 0.9  # the best proposals come first
+
+
+def test_goals_have_the_tolerances_of_success(robot):
+    asked, exact = IkOptions(restarts=6), IkOptions(pose_tolerance=False)
+    found = at_goals(robot, asked)
+    assert at_goals(robot, exact) is exact
+    if robot.pose_tolerance is None:
+        assert found is asked
+    else:
+        assert (found.pose_tolerance, found.position_tolerance, found.restarts) == (False, 0.025, 6)
+
+
+def test_finds_all_that_random_base_poses_find(hsr):
+    goals = at_height(20, 0.1, 1.4)
+    found = reachable(hsr, goals)
+    assert not np.any(by_chance(hsr, goals, 300) & ~found.reached)
+    assert len(found.convergence) == len(STAGES)
+    assert list(found.convergence) == sorted(found.convergence)
+    assert found.convergence[-1] == found.share.value == found.reached.mean()
+    # Neither the place on the floor nor the other goals matter.
+    moved = spatial.compose(spatial.planar_pose(*np.full((3, 20), 2.0)), goals)
+    np.testing.assert_array_equal(reachable(hsr, moved).reached, found.reached)
+    np.testing.assert_array_equal(reachable(hsr, goals[3:7]).reached, found.reached[3:7])
+
+
+START, BEYOND, BESIDE = np.zeros(2), [3.0, 0.0], [0.0, 3.0]
+
+
+def fence(gap):
+    """Return walls around a square of 4 m, with a gap on the side towards x."""
+    half, solids = (4.0 - gap) / 4.0, Solids.empty(1, 5)
+    side = gap / 2.0 + half
+    solids.pose[0, :, :2] = [[2, side], [2, -side], [-2, 0], [0, 2], [0, -2]]
+    solids.size[0] = [*[[0.05, half, 0, 1]] * 2, [0.05, 2, 0, 1], *[[2, 0.05, 0, 1]] * 2]
+    return solids
+
+
+@pytest.mark.parametrize(("gap", "open_"), [(1.2, True), (0.5, False), (0.0, False)])
+def test_a_disc_passes_gaps_that_are_wide_enough(gap, open_):
+    positions = np.array([BEYOND, BESIDE, [1.0, 1.0]])
+    reached = connected(fence(gap), START, positions, (0.4, 0.0))
+    np.testing.assert_array_equal(reached, [open_, open_, True])
+
+
+def test_solids_above_a_disc_do_not_block_it():
+    solids = fence(0.0)
+    solids.size[..., 2] = 0.5
+    assert connected(solids, START, np.array([BEYOND]), (0.4, 0.0)).all()
