@@ -1,15 +1,16 @@
 """Evaluation of a policy: metrics of its episodes in any world, beside the reachability bound."""
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 from kinfeas.config import PluginSpec, Settings, from_mapping
-from kinfeas.control.assemble import adapted_execution
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
 from kinfeas.core.policy import Policy
-from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes
+from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes, run_episodes
 from kinfeas.envs.world import World, WorldConfig, evaluation_section, evaluation_world
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.robots.robot import Robot
@@ -112,8 +113,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
 
     The ceiling is that of `reachability_of`; further arguments as in `evaluate_episodes`.
     """
-    settings, records = config.world, run(config, policy, processes, on_done, watch)
-    execution = adapted_execution(settings, settings.adapters, config.robot)
+    records, execution = _run(config, policy, processes, on_done, watch)
+    settings = config.world
     value, low, high = (ceiling.value, ceiling.low, ceiling.high) if ceiling else (None,) * 3
     return {
         "robot": config.robot.name,
@@ -141,9 +142,25 @@ def run(
     watch: Watch | None = None,
 ) -> EpisodeRecords:
     """Return the record of each episode; further arguments as in `evaluate_episodes`."""
+    return _run(config, policy, processes, on_done, watch)[0]
+
+
+def _run(
+    config: EvalConfig,
+    policy: Policy,
+    processes: int,
+    on_done: OnDone | None,
+    watch: Watch | None,
+) -> tuple[EpisodeRecords, ExecutionConfig]:
+    """Return the record of each episode, and the execution of motions within the adapters."""
     build = partial(World, config.robot, config.task, config.world, config.seed)
     episodes = range(config.first, config.first + config.episodes)
-    return evaluate_episodes(build, policy, episodes, processes, on_done, watch)
+    with closing(build()) as world:
+        if processes == 1:
+            records = run_episodes(world, policy, config.episodes, on_done, watch, config.first)
+        else:
+            records = evaluate_episodes(build, policy, episodes, processes, on_done)
+        return records, world.loop.execution
 
 
 def reachability_of(

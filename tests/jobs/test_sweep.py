@@ -9,14 +9,14 @@ from kinfeas.jobs.job import build_engine, run_jobs
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import DivergedError
-from tests.cli.conftest import SETTINGS
+from tests.builders import TRAINING
 
 optuna = pytest.importorskip("optuna")
 sweep = pytest.importorskip("kinfeas.jobs.sweep")
 
 SWEEP = {
     "robot": "hsr",
-    "settings": SETTINGS | {"schedule.steps": 64, "schedule.minutes": None},
+    "settings": TRAINING | {"schedule.steps": 64, "schedule.minutes": None},
     "space": {
         "learner.learning_rate": {"low": 1e-4, "high": 1e-3, "log": True},
         "learner.batch_size": {"choices": [16, 32]},
