@@ -6,7 +6,7 @@ The functions below are imported with their packages at the first use.
 __version__ = "0.3.0"
 
 _MODULES = {
-    "ceiling": "evaluate", "deploy": "deploy", "evaluate": "evaluate", "export": "export",
+    "ceiling": "evaluate", "deploy": "deploy", "evaluate": "evaluate", "export": "load",
     "fit": "fit", "load_policy": "load", "load_robot": "load", "resume": "train",
     "servo": "deploy", "train": "train", "view": "view",
 }  # fmt: skip

@@ -100,14 +100,11 @@ def _run_facts(run: Record) -> dict[str, object]:
 def _scene_facts(scene: Scene) -> dict[str, object]:
     objects = {
         name: {
-            "urdf": str(entry.urdf_path),
-            "pose": entry.pose.tolist(),
-            "fixed": entry.fixed,
-            "mass_kg": entry.mass,
-            "joint_positions": entry.joint_positions,
+            "urdf": str(entry.urdf_path), "pose": entry.pose.tolist(), "fixed": entry.fixed,
+            "mass_kg": entry.mass, "joint_positions": entry.joint_positions,
         }
         for name, entry in scene.objects.items()
-    }
+    }  # fmt: skip
     handles = {
         name: {**vars(handle), "pose": scene.handle_pose(name).tolist()}
         for name, handle in scene.handles.items()

@@ -29,20 +29,14 @@ class Cell:
 
     Attributes:
         variant: Label of a further table; else empty.
-        policy: `sac`, `pretrained` or a baseline.
         row: Label of a further row of the policy; else empty.
-        world: Backend.
         seeds: Number of policies, each from another training seed.
-        training_seeds: These seeds, as far as known.
         success: Fraction of episodes that reach the goal without an IK failure.
-        success_std: Standard deviation over the training seeds, as for `within_5cm`; null for one.
-        success_low: Ends of the 95 % interval, with `success_high`; see `interval`.
+        success_std: Standard deviation over the training seeds; null for one.
+        success_low: Lower end of the 95 % interval; see `interval`.
         within_5cm: Fraction of episodes with an EE deviation below 5 cm throughout.
-        ceiling: Fraction of the goals that some base pose reaches, with its Wilson interval.
-        paper_success: Success in the paper, as `paper_within_5cm`; null if it has none.
-        task_success: Fraction of tasks done, with its interval; null if not measured.
-        base_collisions: Collisions per episode; null if not measured.
-        analytic_success: Success in the analytic world, as `analytic_within_5cm`; null there.
+        ceiling: Fraction of the goals that some base pose reaches.
+        analytic_success: Success in the analytic world beside physics; null without physics.
     """
 
     robot: str

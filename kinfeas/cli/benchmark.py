@@ -20,7 +20,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     out: Path | None = option(None, "Folder of the results.  [default: runs/benchmark/NAME]"),
     world: str = option("analytic", "Backend, or several engines with commas."),
     quick: bool = option(False, "Small version of a few minutes.", "--quick"),
-    episodes: int | None = options.episodes_option(None, "Episodes of each policy and task."),
+    episodes: int | None = option(None, "Episodes of each policy and task."),
     runs: list[Path] | None = option(None, "Training runs, or folders of them; none is trained."),
     policy: Literal["pretrained"] | None = option(None, "Shipped policies; none is trained."),
     engine: options.EngineName = "local",

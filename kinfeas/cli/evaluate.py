@@ -19,9 +19,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.PolicyRobotName = None,
     task: options.TaskName = "ggr",
     world: options.World = "analytic",
-    episodes: int | None = options.episodes_option(
-        None, "Episodes.  [default: 500, with physics 50]"
-    ),
+    episodes: int | None = option(None, "Episodes.  [default: 500, with physics 50]"),
     seed: options.Seed = 1,
     head_start: float | None = option(None, "Seconds of base motion before the EE.  [default: 0]"),
     time_scale: float | None = option(None, "Relative EE speed.  [default: of the robot]"),

@@ -25,7 +25,7 @@ def export(
 
     Example: kinfeas export --check pr2.onnx --robot pr2
     """
-    from kinfeas.api import export as api
+    from kinfeas.api import load as api
 
     if check is not None and policy is None and out is None:
         file = api.check_export(check, robot=robot)

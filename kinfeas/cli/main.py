@@ -12,12 +12,11 @@ from typer.exceptions import TyperException
 
 from kinfeas import __version__
 from kinfeas.cli.benchmark import benchmark
-from kinfeas.cli.dataset import dataset
 from kinfeas.cli.demo import demo
+from kinfeas.cli.demonstrations import dataset, fit
 from kinfeas.cli.deploy import deploy, servo
 from kinfeas.cli.evaluate import ceiling, evaluate
 from kinfeas.cli.export import export
-from kinfeas.cli.fit import fit
 from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot

@@ -4,7 +4,6 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,28 +26,14 @@ _WRITERS = {
 """Optional packages that write files, by suffix."""
 
 
-def option(default: object, text: str, *names: str, groups: Sequence[str] = (), **more: Any) -> Any:
-    """Return an option, required if the default is `...`; entry points of groups complete it."""
-    if groups:
-        more["autocompletion"] = names_of(*groups)
+def option(default: object, text: str, *names: str, **more: Any) -> Any:
+    """Return an option with a help text, required if the default is `...`."""
     return typer.Option(default, *names, help=text, **more)
 
 
-def argument(default: object, text: str, *, groups: Sequence[str] = (), **more: Any) -> Any:
+def argument(default: object, text: str, **more: Any) -> Any:
     """Return an argument, as `option` does."""
-    if groups:
-        more["autocompletion"] = names_of(*groups)
     return typer.Argument(default, help=text, **more)
-
-
-def names_of(*groups: str) -> Callable[[str], list[str]]:
-    """Return a shell completion by the entry-point names of groups, such as `robots`."""
-
-    def complete(incomplete: str) -> list[str]:
-        names = {entry.name for group in groups for entry in entry_points(group=f"kinfeas.{group}")}
-        return sorted(name for name in names if name.startswith(incomplete))
-
-    return complete
 
 
 def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
@@ -77,33 +62,16 @@ def file_option(default: object, text: str, *suffixes: str) -> Any:
     return option(default, text, metavar=f"FILE{suffixes[0]}", callback=output_file(*suffixes))
 
 
-def episodes_option(default: object, text: str) -> Any:
-    """Return an option for a number of episodes."""
-    return option(default, text, min=1, max=MOST_EPISODES)
-
-
-def robot_option(default: object, hint: str = "") -> Any:
-    """Return an option for a robot; a hint is added to the help."""
-    text = f"Robot: pr2, tiago, hsr, or a folder.{hint}"
-    return option(default, text, groups=("robots",))
-
-
-def task_option(default: object, before: str = "", hint: str = "") -> Any:
-    """Return an option for a task, with texts before and after its help."""
-    tasks = "Task: ggr, pick_place, door, drawer, another of `plugins list`, or a YAML file."
-    return option(default, before + tasks + hint, groups=("tasks",))
-
-
+ROBOT = "Robot: pr2, tiago, hsr, or a folder."
+TASK = "Task: ggr, pick_place, door, drawer, another of `plugins list`, or a YAML file."
 _POLICIES = "Run folder, ONNX file, module:Class, or a name such as pretrained."
-RobotName = Annotated[str, robot_option(...)]
-PolicyRobotName = Annotated[str | None, robot_option(..., "  [default: that of the policy]")]
-TaskName = Annotated[str, task_option(...)]
-PolicyName = Annotated[str, option(..., _POLICIES, groups=("policies",))]
-PolicyArgument = Annotated[str, argument(..., _POLICIES, groups=("policies",))]
-World = Annotated[
-    str, option(..., "Backend: analytic, pybullet, mujoco, or a plugin.", groups=("backends",))
-]
-Episodes = Annotated[int, episodes_option(..., "Number of episodes.")]
+RobotName = Annotated[str, option(..., ROBOT)]
+PolicyRobotName = Annotated[str | None, option(..., f"{ROBOT}  [default: that of the policy]")]
+TaskName = Annotated[str, option(..., TASK)]
+PolicyName = Annotated[str, option(..., _POLICIES)]
+PolicyArgument = Annotated[str, argument(..., _POLICIES)]
+World = Annotated[str, option(..., "Backend: analytic, pybullet, mujoco, or a plugin.")]
+Episodes = Annotated[int, option(..., "Number of episodes.", min=1, max=MOST_EPISODES)]
 Seed = Annotated[int, option(..., "Random seed.", min=0, max=LAST_SEED)]
 Processes = Annotated[int, option(..., "Parallel processes.", min=1, max=MOST_PROCESSES)]
 AllProcesses = Annotated[int | None, option(..., "Jobs at a time.  [default: all cores]", min=1)]
@@ -115,7 +83,6 @@ RobotBackend = Annotated[
         ...,
         "analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
         "[default: pybullet or, without it, mujoco]",
-        groups=("backends",),
     ),
 ]
 Rate = Annotated[float, option(..., "Control rate, Hz.", min=1.0, max=1000.0)]

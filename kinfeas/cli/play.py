@@ -16,10 +16,9 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     generator: str = option(
         "servo",
         "Motion generator.",
-        groups=("motion_generators",),
     ),
     filters: str = option("time_scaling", "Command filters with commas, or none."),
-    backend: str = option("analytic", "analytic, pybullet or mujoco.", groups=("backends",)),
+    backend: str = option("analytic", "analytic, pybullet or mujoco."),
     scene: str = option("room", "Scene by name or YAML file, or none."),
     demonstrations: Path = option(Path("demonstrations"), "Folder of recorded motions."),
     host: str = option("127.0.0.1", "Address; 0.0.0.0 for other computers."),

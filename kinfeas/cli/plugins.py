@@ -15,7 +15,6 @@ from kinfeas.cli.output import print_facts, print_table, progress, write_drawing
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.core.registry import GROUPS, Plugin
-from kinfeas.io.files import is_path
 from kinfeas.templates import Kind
 
 if TYPE_CHECKING:
@@ -57,8 +56,7 @@ def list_plugins(json: options.JsonPath = None) -> None:
 def info(
     name: str = argument(
         ...,
-        "Name of a plugin, folder of a robot, or YAML file of a task.",
-        groups=[group.removeprefix("kinfeas.") for group in GROUPS],
+        "Name of a plugin.",
     ),
     json: options.JsonPath = None,
 ) -> None:
@@ -68,18 +66,14 @@ def info(
 
     Example: kinfeas plugins info linear
     """
-    if is_path(name):
-        plugins = [_facts_of_file(name)]
-    else:
-        installed = [plugin for group in GROUPS for plugin in registry.plugins(group)]
-        plugins = [_facts(plugin) for plugin in installed if plugin.name == name]
-        if not plugins:
-            names = {plugin.name for plugin in installed}
-            raise KinfeasError(f"unknown plugin {name!r}{no_such(name, names)}")
+    installed = [plugin for group in GROUPS for plugin in registry.plugins(group)]
+    plugins = [_facts(plugin) for plugin in installed if plugin.name == name]
+    if not plugins:
+        names = {plugin.name for plugin in installed}
+        raise KinfeasError(f"unknown plugin {name!r}{no_such(name, names)}")
     write_json(plugins, json)
     for facts in plugins:
-        origin = facts.get("file") or "{distribution} {version}, {target}".format(**facts)
-        title = f"{facts['kind']} {facts['name']}, from {origin}\n\n{facts.get('text', '')}".strip()
+        title = "{kind} {name}, from {distribution} {version}, {target}\n\n{text}".format(**facts)
         keys = ("robot", "parameters", "subgoals")
         print_facts(title, {key: facts[key] for key in keys if key in facts})
 
@@ -108,7 +102,6 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     name: str = argument(
         ...,
         "Name of a motion generator or policy, or module:Class of a policy.",
-        groups=("motion_generators", "policies"),
     ),
     overrides: options.Overrides = None,
     duration: float = option(120.0, "Seconds within which motions arrive.", min=0.1),
@@ -218,17 +211,6 @@ def _facts(plugin: Plugin) -> dict[str, Any]:
     if plugin.group == "kinfeas.tasks" and all("default" in parameter for parameter in parameters):
         facts |= _task_facts(plugin.name)
     return {"parameters": [], **facts, **({"parameters": parameters} if parameters else {})}
-
-
-def _facts_of_file(path: str) -> dict[str, Any]:
-    from kinfeas.config import strict_yaml
-    from kinfeas.robots.loading import check_no_urdf
-
-    check_no_urdf(path)
-    if not Path(path).is_dir() and "subgoals" in strict_yaml.read(Path(path)):
-        return {"kind": "task", "name": Path(path).stem, "file": path, **_task_facts(path)}
-    robot = _robot_facts(path)
-    return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
 
 
 def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:

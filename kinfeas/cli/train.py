@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
-    robot: str | None = options.robot_option(
-        None, "  [default: robot of --config or --init, else pr2]"
+    robot: str | None = option(
+        None, f"{options.ROBOT}  [default: robot of --config or --init, else pr2]"
     ),
-    task: str | None = options.task_option(None, hint="  [default: ggr]"),
+    task: str | None = option(None, f"{options.TASK}  [default: ggr]"),
     seed: int | None = option(None, "Random seed.  [default: 0]"),
     minutes: float | None = option(None, "Time; with physics including evaluations.  [default: 3]"),
     steps: int | None = option(None, "Environment steps, in place of or beside --minutes."),
@@ -124,7 +124,6 @@ def _show(run: "Run") -> None:
         ["steps", f"{run.steps:,}"],
         ["time of training", f"{run.seconds / 60.0:.1f} min"],
         ["time of evaluations during training", f"{run.evaluation_seconds / 60.0:.1f} min"],
-        ["steps per second of training", f"{run.steps / run.seconds:,.0f}"],
         [f"success of the best checkpoint, {best['episodes']} fresh episodes{within}", success],
         ["steps of the best checkpoint", f"{best['steps']:,}"],
     ]

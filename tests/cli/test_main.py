@@ -10,19 +10,6 @@ def test_help_imports_nothing_heavy():
     assert kinfeas_process(HEAVY % heavy, "--help").stderr.endswith("heavy: []")
 
 
-@pytest.mark.parametrize(
-    ("words", "offered"),
-    [("kinfeas evaluate --robot ti", "tiago"), ("kinfeas plugins info lin", "linear")],
-)
-def test_shell_completion_imports_nothing_heavy(words, offered):
-    number = str(len(words.split()) - 1)
-    asked = {"_KINFEAS_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": number}
-    code = f"import sys; sys.argv = ['kinfeas']; {HEAVY % {'numpy', 'torch'}}".replace("; \n", "\n")
-    done = kinfeas_process(code, **asked)
-    assert done.stdout.split() == [offered]
-    assert done.stderr.endswith("heavy: []")
-
-
 def raising(error):
     def app(**_):
         raise error
