@@ -220,8 +220,8 @@ def _goal_task(
         raise KinfeasError("give a goal, or a task; task.KEY are settings of the latter")
     if rpy is not None and quaternion is not None:
         raise KinfeasError("'rpy' and 'quaternion' exclude each other")
-    usual = "linear" if config.scene is None else "whole_body"
-    motion = MotionSpec(generator or usual, config.generator)
+    default = "linear" if config.scene is None else "whole_body"
+    motion = MotionSpec(generator or default, config.generator)
     return make_goal_task(goal, quaternion or rpy, motion)
 
 
@@ -286,11 +286,11 @@ def _new_record(about: About) -> Path:
 @contextmanager
 def _watched(name: str, controller: TargetController) -> Iterator[None]:
     """End the run of a controller if a thread that starts meanwhile raises an exception."""
-    others, hook = set(threading.enumerate()), threading.excepthook
+    before, hook = set(threading.enumerate()), threading.excepthook
 
     def failed(arguments: threading.ExceptHookArgs) -> None:
         hook(arguments)
-        if arguments.thread not in others:
+        if arguments.thread not in before:
             raised = f"{arguments.exc_type.__name__}: {arguments.exc_value}"
             controller.fail(f"a thread of {name} raised {raised}")
 

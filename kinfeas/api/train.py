@@ -147,11 +147,11 @@ def default_folder(config: TrainConfig) -> Path:
 def evaluation_settings(folder: Path) -> dict[str, object]:
     """Return the settings with which `evaluate` repeats a run's figures, where not the robot's."""
     config = training.read_settings(folder)
-    usual = evaluation.read_settings(load_robot(config.robot).folder, config.world.backend).world
+    default = evaluation.read_settings(load_robot(config.robot).folder, config.world.backend).world
     settings: dict[str, object] = {f"task.{k}": v for k, v in config.task_parameters.items()}
     plugins = {"filters": config.world.filters, "adapters": config.evaluation_adapters}
     for key, specs in plugins.items():
-        if specs != getattr(usual, key):
+        if specs != getattr(default, key):
             settings[f"world.{key}"] = [spec.entry() for spec in specs]
     return settings
 

@@ -45,10 +45,10 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
         below = sorted(path.parent for path in folder.glob("*/config.yaml"))
         for path in [folder] if (folder / "config.yaml").is_file() or not below else below:
             run = read_run(path)
-            other = runs.setdefault((run.robot, run.seed), run)
-            if other.folder != run.folder:
+            same = runs.setdefault((run.robot, run.seed), run)
+            if same.folder != run.folder:
                 raise KinfeasError(
-                    f"{other.folder} and {run.folder}: both {run.robot} with seed {run.seed}"
+                    f"{same.folder} and {run.folder}: both {run.robot} with seed {run.seed}"
                 )
     return [runs[key] for key in sorted(runs)]
 

@@ -109,13 +109,13 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     what = f"{bound.task}{', path included' if path else ''}"
     title = f"ceiling of {what}, robot {bound.robot}, {episodes} goals of seed {seed}"
     stages = zip(bound.base_poses, bound.convergence, strict=True)
-    rows = [[f"found with {count} base poses a goal", percent(value)] for count, value in stages]
+    rows = [[f"reached with {count} base poses a goal", percent(value)] for count, value in stages]
     rows.append(["reachable", percent(bound.ceiling, bound.ceiling_low, bound.ceiling_high)])
     for number, limits in enumerate(bound.out_of_reach, 1):
         for limit, count in sorted(limits.items()):
             what = f"sub-goal {number} out of reach, {limit}: {LIMITS[limit]}"
             rows.append([what, percent(count / episodes)])
-    print_table(title, ["", " share (95 % interval)"], rows)
+    print_table(title, ["", " fraction (95 % interval)"], rows)
 
 
 def _show(summary: "Summary") -> None:

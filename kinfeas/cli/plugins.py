@@ -181,8 +181,7 @@ def _summary(plugin: Plugin) -> tuple[str, str | None]:
 
     try:
         if plugin.group == "kinfeas.robots":
-            robot = load_robot(plugin.name)
-            return f"{robot.base.drive} base, arm of {len(robot.arm)} joints", None
+            load_robot(plugin.name)
         return _documentation(registry.load(plugin.group, plugin.name)).partition("\n")[0], None
     except KinfeasError as error:
         return "", " ".join(str(error).split())

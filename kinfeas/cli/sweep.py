@@ -62,11 +62,6 @@ def _rows(results: "Sequence[Result]") -> list[list[str]]:
     rows = []
     for trial in sorted(results, key=lambda trial: -trial.get("score", -1.0)):
         score = f"{trial['score']:.3f}" if "score" in trial else "-"
-        values = [
-            f"{key.rpartition('.')[2]}={value:.3g}"
-            if isinstance(value, float)
-            else f"{key.rpartition('.')[2]}={value}"
-            for key, value in trial["values"].items()
-        ]
-        rows.append([str(trial["number"]), trial["state"], score, " ".join(values)])
+        values = ", ".join(f"{key}={value}" for key, value in trial["values"].items())
+        rows.append([str(trial["number"]), trial["state"], score, values])
     return rows

@@ -92,12 +92,11 @@ def configure(
 
 def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
     """Return no adapters, each one alone, and all but each one, by label."""
-    names, every = [adapter.name for adapter in adapters], tuple(adapters)
-    return {
-        "none": (),
-        **{name: (adapter,) for name, adapter in zip(names, every, strict=True)},
-        **{f"no {name}": every[:i] + every[i + 1 :] for i, name in enumerate(names)},
-    }
+    subsets: dict[str, tuple[PluginSpec, ...]] = {"none": ()}
+    subsets |= {adapter.name: (adapter,) for adapter in adapters}
+    for adapter in adapters:
+        subsets[f"no {adapter.name}"] = tuple(spec for spec in adapters if spec is not adapter)
+    return subsets
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it

@@ -16,7 +16,7 @@ from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.evaluation.evaluate import EvalConfig, configure, evaluate, reachability_of, run
-from kinfeas.evaluation.reachability import A_SUBGOAL, draw_waypoints
+from kinfeas.evaluation.reachability import WAYPOINTS, draw_waypoints
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward
 from kinfeas.policies.baselines.following import FollowEe
@@ -151,7 +151,7 @@ def test_waypoints_are_those_of_the_world(robot, solver, task):
     """Desired poses do not depend on the base; a sub-goal ends where the achieved EE arrives."""
     world = World(robot, task, WorldConfig(max_failures=10**6), seed=5)
     world.start([0, 1])
-    waypoints, desired = draw_waypoints(solver, task, 2, 5)[:, :A_SUBGOAL], []
+    waypoints, desired = draw_waypoints(solver, task, 2, 5)[:, :WAYPOINTS], []
     for _ in range(1500):
         world.step(np.zeros((2, world.action_size)))
         desired.append(world.loop.desired)
