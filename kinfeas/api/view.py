@@ -26,9 +26,8 @@ def view(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.view(record="run.csv", picture="run.png")["seconds"]`
 
-    Arguments are the options of the command: `picture`, `video` and `html` are
-    files to write; only runs have a video. `settings`
-    are values by key of the scene.
+    Arguments are the options of the command: `picture`, `video` and `html` are files to write;
+    only runs have a video. `settings` are values by key of the scene.
 
     Raises:
         KinfeasError: If a file or a setting is invalid.

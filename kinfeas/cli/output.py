@@ -61,7 +61,7 @@ def print_paths(*paths: Path | None) -> None:
             typer.echo(str(path))
 
 
-def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str | Text"]]) -> None:
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print rows of text; columns whose name begins with a blank are aligned right."""
     from rich.console import Console
     from rich.table import Table
@@ -71,7 +71,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str
         side: Literal["left", "right"] = "right" if column.startswith(" ") else "left"
         table.add_column(_plain(column.strip()), justify=side, overflow="fold")
     for row in rows:
-        table.add_row(*(_plain(cell) if isinstance(cell, str) else cell for cell in row))
+        table.add_row(*map(_plain, row))
     Console().print(table)
 
 

@@ -38,16 +38,14 @@ def list_plugins(json: options.JsonPath = None) -> None:
 
     Example: kinfeas plugins list
     """
-    from rich.text import Text
-
     listed = []
     for group, kind in GROUPS.items():
-        rows: list[list[str | Text]] = []
+        rows = []
         for plugin in registry.plugins(group):
             text, error = _summary(plugin)
             listed.append({**vars(plugin), "kind": kind, "description": text, "error": error})
-            line = Text(text) if error is None else Text(f"broken: {error}", "red")
-            rows.append([plugin.name, f"{plugin.distribution} {plugin.version}", line])
+            origin = f"{plugin.distribution} {plugin.version}"
+            rows.append([plugin.name, origin, text if error is None else f"broken: {error}"])
         print_table(f"{kind}s".replace("ys", "ies"), ["name", "from", "description"], rows)
     write_json(listed, json)
 
