@@ -1,5 +1,4 @@
 import json
-import shutil
 import signal
 import subprocess
 import sys
@@ -9,7 +8,6 @@ import pytest
 
 from kinfeas.config.recipes import ENGINES
 from kinfeas.io.run_log import REACHED, read_record
-from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from tests.cli.conftest import HEAVY, kinfeas_process
 
@@ -85,15 +83,6 @@ def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):
     assert stopped.startswith("stopped: ")
     assert unwritten.startswith("--json: /dev/full")
     assert len(read_record(tmp_path / "run.csv").time) == 5 + 2
-
-
-@pytest.mark.parametrize("policy", ["run", "tiago.onnx"])
-def test_policy_moves_its_robot(run, kinfeas, tmp_path, policy):
-    shutil.copytree(load_robot("tiago").folder / "policies" / "pretrained", tmp_path / "run")
-    if policy != "run":
-        kinfeas("export", "run", "--out", policy, code=0)
-    _, record = run(policy, *GOAL, "--no-real-time", "--seconds", "0.1", code=4)
-    assert record.about.robot == "tiago"
 
 
 @pytest.mark.slow
