@@ -94,7 +94,7 @@ def publish(
         if run.robot not in best or success > best[run.robot][1].evaluation["success"]:
             best[run.robot] = run, trained
     for robot, (run, trained) in best.items():
-        metrics = {
+        metrics: dict[str, object] = {
             case.task_name: result
             for case, result in results
             if case.source == str(run.folder) and not (case.variant or case.row)
