@@ -31,14 +31,12 @@ class Run:
         metrics: Metrics of its best checkpoint on fresh episodes, as in `evaluation.json`.
         steps: Environment steps.
         seconds: Wall-clock time of training.
-        evaluation_seconds: Wall-clock time of the evaluations of this process.
     """
 
     folder: Path
     metrics: dict[str, Any]
     steps: int
     seconds: float
-    evaluation_seconds: float
 
 
 class Options(TypedDict, total=False):
@@ -159,5 +157,4 @@ def evaluation_settings(folder: Path) -> dict[str, object]:
 def _ended(folder: Path, progress: Progress) -> Run:
     metrics = training.read_evaluation(folder)
     write_json(metrics, folder / "evaluation.json")
-    seconds = progress.parts.get("evaluation", 0.0)
-    return Run(folder, metrics, progress.steps, progress.seconds, seconds)
+    return Run(folder, metrics, progress.steps, progress.seconds)

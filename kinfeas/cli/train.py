@@ -123,7 +123,6 @@ def _show(run: "Run") -> None:
     rows = [
         ["steps", f"{run.steps:,}"],
         ["time of training", f"{run.seconds / 60.0:.1f} min"],
-        ["time of evaluations during training", f"{run.evaluation_seconds / 60.0:.1f} min"],
         [f"success of the best checkpoint, {best['episodes']} fresh episodes{within}", success],
         ["steps of the best checkpoint", f"{best['steps']:,}"],
     ]
