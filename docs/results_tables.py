@@ -76,7 +76,7 @@ includes them."""
 OF_PHYSICS = """\
 PyBullet, then MuJoCo; with one number PyBullet. Arm contacts are per episode."""
 JUMPS = "Steps in which an arm joint would exceed its velocity limit."
-PICTURES = ("learning_curves", "examples-tiago", "workspace")
+PICTURES = ("learning_curves", "examples-tiago")
 COLOURS = 128
 
 Entry = dict[str, Any]

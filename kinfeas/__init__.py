@@ -6,9 +6,9 @@ The functions below are imported with their packages at the first use.
 __version__ = "0.3.0"
 
 _MODULES = {
-    "ceiling": "evaluate", "deploy": "deploy", "evaluate": "evaluate", "export": "export",
+    "ceiling": "evaluate", "deploy": "deploy", "evaluate": "evaluate", "export": "load",
     "fit": "fit", "load_policy": "load", "load_robot": "load", "resume": "train",
-    "servo": "servo", "train": "train", "view": "view",
+    "servo": "deploy", "train": "train", "view": "view",
 }  # fmt: skip
 """Module of `kinfeas.api` that has a function."""
 

@@ -1,9 +1,7 @@
-from kinfeas.api.deploy import deploy
+from kinfeas.api.deploy import deploy, servo
 from kinfeas.api.evaluate import ceiling, evaluate
-from kinfeas.api.export import export
 from kinfeas.api.fit import fit
-from kinfeas.api.load import load_policy, load_robot
-from kinfeas.api.servo import servo
+from kinfeas.api.load import export, load_policy, load_robot
 from kinfeas.api.train import resume, train
 from kinfeas.api.view import view
 

@@ -15,8 +15,7 @@ from tempfile import TemporaryDirectory
 from kinfeas.benchmark.config import read_benchmark
 from kinfeas.benchmark.evaluations import plan_evaluations
 from kinfeas.config.recipes import load_section
-from kinfeas.jobs.job import Job, build_engine, run_jobs
-from kinfeas.jobs.training import training_job
+from kinfeas.jobs.job import Job, build_engine, run_jobs, training_job
 from kinfeas.training.config import TrainConfig
 
 SEEDS = range(8)

@@ -64,3 +64,11 @@ def random_network(robot, width=256):
         ),
         biases=tuple(np.zeros(columns, dtype=np.float32) for columns in sizes[1:]),
     )
+
+
+TRAINING = {
+    "num_envs": 8, "learner.batch_size": 16, "learner.net_arch": [8], "learner.buffer_size": 1000,
+    "learner.learning_starts": 16, "schedule.evaluations": 1, "schedule.evaluation_episodes": 2,
+    "schedule.final_episodes": 2, "learner.gradient_steps": 1,
+}  # fmt: skip
+"""Settings of a training that takes a second."""

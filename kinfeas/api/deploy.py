@@ -1,8 +1,12 @@
-"""Runs of a policy on a robot or a simulated one, behind guards and recorded."""
+"""Runs on a robot or a simulated one, behind guards and recorded: to a goal, or after targets."""
 
+import logging
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from math import inf
 from pathlib import Path
@@ -15,8 +19,9 @@ from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, s
 from kinfeas.config import load as load_config
 from kinfeas.config.quantities import Seed
 from kinfeas.config.recipes import default_engine, section
+from kinfeas.core import registry
 from kinfeas.core.backend import build_backend
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_note
 from kinfeas.core.registry import from_anywhere
 from kinfeas.core.start import episode_rng
 from kinfeas.io.files import writing
@@ -25,15 +30,19 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import furniture_solids, read_scene
-from kinfeas.sim2real.deploy.config import DeployConfig, Guards
+from kinfeas.sim2real.deploy.config import DeployConfig, Guards, ServoConfig
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
-from kinfeas.sim2real.deploy.runtime import Outcome, Setup, TaskWithObjects
+from kinfeas.sim2real.deploy.runtime import Code, Outcome, Setup, TaskWithObjects
 from kinfeas.sim2real.deploy.runtime import deploy as run
+from kinfeas.sim2real.servo import TargetSource
+from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, Task
 
 T = TypeVar("T", bound=DeployConfig)
+GROUP = "kinfeas.target_sources"
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -85,10 +94,9 @@ def deploy(  # noqa: PLR0913 - options of the command
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
     """
-    path = new_record(record)
     robot = robot or robot_of(policy)
     model = load_robot(robot)
-    config = read_config(DeployConfig, "deploy", model, guards, filters, settings)
+    config = _read_config(DeployConfig, "deploy", model, guards, filters, settings)
     if task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)
     elif goal or rpy or quaternion or generator or config.generator:
@@ -98,23 +106,76 @@ def deploy(  # noqa: PLR0913 - options of the command
     else:
         motion_task = load_task(str(task), config.task)
     backend = backend or default_engine()
-    setup = make_setup(
-        str(policy), model, backend, motion_task, config, adapters=read_adapters(adapters),
+    setup = _make_setup(
+        str(policy), model, backend, motion_task, config, record, adapters=read_adapters(adapters),
         dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     on_start()
-    return recorded(setup, str(robot), str(policy), backend, path)
+    return _recorded(setup, str(robot), str(policy), backend, record)
 
 
-def recorded(
-    setup: Setup,
-    robot: str,
-    policy: str,
-    backend: str,
-    record: Path | None,
-    statistics: Callable[[], dict[str, object]] = dict,
+def servo(  # noqa: PLR0913 - options of the command
+    policy: Name = "pretrained",
+    *,
+    robot: Name | None = None,
+    backend: str | None = None,
+    source: str | TargetSource = "ros2",
+    rate: float = 50.0,
+    seconds: float = 3600.0,
+    record: Name | None = None,
+    adapters: Name | None = None,
+    guards: Name | None = None,
+    filters: str | Sequence[str] | None = None,
+    settings: Settings | None = None,
+    on_start: Callable[[], None] = lambda: None,
 ) -> Deployment:
-    """Run and return the result, with the `statistics` of targets at its end."""
+    """Let base and arm follow EE targets, and return the result; the base is stopped at the end.
+
+    Example: `kinfeas.servo(robot="pr2", backend="ros2", source=MySource()).targets`
+
+    Arguments are the options of the command; `source` may also be a `TargetSource` of the calling
+    program. `settings` are values by key of `ServoConfig`. `on_start` is called when all parts are
+    prepared.
+
+    Raises:
+        KinfeasError: If an argument or a setting is invalid, or the run cannot start.
+    """
+    robot = robot or robot_of(policy)
+    model = load_robot(robot)
+    config = _read_config(ServoConfig, "servo", model, guards, filters, settings)
+    controller = TargetController(model, config.rules)
+    limits = {**config.rules.generator_limits, **config.generator}
+    task = ServoTask(controller, MotionSpec("servo", limits))
+    name = f"target source {source if isinstance(source, str) else type(source).__name__!r}"
+    targets = _build_source(source, config.source) if isinstance(source, str) else source
+    backend = backend or default_engine()
+    setup = _make_setup(
+        str(policy), model, backend, task, config, record, adapters=read_adapters(adapters),
+        dt=1.0 / rate, seconds=seconds, seed=0, real_time=True,
+    )  # fmt: skip
+    setup = replace(setup, filters=(controller, *setup.filters))
+    on_start()
+    unclosed = ""
+    with _watched(name, controller):
+        try:
+            with plugin_note(name):
+                targets.start(controller)
+            done = _recorded(setup, str(robot), str(policy), backend, record)
+        finally:
+            try:
+                targets.close()
+            except PLUGIN_ERRORS as error:
+                unclosed = f"{name}: {describe(error)}"
+                _log.error("could not be closed: %s", unclosed)
+    outcome = done.outcome
+    if unclosed:
+        outcome = replace(outcome, code=outcome.code or Code.FAULT, unclosed=unclosed)
+    return replace(done, outcome=outcome, targets=controller.statistics())
+
+
+def _recorded(
+    setup: Setup, robot: str, policy: str, backend: str, record: Name | None
+) -> Deployment:
     joints = tuple(joint.name for joint in setup.solver.robot.arm)
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     motions = [subgoal.motion for subgoal in setup.task.subgoals]
@@ -126,21 +187,13 @@ def recorded(
         guards={k: None if v == inf else v for k, v in asdict(setup.guards).items()},
         **_drawn_scene(setup),
     )  # fmt: skip
-    recorder = Recorder(record or _record_path(about), about)
-    with recorder:
+    path = _new_record(about) if record is None else Path(record)
+    with Recorder(path, about) as recorder:
         outcome = run(setup, recorder)
-    return Deployment(outcome, about, recorder.path, statistics())
+    return Deployment(outcome, about, path, {})
 
 
-def new_record(record: Name | None) -> Path | None:
-    """Return the path of a record; raise KinfeasError if it is no new CSV file."""
-    path = None if record is None else Path(record)
-    if path is not None and (path.exists() or path.suffix != ".csv"):
-        raise KinfeasError(f"{path}: must be a new file that ends in .csv")
-    return path
-
-
-def read_config(
+def _read_config(
     cls: type[T],
     name: str,
     robot: Robot,
@@ -167,24 +220,26 @@ def _goal_task(
         raise KinfeasError("give a goal, or a task; task.KEY are settings of the latter")
     if rpy is not None and quaternion is not None:
         raise KinfeasError("'rpy' and 'quaternion' exclude each other")
-    usual = "linear" if config.scene is None else "whole_body"
-    motion = MotionSpec(generator or usual, config.generator)
+    default = "linear" if config.scene is None else "whole_body"
+    motion = MotionSpec(generator or default, config.generator)
     return make_goal_task(goal, quaternion or rpy, motion)
 
 
-def make_setup(  # noqa: PLR0913 - the parts of a run
+def _make_setup(  # noqa: PLR0913 - the parts of a run
     policy_name: str,
     robot: Robot,
     backend_name: str,
     task: Task,
     config: DeployConfig,
+    record: Name | None,
     *,
     adapters: tuple[PluginSpec, ...],
     dt: float,
-    real_time: bool,
     **limits: Any,
 ) -> Setup:
-    """Return the parts of the run, after each has computed something."""
+    """Return the parts of a run, compiled and connected."""
+    if record is not None and Path(record).exists():
+        raise KinfeasError(f"{record}: exists")
     policy = load_policy(policy_name, robot)
     solver = IkSolver(robot, config.ik)
     solids = furniture_solids(read_scene(config.scene)) if config.scene else None
@@ -194,8 +249,8 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
         task = backend.staging.stage(task)
     return Setup(
         solver=solver, policy=policy, task=task, backend=backend, execution=config,
-        filters=config.filters, guards=config.guards, adapters=adapters, dt=dt,
-        real_time=real_time, solids=solids, **limits,
+        filters=config.filters, guards=config.guards, adapters=adapters, dt=dt, solids=solids,
+        **limits,
     )  # fmt: skip
 
 
@@ -220,14 +275,35 @@ def _drawn_scene(setup: Setup) -> dict[str, Any]:
     return drawn
 
 
-def _record_path(about: About) -> Path:
-    """Return a new file in `runs/deploy`."""
+def _new_record(about: About) -> Path:
     folder = Path("runs/deploy")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    date = datetime.fromisoformat(about.started).strftime("%Y%m%d-%H%M%S")
     robot, task = (re.sub(r"[^\w-]", "_", name) for name in (Path(about.robot).stem, about.task))
-    name = f"{date}-{robot}-{task}"
-    names = (name, *(f"{name}-{number}" for number in range(2, 100)))  # of the same second
-    paths = [folder / f"{name}.csv" for name in names]
-    return next((path for path in paths if not path.exists()), paths[0])
+    return folder / f"{datetime.now():%Y%m%d-%H%M%S-%f}-{robot}-{task}.csv"
+
+
+@contextmanager
+def _watched(name: str, controller: TargetController) -> Iterator[None]:
+    """End the run of a controller if a thread that starts meanwhile raises an exception."""
+    before, hook = set(threading.enumerate()), threading.excepthook
+
+    def failed(arguments: threading.ExceptHookArgs) -> None:
+        hook(arguments)
+        if arguments.thread not in before:
+            raised = f"{arguments.exc_type.__name__}: {arguments.exc_value}"
+            controller.fail(f"a thread of {name} raised {raised}")
+
+    threading.excepthook = failed
+    try:
+        yield
+    finally:
+        threading.excepthook = hook
+
+
+def _build_source(name: str, parameters: dict[str, object]) -> TargetSource:
+    """Return a source by its entry point or as `module:Class`, also of the working directory."""
+    if ":" not in name:
+        return registry.build(GROUP, name, parameters)
+    sys.path.append(str(Path.cwd()))
+    return registry.build_target(GROUP, name, parameters)

@@ -60,31 +60,26 @@ def evaluate(  # noqa: PLR0913 - options of the command
     robot = robot or robot_of(policy)
     model = load_robot(robot)
     config = evaluation.configure(
-        model,
-        str(task),
-        world,
+        model, str(task), world, seed=checked(Seed, seed, "seed"),
         episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
-        seed=checked(Seed, seed, "seed"),
         settings=nested(plugin_settings(filters, adapters, "world."), settings),
-    )
+    )  # fmt: skip
     driver = load_policy(str(policy), model)
+    processes = checked(Processes, processes, "processes")
     if episode >= config.episodes:
         raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
-    count = counter(on_progress, f"{config.episodes} episodes", config.episodes)
-    processes = checked(Processes, processes, "processes")
-    summary = evaluation.evaluate(config, driver, str(policy), processes=processes, on_done=count)
     ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
-    metrics = cast("Metrics", {**summary, **evaluation.ceiling_entries(ceiling)})
+
+    def measure(config: EvalConfig, text: str) -> Summary:
+        count = counter(on_progress, f"{config.episodes} episodes {text}", config.episodes)
+        return evaluation.evaluate(config, driver, str(policy), ceiling, processes, count)
+
+    metrics = cast("Metrics", measure(config, ""))
     if ablation:
-        subsets = evaluation.adapter_subsets(config.world.adapters)
-        count, rows = counter(on_progress, f"{len(subsets)} evaluations", len(subsets)), {}
-        for label, subset in subsets.items():
-            part = replace(config, world=replace(config.world, adapters=subset))
-            rows[label] = evaluation.evaluate(
-                part, driver, str(policy), ceiling, processes=processes
-            )
-            count()
-        metrics["ablation"] = rows
+        metrics["ablation"] = {
+            label: measure(replace(config, world=replace(config.world, adapters=subset)), label)
+            for label, subset in evaluation.adapter_subsets(config.world.adapters).items()
+        }
     if picture or video or replay:
         show_episode(config, driver, episode, picture, video, replay, on_progress)
     return metrics
@@ -109,18 +104,18 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
     counter(on_progress, f"episode {episode}")
     world = World(config.robot, config.task, config.world, config.seed)
     try:
-        shown = run_episode(world, policy, episode)
+        film = run_episode(world, policy, episode)
     finally:
         world.close()
     if video is not None:
-        draw_film(shown, video, on_progress)
+        draw_film(film, video, on_progress)
     counter(on_progress, "drawing files")
     if replay is not None:
         from kinfeas.viz.pages import replay_html  # needs viser
 
-        write_file(Path(replay), replay_html(shown).encode())
+        write_file(Path(replay), replay_html(film).encode())
     if picture is not None:
-        write_file(Path(picture), png(episodes_figure(config.robot, [shown.recording]), dpi=110))
+        write_file(Path(picture), png(episodes_figure(config.robot, [film.recording]), dpi=110))
 
 
 def draw_film(replay: "Replay", path: Name, on_progress: OnProgress | None = None) -> None:
@@ -185,15 +180,9 @@ def ceiling(  # noqa: PLR0913 - options of the command
     model, goals = load_robot(robot), load_task(str(task), config.task)
     count = checked(Episodes, episodes, "episodes")
     reached = measure_reachability(
-        model,
-        goals,
-        count,
-        checked(Seed, seed, "seed"),
-        config.ik,
-        counter(on_progress, f"{episodes} goals"),
-        path=path,
-        limits=True,
-    )
+        model, goals, count, checked(Seed, seed, "seed"), config.ik,
+        counter(on_progress, f"{episodes} goals"), path=path, limits=True,
+    )  # fmt: skip
     fraction = reached.share
     return Ceiling(
         model.name, goals.name, seed, count, path, fraction.value, fraction.low, fraction.high,

@@ -1,10 +1,11 @@
-"""Robots, tasks and policies by name or path."""
+"""Robots and policies by name or path, and policies as ONNX files."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from kinfeas.api import DEFAULT_ROBOT, Name
-from kinfeas.config import PluginSpec, convert
+from kinfeas.config import PluginSpec, convert, to_mapping
 from kinfeas.control.assemble import read_sim2real
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
@@ -12,7 +13,7 @@ from kinfeas.core.policy import Policy
 from kinfeas.io.files import is_path
 from kinfeas.io.policy_metadata import read_trained
 from kinfeas.policies import loading
-from kinfeas.policies.onnx_policy import read_policy_file
+from kinfeas.policies.onnx_policy import OnnxPolicy, PolicyMetadata, read_policy_file
 from kinfeas.robots import loading as robots
 from kinfeas.robots.robot import Robot
 
@@ -35,6 +36,65 @@ def load_policy(policy: Name, *, robot: Name | None = None) -> Policy:
         KinfeasError: If there is no such policy, or it is broken or for another robot.
     """
     return loading.load_policy(str(policy), load_robot(robot or robot_of(policy)))
+
+
+@dataclass(frozen=True)
+class PolicyFile:
+    """An exported policy.
+
+    Attributes:
+        path: Its file.
+        bytes: Size of the file.
+        metadata: Description of the policy.
+        parity: Largest deviation of its actions from the trained policy's; None if not measured.
+    """
+
+    path: Path
+    bytes: int
+    metadata: PolicyMetadata
+    parity: float | None = None
+
+    def facts(self) -> dict[str, object]:
+        """Return the description as plain data."""
+        parity = {} if self.parity is None else {"parity": self.parity}
+        return {"file": self.path.name, "bytes": self.bytes, **to_mapping(self.metadata), **parity}
+
+
+def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
+    """Write a trained policy as an ONNX file and return its description.
+
+    Example: `kinfeas.export("runs/pr2", "pr2.onnx").parity`
+
+    The policy is a run, a checkpoint or `pretrained`.
+
+    Raises:
+        KinfeasError: If the policy is not a trained one or for another robot, or the file cannot
+            be written.
+    """
+    name, path = str(policy), Path(out)
+    if path.suffix != ".onnx":
+        raise KinfeasError(f"{path}: must end in .onnx")
+    model = load_robot(robot or robot_of(name))
+    folder = loading.trained_folder(name, model)
+    if not name or not folder.is_dir():
+        raise KinfeasError(f"policy {name!r} is not a run, a checkpoint or pretrained")
+    from kinfeas.policies.export import export as run
+
+    return _file(path, *run(folder, model, path))
+
+
+def check_export(path: Name, *, robot: Name | None = None) -> PolicyFile:
+    """Return the description of a valid ONNX file, compared with the kinematics of a robot.
+
+    Raises:
+        KinfeasError: If the file is no valid policy, or for another robot.
+    """
+    model = None if robot is None else load_robot(robot)
+    return _file(Path(path), read_policy_file(Path(path), model))
+
+
+def _file(path: Path, policy: OnnxPolicy, parity: float | None = None) -> PolicyFile:
+    return PolicyFile(path, path.stat().st_size, policy.metadata, parity)
 
 
 def robot_of(policy: Name | None) -> str:

@@ -8,8 +8,6 @@ from typing import Any, TypedDict, Unpack
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot, read_adapters, robot_of
 from kinfeas.config import Settings, nested
-from kinfeas.config.recipes import recipes
-from kinfeas.control.assemble import FOLDER, read_sim2real
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
 from kinfeas.evaluation import evaluate as evaluation
@@ -33,14 +31,12 @@ class Run:
         metrics: Metrics of its best checkpoint on fresh episodes, as in `evaluation.json`.
         steps: Environment steps.
         seconds: Wall-clock time of training.
-        evaluation_seconds: Wall-clock time of the evaluations of this process.
     """
 
     folder: Path
     metrics: dict[str, Any]
     steps: int
     seconds: float
-    evaluation_seconds: float
 
 
 class Options(TypedDict, total=False):
@@ -146,26 +142,19 @@ def default_folder(config: TrainConfig) -> Path:
     return Path("runs") / f"{robot}-{task}-{config.seed}{suffix}"
 
 
-def evaluation_options(folder: Path) -> tuple[str | None, dict[str, object]]:
-    """Return the list of adapters and the settings with which `evaluate` repeats a run's figures.
-
-    They are those that are not the robot's own; the list is a shipped one, if it has the adapters.
-    """
+def evaluation_settings(folder: Path) -> dict[str, object]:
+    """Return the settings with which `evaluate` repeats a run's figures, where not the robot's."""
     config = training.read_settings(folder)
+    default = evaluation.read_settings(load_robot(config.robot).folder, config.world.backend).world
     settings: dict[str, object] = {f"task.{k}": v for k, v in config.task_parameters.items()}
-    usual = evaluation.read_settings(load_robot(config.robot).name, config.world.backend).world
-    adapters, filters = config.evaluation_adapters, config.world.filters
-    names = [name for name in recipes(FOLDER) if read_sim2real(name).adapters == adapters]
-    shipped = names[0].partition("/")[2] if adapters and names else None
-    if filters != usual.filters:
-        settings["world.filters"] = [spec.entry() for spec in filters]
-    if shipped is None and adapters != usual.adapters:
-        settings["world.adapters"] = [spec.entry() for spec in adapters]
-    return shipped, settings
+    plugins = {"filters": config.world.filters, "adapters": config.evaluation_adapters}
+    for key, specs in plugins.items():
+        if specs != getattr(default, key):
+            settings[f"world.{key}"] = [spec.entry() for spec in specs]
+    return settings
 
 
 def _ended(folder: Path, progress: Progress) -> Run:
     metrics = training.read_evaluation(folder)
     write_json(metrics, folder / "evaluation.json")
-    seconds = progress.parts.get("evaluation", 0.0)
-    return Run(folder, metrics, progress.steps, progress.seconds, seconds)
+    return Run(folder, metrics, progress.steps, progress.seconds)

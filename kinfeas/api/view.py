@@ -1,6 +1,5 @@
 """Scenes and recorded runs as tables, pictures and pages."""
 
-from json import dumps, loads
 from pathlib import Path
 
 from kinfeas.api import Name, OnProgress, counter
@@ -27,9 +26,8 @@ def view(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.view(record="run.csv", picture="run.png")["seconds"]`
 
-    Arguments are the options of the command: `picture`, `video` and `html` are
-    files to write; only runs have a video. `settings`
-    are values by key of the scene.
+    Arguments are the options of the command: `picture`, `video` and `html` are files to write;
+    only runs have a video. `settings` are values by key of the scene.
 
     Raises:
         KinfeasError: If a file or a setting is invalid.
@@ -78,20 +76,19 @@ def _draw_scene(scene: Scene, picture: Name | None, html: Name | None) -> None:
 
 
 def _run_facts(run: Record) -> dict[str, object]:
-    about, periods = run.about, run.time[1:] - run.time[:-1]
-    specs = {"adapters": about.adapters, "filters": about.filters, "generators": about.generators}
-    settings = {
-        "seed": about.seed,
-        **{key: [spec.entry() for spec in plugins] for key, plugins in specs.items()},
-        "guards": about.guards,
-    }
-    events = zip(run.time.tolist(), run.event, strict=True)
+    from pydantic_core import to_jsonable_python
+
+    periods, events = run.time[1:] - run.time[:-1], zip(run.time.tolist(), run.event, strict=True)
+    about = to_jsonable_python(run.about, inf_nan_mode="strings")
+    keys = (
+        "robot", "task", "policy", "backend", "started", "seed", "adapters", "filters",
+        "generators", "guards",
+    )  # fmt: skip
     return {
-        **{key: getattr(about, key) for key in ("robot", "task", "policy", "backend", "started")},
-        **loads(dumps(settings), parse_constant=str),
+        **{key: about[key] for key in keys},
         "seconds": float(run.time[-1] - run.time[0]),
-        "steps": int((periods > 0.5 * about.dt).sum()),  # the end is no step
-        "control_period_s": about.dt,
+        "steps": int((periods > 0.5 * run.about.dt).sum()),  # the end is no step
+        "control_period_s": run.about.dt,
         "failures": int((~run.feasible).sum()),
         "top_speed_m_s": float((run.base_twist[:, :2] ** 2).sum(axis=1).max() ** 0.5),
         "longest_period_s": float(max(periods, default=0.0)),
@@ -102,14 +99,11 @@ def _run_facts(run: Record) -> dict[str, object]:
 def _scene_facts(scene: Scene) -> dict[str, object]:
     objects = {
         name: {
-            "urdf": str(entry.urdf_path),
-            "pose": entry.pose.tolist(),
-            "fixed": entry.fixed,
-            "mass_kg": entry.mass,
-            "joint_positions": entry.joint_positions,
+            "urdf": str(entry.urdf_path), "pose": entry.pose.tolist(), "fixed": entry.fixed,
+            "mass_kg": entry.mass, "joint_positions": entry.joint_positions,
         }
         for name, entry in scene.objects.items()
-    }
+    }  # fmt: skip
     handles = {
         name: {**vars(handle), "pose": scene.handle_pose(name).tolist()}
         for name, handle in scene.handles.items()

@@ -1,4 +1,1 @@
-"""Benchmarks: result tables of policies (`benchmark`) and timings (`speed`).
-
-May import everything but `cli` and `api`.
-"""
+"""Benchmarks: result tables and pictures of policies."""

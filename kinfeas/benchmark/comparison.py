@@ -1,7 +1,6 @@
 """The report of `kinfeas demo`: a trained policy beside baselines, ceiling and paper."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from kinfeas.core.metrics import Proportion
@@ -9,7 +8,6 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import EvalConfig, Summary, evaluate, reachability_of
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.policies.loading import QUICK_BASELINES, load_policy
-from kinfeas.policies.network import read_network
 from kinfeas.viz.episodes import episodes_figure
 from kinfeas.viz.plots import learning_curve, read_metrics
 from kinfeas.viz.report import Picture, Report, Row, paper_success
@@ -19,65 +17,46 @@ SHOWN = 3
 """Episodes in the picture: the first ones, not the best."""
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Results of the policy of a run and of baselines in the same episodes."""
-
-    config: EvalConfig
-    run: Path
-    policy: Summary
-    baselines: dict[str, Summary]
-    ceiling: Proportion
-
-
 def compare(
     config: EvalConfig,
     run: Path,
+    commands: Sequence[str],
     processes: int = 1,
-    on_done: Callable[[float], None] | None = None,
-) -> Comparison:
-    """Return the results of the policy of a run, the baselines and the ceiling.
+    on_done: Callable[[float], None] = lambda fraction: None,
+) -> tuple[Summary, Report]:
+    """Return the metrics of the policy of a run, and its report beside baselines and ceiling.
 
-    `on_done` is called with the share of all work, 0-1, that has just been done.
+    `commands` reproduce the report. `on_done` is called with the fraction of all work, 0-1, that
+    has just been done.
     """
-    work = 2 + len(QUICK_BASELINES)
-
-    def done(fraction: float) -> None:
-        if on_done is not None:
-            on_done(fraction / work)
-
-    def evaluated(name: str) -> Summary:
-        policy = load_policy(name, config.robot)
-        return evaluate(
-            config, policy, name, ceiling, processes, lambda ended: done(ended / config.episodes)
-        )
-
-    ceiling = reachability_of(config, done)
+    work, robot, task = 2 + len(QUICK_BASELINES), config.robot, config.task
+    ceiling = reachability_of(config, lambda fraction: on_done(fraction / work))
     assert ceiling is not None  # no stream of targets
-    baselines = {name: evaluated(name) for name in QUICK_BASELINES}
-    return Comparison(config, run, evaluated(str(run)), baselines, ceiling)
-
-
-def make_report(comparison: Comparison, commands: Sequence[str]) -> Report:
-    """Return the report of a comparison, with the commands that produce it."""
-    config, success = comparison.config, success_of(comparison.policy)
-    robot, task = config.robot.name, config.task.name
-    rows = [Row("trained policy", success, comparison.policy, ours=True)]
-    rows += [
-        Row(name, success_of(summary), summary) for name, summary in comparison.baselines.items()
+    names = (str(run), *QUICK_BASELINES)
+    policies = {name: load_policy(name, robot) for name in names}
+    count = work * config.episodes
+    trained, *baselines = [
+        evaluate(config, policy, name, ceiling, processes, lambda ended: on_done(ended / count))
+        for name, policy in policies.items()
     ]
-    rows.append(Row("ceiling", comparison.ceiling, {}))
-    paper = paper_success(robot, task)
+    success = _success(trained)
+    levels = {metrics["policy"]: _success(metrics).value for metrics in baselines}
+    rows = [Row("trained policy", success, trained, ours=True)]
+    rows += [Row(metrics["policy"], _success(metrics), metrics) for metrics in baselines]
+    rows.append(Row("ceiling", ceiling, {}))
+    paper = paper_success(robot.name, task.name)
     for key, name in (("policy", "paper: learned policy"), ("follow_ee", "paper: follow_ee")):
         if key in paper:
             rows.append(Row(name, Proportion(paper[key], paper[key], paper[key]), {}))
-    best = max(success_of(summary).value for summary in comparison.baselines.values())
-    return Report(
-        title=f"A base policy for {robot} on {task}",
+    curve = learning_curve(read_metrics(run), {**levels, "ceiling": ceiling.value})
+    world = World(robot, task, config.world, config.seed)
+    recordings = record_episodes(world, policies[str(run)], min(SHOWN, config.episodes))
+    return trained, Report(
+        title=f"A base policy for {robot.name} on {task.name}",
         summary=(
             f"The policy completes {success.value:.1%} of {config.episodes} fresh episodes without "
-            f"an IK failure, the better baseline {best:.1%}. At most "
-            f"{comparison.ceiling.value:.1%} of the goals are reachable."
+            f"an IK failure, the better baseline {max(levels.values()):.1%}. At most "
+            f"{ceiling.value:.1%} of the goals are reachable."
         ),
         rows=rows,
         notes=(
@@ -85,28 +64,16 @@ def make_report(comparison: Comparison, commands: Sequence[str]) -> Report:
             "paper's, which come from its own program. Intervals are Wilson's.",
             "Ceiling: goals that the end-effector reaches from some base pose.",
         ),
-        pictures=_pictures(comparison),
+        pictures=[
+            Picture("Episodes without a failure during training.", png(curve)),
+            Picture(
+                f"The first {len(recordings)} episodes of seed {config.seed}.",
+                png(episodes_figure(robot, recordings)),
+            ),
+        ],
         commands=commands,
     )
 
 
-def success_of(metrics: Summary) -> Proportion:
-    """Return the share of episodes without a failure with its interval."""
+def _success(metrics: Summary) -> Proportion:
     return Proportion(metrics["success"], metrics["success_low"], metrics["success_high"])
-
-
-def _pictures(comparison: Comparison) -> list[Picture]:
-    config = comparison.config
-    levels = {name: success_of(summary).value for name, summary in comparison.baselines.items()}
-    levels["ceiling"] = comparison.ceiling.value
-    curve = learning_curve(read_metrics(comparison.run), levels)
-    world = World(config.robot, config.task, config.world, config.seed)
-    policy = read_network(comparison.run, config.robot)
-    recordings = record_episodes(world, policy, min(SHOWN, config.episodes))
-    return [
-        Picture("Episodes without a failure during training.", png(curve)),
-        Picture(
-            f"The first {len(recordings)} episodes of seed {config.seed}.",
-            png(episodes_figure(config.robot, recordings)),
-        ),
-    ]

@@ -1,14 +1,14 @@
 """Configuration of a benchmark: robots, tasks, policies, and further rows and tables of them."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
-from annotated_types import Interval
+from annotated_types import MinLen
 
 from kinfeas import config
 from kinfeas.config import PluginSpec, Settings, nested
-from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
+from kinfeas.config.quantities import Count, Episodes, Positive, Seed
 from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.evaluation.evaluate import read_settings
@@ -17,7 +17,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 from kinfeas.tasks.task import StreamTask, build_subgoals
 
-Seed = Annotated[int, Interval(ge=0)]
+Label = Annotated[str, MinLen(1)]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Row:
         tasks: Tasks that have it; all by default.
     """
 
-    label: str
+    label: Label
     filters: tuple[PluginSpec, ...] | None = None
     settings: dict[str, object] = field(default_factory=dict)
     robots: tuple[str, ...] | None = None
@@ -74,7 +74,7 @@ class Variant:
         robots: Robots that have it.
     """
 
-    label: str
+    label: Label
     task: str
     parameters: dict[str, object]
     robots: tuple[str, ...]
@@ -113,7 +113,7 @@ class BenchmarkConfig:
     policies: Literal["train", "pretrained", "either"] = "train"
     trainings: tuple[Training, ...] = ()
     seeds: tuple[Seed, ...] = (0,)
-    episodes: Annotated[int, Interval(ge=1, le=MOST_EPISODES)] = 500
+    episodes: Episodes = 500
     evaluation_seed: Seed = 1
     variants: tuple[Variant, ...] = ()
     backend: str = "analytic"
@@ -124,18 +124,17 @@ class BenchmarkConfig:
         for name in self.baselines:
             if name not in BASELINES:
                 raise ValueError(f"'baselines': unknown {name!r}{no_such(name, BASELINES)}")
-        for key in ("robots", "tasks", "seeds"):
-            entries = getattr(self, key)
-            if not entries or len(set(entries)) < len(entries):
+        cells = [(r, t) for r in self.robots for t in self.tasks]
+        entries: dict[str, Sequence[object]] = {
+            "robots": self.robots,
+            "tasks": self.tasks,
+            "seeds": self.seeds,
+            "rows": [(row.label, *cell) for row in self.rows for cell in cells if row.has(*cell)],
+            "variants": [(v.label, v.task, robot) for v in self.variants for robot in v.robots],
+        }
+        for key, values in entries.items():
+            if len(set(values)) < len(values) or (not values and key not in ("rows", "variants")):
                 raise ValueError(f"{key!r} must hold at least one entry, and none twice")
-        rows = [(r, t, row.label) for row in self.rows for r in self.robots for t in self.tasks
-                if row.has(r, t)]  # fmt: skip
-        variants = [
-            (r, variant.task, variant.label) for variant in self.variants for r in variant.robots
-        ]
-        for key, names in (("rows", rows), ("variants", variants)):
-            if len(set(names)) < len(names) or not all(label.strip() for *_, label in names):
-                raise ValueError(f"{key!r}: each needs a 'label', another one for a robot and task")
 
 
 def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConfig:
@@ -147,17 +146,14 @@ def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConf
     """
     benchmark = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), settings)
     robots = [load_robot(robot).name for robot in benchmark.robots]
-    for kind, names in (
-        ("robots", robots),
-        ("tasks", [task_name(task) for task in benchmark.tasks]),
-    ):
+    tasks = [task_name(task) for task in benchmark.tasks]
+    for kind, names in (("robots", robots), ("tasks", tasks)):
         if len(set(names)) < len(names):
             raise KinfeasError(f"{kind!r} must not hold two of one name: {', '.join(names)}")
-    plain: list[tuple[str, dict[str, object]]] = [(task, {}) for task in benchmark.tasks]
-    for task, parameters in [
-        *plain,
+    for task, parameters in (
+        *((task, {}) for task in benchmark.tasks),
         *((variant.task, variant.parameters) for variant in benchmark.variants),
-    ]:
+    ):
         model = load_task(task, parameters)
         if isinstance(model, StreamTask):
             raise KinfeasError(f"'tasks': {task} has no ceiling, since its targets move")

@@ -6,24 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.runs import Run, takes_pretrained
 from kinfeas.config import PluginSpec, nested
 from kinfeas.config.recipes import robot_file
-from kinfeas.core import spatial
-from kinfeas.core.motion import Rows
-from kinfeas.core.spatial import Array
-from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
 from kinfeas.io.policy_metadata import policy_folder
 from kinfeas.jobs.job import Job, Result
 from kinfeas.policies.loading import BASELINES, PRETRAINED, load_policy, trained_folder
-from kinfeas.policies.network import WEIGHTS, Network
+from kinfeas.policies.network import WEIGHTS
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 
@@ -77,24 +71,17 @@ class Evaluation:
             self.robot, self.task, _weights(self) or self.source, self.episodes, self.seed,
             self.first, self.backend, self.settings, self.parameters,
         ]  # fmt: skip
-        parts += [_own_files(self)] if is_path(self.robot) or is_path(self.task) else []
+        if is_path(self.robot):
+            files = robot_file(self.robot), load_robot(self.robot).urdf_path
+            parts += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        if is_path(self.task):
+            parts.append(config.to_mapping(load_task(self.task, self.parameters)))
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:10]
         return f"{self.robot_name}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
     def job(self, folder: Path) -> Job:
         """Return the job whose result is a file in `folder`."""
         return Job(compute, self, folder / f"{self.name}.json")
-
-
-def _own_files(case: Evaluation) -> list[str]:
-    """Return the content of the files of an own robot or task."""
-    digests: list[str] = []
-    if is_path(case.robot):
-        files = robot_file(case.robot), load_robot(case.robot).urdf_path
-        digests += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-    if is_path(case.task):
-        digests.append(json.dumps(config.to_mapping(load_task(case.task, case.parameters))))
-    return digests
 
 
 def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Evaluation]:
@@ -128,7 +115,7 @@ def check_baselines(cases: Sequence[Evaluation]) -> None:
 
 
 def compute(case: Evaluation) -> Result:
-    """Return the summary of an evaluation, with points of the `workspace` for a learned policy."""
+    """Return the metrics of an evaluation, or the ceiling of its task."""
     if case.policy == CEILING:
         robot, task = load_robot(case.robot), load_task(case.task, case.parameters)
         ik = read_settings(robot.folder, case.backend, case.settings).world.ik
@@ -136,48 +123,12 @@ def compute(case: Evaluation) -> Result:
         return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
     robot = load_robot(case.robot)
     policy = load_policy(case.source, robot)
+    parameters = {f"task.{key}": value for key, value in case.parameters.items()}
     plan = configure(
-        robot,
-        case.task,
-        case.backend,
-        episodes=case.episodes,
-        seed=case.seed,
-        settings=nested(case.settings, {f"task.{k}": v for k, v in case.parameters.items()}),
-    )
-    sampled = case.backend == "analytic" and isinstance(policy, Network)
-    samples = WorkspaceSamples() if sampled else None
-    summary = evaluate(replace(plan, first=case.first), policy, case.policy, watch=samples)
-    return {**summary, "workspace": samples.kept()} if samples else dict(summary)
-
-
-class WorkspaceSamples:
-    """Desired EE positions in the base frame: of every failure, and of some feasible steps."""
-
-    EVERY, MOST = 20, 2000
-    """Steps of an episode between two feasible points, and points of each kind that are kept."""
-
-    def __init__(self) -> None:
-        self._points: dict[str, list[Array]] = {"feasible": [], "infeasible": []}
-
-    def __call__(self, world: World, transition: Transition, rows: Rows, _: Rows) -> None:
-        """Take in one step; called as `episodes.Watch`."""
-        loop, good = world.loop, transition.outcome.feasible[rows]
-        due = rows[good & (world.steps[rows] % self.EVERY == 0)]
-        for kind, which in (("infeasible", rows[~good]), ("feasible", due)):
-            inside = spatial.relative(loop.desired[which], loop.robots.base_pose[which])
-            self._points[kind].append(inside[:, :3])
-
-    def kept(self) -> dict[str, list[list[float]]]:
-        """Return the points x, y, z of both kinds, metres, rounded to the millimetre."""
-        return {
-            kind: np.round(thinned(np.concatenate(points), self.MOST), 3).tolist()
-            for kind, points in self._points.items()
-        }
-
-
-def thinned(points: Array, most: int) -> Array:
-    """Return at most `most` of the points, shape (k, 3), evenly spread over all."""
-    return points[np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)]
+        robot, case.task, case.backend, episodes=case.episodes, seed=case.seed,
+        settings=nested(case.settings, parameters),
+    )  # fmt: skip
+    return dict(evaluate(replace(plan, first=case.first), policy, case.policy))
 
 
 def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) -> list[Evaluation]:
@@ -188,24 +139,28 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
                for run in own]  # fmt: skip
     if not own and takes_pretrained(benchmark, case.robot):
         learned = [replace(base, policy=PRETRAINED, source=PRETRAINED)]
-    rows = []
-    for row in benchmark.rows if not case.variant else ():
-        if row.has(case.robot, case.task):
-            settings = nested(benchmark.settings, row.settings, _filters(row.filters))
-            rows += [
-                replace(evaluation, row=row.label, settings=settings) for evaluation in learned
-            ]
+    rows = [
+        replace(
+            evaluation,
+            row=row.label,
+            settings=nested(benchmark.settings, row.settings, _filters(row.filters)),
+        )
+        for row in benchmark.rows
+        if not case.variant and row.has(case.robot, case.task)
+        for evaluation in learned
+    ]
     baselines = [replace(base, policy=name, source=name)
-                 for name, on in benchmark.baselines.items() if case.task in on]  # fmt: skip
+                 for name, tasks in benchmark.baselines.items() if case.task in tasks]  # fmt: skip
     policies = [*learned, *rows, *baselines]
-    if benchmark.backend != "analytic":
-        beside = [_without_physics(benchmark, evaluation) for evaluation in policies]
-        policies = [
-            *beside,
-            *(part for evaluation in policies for part in _parts(benchmark, evaluation)),
-        ]
-    settings = benchmark.settings if benchmark.backend == "analytic" else {}
-    return [replace(case, settings=settings), *policies]
+    if benchmark.backend == "analytic":
+        return [base, *policies]
+    parts = [
+        replace(evaluation, backend=benchmark.backend, first=at,
+                episodes=min(PART, case.episodes - at))
+        for evaluation in policies
+        for at in range(0, case.episodes, PART)
+    ]  # fmt: skip
+    return [case, *(_without_physics(benchmark, evaluation) for evaluation in policies), *parts]
 
 
 def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
@@ -213,13 +168,6 @@ def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation
     used = read_settings(case.robot, benchmark.backend, case.settings).world.filters
     filters = tuple(spec for spec in used if spec.name != "obstacle_distance")
     return replace(case, settings=_filters(filters))
-
-
-def _parts(benchmark: BenchmarkConfig, case: Evaluation) -> list[Evaluation]:
-    return [
-        replace(case, backend=benchmark.backend, first=at, episodes=min(PART, case.episodes - at))
-        for at in range(0, case.episodes, PART)
-    ]
 
 
 def _filters(filters: tuple[PluginSpec, ...] | None) -> dict[str, object]:

@@ -3,12 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from kinfeas.benchmark.table import Cell
-from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
+from kinfeas.evaluation.paper import TITLES
 
 NOTHING = "-"
 """Entry of a table where nothing was measured."""
-
-_INDENT = "&nbsp;&nbsp;"
 
 _LEARNED = {"sac": "learned, SAC", "pretrained": "learned, pretrained"}
 
@@ -16,15 +14,11 @@ _HOW = """\
 Each cell is the percentage of episodes that reach the goal **without an IK failure**. In \
 brackets: EE deviation below 5 cm throughout, and goal reached. `±` is the standard deviation over \
 training seeds. The *ceiling* is the percentage of goals that are reachable from at least one base \
-pose, with its 95 % interval. Rows in italics are the paper's figures, from its own program"""
-
-_ANALYTIC = """\
-. Its `ggr_restricted` has harder start configurations: in self-collision at these heights, and \
-any others beyond them. Tables "any start" use these starts, too."""
+pose, with its 95 % interval. Rows in italics are the paper's figures, from its own program."""
 
 _PHYSICS = """\
- and simulator. *without physics*: the same policy in the same episodes of the analytic world. \
-*head start*: the base moves for 3 s before the EE; *no objects*: an empty floor."""
+*without physics*: the same policy in the same episodes of the analytic world. *head start*: the \
+base moves for 3 s before the EE; *no objects*: an empty floor."""
 
 _JUMPS = "Steps in which an arm joint would exceed its velocity limit."
 
@@ -41,8 +35,7 @@ _DEVIATION = "Mean distance of the EE from the desired position, mm."
 
 _CAPTIONS = {
     "table.png": "Episodes without a failure",
-    "learning_curves.png": "Learning curves: mean and standard deviation over the training seeds",
-    "workspace.png": "Where in the base frame the end-effector goes, from above and from the side",
+    "learning_curves.png": "Learning curves of the training seeds",
 }
 
 _PAPER_ROWS = ("head_start", "no_objects")
@@ -52,9 +45,9 @@ Entry = Callable[[Cell], str]
 
 
 def to_markdown(
-    cells: Sequence[Cell], note: str, commands: Sequence[str], pictures: Sequence[str] = ()
+    cells: Sequence[Cell], note: str, command: str, pictures: Sequence[str] = ()
 ) -> str:
-    """Return the tables of a benchmark as Markdown, with the commands that produce them.
+    """Return the tables of a benchmark as Markdown, with the command that produces them.
 
     `pictures` are files to show, relative to the text.
     """
@@ -62,7 +55,9 @@ def to_markdown(
     named = "" if world == "analytic" else f" in {' and '.join(worlds)}"
     lines = [f"# Benchmark{named}", ""]
     lines += [f"**{note}**", ""] if note else []
-    lines += [_HOW + (_ANALYTIC if world == "analytic" else _PHYSICS), "", _effort(cells), ""]
+    lines += [_HOW, "", *([] if world == "analytic" else [_PHYSICS, ""])]
+    episodes = sorted({f"{cell.episodes_per_seed:,}" for cell in cells})
+    lines += [f"{' or '.join(episodes)} episodes of each policy, the same for all.", ""]
     lines += success_tables(cells)
     for heading, about, entry in _METRICS:
         if any(entry(cell) != NOTHING for cell in cells):
@@ -70,7 +65,7 @@ def to_markdown(
     for name in pictures:
         caption = _CAPTIONS.get(name, "An episode of each task")
         lines += [f"![{caption}]({name})", "", f"*{caption}.*", ""]
-    return "\n".join([*lines, "## How to make it again", "", "```sh", *commands, "```", ""])
+    return "\n".join([*lines, "## How to make it again", "", "```sh", command, "```", ""])
 
 
 def success_tables(cells: Sequence[Cell]) -> list[str]:
@@ -109,18 +104,6 @@ def rows_of(cells: Sequence[Cell]) -> list[dict[str, Cell]]:
     return list(rows.values())
 
 
-def _effort(cells: Sequence[Cell]) -> str:
-    seeds = sorted({cell.seeds for cell in cells if cell.learned})
-    policies = f"{_or(seeds)} training seed{'s' * (seeds != [1])} a policy, " if seeds else ""
-    episodes = f"{_or(sorted({cell.episodes_per_seed for cell in cells}))} episodes of each"
-    worlds = ", ".join(dict.fromkeys(cell.world for cell in cells))
-    return f"World: {worlds}; {policies}{episodes}, the same for all policies."
-
-
-def _or(numbers: Sequence[int]) -> str:
-    return " or ".join(f"{number:,}" for number in numbers)
-
-
 def _success_table(cells: Sequence[Cell]) -> list[str]:
     tasks = list(dict.fromkeys(cell.task for cell in cells))
     rows: list[list[str]] = []
@@ -128,39 +111,17 @@ def _success_table(cells: Sequence[Cell]) -> list[str]:
         first = next(iter(own.values()))
         seeds = f", {first.seeds} seeds" if first.seeds > 1 else ""
         name = f"**{label(first)}**{seeds}" if first.learned else label(first)
-        rows.append([name, *_entries(own, tasks, _ours)])
-        for text, entry in ((f"{_INDENT}*paper*", _papers), (f"{_INDENT}without physics", _beside)):
+        rows.append([name, *_entries(own, tasks, _measured)])
+        below = [("*paper*", _of_paper)]
+        if first.row not in _PAPER_ROWS:
+            below.append(("without physics", _of_analytic))
+        for text, entry in below:
             entries = _entries(own, tasks, entry)
-            if set(entries) != {NOTHING} and not (entry is _beside and first.row in _PAPER_ROWS):
-                rows.append([text, *entries])
-    rows += _unmatched(cells, tasks)
+            if set(entries) != {NOTHING}:
+                rows.append([f"&nbsp;&nbsp;{text}", *entries])
     ceilings = {cell.task: cell for cell in cells}
     rows.append(["**ceiling**", *_entries(ceilings, tasks, _ceiling)])
     return table(["", *tasks], rows)
-
-
-def _unmatched(cells: Sequence[Cell], tasks: Sequence[str]) -> list[list[str]]:
-    """Return rows of the paper's figures that no row of ours has beside it."""
-    robot, variant, world = cells[0].robot, cells[0].variant, cells[0].world
-    if variant or world != "analytic":
-        return []
-    by_task = {task: paper_figures(robot, task, world) for task in tasks}
-    rows = []
-    for name in dict.fromkeys(name for figures in by_task.values() for name in figures):
-        values = {
-            cell.task
-            for cell in cells
-            if (LEARNED if cell.learned else cell.policy) == name and cell.paper_success is not None
-        }
-        entries = [
-            f"*{_percent(figures.success, figures.within_5cm)}*"
-            if (figures := by_task[task].get(name)) and task not in values
-            else NOTHING
-            for task in tasks
-        ]
-        if set(entries) != {NOTHING}:
-            rows.append([f"*paper: {'learned' if name == LEARNED else name}*", *entries])
-    return rows
 
 
 def _metric_table(cells: Sequence[Cell], entry: Entry) -> list[str]:
@@ -178,11 +139,13 @@ def _entries(cells: Mapping[str, Cell], tasks: Sequence[str], entry: Entry) -> l
     return [entry(cells[task]) if task in cells else NOTHING for task in tasks]
 
 
-def _percent(success: float, within: float) -> str:
+def _percent(success: float | None, within: float | None) -> str:
+    if success is None or within is None:
+        return NOTHING
     return f"{100 * success:.1f} ({100 * within:.1f})"
 
 
-def _ours(cell: Cell) -> str:
+def _measured(cell: Cell) -> str:
     value = f"{100 * cell.success:.1f}"
     if cell.success_std is not None:
         value += f" ± {100 * cell.success_std:.1f}"
@@ -190,28 +153,27 @@ def _ours(cell: Cell) -> str:
     return f"{value} ({100 * cell.within_5cm:.1f})"
 
 
-def _papers(cell: Cell) -> str:
-    if cell.paper_success is None or cell.paper_within_5cm is None:
-        return NOTHING
-    return f"*{_percent(cell.paper_success, cell.paper_within_5cm)}*"
+def _of_paper(cell: Cell) -> str:
+    entry = _percent(cell.paper_success, cell.paper_within_5cm)
+    return entry if entry == NOTHING else f"*{entry}*"
 
 
-def _beside(cell: Cell) -> str:
-    if cell.analytic_success is None or cell.analytic_within_5cm is None:
-        return NOTHING
+def _of_analytic(cell: Cell) -> str:
     return _percent(cell.analytic_success, cell.analytic_within_5cm)
 
 
+def _interval(value: float | None, low: float | None, high: float | None) -> str:
+    if value is None or low is None or high is None:
+        return NOTHING
+    return f"{100 * value:.1f} ({100 * low:.1f} - {100 * high:.1f})"
+
+
 def _ceiling(cell: Cell) -> str:
-    ends = f"{100 * cell.ceiling_low:.1f} - {100 * cell.ceiling_high:.1f}"
-    return f"{100 * cell.ceiling:.1f} ({ends})"
+    return _interval(cell.ceiling, cell.ceiling_low, cell.ceiling_high)
 
 
 def _done(cell: Cell) -> str:
-    low, high = cell.task_success_low, cell.task_success_high
-    if cell.task_success is None or low is None or high is None:
-        return NOTHING
-    return f"{100 * cell.task_success:.1f} ({100 * low:.1f} - {100 * high:.1f})"
+    return _interval(cell.task_success, cell.task_success_low, cell.task_success_high)
 
 
 def _collisions(cell: Cell) -> str:

@@ -1,8 +1,9 @@
-"""Pictures of a benchmark: success, learning curves, workspace and example episodes."""
+"""Files of a benchmark, and its pictures: success, learning curves and example episodes."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,36 +13,24 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
 from kinfeas.benchmark.config import BenchmarkConfig
-from kinfeas.benchmark.evaluations import Evaluation, thinned
-from kinfeas.benchmark.markdown import groups, label, rows_of, title
+from kinfeas.benchmark.evaluations import Evaluation
+from kinfeas.benchmark.markdown import groups, label, rows_of, title, to_markdown
 from kinfeas.benchmark.runs import Run
-from kinfeas.benchmark.table import Cell
-from kinfeas.core.spatial import Array
+from kinfeas.benchmark.table import LEARNED_POLICIES, Cell
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
 from kinfeas.evaluation.recording import Recording, record_episodes
+from kinfeas.io.files import to_json, write_file
 from kinfeas.jobs.job import Result
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
-from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.viz.episodes import episodes_figure
 from kinfeas.viz.plots import apart, read_metrics
-from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, INK, STYLE, failures_text, png
+from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, failures_text, png
 
-_POINTS = 200
 _CURVE_INCHES = 4.9
-_POINTS_SHOWN = 3000
-_KINDS: dict[str, Any] = {
-    "feasible": {"color": EE, "ms": 2.0, "alpha": 0.35, "zorder": 5, "label": "feasible EE"},
-    "infeasible": {
-        "color": FAILURE, "ms": 2.6, "alpha": 0.7, "zorder": 6, "label": "infeasible desired EE"
-    },
-}  # fmt: skip
-
-_VIEWS = (([0, 1], "y (m)"), ([0, 2], "z (m)"))
-
 _BEYOND = "#e4e7eb"
 _ROW_INCHES, _PANEL_INCHES = 0.27, 2.35
 _LEGEND_INCHES = (7.4, 9.0)
@@ -144,156 +133,85 @@ def _table_legend(*, beside: bool) -> list[Line2D]:
 
 
 def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]) -> Figure:
-    """Return the picture of the learning curves, a panel for each robot.
+    """Return the learning curves of runs, a panel for each robot and a line for each run.
 
-    `levels` are shares in 0-1 to compare each robot with, by name.
+    `levels` are success rates in 0-1 to compare each robot with, by name.
     """
     robots = list(dict.fromkeys(run.robot for run in runs))
     with rc_context(STYLE):
         figure = Figure(figsize=(0.6 + _CURVE_INCHES * len(robots), 4.3), layout="constrained")
         panels = figure.subplots(1, len(robots), squeeze=False, sharey=True)[0]
         for axes, robot in zip(panels, robots, strict=True):
-            own = [run for run in runs if run.robot == robot]
-            _draw_curves(axes, own)
-            _draw_levels(axes, levels.get(robot, {}))
-            axes.set_title(f"{TITLES.get(robot, robot)}, {own[0].task}")
+            for run in runs:
+                if run.robot == robot:
+                    _draw_curve(axes, run)
+                    axes.set_title(f"{TITLES.get(robot, robot)}, {run.task}")
+            ordered = sorted(levels.get(robot, {}).items(), key=lambda level: level[1])
+            heights = apart([value for _, value in ordered], 0.05)
+            for (name, value), y in zip(ordered, heights, strict=True):
+                axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
+                axes.text(1.015, y, f"{name} {value:.1%}", va="center", fontsize=8.5,
+                          transform=axes.get_yaxis_transform())  # fmt: skip
             axes.set_xlabel("environment steps (thousands)")
             axes.set_xlim(left=0.0)
-            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=9)
+            handles, labels = axes.get_legend_handles_labels()
+            unique = dict(zip(labels, handles, strict=True))
+            axes.legend(unique.values(), unique, loc="upper center", bbox_to_anchor=(0.5, -0.16))
         panels[0].set_ylabel("success")
         panels[0].set_ylim(0.0, 1.02)
         panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))
     return figure
 
 
-def training_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Array]:
-    """Return common steps (k,) of several runs, and the success of each in training (runs, k)."""
-    steps = np.linspace(0.0, min(float(run["steps"][-1]) for run in metrics), _POINTS)
-    values = []
-    for run in metrics:
-        measured = np.isfinite(run["train/success"])
-        # A short run may end before its first training episode does.
-        at, success = (
-            run[key][measured] if measured.any() else [np.nan] for key in ("steps", "train/success")
-        )
-        values.append(np.interp(steps, at, success, left=np.nan))
-    return steps, np.array(values)
-
-
-def evaluation_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Array]:
-    """Return the mean steps (k,) of the k-th evaluations, and their success (runs, k)."""
-    measured = [np.isfinite(run["evaluation/success"]) for run in metrics]
-    count = min(int(rows.sum()) for rows in measured)
-    steps, values = (
-        np.array([run[key][rows][:count] for run, rows in zip(metrics, measured, strict=True)])
-        for key in ("steps", "evaluation/success")
-    )
-    return steps.mean(axis=0), values
-
-
-def workspace_figure(robots: Mapping[str, Sequence[Result]]) -> Figure:
-    """Return the picture of the EE workspace in the base frame, from above and from the side.
-
-    `robots` are the results of the learned policies of each robot.
-    """
-    with rc_context(STYLE):
-        width = max(0.4 + 4.3 * len(robots), 5.4)
-        figure = Figure(figsize=(width, 8.3), layout="constrained")
-        panels = figure.subplots(2, len(robots), squeeze=False)
-        for column, (name, results) in zip(panels.T, robots.items(), strict=True):
-            for axes, (axis, across) in zip(column, _VIEWS, strict=True):
-                for kind, style in _KINDS.items():
-                    points = [np.reshape(result["workspace"][kind], (-1, 3)) for result in results]
-                    flat = thinned(np.concatenate(points), _POINTS_SHOWN)[:, axis]
-                    axes.plot(*flat.T, "o", mew=0.0, **style)
-                axes.plot([0.0], [0.0], "k+", ms=12, label="base frame")
-                axes.set(
-                    xlabel="x, ahead of the base (m)",
-                    ylabel=across,
-                    aspect="equal",
-                    adjustable="datalim",
-                )
-            failed = sum(
-                result["ik_failures_per_episode"] * result["episodes"] for result in results
-            )
-            steps = sum(result["mean_steps"] * result["episodes"] for result in results)
-            column[0].set_title(f"{TITLES.get(name, name)}: {failed / steps:.2%} infeasible steps")
-        handles, _ = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
-    return figure
-
-
-def _draw_curves(axes: Axes, runs: Sequence[Run]) -> None:
-    metrics = [read_metrics(run.folder) for run in runs]
-    seeds = f", mean and std of {len(runs)} seeds" if len(runs) > 1 else ", 1 seed"
-    steps, values = training_curve(metrics)
-    mean, deviation = values.mean(axis=0), _deviation(values)
-    low, high = (mean - deviation).clip(0.0), (mean + deviation).clip(max=1.0)
-    axes.fill_between(steps / 1000.0, low, high, color=EE, alpha=0.2, lw=0.0)
-    axes.plot(steps / 1000.0, mean, color=EE, lw=1.8, label=f"training{seeds}")
-    steps, values = evaluation_curve(metrics)
-    axes.errorbar(
-        steps / 1000.0, values.mean(axis=0), yerr=_deviation(values) if len(runs) > 1 else None,
-        fmt="o", color=EE, ms=6.5, mec="white", capsize=3, elinewidth=1.4, zorder=4,
-        label="evaluation, without noise",
-    )  # fmt: skip
-
-
-def _deviation(values: Array) -> Array:
-    return values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(values.shape[1])
-
-
-def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
-    """Draw lines to compare with, their names beside the axes and apart from each other."""
-    ordered = sorted(levels.items(), key=lambda item: item[1])
-    places = apart([value for _, value in ordered], 0.05)
-    for (name, value), y in zip(ordered, places, strict=True):
-        axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
-        axes.annotate(
-            f"{name} {value:.1%}", (1.015, y), xycoords=("axes fraction", "data"), fontsize=8.5,
-            va="center", color=INK, annotation_clip=False,
+def _draw_curve(axes: Axes, run: Run) -> None:
+    metrics = read_metrics(run.folder)
+    for key, style, text in (
+        ("train/success", "-", "training"),
+        ("evaluation/success", "o", "evaluation, without noise"),
+    ):
+        measured = np.isfinite(metrics[key])
+        axes.plot(
+            metrics["steps"][measured] / 1000.0, metrics[key][measured], style, color=EE,
+            lw=1.2, alpha=0.7, ms=5.5, mec="white", label=text,
         )  # fmt: skip
 
 
-def draw_pictures(
+def write_results(
+    folder: Path,
     benchmark: BenchmarkConfig,
     runs: Sequence[Run],
     results: Sequence[tuple[Evaluation, Result]],
     cells: Sequence[Cell],
-) -> dict[str, bytes]:
-    """Return the pictures of a benchmark as PNG files, by name.
+    command: str,
+) -> list[Path]:
+    """Write pictures, `table.md` and `table.json` into a folder, and return their paths.
 
-    `table`; in the analytic world also `learning_curves` if there are runs, and `workspace` and
-    `examples-ROBOT` if there are learned policies.
+    The pictures are `table.png`; in the analytic world also `learning_curves.png` if there are
+    runs, and `examples-ROBOT.png` if there are learned policies.
     """
-    pictures = {"table": png(table_figure(cells, benchmark.note), 110)}
-    if benchmark.backend != "analytic":
-        return pictures
-    if runs:
-        names = [load_robot(robot).name for robot in benchmark.robots]
-        ordered = sorted(runs, key=lambda run: names.index(run.robot))
-        pictures["learning_curves"] = png(curves_figure(ordered, _levels(runs, cells)), 110)
-    spaces: dict[str, list[Result]] = {}
-    for robot in benchmark.robots:
-        plain = [pair for pair in results if not (pair[0].variant or pair[0].row)]
-        own = [(case, result) for case, result in plain
-               if case.robot == robot and "workspace" in result]  # fmt: skip
-        own = [(case, result) for case, result in own if case.policy == own[0][0].policy]
-        if not own:
-            continue
-        model = load_robot(robot)
-        spaces[model.name] = [result for _, result in own]
-        recordings = _examples(model, [case for case, _ in own])
-        titles = [_example_title(task, recording) for task, recording in recordings.items()]
-        figure = episodes_figure(model, list(recordings.values()), titles)
-        pictures[f"examples-{model.name}"] = png(figure, 80)
-    if spaces:
-        pictures["workspace"] = png(workspace_figure(spaces), 90)
-    return pictures
+    pictures = {"table.png": png(table_figure(cells, benchmark.note), 110)}
+    if benchmark.backend == "analytic":
+        if runs:
+            names = [load_robot(robot).name for robot in benchmark.robots]
+            ordered = sorted(runs, key=lambda run: names.index(run.robot))
+            curves = curves_figure(ordered, _levels(runs, cells))
+            pictures["learning_curves.png"] = png(curves, 110)
+        for robot in benchmark.robots:
+            if examples := _examples(robot, [case for case, _ in results]):
+                model = load_robot(robot)
+                titles = [_example_title(task, example) for task, example in examples.items()]
+                figure = episodes_figure(model, list(examples.values()), titles)
+                pictures[f"examples-{model.name}.png"] = png(figure, 80)
+    files = dict(pictures)
+    files["table.md"] = to_markdown(cells, benchmark.note, command, list(pictures)).encode()
+    files["table.json"] = to_json([asdict(cell) for cell in cells]).encode()
+    for name, content in files.items():
+        write_file(folder / name, content)
+    return [folder / name for name in files]
 
 
 def _levels(runs: Sequence[Run], cells: Sequence[Cell]) -> dict[str, dict[str, float]]:
-    """Return the shares to compare the learning curves of each robot with."""
+    """Return success rates by name to compare the learning curves of each robot with."""
     levels: dict[str, dict[str, float]] = {}
     trained = {run.robot: run.task for run in runs}
     for cell in cells:
@@ -304,16 +222,17 @@ def _levels(runs: Sequence[Run], cells: Sequence[Cell]) -> dict[str, dict[str, f
     return levels
 
 
-def _examples(robot: Robot, cases: Sequence[Evaluation]) -> dict[str, Recording]:
-    """Return an episode of each task: number 0 of the first one, 1 of the second and so on."""
-    recordings: dict[str, Recording] = {}
+def _examples(robot: str, cases: Sequence[Evaluation]) -> dict[str, Recording]:
+    """Return an episode of a learned policy on each task: number 0 of the first, then 1."""
+    model, examples = load_robot(robot), dict[str, Recording]()
     for case in cases:
-        if case.task_name not in recordings:
-            config = read_settings(robot.folder, case.backend, case.settings).world
-            world = World(robot, load_task(case.task, case.parameters), config, case.seed)
-            policy = load_policy(case.source, robot)
-            (recordings[case.task_name],) = record_episodes(world, policy, 1, first=len(recordings))
-    return recordings
+        plain = case.robot == robot and not (case.variant or case.row)
+        if plain and case.policy in LEARNED_POLICIES and case.task_name not in examples:
+            config = read_settings(model.folder, case.backend, case.settings).world
+            world = World(model, load_task(case.task, case.parameters), config, case.seed)
+            policy = load_policy(case.source, model)
+            (examples[case.task_name],) = record_episodes(world, policy, 1, first=len(examples))
+    return examples
 
 
 def _example_title(task: str, recording: Recording) -> str:

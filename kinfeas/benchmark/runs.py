@@ -1,24 +1,24 @@
 """Training runs of a benchmark, and the best of them made ready to be shipped."""
 
-import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from kinfeas import __version__, config
 from kinfeas.benchmark.config import BenchmarkConfig, Training
-from kinfeas.config.recipes import load_section
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.policy_metadata import policy_folder, read_best
-from kinfeas.jobs.job import Job
-from kinfeas.jobs.training import training_job
+from kinfeas.io.policy_metadata import Trained, policy_folder, read_best
+from kinfeas.jobs.job import Job, Result, training_job
 from kinfeas.policies.loading import PRETRAINED, trained_policies
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import read_settings, with_initial_policy
+
+if TYPE_CHECKING:
+    from kinfeas.benchmark.evaluations import Evaluation
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
         below = sorted(path.parent for path in folder.glob("*/config.yaml"))
         for path in [folder] if (folder / "config.yaml").is_file() or not below else below:
             run = read_run(path)
-            other = runs.setdefault((run.robot, run.seed), run)
-            if other.folder != run.folder:
+            same = runs.setdefault((run.robot, run.seed), run)
+            if same.folder != run.folder:
                 raise KinfeasError(
-                    f"{other.folder} and {run.folder}: both {run.robot} with seed {run.seed}"
+                    f"{same.folder} and {run.folder}: both {run.robot} with seed {run.seed}"
                 )
     return [runs[key] for key in sorted(runs)]
 
@@ -62,7 +62,7 @@ def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:
 
 def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
     """Return the training runs of a benchmark."""
-    if benchmark.policies == "pretrained":
+    if benchmark.policies == PRETRAINED:
         return []
     robots = [robot for robot in benchmark.robots if not takes_pretrained(benchmark, robot)]
     for robot in robots:
@@ -80,38 +80,28 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
 
 
 def publish(
-    runs: Sequence[Run], metrics: Mapping[Path, Mapping[str, Any]], folder: Path
+    runs: Sequence[Run], results: Sequence[tuple["Evaluation", Result]], folder: Path
 ) -> list[Path]:
     """Copy the best policy of each robot into `folder/ROBOT` and return these folders.
 
-    The best one has the highest success in the evaluation that selected its checkpoint. The
-    `metrics` by task for the folder of each run, from other episodes, go into `policy.json`.
+    The best one has the highest success in the evaluation that selected its checkpoint. Its
+    results by task, from other episodes, go into `policy.json`.
     """
-    candidates = [(run, read_best(run.folder)) for run in runs]
-    published = []
-    for robot in dict.fromkeys(run.robot for run in runs):
-        own = [(run, trained) for run, trained in candidates if run.robot == robot]
-        run, trained = max(own, key=lambda candidate: candidate[1].evaluation["success"])
-        command = train_command(config.from_mapping(TrainConfig, trained.config, str(run.folder)))
-        about = replace(
-            trained,
-            seed=run.seed,
-            version=__version__,
-            command=command,
-            benchmark=dict(metrics.get(run.folder, {})),
-        )
+    best: dict[str, tuple[Run, Trained]] = {}
+    for run in runs:
+        trained = read_best(run.folder)
+        success = trained.evaluation["success"]
+        if run.robot not in best or success > best[run.robot][1].evaluation["success"]:
+            best[run.robot] = run, trained
+    for robot, (run, trained) in best.items():
+        metrics: dict[str, object] = {
+            case.task_name: result
+            for case, result in results
+            if case.source == str(run.folder) and not (case.variant or case.row)
+        }
+        about = replace(trained, seed=run.seed, version=__version__, benchmark=metrics)
         copy_network(policy_folder(run.folder), about, folder / robot)
-        published.append(folder / robot)
-    return published
-
-
-def train_command(settings: TrainConfig) -> str:
-    """Return the command of a run: its changes of the robot's default recipe."""
-    plain = config.to_mapping(load_section(TrainConfig, "train", settings.robot))
-    changed = _changes(config.to_mapping(settings), {**plain, "robot": settings.robot})
-    words = ["kinfeas", "train", "--robot", settings.robot, "--seed", str(settings.seed)]
-    changed.pop("seed", None)
-    return shlex.join([*words, *config.to_options(changed)])
+    return [folder / robot for robot in best]
 
 
 def _settings(training: Training, seed: int) -> TrainConfig:
@@ -121,16 +111,3 @@ def _settings(training: Training, seed: int) -> TrainConfig:
     return with_initial_policy(
         load_recipe(training.recipe, config.nested(values, training.settings))
     )
-
-
-def _changes(
-    settings: Mapping[str, object], plain: Mapping[str, object], above: str = ""
-) -> dict[str, object]:
-    changes: dict[str, object] = {}
-    for key, value in settings.items():
-        usual = plain.get(key)
-        if isinstance(value, Mapping) and isinstance(usual, Mapping) and usual:
-            changes |= _changes(value, usual, f"{above}{key}.")
-        elif value != usual:
-            changes[f"{above}{key}"] = value
-    return changes

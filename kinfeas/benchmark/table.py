@@ -13,6 +13,8 @@ from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.jobs.job import Result
 from kinfeas.policies.loading import PRETRAINED
 
+LEARNED_POLICIES = ("sac", PRETRAINED)
+
 _MEANS = (
     "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
     "joint_jumps_per_episode", "task_success", "base_collisions", "arm_collisions",
@@ -23,24 +25,18 @@ _MEANS = (
 
 @dataclass(frozen=True)
 class Cell:
-    """Results of one policy of one robot on one task; shares in 0-1, distances in metres.
+    """Results of one policy of one robot on one task; fractions in 0-1, distances in metres.
 
     Attributes:
         variant: Label of a further table; else empty.
-        policy: `sac`, `pretrained` or a baseline.
         row: Label of a further row of the policy; else empty.
-        world: Backend.
         seeds: Number of policies, each from another training seed.
-        training_seeds: These seeds, as far as known.
-        success: Share of episodes that reach the goal without an IK failure.
-        success_std: Standard deviation over the training seeds, as for `within_5cm`; null for one.
-        success_low: Ends of the 95 % interval, with `success_high`; see `interval`.
-        within_5cm: Share of episodes with an EE deviation below 5 cm throughout.
-        ceiling: Share of the goals that some base pose reaches, with its Wilson interval.
-        paper_success: Success in the paper, as `paper_within_5cm`; null if it has none.
-        task_success: Share of tasks done, with its interval; null if not measured.
-        base_collisions: Collisions per episode; null if not measured.
-        analytic_success: Success in the analytic world, as `analytic_within_5cm`; null there.
+        success: Fraction of episodes that reach the goal without an IK failure.
+        success_std: Standard deviation over the training seeds; null for one.
+        success_low: Lower end of the 95 % interval; see `interval`.
+        within_5cm: Fraction of episodes with an EE deviation below 5 cm throughout.
+        ceiling: Fraction of the goals that some base pose reaches.
+        analytic_success: Success in the analytic world beside physics; null without physics.
     """
 
     robot: str
@@ -81,11 +77,11 @@ class Cell:
     @property
     def learned(self) -> bool:
         """Whether the policy is a learned one."""
-        return self.policy in ("sac", PRETRAINED)
+        return self.policy in LEARNED_POLICIES
 
 
 def tabulate(results: Sequence[tuple[Evaluation, Result]], *backends: str) -> list[Cell]:
-    """Return the cells of a benchmark, learned policies first if there is physics.
+    """Return the cells of a benchmark by robot, learned policies first.
 
     Evaluations in the analytic world beside other `backends` are references of their cells.
     """
@@ -101,31 +97,28 @@ def tabulate(results: Sequence[tuple[Evaluation, Result]], *backends: str) -> li
         beside = groups.get((robot, variant, task, policy, row, "analytic"), [])
         analytic = [] if world == "analytic" else [result for _, result in beside]
         cells.append(_cell(group, ceiling, analytic))
-    if backends == ("analytic",):
-        return cells
     robots = list(dict.fromkeys(cell.robot for cell in cells))
     rows = list(dict.fromkeys((cell.policy, cell.row) for cell in cells))
+    return sorted(
+        cells,
+        key=lambda cell: (
+            robots.index(cell.robot), not cell.learned, rows.index((cell.policy, cell.row))
+        ),
+    )  # fmt: skip
 
-    def order(cell: Cell) -> tuple[int, bool, int]:
-        """Keep the engines' figures of a policy together."""
-        row = rows.index((cell.policy, cell.row)) if len(backends) > 1 else 0
-        return robots.index(cell.robot), not cell.learned, row
 
-    return sorted(cells, key=order)
-
-
-def interval(shares: Sequence[float], episodes: int) -> Proportion:
-    """Return the mean of the shares of several training seeds with a 95 % interval.
+def interval(rates: Sequence[float], episodes: int) -> Proportion:
+    """Return the mean rate of several training seeds with a 95 % interval.
 
     On each side the wider one of two: Student's t over the seeds, and Wilson's for `episodes`,
     which are the same for all seeds.
     """
-    mean = float(np.mean(shares))
+    mean = float(np.mean(rates))
     centre = wilson(round(mean * episodes), episodes)
     low, high = min(mean, centre.low), max(mean, centre.high)
-    if len(shares) > 1:
-        error = float(np.std(shares, ddof=1)) / np.sqrt(len(shares))
-        half = float(stats.t.ppf(0.975, len(shares) - 1)) * error
+    if len(rates) > 1:
+        error = float(np.std(rates, ddof=1)) / np.sqrt(len(rates))
+        half = float(stats.t.ppf(0.975, len(rates) - 1)) * error
         low, high = min(low, max(0.0, mean - half)), max(high, min(1.0, mean + half))
     return Proportion(mean, low, high)
 
@@ -153,11 +146,9 @@ def _cell(
     episodes = seeds[0]["episodes"]
     means: dict[str, Any] = {key: _mean(seeds, key) for key in _MEANS}
     for key in ("success", "task_success"):
-        proportion = (
-            None if means[key] is None else interval([seed[key] for seed in seeds], episodes)
-        )
-        means[f"{key}_low"] = proportion.low if proportion else None
-        means[f"{key}_high"] = proportion.high if proportion else None
+        if means[key] is not None:
+            proportion = interval([seed[key] for seed in seeds], episodes)
+            means |= {f"{key}_low": proportion.low, f"{key}_high": proportion.high}
     paper = _paper(case)
     return Cell(
         robot=case.robot_name,
@@ -188,12 +179,12 @@ def _cell(
 
 
 def _paper(case: Evaluation) -> PaperFigures | None:
-    """Return the paper's figures in the same place."""
+    """Return the paper's figures in the same cell."""
     if case.variant:
         return None
     world = "analytic" if case.backend == "analytic" else "physics"
     figures = paper_figures(case.robot_name, case.task, world)
-    if case.policy not in ("sac", PRETRAINED):
+    if case.policy not in LEARNED_POLICIES:
         return figures.get(case.policy)
     plain = None if case.row and world == "analytic" else figures.get(LEARNED)
     return figures.get(case.row, plain)

@@ -1,4 +1,1 @@
-"""The command line: one module a command, and common options.
-
-The only package that prints. May import every other one, within the functions of the commands.
-"""
+"""The command line: options of a command, a call of `api`, and the printed answer."""

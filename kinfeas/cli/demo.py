@@ -5,7 +5,6 @@ import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,25 +13,19 @@ from kinfeas.cli import options
 from kinfeas.cli.options import option
 from kinfeas.cli.output import percent, print_table, progress, write_json
 from kinfeas.cli.train import train_run
-from kinfeas.config import to_options
+from kinfeas.config import Settings, to_options
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
-
-if TYPE_CHECKING:
-    from kinfeas.benchmark.comparison import Comparison
-    from kinfeas.config import Settings
-    from kinfeas.training.config import TrainConfig
-    from kinfeas.viz.report import Report
 
 PICTURES = ("learning_curve.png", "episodes.png")
 
 
 def demo(
     robot: options.RobotName = DEFAULT_ROBOT,
-    minutes: Annotated[float, option("Minutes of training.")] = 2.0,
+    minutes: float = option(2.0, "Minutes of training."),
     seed: options.Seed = 0,
     episodes: options.Episodes = 500,
-    out: Annotated[Path, option("Folder of the run; numbered if it exists.")] = Path("runs/demo"),
+    out: Path = option(Path("runs/demo"), "Folder of the run; numbered if it exists."),
     overrides: options.Overrides = None,
 ) -> None:
     """Train, evaluate and report within five minutes.
@@ -42,10 +35,12 @@ def demo(
     Example: kinfeas demo --robot hsr --minutes 3 --out runs/hsr_demo
     """
     require("torch", "stable_baselines3", "matplotlib")
+    from kinfeas.api import counter
     from kinfeas.api.train import configure
-    from kinfeas.benchmark.comparison import compare, make_report
+    from kinfeas.benchmark.comparison import compare
     from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file
+    from kinfeas.policies.loading import QUICK_BASELINES
     from kinfeas.robots.loading import load_robot
     from kinfeas.tasks.loading import load_task
     from kinfeas.tasks.task import StreamTask
@@ -59,17 +54,28 @@ def demo(
     folder = free_folder(out)
     train_run(settings, folder)
     # Another seed than that of training, whose episodes the policy has seen.
-    trial = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1)
-    with progress("evaluating") as advance:
-        comparison = compare(trial, folder, min(2, os.cpu_count() or 1), advance)
-    write_json(comparison.policy, folder / "evaluation.json")
-    same = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
-    again = _line("demo", same, changes)
-    report = make_report(comparison, [again, *_commands(comparison, settings)])
+    config = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1)
+    again = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
+    same = {"robot": settings.robot, "task": settings.task, "episodes": episodes}
+    same |= {"seed": config.seed}
+    parameters = {f"task.{key}": value for key, value in settings.task_parameters.items()}
+    commands = [_line("demo", again, changes)]
+    for policy in (folder, *QUICK_BASELINES):
+        commands.append(_line("evaluate", {**same, "policy": policy}, parameters))
+    commands.append(_line("ceiling", same, parameters))
+    with progress() as on_progress:
+        count = counter(on_progress, "evaluating")
+        metrics, report = compare(config, folder, commands, min(2, os.cpu_count() or 1), count)
+    write_json(metrics, folder / "evaluation.json")
     for name, picture in zip(PICTURES, report.pictures, strict=True):
         write_file(folder / name, picture.png)
     write_report(report, folder / "report.html")
-    _show(report)
+    rows = []
+    for row in report.rows:
+        low, high = row.success.low, row.success.high
+        interval = (low, high) if low < high else (None, None)
+        rows.append([row.name, percent(row.success.value, *interval)])
+    print_table(report.title, ["", "without a failure (95 % interval)"], rows)
     typer.echo(f"report: {folder / 'report.html'}")
 
 
@@ -86,25 +92,6 @@ def free_folder(path: Path) -> Path:
     return folder
 
 
-def _commands(comparison: "Comparison", settings: "TrainConfig") -> list[str]:
-    """Return the commands that reproduce the figures of the report."""
-    config, policies = comparison.config, (str(comparison.run), *comparison.baselines)
-    same: dict[str, object] = {"robot": settings.robot, "task": settings.task}
-    same |= {"episodes": config.episodes, "seed": config.seed}
-    changes = {f"task.{key}": value for key, value in settings.task_parameters.items()}
-    evaluations = [_line("evaluate", {**same, "policy": policy}, changes) for policy in policies]
-    return [*evaluations, _line("ceiling", same, changes)]
-
-
-def _line(command: str, values: Mapping[str, object], settings: "Settings") -> str:
+def _line(command: str, values: Mapping[str, object], settings: Settings) -> str:
     words = [word for name, value in values.items() for word in (f"--{name}", str(value))]
     return shlex.join(["kinfeas", command, *words, *to_options(settings)])
-
-
-def _show(report: "Report") -> None:
-    rows = []
-    for row in report.rows:
-        low, high = row.success.low, row.success.high
-        interval = (low, high) if low < high else (None, None)
-        rows.append([row.name, percent(row.success.value, *interval)])
-    print_table(report.title, ["", "without a failure (95 % interval)"], rows)

@@ -1,10 +1,10 @@
-"""`kinfeas deploy`: run a policy on a robot or a simulated one."""
+"""`kinfeas deploy` and `kinfeas servo`: run a policy on a robot or a simulated one."""
 
 import sys
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -15,8 +15,6 @@ from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.api.deploy import Deployment
-    from kinfeas.io.run_log import About
-    from kinfeas.sim2real.deploy.runtime import Outcome
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -26,32 +24,21 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyArgument,
     robot: options.PolicyRobotName = None,
     backend: options.RobotBackend = None,
-    goal: Annotated[
-        Three | None, option("Goal of the EE in the world frame, metres.", metavar="X Y Z")
-    ] = None,
-    rpy: Annotated[
-        Three | None, option("Goal orientation, rad.  [default: the present one]", metavar="R P Y")
-    ] = None,
-    quaternion: Annotated[
-        Four | None, option("Goal orientation as a quaternion.", metavar="X Y Z W")
-    ] = None,
-    generator: Annotated[
-        str | None,
-        option(
-            "Motion generator to the goal.  [default: linear; with a scene whole_body]",
-            groups=("motion_generators",),
-        ),
-    ] = None,
-    task: Annotated[str | None, options.task_option("In place of --goal. ")] = None,
+    goal: Three | None = option(None, "EE goal in the world frame, metres.", metavar="X Y Z"),
+    rpy: Three | None = option(None, "Orientation, rad.  [default: unchanged]", metavar="R P Y"),
+    quaternion: Four | None = option(None, "Goal orientation as a quaternion.", metavar="X Y Z W"),
+    generator: str | None = option(
+        None,
+        "Motion generator.  [default: linear; with a scene whole_body]",
+    ),
+    task: str | None = option(None, f"In place of --goal. {options.TASK}"),
     rate: options.Rate = 50.0,
-    seconds: Annotated[float, option("Maximum duration.", min=0.0)] = 300.0,
+    seconds: float = option(300.0, "Maximum duration.", min=0.0),
     seed: options.Seed = 0,
     record: options.Record = None,
     adapters: options.AdapterList = None,
     guards: options.GuardsFile = None,
-    no_real_time: Annotated[
-        bool, option("Simulate as fast as possible.", "--no-real-time")
-    ] = False,
+    no_real_time: bool = option(False, "Simulate as fast as possible.", "--no-real-time"),
     filters: options.Filters = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
@@ -73,33 +60,63 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             policy, robot=robot, backend=backend, goal=goal, rpy=rpy, quaternion=quaternion,
             generator=generator, task=task, rate=rate, seconds=seconds, seed=seed, record=record,
             adapters=adapters, guards=guards, real_time=not no_real_time, filters=filters,
-            settings=options.read_settings(overrides), on_start=preparing.close,
+            settings=options.read_settings(overrides), on_start=preparing.stop,
         )  # fmt: skip
-    raise typer.Exit(report(done, json))
+    raise typer.Exit(_report(done, json))
 
 
-def report(done: "Deployment", json: Path | None) -> int:
+def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
+    policy: options.PolicyArgument = "pretrained",
+    robot: options.PolicyRobotName = None,
+    backend: options.RobotBackend = None,
+    source: str = option("ros2", "ros2, ros1, module:Class, plugin."),
+    rate: options.Rate = 50.0,
+    seconds: float = option(3600.0, "Duration of the run.", min=0.0),
+    record: options.Record = None,
+    adapters: options.AdapterList = None,
+    guards: options.GuardsFile = None,
+    filters: options.Filters = None,
+    overrides: options.Overrides = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Let base and arm follow EE poses or twists that arrive meanwhile.
+
+    Settings: rules.KEY (limits of targets), source.KEY, generator.KEY, guards.KEY, ik.KEY,
+    backend.KEY; see docs/teleoperation.md.
+
+    Exit codes: 0 --seconds are over, others as of deploy.
+
+    Example: kinfeas servo pretrained --robot pr2 --backend ros2 --source ros2
+    """
+    from kinfeas.api import deploy as api
+
+    with status("preparing") as preparing:
+        done = api.servo(
+            policy, robot=robot, backend=backend, source=source, rate=rate, seconds=seconds,
+            record=record, adapters=adapters, guards=guards, filters=filters,
+            settings=options.read_settings(overrides), on_start=preparing.stop,
+        )  # fmt: skip
+    raise typer.Exit(_report(done, json))
+
+
+def _report(done: "Deployment", json: Path | None) -> int:
     """Print the results of a run and return its code."""
+    from kinfeas.sim2real.link.rate import peak_memory_mb
+
     outcome, about = done.outcome, done.about
     code = int(outcome.code)
     facts = {**asdict(outcome), "code": code, **done.targets, "record": str(done.record)}
+    title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
     with suppress(OSError):  # of a terminal that was closed
-        _show(outcome, about, facts)
+        print_facts(title, {**facts, "peak_memory_mb": peak_memory_mb()})
+        if code:
+            sys.stderr.write(f"stopped: {outcome.reason}\n")
+        if outcome.unstopped:
+            sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
+        if outcome.unclosed:
+            sys.stderr.write(f"could not be closed: {outcome.unclosed}\n")
     try:
         write_json(facts, json)
     except KinfeasError as error:  # keeps the exit code of the run
         sys.stderr.write(f"--json: {error}\n")
     return code
-
-
-def _show(outcome: "Outcome", about: "About", facts: dict[str, object]) -> None:
-    from kinfeas.sim2real.link.rate import peak_memory_mb
-
-    title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
-    print_facts(title, {**facts, "peak_memory_mb": peak_memory_mb()})
-    if outcome.code:
-        sys.stderr.write(f"stopped: {outcome.reason}\n")
-    if outcome.unstopped:
-        sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
-    if outcome.unclosed:
-        sys.stderr.write(f"could not be closed: {outcome.unclosed}\n")

@@ -1,12 +1,14 @@
-"""`kinfeas evaluate`: metrics of a policy, and films of its episodes."""
+"""`kinfeas evaluate` and `kinfeas ceiling`: metrics of a policy, and their upper bound."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
+from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import percent, phases, print_paths, print_table, write_json
+from kinfeas.cli.output import percent, print_paths, print_table, progress, write_json
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
@@ -17,38 +19,29 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.PolicyRobotName = None,
     task: options.TaskName = "ggr",
     world: options.World = "analytic",
-    episodes: Annotated[
-        int | None, options.episodes_option("Number of episodes.  [default: 500, with physics 50]")
-    ] = None,
+    episodes: int | None = option(None, "Episodes.  [default: 500, with physics 50]"),
     seed: options.Seed = 1,
-    head_start: Annotated[
-        float | None, option("Seconds of base motion before the EE.  [default: 0]")
-    ] = None,
-    time_scale: Annotated[
-        float | None, option("Relative EE speed.  [default: of the robot]")
-    ] = None,
-    without_objects: Annotated[
-        bool, option("Physics: leave out the furniture.", "--no-objects")
-    ] = False,
+    head_start: float | None = option(None, "Seconds of base motion before the EE.  [default: 0]"),
+    time_scale: float | None = option(None, "Relative EE speed.  [default: of the robot]"),
+    without_objects: bool = option(False, "Physics: leave out the furniture.", "--no-objects"),
     filters: options.Filters = None,
-    gui: Annotated[bool, option("PyBullet: show a window.", "--gui")] = False,
+    gui: bool = option(False, "PyBullet: show a window.", "--gui"),
     adapters: options.AdapterList = None,
-    ablation: Annotated[bool, option("Also evaluate single adapters.", "--ablation")] = False,
-    picture: Annotated[Path | None, options.file_option("Draw an episode.", ".png")] = None,
+    ablation: bool = option(False, "Also evaluate single adapters.", "--ablation"),
+    picture: Path | None = options.file_option(None, "Draw an episode.", ".png"),
     video: options.Video = None,
-    replay: Annotated[
-        Path | None,
-        options.file_option("Write an episode as an interactive page.", ".html", ".htm"),
-    ] = None,
-    episode: Annotated[int, option("Number of the episode to show.", min=0)] = 0,
+    replay: Path | None = options.file_option(
+        None, "Interactive page of an episode.", ".html", ".htm"
+    ),
+    episode: int = option(0, "Number of the episode to show.", min=0),
     processes: options.Processes = 1,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
     """Evaluate a policy.
 
-    The ceiling is the share of goals that some base pose reaches. Pictures: desired EE path dashed,
-    achieved green.
+    The ceiling is the fraction of goals that some base pose reaches. Pictures: desired EE path
+    dashed, achieved green.
 
     Settings: task.KEY and world.KEY: dt, max_failures, max_seconds, arm_settle_timeout, ik.KEY,
     filters, adapters, backend_parameters.KEY.
@@ -57,10 +50,13 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import evaluate as api
 
-    own: dict[str, object] = {"world.head_start": head_start, "world.time_scale": time_scale}
-    own |= {"world.backend_parameters.objects": False if without_objects else None}
-    own |= {"world.backend_parameters.gui": gui or None}
-    with phases() as on_progress:
+    own = {
+        "world.head_start": head_start,
+        "world.time_scale": time_scale,
+        "world.backend_parameters.objects": False if without_objects else None,
+        "world.backend_parameters.gui": gui or None,
+    }
+    with progress() as on_progress:
         summary = api.evaluate(
             policy, robot=robot, task=task, world=world, episodes=episodes, seed=seed,
             filters=filters, adapters=adapters, ablation=ablation, picture=picture, video=video,
@@ -69,31 +65,64 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         )  # fmt: skip
     _show(summary)
     if ablation:
-        _show_ablation({**summary["ablation"], "all": summary})
+        rows = [
+            [
+                label,
+                _fraction(row, "success"),
+                percent(row["reached"]),
+                f"{1000.0 * row['mean_deviation_m']:.1f} mm",
+            ]
+            for label, row in {**summary["ablation"], "all": summary}.items()
+        ]
+        print_table("adapters", ["", " success", " reached", " deviation"], rows)
     write_json(summary, json)
     print_paths(video, replay, picture)
 
 
-def _show_ablation(rows: "Mapping[str, Summary]") -> None:
-    cells = [
-        [
-            label,
-            _share(summary, "success"),
-            percent(summary["reached"]),
-            f"{1000.0 * summary['mean_deviation_m']:.1f} mm",
-        ]
-        for label, summary in rows.items()
-    ]
-    print_table("adapters", ["", " success", " reached", " deviation"], cells)
+def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
+    robot: options.RobotName = DEFAULT_ROBOT,
+    task: options.TaskName = "ggr",
+    episodes: options.Episodes = 500,
+    seed: options.Seed = 1,
+    path: bool = option(False, "Also check 16 poses on the way to each sub-goal.", "--path"),
+    overrides: options.Overrides = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Compute the fraction of reachable goals. It is an upper bound for every policy.
+
+    The goals are those of kinfeas evaluate with the same seed. All sub-goals of an episode count as
+    one; those out of reach are listed with the reason. Settings: ik.KEY, such as
+    ik.self_collision=false, and task.KEY, the task's parameters.
+
+    Example: kinfeas ceiling --robot pr2 --task door --path --episodes 100
+    """
+    from kinfeas.api import evaluate as api
+    from kinfeas.planning.placement import LIMITS
+
+    settings = options.read_settings(overrides)
+    with progress() as on_progress:
+        bound = api.ceiling(
+            robot, task=task, episodes=episodes, seed=seed, path=path, settings=settings,
+            on_progress=on_progress,
+        )  # fmt: skip
+    write_json(asdict(bound), json)
+    what = f"{bound.task}{', path included' if path else ''}"
+    title = f"ceiling of {what}, robot {bound.robot}, {episodes} goals of seed {seed}"
+    stages = zip(bound.base_poses, bound.convergence, strict=True)
+    rows = [[f"reached with {count} base poses a goal", percent(value)] for count, value in stages]
+    rows.append(["reachable", percent(bound.ceiling, bound.ceiling_low, bound.ceiling_high)])
+    for number, limits in enumerate(bound.out_of_reach, 1):
+        for limit, count in sorted(limits.items()):
+            what = f"sub-goal {number} out of reach, {limit}: {LIMITS[limit]}"
+            rows.append([what, percent(count / episodes)])
+    print_table(title, ["", " fraction (95 % interval)"], rows)
 
 
 def _show(summary: "Summary") -> None:
-    title = "{policy} on {task}, robot {robot}, {episodes} episodes of seed {seed}".format(
-        **summary
-    )
+    title = "{policy} on {task}, robot {robot}, {episodes} episodes of seed {seed}, {world}"
     rows = [
-        ["goal reached without a kinematic failure", _share(summary, "success")],
-        ["EE never more than 5 cm off, and at the goal", _share(summary, "within_5cm")],
+        ["goal reached without a kinematic failure", _fraction(summary, "success")],
+        ["EE never more than 5 cm off, and at the goal", _fraction(summary, "within_5cm")],
         ["goal reached", percent(summary["reached"])],
         ["kinematic failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
         ["EE deviation, mean", f"{1000 * summary['mean_deviation_m']:.1f} mm"],
@@ -101,24 +130,25 @@ def _show(summary: "Summary") -> None:
         ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]
     if summary["ceiling"] is not None:
-        rows.insert(1, ["ceiling: goals that some base pose reaches", _share(summary, "ceiling")])
+        rows.insert(
+            1, ["ceiling: goals that some base pose reaches", _fraction(summary, "ceiling")]
+        )
     if (rms := summary["rms_deviation_m"]) is not None:
         rows += [
-            ["followed without failure and joint jump", _share(summary, "smooth")],
-            ["EE speed, share of the asked one", percent(summary["speed_share"])],
+            ["followed without failure and joint jump", _fraction(summary, "smooth")],
+            ["EE speed relative to the target", percent(summary["speed_share"])],
             ["EE deviation, root mean square", f"{1000 * rms:.1f} mm"],
         ]
     if summary["collision_free_rate"] is not None:
-        done = _share(summary, "task_success")
+        done = _fraction(summary, "task_success")
         rows += [
             ["task success", "no objects" if summary["task_success"] is None else done],
             ["episodes without a collision", percent(summary["collision_free_rate"])],
             ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
             ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
         ]
-    title += "" if summary["world"] == "analytic" else f", {summary['world']}"
-    print_table(title, ["", " share (95 % interval) or mean"], rows)
+    print_table(title.format(**summary), ["", " fraction (95 % interval) or mean"], rows)
 
 
-def _share(summary: Mapping[str, Any], key: str) -> str:
+def _fraction(summary: Mapping[str, Any], key: str) -> str:
     return percent(*(summary[f"{key}{end}"] for end in ("", "_low", "_high")))

@@ -1,7 +1,7 @@
 """`kinfeas export`: a trained policy as one ONNX file, and checks of such files."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from kinfeas.cli import options
 from kinfeas.cli.options import argument, option
@@ -10,13 +10,9 @@ from kinfeas.core.errors import KinfeasError
 
 
 def export(
-    policy: Annotated[
-        str | None, argument("Folder of a training run or of a checkpoint, or pretrained.")
-    ] = None,
-    out: Annotated[Path | None, options.file_option("File to write.", ".onnx")] = None,
-    check: Annotated[
-        Path | None, option("Verify this file, write nothing.", metavar="FILE.onnx")
-    ] = None,
+    policy: str | None = argument(None, "Folder of a run or checkpoint, or pretrained."),
+    out: Path | None = options.file_option(None, "File to write.", ".onnx"),
+    check: Path | None = option(None, "Verify this file, write nothing.", metavar="FILE.onnx"),
     robot: options.PolicyRobotName = None,
     json: options.JsonPath = None,
 ) -> None:
@@ -29,7 +25,7 @@ def export(
 
     Example: kinfeas export --check pr2.onnx --robot pr2
     """
-    from kinfeas.api import export as api
+    from kinfeas.api import load as api
 
     if check is not None and policy is None and out is None:
         file = api.check_export(check, robot=robot)

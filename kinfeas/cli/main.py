@@ -12,17 +12,14 @@ from typer.exceptions import TyperException
 
 from kinfeas import __version__
 from kinfeas.cli.benchmark import benchmark
-from kinfeas.cli.ceiling import ceiling
-from kinfeas.cli.dataset import dataset
 from kinfeas.cli.demo import demo
-from kinfeas.cli.deploy import deploy
-from kinfeas.cli.evaluate import evaluate
+from kinfeas.cli.demonstrations import dataset, fit
+from kinfeas.cli.deploy import deploy, servo
+from kinfeas.cli.evaluate import ceiling, evaluate
 from kinfeas.cli.export import export
-from kinfeas.cli.fit import fit
 from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
-from kinfeas.cli.servo import servo
 from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
@@ -46,33 +43,26 @@ app.add_typer(robot, name="robot")
 
 def main() -> None:
     """Run the command line; exit with 2 and one line on bad input, with 130 on Ctrl-C."""
+    message: str | None
     try:
         code = app(standalone_mode=False)
-    except (KinfeasError, TyperException, OSError) as error:
-        if message := _message(error):
-            sys.stderr.write(f"error: {' '.join(message.split())}\n")
-        sys.exit(2)
+        sys.exit(code if isinstance(code, int) else 0)
+    except TyperException as error:
+        message = error.format_message()
     except (KeyboardInterrupt, typer.Abort):
-        code = 130
+        sys.exit(130)
+    except (KinfeasError, OSError) as error:
+        message = describe(error) if raised_by(error) else str(error)
     except PLUGIN_ERRORS as error:
-        if missing := missing_extra(error):
-            sys.stderr.write(f"error: {missing}\n")
-            sys.exit(2)
-        if raised_by(error) is None:
+        message = missing_extra(error)
+        if message is None and raised_by(error) is None:
             raise
-        traceback.print_exc()  # for the author of the plugin
-        sys.stderr.write(f"error: {describe(error)}\n")
-        code = 2
-    sys.exit(code if isinstance(code, int) else 0)
-
-
-def _message(error: Exception) -> str:
-    if isinstance(error, TyperException):
-        return error.format_message()
-    if not isinstance(error, OSError) or error.strerror is None:
-        return str(error)
-    text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
-    return "; ".join([text, *getattr(error, "__notes__", ())])  # notes name plugins
+        if message is None:
+            traceback.print_exc()  # for the author of the plugin
+            message = describe(error)
+    if message:
+        sys.stderr.write(f"error: {' '.join(message.split())}\n")
+    sys.exit(2)
 
 
 def _print_version(requested: bool) -> None:

@@ -4,22 +4,20 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from kinfeas.cli.output import STDOUT, check_file_path, check_suffix
+from kinfeas.cli.output import STDOUT, check_file_path, progress
 from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.config import Settings
-    from kinfeas.jobs.job import Engine
+    from kinfeas.jobs.job import Job, Result
 
 _WRITERS = {
     ".png": ("matplotlib",), ".gif": ("PIL", "pybullet"), ".mp4": ("av", "pybullet"),
@@ -28,35 +26,14 @@ _WRITERS = {
 """Optional packages that write files, by suffix."""
 
 
-def option(text: str, *names: str, groups: Sequence[str] = (), **more: Any) -> Any:
-    """Return an option with a help text; `groups` of entry points complete its value."""
-    if groups:
-        more["autocompletion"] = names_of(*groups)
-    return typer.Option(*names, help=text, **more)
+def option(default: object, text: str, *names: str, **more: Any) -> Any:
+    """Return an option with a help text, required if the default is `...`."""
+    return typer.Option(default, *names, help=text, **more)
 
 
-def argument(text: str, *, groups: Sequence[str] = (), **more: Any) -> Any:
+def argument(default: object, text: str, **more: Any) -> Any:
     """Return an argument, as `option` does."""
-    if groups:
-        more["autocompletion"] = names_of(*groups)
-    return typer.Argument(help=text, **more)
-
-
-def names_of(*groups: str) -> Callable[[str], list[str]]:
-    """Return a shell completion by the entry-point names of groups, such as `robots`."""
-
-    def complete(incomplete: str) -> list[str]:
-        names = {entry.name for group in groups for entry in entry_points(group=f"kinfeas.{group}")}
-        return sorted(name for name in names if name.startswith(incomplete))
-
-    return complete
-
-
-def complete_policy(incomplete: str) -> list[str]:
-    """Return the names of policies and the training runs in `runs` that begin with a text."""
-    runs = {str(path.parent) for path in Path("runs").glob("*/config.yaml")}
-    names = {"pretrained", *runs, *registry.names("kinfeas.policies")}
-    return sorted(name for name in names if name.startswith(incomplete))
+    return typer.Argument(default, help=text, **more)
 
 
 def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
@@ -64,7 +41,8 @@ def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
 
     def check(path: Path | None) -> Path | None:
         if path is not None:
-            check_suffix(path, *suffixes)
+            if path.suffix.lower() not in suffixes:
+                raise KinfeasError(f"{path}: must end in {' or '.join(suffixes)}")
             require(*_WRITERS.get(path.suffix.lower(), ()))
         return check_file_path(path)
 
@@ -79,93 +57,55 @@ def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
     return STDOUT
 
 
-def file_option(text: str, *suffixes: str) -> Any:
+def file_option(default: object, text: str, *suffixes: str) -> Any:
     """Return an option for a file to write that ends in one of the suffixes."""
-    return option(text, metavar=f"FILE{suffixes[0]}", callback=output_file(*suffixes))
+    return option(default, text, metavar=f"FILE{suffixes[0]}", callback=output_file(*suffixes))
 
 
-def episodes_option(text: str) -> Any:
-    """Return an option for a number of episodes."""
-    return option(text, min=1, max=MOST_EPISODES)
-
-
-def robot_option(default: str = "") -> Any:
-    """Return an option for a robot; the text on its default is added to the help."""
-    text = f"Robot: pr2, tiago, hsr, or a folder.{default}"
-    return option(text, groups=("robots",))
-
-
-def task_option(before: str = "", default: str = "") -> Any:
-    """Return an option for a task, with texts before and after its help."""
-    tasks = "Task: ggr, pick_place, door, drawer, another of `plugins list`, or a YAML file."
-    return option(before + tasks + default, groups=("tasks",))
-
-
-RobotName = Annotated[str, robot_option()]
-PolicyRobotName = Annotated[str | None, robot_option("  [default: that of the policy]")]
-TaskName = Annotated[str, task_option()]
-PolicyName = Annotated[
-    str,
-    option(
-        "Run folder, ONNX file, module:Class, or a name such as pretrained or follow_ee.",
-        autocompletion=complete_policy,
-    ),
-]
-PolicyArgument = Annotated[
-    str,
-    argument(
-        "ONNX file, run folder, module:Class, or a name such as pretrained.",
-        autocompletion=complete_policy,
-    ),
-]
-World = Annotated[
-    str, option("Backend: analytic, pybullet, mujoco, or a plugin.", groups=("backends",))
-]
-Episodes = Annotated[int, episodes_option("Number of episodes.")]
-Seed = Annotated[int, option("Random seed.", min=0, max=LAST_SEED)]
-Processes = Annotated[int, option("Parallel processes.", min=1, max=MOST_PROCESSES)]
-AllProcesses = Annotated[
-    int | None,
-    option("Number of jobs at a time.  [default: one for each core]", min=1, max=MOST_PROCESSES),
-]
-EngineName = Annotated[
-    str, option("Where jobs run: local, ray, or a mapping such as {name: ray, address: auto}.")
-]
-EngineAddress = Annotated[str | None, option("Address of a running Ray cluster, such as auto.")]
+ROBOT = "Robot: pr2, tiago, hsr, or a folder."
+TASK = "Task: ggr, pick_place, door, drawer, another of `plugins list`, or a YAML file."
+_POLICIES = "Run folder, ONNX file, module:Class, or a name such as pretrained."
+RobotName = Annotated[str, option(..., ROBOT)]
+PolicyRobotName = Annotated[str | None, option(..., f"{ROBOT}  [default: that of the policy]")]
+TaskName = Annotated[str, option(..., TASK)]
+PolicyName = Annotated[str, option(..., _POLICIES)]
+PolicyArgument = Annotated[str, argument(..., _POLICIES)]
+World = Annotated[str, option(..., "Backend: analytic, pybullet, mujoco, or a plugin.")]
+Episodes = Annotated[int, option(..., "Number of episodes.", min=1, max=MOST_EPISODES)]
+Seed = Annotated[int, option(..., "Random seed.", min=0, max=LAST_SEED)]
+Processes = Annotated[int, option(..., "Parallel processes.", min=1, max=MOST_PROCESSES)]
+AllProcesses = Annotated[int | None, option(..., "Jobs at a time.  [default: all cores]", min=1)]
+EngineName = Annotated[Literal["local", "ray"], option(..., "Where jobs run.")]
+EngineAddress = Annotated[str | None, option(..., "Running Ray cluster, such as auto.")]
 RobotBackend = Annotated[
     str | None,
     option(
+        ...,
         "analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
         "[default: pybullet or, without it, mujoco]",
-        groups=("backends",),
     ),
 ]
-Rate = Annotated[float, option("Control rate, Hz.", min=1.0, max=1000.0)]
-Record = Annotated[
-    Path | None, option("New file.  [default: one below runs/deploy]", metavar="FILE.csv")
-]
+Rate = Annotated[float, option(..., "Control rate, Hz.", min=1.0, max=1000.0)]
+Record = Annotated[Path | None, option(..., "New file.  [default: in runs/deploy]", metavar="CSV")]
 GuardsFile = Annotated[
-    Path | None, option("Limits of the guards.", "--guards", metavar="FILE.yaml")
+    Path | None, option(..., "Limits of guards.", "--guards", metavar="FILE.yaml")
 ]
-AdapterList = Annotated[str | None, option("paper, pr2_like, harsh, randomised, or a file.")]
+AdapterList = Annotated[str | None, option(..., "paper, pr2_like, harsh, randomised, or a file.")]
 Filters = Annotated[
-    str | None,
-    option("Such as path_planner,feasibility, or none.  [default: the robot's]", metavar="NAMES"),
+    str | None, option(..., "Command filters with commas, or none.  [default: the robot's]")
 ]
 Overrides = Annotated[
-    list[str] | None, option("Change a setting; may be repeated.", "--set", metavar="KEY=VALUE")
+    list[str] | None,
+    option(..., "Change a setting; may be repeated.", "--set", metavar="KEY=VALUE"),
 ]
 JsonPath = Annotated[
     Path | None,
-    option(
-        "Write results as JSON; - is standard output.", metavar="FILE", callback=_read_json_path
-    ),
+    option(..., "JSON of results; - is standard output.", metavar="FILE", callback=_read_json_path),
 ]
-Picture = Annotated[Path | None, file_option("Draw a picture.", ".png")]
-
+Picture = Annotated[Path | None, file_option(..., "Draw a picture.", ".png")]
 Video = Annotated[
     Path | None,
-    file_option("Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"),
+    file_option(..., "Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"),
 ]
 
 
@@ -186,10 +126,17 @@ def read_settings(
     return settings
 
 
-def read_engine(text: str, processes: int | None, address: str | None) -> "Engine":
-    """Return an engine by its name or parameters."""
+def run_jobs(
+    jobs: "Sequence[Job]", kind: str, engine: str, processes: int | None, address: str | None
+) -> "list[Result]":
+    """Return the results of jobs on an engine, with a progress bar."""
+    from kinfeas.api import counter
     from kinfeas.jobs.job import build_engine
+    from kinfeas.jobs.job import run_jobs as run
 
-    return build_engine(
-        strict_yaml.parse(text, "--engine"), processes or os.cpu_count() or 1, address
-    )
+    paths = {job.path for job in jobs}
+    missing = sum(not path.exists() for path in paths)
+    text = f"{missing} {kind} to do ({len(paths) - missing} kept)"
+    runner = build_engine(engine, processes or os.cpu_count() or 1, address)
+    with progress() as on_progress:
+        return run(jobs, runner, counter(on_progress, text, missing))

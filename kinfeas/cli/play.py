@@ -1,7 +1,6 @@
 """`kinfeas play`: a page on which a simulated robot follows a target that one drags."""
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -13,28 +12,17 @@ from kinfeas.core.extras import require
 def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyArgument = "pretrained",
     robot: options.PolicyRobotName = None,
-    second_policy: Annotated[
-        str, option("Policy of a second robot with the same target.")
-    ] = "none",
-    generator: Annotated[
-        str,
-        option(
-            "servo follows the handle; other generators start when it is released.",
-            groups=("motion_generators",),
-        ),
-    ] = "servo",
-    filters: Annotated[
-        str, option("Such as path_planner,feasibility, or none.", metavar="NAMES")
-    ] = "time_scaling",
-    backend: Annotated[
-        str, option("analytic, pybullet or mujoco.", groups=("backends",))
-    ] = "analytic",
-    scene: Annotated[str, option("Scene by name or YAML file, or none.")] = "room",
-    demonstrations: Annotated[
-        Path, option("Folder of the recorded motions.", metavar="FOLDER")
-    ] = Path("demonstrations"),
-    host: Annotated[str, option("Address; 0.0.0.0 for other computers.")] = "127.0.0.1",
-    port: Annotated[int, option("Port; 0 for a free one.", min=0, max=65535)] = 8080,
+    second_policy: str = option("none", "Policy of a second robot."),
+    generator: str = option(
+        "servo",
+        "Motion generator.",
+    ),
+    filters: str = option("time_scaling", "Command filters with commas, or none."),
+    backend: str = option("analytic", "analytic, pybullet or mujoco."),
+    scene: str = option("room", "Scene by name or YAML file, or none."),
+    demonstrations: Path = option(Path("demonstrations"), "Folder of recorded motions."),
+    host: str = option("127.0.0.1", "Address; 0.0.0.0 for other computers."),
+    port: int = option(8080, "Port; 0 for a free one.", min=0, max=65535),
 ) -> None:
     """Drag the target of a simulated robot in the browser; base and arm follow.
 

@@ -5,7 +5,7 @@ import re
 import shlex
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -15,17 +15,16 @@ from kinfeas.cli.output import print_facts, print_table, progress, write_drawing
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.core.registry import GROUPS, Plugin
-from kinfeas.io.files import is_path
 from kinfeas.templates import Kind
 
 if TYPE_CHECKING:
-    from kinfeas.testing import Finding
     from kinfeas.testing.trial import Trial
 
 app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
 
+_KINDS = f"Kind of plugin: {', '.join(Kind)}."
 _GENERATORS = "kinfeas.motion_generators"
-_GIVEN = {
+_PASSED = {
     "kinfeas.adapters": ("backend", "robot"),
     "kinfeas.backends": ("robot",),
     "kinfeas.policies": ("robot",),
@@ -39,29 +38,24 @@ def list_plugins(json: options.JsonPath = None) -> None:
 
     Example: kinfeas plugins list
     """
-    from rich.text import Text
-
     listed = []
     for group, kind in GROUPS.items():
-        rows: list[list[str | Text]] = []
+        rows = []
         for plugin in registry.plugins(group):
             text, error = _summary(plugin)
             listed.append({**vars(plugin), "kind": kind, "description": text, "error": error})
-            line = Text(text) if error is None else Text(f"broken: {error}", "red")
-            rows.append([plugin.name, f"{plugin.distribution} {plugin.version}", line])
+            origin = f"{plugin.distribution} {plugin.version}"
+            rows.append([plugin.name, origin, text if error is None else f"broken: {error}"])
         print_table(f"{kind}s".replace("ys", "ies"), ["name", "from", "description"], rows)
     write_json(listed, json)
 
 
 @app.command()
 def info(
-    name: Annotated[
-        str,
-        argument(
-            "Name of a plugin, folder of a robot, or YAML file of a task.",
-            groups=[group.removeprefix("kinfeas.") for group in GROUPS],
-        ),
-    ],
+    name: str = argument(
+        ...,
+        "Name of a plugin.",
+    ),
     json: options.JsonPath = None,
 ) -> None:
     """Show documentation and parameters of a plugin.
@@ -70,24 +64,23 @@ def info(
 
     Example: kinfeas plugins info linear
     """
-    plugins = (
-        [_facts_of_file(name)] if is_path(name) else [_facts(plugin) for plugin in _find(name)]
-    )
+    installed = [plugin for group in GROUPS for plugin in registry.plugins(group)]
+    plugins = [_facts(plugin) for plugin in installed if plugin.name == name]
+    if not plugins:
+        names = {plugin.name for plugin in installed}
+        raise KinfeasError(f"unknown plugin {name!r}{no_such(name, names)}")
     write_json(plugins, json)
     for facts in plugins:
-        origin = facts.get("file") or "{distribution} {version}, {target}".format(**facts)
-        title = f"{facts['kind']} {facts['name']}, from {origin}\n\n{facts.get('text', '')}".strip()
+        title = "{kind} {name}, from {distribution} {version}, {target}\n\n{text}".format(**facts)
         keys = ("robot", "parameters", "subgoals")
         print_facts(title, {key: facts[key] for key in keys if key in facts})
 
 
 @app.command()
 def new(
-    name: Annotated[str, argument("Name of the plugin, such as my_motion.")],
-    out: Annotated[Path | None, option("Folder.  [default: ./kinfeas-NAME]")] = None,
-    kind: Annotated[
-        Kind, option(f"Kind of plugin: {', '.join(Kind)}.", metavar="KIND")
-    ] = Kind.MOTION_GENERATOR,
+    name: str = argument(..., "Name of the plugin, such as my_motion."),
+    out: Path | None = option(None, "Folder.  [default: ./kinfeas-NAME]"),
+    kind: Kind = option(Kind.MOTION_GENERATOR, _KINDS, metavar="KIND"),
 ) -> None:
     """Create a plugin distribution with example, test and README.
 
@@ -104,20 +97,17 @@ def new(
 
 @app.command()
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
-    name: Annotated[
-        str,
-        argument(
-            "Name of a motion generator or policy, or module:Class of a policy.",
-            groups=("motion_generators", "policies"),
-        ),
-    ],
+    name: str = argument(
+        ...,
+        "Name of a motion generator or policy, or module:Class of a policy.",
+    ),
     overrides: options.Overrides = None,
-    duration: Annotated[float, option("Seconds within which motions arrive.", min=0.1)] = 120.0,
-    dt: Annotated[float, option("Seconds of a step.", min=0.001)] = 0.1,
-    max_velocity: Annotated[float, option("Speed limit, m/s.", min=0.0)] = 0.1,
-    max_angular_velocity: Annotated[float, option("The same in rad/s.", min=0.0)] = 0.1,
+    duration: float = option(120.0, "Seconds within which motions arrive.", min=0.1),
+    dt: float = option(0.1, "Seconds of a step.", min=0.001),
+    max_velocity: float = option(0.1, "Speed limit, m/s.", min=0.0),
+    max_angular_velocity: float = option(0.1, "The same in rad/s.", min=0.0),
     seed: options.Seed = 0,
-    robot: Annotated[str | None, option("Robot of a policy; policies need one.")] = None,
+    robot: str | None = option(None, "Robot of a policy; policies need one."),
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:
@@ -127,8 +117,11 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas plugins check minimum_jerk --set min_duration=2 --picture motions.png
     """
+    from kinfeas.api import counter
     from kinfeas.config import nested
-    from kinfeas.testing import RULES, examine
+    from kinfeas.policies.loading import load_policy
+    from kinfeas.robots.loading import load_robot
+    from kinfeas.testing import RULES, check_policy, examine
     from kinfeas.testing.trial import Trial
 
     if name in registry.names("kinfeas.policies") or ":" in name:
@@ -137,45 +130,36 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
         if robot is None:
             robots = ", ".join(registry.names("kinfeas.robots"))
             raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a YAML file")
-        _check_policy(name, robot)
+        model = load_robot(robot)
+        check_policy(load_policy(name, model), model)
         write_json({"policy": name, "robot": robot, "passed": True}, json)
+        typer.echo(f"policy {name} keeps the contract on robot {model.name}")
         return
     parameters = nested(options.read_settings(overrides))
     trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
     generator = registry.build(_GENERATORS, name, parameters)
-    with progress(f"checking {name}", trial.steps) as advance:
-        findings = examine(generator, trial, name, lambda: advance(1.0))
-    rows = [[RULES[finding.rule], _result(finding), finding.broken or ""] for finding in findings]
+    with progress() as on_progress:
+        count = counter(on_progress, f"checking {name}", trial.steps)
+        findings = examine(generator, trial, name, count)
     rules = [
-        {"rule": finding.rule, "text": text, "result": result, "broken": finding.broken}
-        for finding, (text, result, _) in zip(findings, rows, strict=True)
-    ]
-    broken = [finding.broken for finding in findings if finding.broken is not None]
-    passed = all(finding.kept for finding in findings)
+        {"rule": result.rule, "text": RULES[result.rule], "checked": result.checked,
+         "broken": result.broken}
+        for result in findings
+    ]  # fmt: skip
+    broken = [result.broken for result in findings if result.broken is not None]
+    passed = all(result.kept for result in findings)
     report = {"generator": name, "parameters": parameters, "passed": passed, "rules": rules}
     write_json(report, json)
-    print_table(f"motion generator {name}", ["rule", "", "error"], rows)
+    rows = [
+        [RULES[result.rule], result.broken or ("kept" if result.checked else "not checked")]
+        for result in findings
+    ]
+    print_table(f"motion generator {name}", ["rule", "result"], rows)
     if all(finding.checked for finding in findings):  # a severe violation ends the motions
         write_drawing(lambda: _drawing(name, parameters, trial), picture)
     if broken:
         raise KinfeasError(f"{len(broken)} of {len(findings)} rules broken: {broken[0]}")
     typer.echo(f"motion generator {name} passes all {len(findings)} rules")
-
-
-def _check_policy(name: str, robot: str) -> None:
-    from kinfeas.policies.loading import load_policy
-    from kinfeas.robots.loading import load_robot
-    from kinfeas.testing import check_policy
-
-    model = load_robot(robot)
-    check_policy(load_policy(name, model), model)
-    typer.echo(f"policy {name} keeps the contract on robot {model.name}")
-
-
-def _result(finding: "Finding") -> str:
-    if finding.broken is not None:
-        return "broken"
-    return "kept" if finding.checked else "not checked"
 
 
 def _drawing(name: str, parameters: dict[str, object], trial: "Trial") -> bytes:
@@ -195,28 +179,10 @@ def _summary(plugin: Plugin) -> tuple[str, str | None]:
 
     try:
         if plugin.group == "kinfeas.robots":
-            robot = load_robot(plugin.name)
-            return f"{robot.base.drive} base, arm of {len(robot.arm)} joints", None
-        return _documentation(_load(plugin)).partition("\n")[0], None
+            load_robot(plugin.name)
+        return _documentation(registry.load(plugin.group, plugin.name)).partition("\n")[0], None
     except KinfeasError as error:
         return "", " ".join(str(error).split())
-
-
-def _find(name: str) -> list[Plugin]:
-    every = [plugin for group in GROUPS for plugin in registry.plugins(group)]
-    plugins = [plugin for plugin in every if plugin.name == name]
-    if not plugins:
-        raise KinfeasError(
-            f"unknown plugin {name!r}{no_such(name, {plugin.name for plugin in every})}"
-        )
-    return plugins
-
-
-def _load(plugin: Plugin) -> Any:
-    loaded = registry.load(plugin.group, plugin.name)
-    if not callable(loaded):
-        registry.build(plugin.group, plugin.name, {})  # raises the error
-    return loaded
 
 
 def _documentation(factory: Any) -> str:
@@ -228,7 +194,7 @@ def _documentation(factory: Any) -> str:
 
 
 def _facts(plugin: Plugin) -> dict[str, Any]:
-    factory = _load(plugin)
+    factory = registry.load(plugin.group, plugin.name)
     facts = {**vars(plugin), "kind": GROUPS[plugin.group], "text": _documentation(factory)}
     if plugin.group == "kinfeas.robots":
         return facts | {"robot": _robot_facts(plugin.name)}
@@ -237,22 +203,11 @@ def _facts(plugin: Plugin) -> dict[str, Any]:
             _parameter(parameter.name, parameter.annotation, parameter.default)
             for parameter in inspect.signature(factory).parameters.values()
             if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
-            and parameter.name not in _GIVEN.get(plugin.group, ())
+            and parameter.name not in _PASSED.get(plugin.group, ())
         ]
     if plugin.group == "kinfeas.tasks" and all("default" in parameter for parameter in parameters):
         facts |= _task_facts(plugin.name)
-    return facts | ({"parameters": parameters} if parameters or "parameters" not in facts else {})
-
-
-def _facts_of_file(path: str) -> dict[str, Any]:
-    from kinfeas.config import strict_yaml
-    from kinfeas.robots.loading import check_no_urdf
-
-    check_no_urdf(path)
-    if not Path(path).is_dir() and "subgoals" in strict_yaml.read(Path(path)):
-        return {"kind": "task", "name": Path(path).stem, "file": path, **_task_facts(path)}
-    robot = _robot_facts(path)
-    return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
+    return {"parameters": [], **facts, **({"parameters": parameters} if parameters else {})}
 
 
 def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:
@@ -279,28 +234,18 @@ def _task_facts(name: str) -> dict[str, Any]:
 
 
 def _robot_facts(name: str) -> dict[str, Any]:
+    from pydantic_core import to_jsonable_python
+
     from kinfeas.robots.loading import load_robot
 
     robot = load_robot(name)
-    joints = [
-        {
-            "name": joint.name,
-            "unit": "m" if robot.urdf.joints[joint.name].kind == "prismatic" else "rad",
-            "lower": None if joint.continuous else joint.lower,
-            "upper": None if joint.continuous else joint.upper,
-            "velocity": joint.velocity,
-        }
-        for joint in robot.arm
-    ]
-    return {
-        "name": robot.name,
-        "urdf": str(robot.urdf_path),
-        "base": vars(robot.base),
-        "arm": joints,
-        "ee_frame": robot.ee_frame,
-        "tool_tip_m": [round(value, 4) for value in robot.tool_tip.tolist()],
-        "reach_m": [robot.reach.low, robot.reach.high],
-        "pose_tolerance": None if robot.pose_tolerance is None else vars(robot.pose_tolerance),
-        "gripper": None if robot.gripper is None else list(robot.gripper.fingers),
-        "configurations": list(robot.home),
-    }
+    keys = (
+        "name", "urdf_path", "base", "arm", "ee_frame", "tool_tip", "reach",
+        "pose_tolerance", "gripper", "home",
+    )  # fmt: skip
+    facts: dict[str, Any] = to_jsonable_python(
+        {key: getattr(robot, key) for key in keys},
+        inf_nan_mode="null",
+        fallback=lambda array: array.tolist(),
+    )
+    return facts

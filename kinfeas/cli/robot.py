@@ -3,10 +3,11 @@
 import os
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
+from kinfeas.api import counter
 from kinfeas.cli import options
 from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import (
@@ -21,37 +22,22 @@ from kinfeas.core.errors import KinfeasError
 if TYPE_CHECKING:
     from kinfeas.importer.draft import Draft
 
+Drive = Literal["differential", "omnidirectional"]
 app = typer.Typer(no_args_is_help=True, help="Create the files of a robot.")
 
 
 @app.command("import")
 def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
-    urdf: Annotated[Path, argument("URDF of a mobile manipulator.", metavar="FILE.urdf")],
-    out: Annotated[Path, option("Folder of the robot, for robot.yaml and robot.urdf.")],
-    name: Annotated[str | None, option("Name of the robot.  [default: that of the folder]")] = None,
-    drive: Annotated[
-        Literal["omnidirectional", "differential"] | None,
-        option("Drive of the base.  [default: by its wheels, else differential]"),
-    ] = None,
-    ee: Annotated[
-        str | None, option("EE link.  [default: end of the longest chain, before the fingers]")
-    ] = None,
-    base: Annotated[
-        str | None,
-        option(
-            "Base link; links above it are left out.  [default: the root, or the link above "
-            "joints that model a floor]"
-        ),
-    ] = None,
-    no_meshes: Annotated[bool, option("Leave meshes out.", "--no-meshes")] = False,
-    mesh_path: Annotated[
-        list[str] | None,
-        option(
-            "Replace the beginning of mesh addresses, such as package://NAME by a folder; may "
-            "be repeated.",
-            metavar="OLD=NEW",
-        ),
-    ] = None,
+    urdf: Path = argument(..., "URDF of a mobile manipulator.", metavar="FILE.urdf"),
+    out: Path = option(..., "Folder of the robot, for robot.yaml and robot.urdf."),
+    name: str | None = option(None, "Name of the robot.  [default: that of the folder]"),
+    drive: Drive | None = option(None, "Drive of the base.  [default: by the wheels]"),
+    ee: str | None = option(None, "EE link.  [default: end of the longest chain]"),
+    base: str | None = option(None, "Base link; links above it are left out.  [default: the root]"),
+    no_meshes: bool = option(False, "Leave meshes out.", "--no-meshes"),
+    mesh_path: list[str] | None = option(
+        None, "Replaces the start of mesh addresses; may be repeated.", metavar="OLD=NEW"
+    ),
     json: options.JsonPath = None,
     picture: options.Picture = None,
 ) -> None:
@@ -77,10 +63,11 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
         if path.exists():
             raise KinfeasError(f"{path}: exists; choose another --out")
     replacements = dict(_replacement(text) for text in mesh_path or ())
-    with progress(f"reading {urdf.name}") as advance:
+    with progress() as on_progress:
         draft = draft_robot(
-            urdf, called, ee, base, drive, advance, meshes=not no_meshes, mesh_paths=replacements
-        )
+            urdf, called, ee, base, drive, counter(on_progress, f"reading {urdf.name}"),
+            meshes=not no_meshes, mesh_paths=replacements,
+        )  # fmt: skip
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml)):

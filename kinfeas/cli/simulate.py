@@ -1,7 +1,6 @@
 """`kinfeas simulate`: a simulated robot behind the topics of a real one."""
 
 from dataclasses import asdict
-from typing import Annotated
 
 import typer
 
@@ -13,26 +12,18 @@ from kinfeas.core.errors import KinfeasError
 
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
-    backend: Annotated[str, option("Bus: ros2, ros1, or a plugin with topics.")] = "ros2",
+    backend: str = option("ros2", "Bus: ros2, ros1, or a plugin with topics."),
     robot: options.RobotName = DEFAULT_ROBOT,
-    task: Annotated[str | None, option("Begin as in an episode of this task.")] = None,
-    episode: Annotated[int, option("Number of the episode.", min=0)] = 0,
+    task: str | None = option(None, "Begin as in an episode of this task."),
+    episode: int = option(0, "Number of the episode.", min=0),
     seed: options.Seed = 0,
-    scene: Annotated[
-        str | None, option("Scene by name or YAML file.  [default: that of --task]")
-    ] = None,
-    topics: Annotated[
-        str | None, option("YAML of the topics.  [default: those of the robot]")
-    ] = None,
-    rate: Annotated[float, option("Measurement rate, Hz.", min=10.0, max=1000.0)] = 100.0,
-    seconds: Annotated[float | None, option("Duration.  [default: unlimited]", min=0.0)] = None,
-    command_timeout: Annotated[
-        float, option("Seconds without a command after which the base stops.", min=0.0)
-    ] = 0.25,
-    world: Annotated[
-        str | None, option("pybullet or mujoco.  [default: pybullet or, without it, mujoco]")
-    ] = None,
-    gui: Annotated[bool, option("PyBullet: show a window.", "--gui")] = False,
+    scene: str | None = option(None, "Scene by name or YAML file.  [default: that of --task]"),
+    topics: str | None = option(None, "YAML of the topics.  [default: those of the robot]"),
+    rate: float = option(100.0, "Measurement rate, Hz.", min=10.0, max=1000.0),
+    seconds: float | None = option(None, "Duration.  [default: unlimited]", min=0.0),
+    command_timeout: float = option(0.25, "The base stops after these seconds.", min=0.0),
+    world: str | None = option(None, "pybullet or mujoco.  [default: the installed one]"),
+    gui: bool = option(False, "PyBullet: show a window.", "--gui"),
     json: options.JsonPath = None,
 ) -> None:
     """Simulate a robot behind ROS topics, with physics in real time.

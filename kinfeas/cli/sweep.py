@@ -1,15 +1,14 @@
 """`kinfeas sweep`: search the keys of a training recipe."""
 
 import shlex
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.options import argument, option
-from kinfeas.cli.output import print_table, progress, write_drawing, write_json
+from kinfeas.cli.output import print_table, write_drawing, write_json
 from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
@@ -19,8 +18,8 @@ if TYPE_CHECKING:
 
 
 def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
-    config: Annotated[str, argument("YAML file, or a name such as sweep/pr2.")],
-    out: Annotated[Path | None, option("Folder of the sweep.  [default: runs/sweep/NAME]")] = None,
+    config: str = argument(..., "YAML file, or a name such as sweep/pr2."),
+    out: Path | None = option(None, "Folder of the sweep.  [default: runs/sweep/NAME]"),
     engine: options.EngineName = "local",
     address: options.EngineAddress = None,
     processes: options.AllProcesses = None,
@@ -38,19 +37,12 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas train --config runs/sweep/pr2/best.yaml --seed 1
     """
     require("torch", "stable_baselines3", "matplotlib", "optuna")
-    from kinfeas.jobs.job import run_jobs
     from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best
 
     settings = read_sweep(config, options.read_settings(overrides))
-    runner = options.read_engine(engine, processes, address)
     folder = out or Path("runs/sweep") / Path(config).stem
     trials = plan_trials(settings, folder)
-    try:
-        with progress(f"{len(trials)} trials", len(trials)) as advance:
-            results = run_jobs(trials, runner, lambda: advance(1.0))
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted: trials are kept, the same command continues\n")
-        raise typer.Exit(130) from None
+    results = options.run_jobs(trials, "trials", engine, processes, address)
     columns = [" trial", "state", " score", "values"]
     print_table("score: mean of success and of EE deviation below 5 cm", columns, _rows(results))
     best = write_best(folder, results)
@@ -70,10 +62,6 @@ def _rows(results: "Sequence[Result]") -> list[list[str]]:
     rows = []
     for trial in sorted(results, key=lambda trial: -trial.get("score", -1.0)):
         score = f"{trial['score']:.3f}" if "score" in trial else "-"
-        values = (f"{key.rpartition('.')[2]}={_entry(x)}" for key, x in trial["values"].items())
-        rows.append([str(trial["number"]), trial["state"], score, " ".join(values)])
+        values = ", ".join(f"{key}={value}" for key, value in trial["values"].items())
+        rows.append([str(trial["number"]), trial["state"], score, values])
     return rows
-
-
-def _entry(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)

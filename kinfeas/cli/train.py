@@ -5,13 +5,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import minutes as as_minutes
 from kinfeas.cli.output import percent, print_table, progress
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
@@ -23,37 +22,25 @@ if TYPE_CHECKING:
 
 
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
-    robot: Annotated[
-        str | None, options.robot_option("  [default: robot of --config or --init, else pr2]")
-    ] = None,
-    task: Annotated[str | None, options.task_option(default="  [default: ggr]")] = None,
-    seed: Annotated[int | None, option("Random seed.  [default: 0]")] = None,
-    minutes: Annotated[
-        float | None, option("Time; in the analytic world without evaluations.  [default: 3]")
-    ] = None,
-    steps: Annotated[
-        int | None, option("Environment steps, in place of or beside --minutes.")
-    ] = None,
+    robot: str | None = option(
+        None, f"{options.ROBOT}  [default: robot of --config or --init, else pr2]"
+    ),
+    task: str | None = option(None, f"{options.TASK}  [default: ggr]"),
+    seed: int | None = option(None, "Random seed.  [default: 0]"),
+    minutes: float | None = option(None, "Time; with physics including evaluations.  [default: 3]"),
+    steps: int | None = option(None, "Environment steps, in place of or beside --minutes."),
     adapters: options.AdapterList = None,
     world: options.World = "analytic",
-    init: Annotated[
-        str | None, option("Policy to start from: a run folder, or pretrained.")
-    ] = None,
-    processes: Annotated[int | None, option("Processes of a physics world.  [default: 2]")] = None,
-    out: Annotated[
-        Path | None, option("Folder of the run.  [default: runs/ROBOT-TASK-SEED]")
-    ] = None,
-    config: Annotated[
-        str | None,
-        option(
-            "Recipe: a YAML file, or a name such as train_rooms or paper/pr2.  "
-            "[default: that of the robot]"
-        ),
-    ] = None,
+    init: str | None = option(None, "Policy to start from: a run folder, or pretrained."),
+    processes: int | None = option(None, "Processes of a physics world.  [default: 2]"),
+    out: Path | None = option(None, "Folder of the run.  [default: runs/ROBOT-TASK-SEED]"),
+    config: str | None = option(
+        None,
+        "Recipe: a YAML file, or a name such as train_rooms or paper/pr2.  "
+        "[default: that of the robot]",
+    ),
     overrides: options.Overrides = None,
-    resume: Annotated[
-        Path | None, option("Resume the run of a folder; --minutes and --steps extend.")
-    ] = None,
+    resume: Path | None = option(None, "Resume the run of a folder; --minutes and --steps extend."),
 ) -> None:
     """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
 
@@ -79,10 +66,10 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
         )  # fmt: skip
         run = train_run(settings, out or training.default_folder(settings))
     else:
-        others = (robot, task, seed, adapters, init, processes, out, config, overrides)
-        if world != "analytic" or any(other is not None for other in others):
+        excluded = (robot, task, seed, adapters, init, processes, out, config, overrides)
+        if world != "analytic" or any(value is not None for value in excluded):
             raise KinfeasError("--resume excludes all options but --minutes and --steps")
-        with _resumable(resume), training_bar() as report:
+        with training_progress(resume) as report:
             run = training.resume(resume, minutes=minutes, steps=steps, on_progress=report)
     _show(run)
 
@@ -91,39 +78,23 @@ def train_run(config: "TrainConfig", folder: Path) -> "Run":
     """Train with a progress bar and return the run."""
     from kinfeas.api.train import begin
 
-    with _resumable(folder), training_bar() as report:
+    with training_progress(folder) as report:
         return begin(config, folder, report)
 
 
 @contextmanager
-def _resumable(folder: Path) -> Iterator[None]:
-    """End with code 130 on Ctrl-C, and print how the run continues."""
+def training_progress(folder: Path) -> Iterator["OnTraining"]:
+    """Show progress; on Ctrl-C print how the run continues, and end with code 130."""
     from kinfeas.training.run import SETTINGS
 
     try:
-        yield
+        with progress() as on_progress:
+            yield lambda now: on_progress(describe(now), now.share)
     except KeyboardInterrupt:
         resume = shlex.join(["kinfeas", "train", "--resume", str(folder)])
-        sys.stderr.write(
-            f"interrupted; resume with: {resume}\n"
-            if (folder / SETTINGS).is_file()
-            else "interrupted before the run began\n"
-        )
+        begun = (folder / SETTINGS).is_file()
+        sys.stderr.write(f"interrupted; {f'resume with: {resume}' if begun else 'not begun'}\n")
         raise typer.Exit(130) from None
-
-
-@contextmanager
-def training_bar() -> Iterator["OnTraining"]:
-    """Show a bar on standard error, lines where it is no terminal; yields its update."""
-    with progress("training") as advance:
-        reported = 0.0
-
-        def report(now: "Progress") -> None:
-            nonlocal reported
-            advance(now.share - reported, describe(now))
-            reported = now.share
-
-        yield report
 
 
 def describe(now: "Progress") -> str:
@@ -138,30 +109,25 @@ def describe(now: "Progress") -> str:
     return (
         f"{now.steps:,} steps, {now.steps / max(now.seconds, 1e-9):,.0f}/s, "
         f"success while learning {recent}{best if now.best >= 0.0 else ''}, "
-        f"{as_minutes(left)} left"
+        f"{left / 60.0:.1f} min left"
     )
 
 
 def _show(run: "Run") -> None:
-    from kinfeas.api.train import evaluation_options
+    from kinfeas.api.train import evaluation_settings
     from kinfeas.config import to_options
 
     best, folder = run.metrics, str(run.folder)
+    within = f", with {', '.join(best['adapters'])}" if best["adapters"] else ""
+    success = percent(best["success"], best["success_low"], best["success_high"])
     rows = [
         ["steps", f"{run.steps:,}"],
         ["time of training", f"{run.seconds / 60.0:.1f} min"],
-        ["time of evaluations during training", f"{run.evaluation_seconds / 60.0:.1f} min"],
-        ["steps per second of training", f"{run.steps / run.seconds:,.0f}"],
-        [
-            f"success of the best checkpoint, {best['episodes']} fresh episodes"
-            + (f", with {', '.join(best['adapters'])}" if best["adapters"] else ""),
-            percent(*(float(best[key]) for key in ("success", "success_low", "success_high"))),
-        ],
+        [f"success of the best checkpoint, {best['episodes']} fresh episodes{within}", success],
         ["steps of the best checkpoint", f"{best['steps']:,}"],
     ]
-    print_table(f"trained: {folder}", ["", "share (95 % interval) or figure"], rows)
+    print_table(f"trained: {folder}", ["", "value (95 % interval)"], rows)
     command = ["kinfeas", "evaluate", "--robot", best["trained_with"], "--task", best["task"]]
-    command += ["--world", best["world"]] if best["world"] != "analytic" else []
-    adapters, settings = evaluation_options(run.folder)
-    command += ["--policy", folder, *(["--adapters", adapters] if adapters else [])]
-    typer.echo(f"evaluate it: {shlex.join([*command, *to_options(settings)])}")
+    command += ["--world", best["world"], "--policy", folder]
+    words = shlex.join([*command, *to_options(evaluation_settings(run.folder))])
+    typer.echo(f"evaluate it: {words}")

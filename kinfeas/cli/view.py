@@ -1,23 +1,20 @@
 """`kinfeas view`: a scene or a recorded run as a table, a picture or an interactive page."""
 
 from pathlib import Path
-from typing import Annotated
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import phases, print_facts, print_paths, write_json
+from kinfeas.cli.output import print_facts, print_paths, progress, write_json
 
 
 def view(  # noqa: PLR0913, PLR0917 - each option is an argument
-    scene: Annotated[str | None, option("Scene by name or YAML file.  [default: room]")] = None,
-    record: Annotated[Path | None, option("Record of kinfeas deploy.", metavar="FILE.csv")] = None,
+    scene: str | None = option(None, "Scene by name or YAML file.  [default: room]"),
+    record: Path | None = option(None, "Record of kinfeas deploy.", metavar="FILE.csv"),
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
     picture: options.Picture = None,
     video: options.Video = None,
-    html: Annotated[
-        Path | None, options.file_option("Write an interactive page.", ".html", ".htm")
-    ] = None,
+    html: Path | None = options.file_option(None, "Write an interactive page.", ".html", ".htm"),
 ) -> None:
     """Show a scene or a recorded run.
 
@@ -27,7 +24,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import view as api
 
-    with phases() as on_progress:
+    with progress() as on_progress:
         facts = api.view(
             scene, record=record, settings=options.read_settings(overrides), picture=picture,
             video=video, html=html, on_progress=on_progress,

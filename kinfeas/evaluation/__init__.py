@@ -1,4 +1,1 @@
-"""Evaluation of policies in any world: metrics, reachability, cost of adapters.
-
-May import envs and lower packages, but not training.
-"""
+"""Evaluation of policies in any world: metrics and the ceiling."""

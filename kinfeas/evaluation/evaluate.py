@@ -1,10 +1,10 @@
 """Evaluation of a policy: metrics of its episodes in any world, beside the reachability bound."""
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TypedDict
 
 from kinfeas.config import PluginSpec, Settings, from_mapping
 from kinfeas.control.execution import ExecutionConfig
@@ -18,16 +18,8 @@ from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import StreamTask, Task
 
 
-class CeilingEntries(TypedDict):
-    """The ceiling with its interval; null if not measured."""
-
-    ceiling: float | None
-    ceiling_low: float | None
-    ceiling_high: float | None
-
-
-class Summary(Metrics, CeilingEntries):
-    """Metrics of a policy and what they were measured on."""
+class Summary(Metrics):
+    """Metrics of a policy, what they were measured on, and the ceiling; null if not measured."""
 
     robot: str
     task: str
@@ -39,6 +31,9 @@ class Summary(Metrics, CeilingEntries):
     adapters: list[str]
     filters: list[str]
     backend_parameters: dict[str, object]
+    ceiling: float | None
+    ceiling_low: float | None
+    ceiling_high: float | None
 
 
 @dataclass(frozen=True)
@@ -97,12 +92,11 @@ def configure(
 
 def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
     """Return no adapters, each one alone, and all but each one, by label."""
-    names, every = [adapter.name for adapter in adapters], tuple(adapters)
-    return {
-        "none": (),
-        **{name: (adapter,) for name, adapter in zip(names, every, strict=True)},
-        **{f"no {name}": every[:i] + every[i + 1 :] for i, name in enumerate(names)},
-    }
+    subsets: dict[str, tuple[PluginSpec, ...]] = {"none": ()}
+    subsets |= {adapter.name: (adapter,) for adapter in adapters}
+    for adapter in adapters:
+        subsets[f"no {adapter.name}"] = tuple(spec for spec in adapters if spec is not adapter)
+    return subsets
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
@@ -114,12 +108,13 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     on_done: OnDone | None = None,
     watch: Watch | None = None,
 ) -> Summary:
-    """Return the metrics of a policy: shares in 0-1, distances in metres.
+    """Return the metrics of a policy: fractions in 0-1, distances in metres.
 
     The ceiling is that of `reachability_of`; further arguments as in `evaluate_episodes`.
     """
     records, execution = _run(config, policy, processes, on_done, watch)
     settings = config.world
+    value, low, high = (ceiling.value, ceiling.low, ceiling.high) if ceiling else (None,) * 3
     return {
         "robot": config.robot.name,
         "task": config.task.name,
@@ -132,14 +127,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
         "filters": [command_filter.name for command_filter in settings.filters],
         "backend_parameters": settings.backend_parameters,
         **summarize(records),
-        **ceiling_entries(ceiling),
+        "ceiling": value,
+        "ceiling_low": low,
+        "ceiling_high": high,
     }
-
-
-def ceiling_entries(ceiling: Proportion | None) -> CeilingEntries:
-    """Return the entries of a summary on the ceiling."""
-    value, low, high = (ceiling.value, ceiling.low, ceiling.high) if ceiling else (None,) * 3
-    return {"ceiling": value, "ceiling_low": low, "ceiling_high": high}
 
 
 def run(
@@ -162,25 +153,21 @@ def _run(
 ) -> tuple[EpisodeRecords, ExecutionConfig]:
     """Return the record of each episode, and the execution of motions within the adapters."""
     build = partial(World, config.robot, config.task, config.world, config.seed)
-    world = build()
-    try:
+    episodes = range(config.first, config.first + config.episodes)
+    with closing(build()) as world:
         if processes == 1:
             records = run_episodes(world, policy, config.episodes, on_done, watch, config.first)
-            return records, world.loop.execution
-    finally:
-        world.close()
-    episodes = range(config.first, config.first + config.episodes)
-    records = evaluate_episodes(build, policy, episodes, processes, on_done)
-    return records, world.loop.execution
+        else:
+            records = evaluate_episodes(build, policy, episodes, processes, on_done)
+        return records, world.loop.execution
 
 
 def reachability_of(
     config: EvalConfig, on_done: Callable[[float], None] | None = None
 ) -> Proportion | None:
-    """Return the share of an evaluation's goals that some base pose reaches; None for streams."""
+    """Return the fraction of goals that some base pose reaches; None for streams of targets."""
     if isinstance(config.task, StreamTask):
         return None
-    bound = measure_reachability(
+    return measure_reachability(
         config.robot, config.task, config.episodes, config.seed, config.world.ik, on_done
-    )
-    return bound.share
+    ).share

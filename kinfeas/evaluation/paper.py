@@ -1,32 +1,22 @@
 """The figures of the paper."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
-from kinfeas import config
+from kinfeas.config import strict_yaml
 from kinfeas.config.recipes import find_recipe
 
 TITLES = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 """Names of the shipped robots in tables and pictures."""
-
-Shares = dict[str, tuple[float, float]]
-"""Success and EE deviation below 5 cm by policy, in per cent."""
 
 LEARNED = "policy"
 """Name of the paper's learned policy."""
 
 
 @dataclass(frozen=True)
-class PaperTable:
-    """The schema of `configs/benchmark/paper.yaml`: shares by robot and task."""
-
-    analytic: dict[str, dict[str, Shares]] = field(default_factory=dict)
-    physics: dict[str, dict[str, Shares]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class PaperFigures:
-    """The paper's shares for one robot, task and policy, in 0-1."""
+    """The paper's fractions for one robot, task and policy, 0-1."""
 
     success: float
     within_5cm: float
@@ -37,13 +27,13 @@ def paper_figures(robot: str, task: str, world: str = "analytic") -> dict[str, P
 
     The world is `analytic` or `physics`.
     """
-    shares: Shares = getattr(_table(), world).get(robot, {}).get(task, {})
+    percentages = _table().get(world, {}).get(robot, {}).get(task, {})
     return {
         policy: PaperFigures(round(success / 100.0, 4), round(within / 100.0, 4))
-        for policy, (success, within) in shares.items()
+        for policy, (success, within) in percentages.items()
     }
 
 
 @cache
-def _table() -> PaperTable:
-    return config.load(PaperTable, find_recipe("benchmark/paper", "benchmark"))
+def _table() -> dict[str, Any]:
+    return strict_yaml.read(find_recipe("benchmark/paper", "benchmark"))

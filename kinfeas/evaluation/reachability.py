@@ -26,13 +26,13 @@ from kinfeas.planning.placement import (
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals, sample_start
 
-MOST_ALONG_THE_WAY = 256
+WAYPOINT_BASE_POSES = 256
 """Base poses to try around a waypoint."""
 
-A_SUBGOAL = 16
+WAYPOINTS = 16
 """Poses along a sub-goal."""
 
-_PERIODS = 1500
+_MAX_PERIODS = 1500
 """Longest motion of a sub-goal, in control periods."""
 
 OnDone = Callable[[float], None]
@@ -63,8 +63,8 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     Among solids, base and arm are free of those that stand, and a disc within the base can be
     driven from the start to the base pose. The episodes are those of an evaluation. With `path`,
     some base poses must also reach all waypoints: each its own, and base motions between them are
-    not checked. `on_done` is called with the share of all work, 0-1, that has just been done. With
-    `limits`, what keeps sub-goals out of reach is looked for, too.
+    not checked. `on_done` is called with the fraction of work, 0-1, that has just been done. With
+    `limits`, the limits that keep sub-goals out of reach are counted, too.
     """
     if isinstance(task, StreamTask):
         raise KinfeasError(f"task {task.name!r} has no ceiling: its targets move")
@@ -75,7 +75,7 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     if path:
         solver = IkSolver(robot, options)
         waypoints = draw_waypoints(solver, task, episodes, seed)
-        groups.append((solver, waypoints, MOST_ALONG_THE_WAY))
+        groups.append((solver, waypoints, WAYPOINT_BASE_POSES))
     reached = [np.zeros(poses.shape[:2], dtype=np.bool_) for _, poses, _ in groups]
     convergence = []
 
@@ -123,7 +123,7 @@ def _limits(
 
 
 def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
-    """Return desired EE poses along each sub-goal, shape (episodes, sub-goals * A_SUBGOAL, 7).
+    """Return desired EE poses along each sub-goal, shape (episodes, sub-goals * WAYPOINTS, 7).
 
     They are evenly spaced in time and end within the tolerance of the sub-goal, where the next one
     begins.
@@ -152,7 +152,7 @@ def _starts(
 
 def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]]:
     """Yield the desired poses after each period, shape (n, 7), and their sub-goals."""
-    left = np.full(len(sequence.subgoal), _PERIODS)
+    left = np.full(len(sequence.subgoal), _MAX_PERIODS)
     finished = np.zeros(len(left), dtype=np.bool_)
     while not finished.all():
         subgoal = sequence.subgoal
@@ -164,11 +164,11 @@ def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]
         near = (metres <= GOAL_METRES) & (radians <= GOAL_RADIANS)
         ends = sequence.ended(near) | (left <= 0)
         finished |= ends & sequence.last
-        left[ends] = _PERIODS
+        left[ends] = _MAX_PERIODS
         sequence.begin_next(ends)
 
 
 def _spread(subgoal: NDArray[np.intp], number: int) -> NDArray[np.intp]:
-    """Return `A_SUBGOAL` moments of a sub-goal, its last included and the start excluded."""
+    """Return `WAYPOINTS` moments of a sub-goal, its last included and the start excluded."""
     moments = np.flatnonzero(subgoal == number)
-    return moments[np.arange(1, A_SUBGOAL + 1) * len(moments) // A_SUBGOAL - 1]
+    return moments[np.arange(1, WAYPOINTS + 1) * len(moments) // WAYPOINTS - 1]

@@ -5,21 +5,30 @@ time: one with a file is done, a training resumes from its checkpoint, others be
 """
 
 import json
+import logging
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from pkgutil import resolve_name
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from kinfeas.config import PluginSpec, from_mapping
+from kinfeas import config
 from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.envs.episodes import WorkerDiedError, worker_pool
 from kinfeas.io.files import write_json, writing
+from kinfeas.training.config import TrainConfig
+from kinfeas.training.run import SETTINGS, read_evaluation
+
+if TYPE_CHECKING:
+    from kinfeas.training.train import Report
 
 ATTEMPTS = 10
 """Times in a row that workers may die before a job is done."""
 
-ENGINES = {name: f"kinfeas.jobs.{name}:{name.title()}" for name in ("local", "ray")}
-"""Class of each engine."""
+ENGINES = ("local", "ray")
 
 Result = dict[str, Any]
 """The content of a job's file."""
@@ -47,21 +56,18 @@ class Job:
     def result(self) -> Result:
         """Return the result; raise KinfeasError if the file is missing or broken."""
         try:
-            result = json.loads(self.path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            return dict(json.loads(self.path.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError) as error:
             message = f"{self.path}: broken; remove it to compute it again"
             raise KinfeasError(message) from error
-        return dict(result)
 
 
-class Engine(Protocol):
-    """Runs jobs in worker processes, on machines that share the files of this one."""
+Engine = Callable[[Sequence[Job]], Iterator[Job]]
+"""Runs jobs and yields each one that is done; errors of a job are raised.
 
-    def __call__(self, jobs: Sequence[Job]) -> Iterator[Job]:
-        """Run jobs, and yield each one that is done; errors of a job are raised.
-
-        A job whose worker was killed may be left out: `run_jobs` runs it again.
-        """
+Machines of an engine share the files of this one. A job whose worker was killed may be left out:
+`run_jobs` runs it again.
+"""
 
 
 def run_jobs(
@@ -96,23 +102,92 @@ def run_jobs(
     return [job.result() for job in jobs]
 
 
-def build_engine(engine: object, processes: int, address: str | None = None) -> Engine:
-    """Return an engine by its name, or by a mapping of its name and parameters.
+def build_engine(name: str, processes: int = 1, address: str | None = None) -> Engine:
+    """Return an engine of `ENGINES`.
 
     Args:
-        engine: A name of `ENGINES`, or a mapping such as `{"name": "ray", "address": "auto"}`.
-        processes: Number of jobs at a time.
-        address: Of a running Ray cluster.
+        name: `local` for processes of this machine, or `ray`.
+        processes: Jobs at a time; a running cluster has as many as cores.
+        address: Of a running Ray cluster; by default one begins and ends with the jobs.
     """
-    try:
-        spec = PluginSpec.read(engine)
-    except ValueError as error:
-        raise KinfeasError(f"engine {engine!r}: {error}") from error
-    if spec.name not in ENGINES:
-        raise KinfeasError(f"unknown engine {spec.name!r}{no_such(spec.name, ENGINES)}")
-    factory = resolve_name(ENGINES[spec.name])
-    parameters = {"processes": processes, **spec.parameters}
+    if name not in ENGINES:
+        raise KinfeasError(f"unknown engine {name!r}{no_such(name, ENGINES)}")
+    if name == "ray":
+        import ray  # noqa: F401 - an extra that is missing is an error before any work
+
+        return partial(_run_on_ray, processes=processes, address=address)
     if address is not None:
-        parameters["address"] = address
-    built: Engine = from_mapping(factory, parameters, f"engine {spec.name}")
-    return built
+        raise KinfeasError("'address' is for the engine ray")
+    return partial(_run_here, processes=processes)
+
+
+def _run_here(jobs: Sequence[Job], processes: int) -> Iterator[Job]:
+    if processes == 1:
+        for job in jobs:
+            job.run()
+            yield job
+        return
+    # A worker that dies ends the others, too.
+    with suppress(WorkerDiedError), worker_pool(min(processes, len(jobs))) as pool:
+        futures = {pool.submit(job.run): job for job in jobs}
+        for future in as_completed(futures):
+            future.result()
+            yield futures[future]
+
+
+def _run_on_ray(jobs: Sequence[Job], processes: int, address: str | None) -> Iterator[Job]:
+    import ray
+    from ray.exceptions import RayError, RayTaskError
+
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    # Workers of a local cluster would give way to all other programs.
+    os.environ.setdefault("RAY_worker_niceness", "0")
+    ray.init(
+        address or "local",
+        num_cpus=processes if address is None else None,
+        include_dashboard=False,
+        logging_level=logging.ERROR,
+        log_to_driver=False,
+    )
+    # Ray itself starts the jobs of killed workers again.
+    call = ray.remote(num_cpus=1, max_retries=ATTEMPTS)(_run_in)
+    try:
+        waiting = {call.remote(job, Path.cwd()): job for job in jobs}
+        while waiting:
+            (done,), _ = ray.wait(list(waiting))
+            job = waiting.pop(done)
+            try:
+                ray.get(done)
+            except RayTaskError as error:
+                raise error.cause from None
+            except RayError:
+                continue  # its worker or its machine has died
+            yield job
+    finally:
+        ray.shutdown()
+
+
+def _run_in(job: Job, folder: Path) -> None:
+    os.chdir(folder)  # relative paths are the driver's
+    job.run()
+
+
+def training_job(settings: TrainConfig, folder: Path) -> Job:
+    """Return the job of a training run; its folder may hold a part of this run, but no other."""
+    if (folder / SETTINGS).is_file() and config.load(TrainConfig, folder / SETTINGS) != settings:
+        raise KinfeasError(f"{folder}: a run of other settings; remove it, or use another --out")
+    return Job(finish_training, (settings, folder), folder / "evaluation.json")
+
+
+def finish_training(
+    training: tuple[TrainConfig, Path], on_progress: "Report | None" = None
+) -> Result:
+    """Return the fresh evaluation of a run of these settings in this folder, after its end."""
+    from kinfeas.training.train import resume, train
+
+    settings, folder = training
+    if (folder / SETTINGS).is_file():
+        resume(folder, on_progress)
+    else:
+        train(settings, folder, on_progress)
+    return read_evaluation(folder)

@@ -15,7 +15,7 @@ import numpy as np
 import optuna
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
-from optuna.trial import FrozenTrial, Trial, TrialState
+from optuna.trial import Trial, TrialState
 
 from kinfeas import config
 from kinfeas.config import Settings, nested
@@ -24,22 +24,12 @@ from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
 from kinfeas.io.files import reading, writing
-from kinfeas.jobs.job import Job, Result
-from kinfeas.jobs.training import finish
+from kinfeas.jobs.job import Job, Result, finish_training
 from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import Progress
 
 SETTINGS, BEST = "sweep.yaml", "best.yaml"
 """Files of a sweep: its settings, and the recipe of its best trial."""
-
-STATES = {
-    TrialState.WAITING: "waiting",
-    TrialState.RUNNING: "running",
-    TrialState.COMPLETE: "complete",
-    TrialState.PRUNED: "pruned",
-    TrialState.FAIL: "failed",
-}
-"""States of trials in tables."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +99,13 @@ def read_sweep(name: str, settings: Settings | None = None) -> SweepConfig:
     """Return a sweep by its recipe's name or file; raise KinfeasError for a wrong key or value."""
     sweep = config.load(SweepConfig, find_recipe(name, "sweep"), settings)
     sweep = replace(sweep, robot=from_anywhere(sweep.robot))
+    keys = list(sweep.space)
     for key, dimension in sweep.space.items():
         ends = [end for end in (dimension.low, dimension.high) if end is not None]
         for value in (*dimension.choices, *ends):
             settings_of(sweep, {key: value})
-        for other in dimension.when:
-            if other not in list(sweep.space)[: list(sweep.space).index(key)]:
-                raise KinfeasError(f"{name}: space.{key}.when: {other!r} is no key above")
+        for condition in dimension.when.keys() - set(keys[: keys.index(key)]):
+            raise KinfeasError(f"{name}: space.{key}.when: {condition!r} is no key above")
     return sweep
 
 
@@ -176,7 +166,7 @@ def run_trial(description: tuple[Path, int]) -> Result:
     sweep, study = config.load(SweepConfig, folder / SETTINGS), open_study(folder)
     frozen = study.trials[number]
     if frozen.state.is_finished():  # killed before its file was written
-        return result_of(frozen)
+        return dict(frozen.user_attrs["result"])
     if frozen.state == TrialState.WAITING:
         study._storage.set_trial_state_values(frozen._trial_id, TrialState.RUNNING)
     trial = Trial(study, frozen._trial_id)
@@ -193,26 +183,17 @@ def run_trial(description: tuple[Path, int]) -> Result:
 
     state, metrics = TrialState.COMPLETE, {}
     try:
-        metrics = finish((settings_of(sweep, values), folder / "trials" / str(number)), report)
+        run = settings_of(sweep, values), folder / "trials" / str(number)
+        metrics = finish_training(run, report)
         metrics["score"] = (metrics["success"] + metrics["within_5cm"]) / 2.0
     except optuna.TrialPruned:
         state, metrics["score"] = TrialState.PRUNED, max(evaluations().values())
     except DivergedError as error:
         state, metrics["error"] = TrialState.FAIL, str(error)
-    result = {"number": number, "state": STATES[state], "values": values, **metrics}
+    result = {"number": number, "state": state.name.lower(), "values": values, **metrics}
     trial.set_user_attr("result", result)
     study.tell(trial, metrics["score"] if state == TrialState.COMPLETE else None, state)
     return result
-
-
-def result_of(trial: FrozenTrial) -> Result:
-    """Return the result of a trial, or its state, values and best evaluation so far."""
-    if "result" in trial.user_attrs:
-        return dict(trial.user_attrs["result"])
-    values = {k: json.loads(v) if isinstance(v, str) else v for k, v in trial.params.items()}
-    result: Result = {"number": trial.number, "state": STATES[trial.state], "values": values}
-    scores = trial.intermediate_values.values()
-    return {**result, "score": max(scores)} if scores else result
 
 
 def write_best(folder: Path, results: Sequence[Result]) -> Result:
@@ -232,7 +213,7 @@ def write_best(folder: Path, results: Sequence[Result]) -> Result:
 
 
 def importances(folder: Path) -> dict[str, float]:
-    """Return the share of each key in the variance of the score; none for too few trials."""
+    """Return the fraction of the score's variance by key; empty for too few trials."""
     try:
         with warnings.catch_warnings(action="ignore"):
             return optuna.importance.get_param_importances(open_study(folder))
@@ -251,7 +232,7 @@ def _drawn(sweep: SweepConfig, trial: Trial) -> dict[str, object]:
             if sweep.sampler == "tpe"
             else optuna.samplers.RandomSampler(seed=seed)
         )
-        if all(values.get(other) == choice for other, choice in dimension.when.items()):
+        if all(values.get(name) == choice for name, choice in dimension.when.items()):
             values[key] = dimension.draw(key, trial)
     return values
 
@@ -259,12 +240,15 @@ def _drawn(sweep: SweepConfig, trial: Trial) -> dict[str, object]:
 def _own_values(sweep: SweepConfig) -> dict[str, object]:
     """Return the recipe's own values of the keys, where they are in the space."""
     own: dict[str, object] = {}
+    recipe = config.to_mapping(settings_of(sweep, {}))
     for key, dimension in sweep.space.items():
-        value: Any = config.to_mapping(settings_of(sweep, {}))
+        value: Any = recipe
         for part in key.split("."):
-            container = value if isinstance(value, Mapping | list) else {}
-            value = container[int(part)] if isinstance(container, list) else container.get(part)
-        if value in dimension.choices:  # 0.0 is found as 0
+            if isinstance(value, list):
+                value = value[int(part)]
+            else:
+                value = value.get(part) if isinstance(value, Mapping) else None
+        if value in dimension.choices:  # 0.0 equals 0
             own[key] = json.dumps(dimension.choices[dimension.choices.index(value)])
         elif dimension.low is not None and isinstance(value, int | float):
             assert dimension.high is not None

@@ -6,17 +6,19 @@ import pytest
 
 import kinfeas
 from kinfeas.core.errors import KinfeasError
-from tests.cli.conftest import SETTINGS
+from tests.builders import TRAINING
 
 SHORT = {"world.max_seconds": 1}
 
 
 def test_train_evaluate_export_and_load(tmp_path):
-    told = []
+    reports = []
+    settings = TRAINING | {"schedule.minutes": None, "learner.batch_size": np.int64(16)}
     run = kinfeas.train(
-        "hsr", steps=64, out=tmp_path / "run", settings=SETTINGS, on_progress=told.append
+        "hsr", steps=64, out=tmp_path / "run", settings=settings, on_progress=reports.append
     )
-    assert run.steps == told[-1].steps >= 64
+    assert run.steps == reports[-1].steps >= 64
+    assert "minutes: null" in (run.folder / "config.yaml").read_text()
     assert run.metrics == json.loads((run.folder / "evaluation.json").read_text())
     metrics = kinfeas.evaluate(run.folder, episodes=2, settings=SHORT)
     assert (metrics["robot"], metrics["episodes"]) == ("hsr", 2)
@@ -66,14 +68,14 @@ class Targets:
 
 
 def test_a_servo_and_a_deployment_in_a_program(tmp_path):
-    source, given = Targets(), {"robot": "hsr", "backend": "analytic", "seconds": 0.3}
+    source, options = Targets(), {"robot": "hsr", "backend": "analytic", "seconds": 0.3}
     relaxed = {"guards": {"max_age": 5.0, "max_period": 5.0, "max_clock_skew": 5.0}}
-    run = kinfeas.servo(source=source, record=tmp_path / "a.csv", settings=relaxed, **given)
+    run = kinfeas.servo(source=source, record=tmp_path / "a.csv", settings=relaxed, **options)
     assert (run.outcome.code, source.closed, run.targets["messages"]["accepted"]) == (0, True, 0)
     started = []
     run = kinfeas.deploy(
         "pretrained", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "b.csv",
-        on_start=lambda: started.append(True), **given,
+        on_start=lambda: started.append(True), **options,
     )  # fmt: skip
     assert (run.outcome.code, run.about.robot, started) == (4, "hsr", [True])
     assert kinfeas.view(record=run.record)["steps"] == 15
@@ -94,9 +96,3 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
 def test_bad_input_is_an_error(arguments):
     with pytest.raises(KinfeasError):
         kinfeas.evaluate(**{"policy": "follow_ee", **arguments})
-
-
-def test_settings_may_be_none_and_numbers_of_numpy(tmp_path):
-    settings = SETTINGS | {"schedule.minutes": None, "learner.batch_size": np.int64(16)}
-    run = kinfeas.train("hsr", steps=64, out=tmp_path / "run", settings=settings)
-    assert "minutes: null" in (run.folder / "config.yaml").read_text()

@@ -1,5 +1,7 @@
 """Small benchmarks, and made-up results of one."""
 
+from dataclasses import replace
+
 from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.evaluations import CEILING, Evaluation
@@ -47,28 +49,19 @@ def result(success, *, episodes=100, **changes):
     }  # fmt: skip
 
 
-def findings():
-    """Return results of two robots, two tasks, three seeds, a row, a baseline and a variant."""
-    found = []
+def cells():
+    """Return cells of two robots and tasks, three seeds, a row, a baseline and a variant."""
+    results = []
+    ceiling = {"success": 0.98, "success_low": 0.93, "success_high": 1.0}
     for robot, task, variant in (
         ("pr2", "ggr", ""), ("pr2", "door", ""), ("hsr", "ggr", ""),
         ("pr2", "ggr", "goals up to 1.4 m"),
     ):  # fmt: skip
-
-        def job(policy, seed=None, row="", robot=robot, place=(robot, task, variant)):
-            source = f"runs/{seed}" if seed is not None else policy
-            return Evaluation(
-                robot, *place[:2], policy, source, 100, 1, seed, row=row, variant=place[2]
-            )
-
-        ceiling = {"success": 0.98, "success_low": 0.93, "success_high": 1.0}
-        found.append((job(CEILING), ceiling))
-        shares = enumerate((0.90, 0.92, 0.94))
-        found += [(job("sac", seed), result(success)) for seed, success in shares]
-        found.append((job("sac", 0, "feasibility filter"), result(0.97, filters=["feasibility"])))
-        found.append((job("follow_ee"), result(0.6)))
-    return found
-
-
-def cells():
-    return tabulate(findings(), "analytic")
+        case = Evaluation(robot, robot, task, CEILING, CEILING, 100, 1, variant=variant)
+        results += [(case, ceiling), (replace(case, policy="follow_ee"), result(0.6))]
+        for seed, success in enumerate((0.90, 0.92, 0.94)):
+            learned = replace(case, policy="sac", source=f"runs/{seed}", training_seed=seed)
+            results.append((learned, result(success)))
+        filtered = replace(learned, row="feasibility filter")
+        results.append((filtered, result(0.97, filters=["feasibility"])))
+    return tabulate(results, "analytic")

@@ -1,26 +1,32 @@
 import json
-import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from kinfeas import config
-from kinfeas.benchmark.runs import Run, find_runs, plan_runs, publish, read_run, train_command
+from kinfeas.benchmark.evaluations import Evaluation
+from kinfeas.benchmark.runs import Run, find_runs, plan_runs, publish, read_run
 from kinfeas.core.errors import KinfeasError
-from kinfeas.jobs.training import training_job
+from kinfeas.jobs.job import training_job
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 from tests.benchmark.benchmark_cases import study
 from tests.builders import random_network
-from tests.training.conftest import TINY
 
 OUT = Path("out")
+TINY = {
+    "robot": "hsr", "num_envs": 8, "learner.net_arch": [8], "learner.batch_size": 16,
+    "learner.buffer_size": 1000, "learner.learning_starts": 16, "schedule.steps": 64,
+    "schedule.minutes": None, "schedule.evaluations": 1, "schedule.evaluation_episodes": 2,
+    "schedule.final_episodes": 2,
+}  # fmt: skip
 
 
 def tiny(settings=None):
-    return config.from_mapping(TrainConfig, TINY, "tiny", settings)
+    return config.from_mapping(TrainConfig, config.nested(TINY, settings), "tiny")
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +37,9 @@ def run(tmp_path_factory):
 
 
 def test_runs_are_found_and_not_trained_again(run, tmp_path):
-    found = read_run(run)
-    assert (found.robot, found.seed) == ("hsr", tiny().seed)
-    assert find_runs([run]) == find_runs([run.parent]) == find_runs([run, run]) == [found]
+    trained = read_run(run)
+    assert (trained.robot, trained.seed) == ("hsr", tiny().seed)
+    assert find_runs([run]) == find_runs([run.parent]) == find_runs([run, run]) == [trained]
     assert training_job(tiny(), run).result()["robot"] == "hsr"
     with pytest.raises(KinfeasError, match="tiny"):
         training_job(tiny({"seed": 77}), run)
@@ -64,33 +70,15 @@ def made(folder, seed, success):
 
 def test_the_best_seed_is_published(tmp_path):
     runs = [made(tmp_path, seed, success) for seed, success in enumerate((0.8, 0.9, 0.9))]
-    metrics = {runs[1].folder: {"ggr": {"success": 0.91}}}
+    case = Evaluation("hsr", "hsr", "ggr", "sac", str(runs[1].folder), 9, 1, training_seed=1)
+    results = [(case, {"success": 0.91}), (replace(case, row="filter"), {"success": 0.95})]
     target = tmp_path / "pretrained"
     for _ in range(2):
-        assert publish(runs, metrics, target) == [target / "hsr"]
+        assert publish(runs, results, target) == [target / "hsr"]
     assert read_network(target / "hsr", load_robot("hsr")).weights[0].shape[1] == 5
     about = json.loads((target / "hsr" / "policy.json").read_text())
     assert about["seed"] == about["config"]["seed"] == 1
     assert about["benchmark"] == {"ggr": {"success": 0.91}}
-    assert about["command"].startswith("kinfeas train --robot hsr --seed 1")
     (runs[0].folder / "checkpoints/best/policy.json").unlink()
     with pytest.raises(KinfeasError, match="run-0"):
-        publish(runs[:1], {}, tmp_path / "none")
-
-
-@pytest.mark.parametrize("settings", [
-    {},
-    {"robot": "hsr", "seed": 4, "schedule.steps": 2000, "schedule.minutes": None},
-    {"learner.ent_coef": "learned", "learner.net_arch": [400, 300], "world.adapters": []},
-    {"world.adapters": [{"name": "base_noise", "linear": 0.15}], "task": "door"},
-])  # fmt: skip
-def test_the_command_has_all_settings(settings):
-    from kinfeas.cli.options import read_settings
-    from kinfeas.config.recipes import load_section
-
-    settings = config.from_mapping(TrainConfig, {}, "test", settings)
-    words = shlex.split(train_command(settings))
-    assert words[:2] == ["kinfeas", "train"]
-    (_, robot), (_, seed), *changes = zip(words[2::2], words[3::2], strict=True)
-    changes = read_settings([value for _, value in changes], {"robot": robot, "seed": int(seed)})
-    assert load_section(TrainConfig, "train", robot, changes) == settings
+        publish(runs[:1], [], tmp_path / "none")

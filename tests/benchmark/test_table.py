@@ -1,12 +1,10 @@
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas.benchmark.evaluations import CEILING, Evaluation
-from kinfeas.benchmark.pictures import evaluation_curve, training_curve
 from kinfeas.benchmark.table import interval, tabulate
 from kinfeas.core.metrics import wilson
 from tests.benchmark.benchmark_cases import cells, result
@@ -15,13 +13,9 @@ PHYSICAL = {"base_collisions": 1.0, "arm_collisions": 0.0, "collision_free_rate"
 
 
 def cell(robot, task, policy, variant="", row=""):
-    (found,) = (
-        one
-        for one in cells()
-        if (one.robot, one.task, one.policy, one.variant, one.row)
-        == (robot, task, policy, variant, row)
-    )
-    return found
+    keys = ("robot", "task", "policy", "variant", "row")
+    table = {tuple(getattr(entry, key) for key in keys): entry for entry in cells()}
+    return table[robot, task, policy, variant, row]
 
 
 def physical():
@@ -29,7 +23,7 @@ def physical():
     job = Evaluation("pr2", "pr2", "door", "pretrained", "pretrained", 100, 1)
     parts = [replace(job, backend="pybullet", first=at, episodes=20) for at in (0, 20)]
     head_start = replace(parts[0], row="head_start")
-    found = [
+    results = [
         (replace(job, policy=CEILING), {"success": 0.9, "success_low": 0.8, "success_high": 1.0}),
         (job, result(0.75)),
         (parts[0], result(0.8, episodes=20, task_success=0.5, **PHYSICAL)),
@@ -37,7 +31,7 @@ def physical():
         (replace(job, row="head_start"), result(0.75)),
         (head_start, result(1.0, episodes=20, task_success=1.0, head_start=3.0, **PHYSICAL)),
     ]
-    return tabulate(found, "pybullet")
+    return tabulate(results, "pybullet")
 
 
 def test_seeds_are_averaged():
@@ -67,12 +61,12 @@ def test_parts_are_joined_beside_the_analytic_world():
 
 
 @given(st.lists(st.integers(0, 50).map(lambda hits: hits / 50.0), min_size=1, max_size=6))
-def test_the_interval_holds_the_mean_and_no_less_than_wilson(shares):
-    found = interval(shares, 50)
-    exact = wilson(round(50 * found.value), 50)
-    assert 0.0 <= found.low <= found.value <= found.high <= 1.0
-    assert found.low <= exact.low
-    assert found.high >= exact.high
+def test_the_interval_holds_the_mean_and_no_less_than_wilson(rates):
+    over_seeds = interval(rates, 50)
+    exact = wilson(round(50 * over_seeds.value), 50)
+    assert 0.0 <= over_seeds.low <= over_seeds.value <= over_seeds.high <= 1.0
+    assert over_seeds.low <= exact.low
+    assert over_seeds.high >= exact.high
 
 
 def test_seeds_that_differ_widen_the_interval():
@@ -80,22 +74,3 @@ def test_seeds_that_differ_widen_the_interval():
     half = 4.302653 * 0.02 / 3**0.5  # Student's t of two degrees of freedom
     assert (apart.low, apart.high) == (pytest.approx(0.7 - half), pytest.approx(0.7 + half))
     assert alike.high - alike.low < 0.02
-
-
-def metrics(end, success, evaluations):
-    evaluated = np.full(5, np.nan)
-    evaluated[[2, 4]] = evaluations
-    shares = np.array([np.nan, *np.linspace(0.0, success, 4)])
-    steps = np.linspace(0.0, end, 5)
-    return {"steps": steps, "train/success": shares, "evaluation/success": evaluated}
-
-
-def test_curves_have_common_steps():
-    runs = [metrics(1000, 0.8, (0.7, 0.9)), metrics(2000, 0.8, (0.5, 0.7))]
-    steps, success = training_curve(runs)
-    assert steps[-1] == 1000.0
-    assert np.isnan(success[:, 0]).all()
-    np.testing.assert_allclose(success[:, -1], [0.8, 0.8 / 3.0])
-    steps, success = evaluation_curve(runs)
-    np.testing.assert_allclose(steps, [750.0, 1500.0])
-    np.testing.assert_allclose(success, [[0.7, 0.9], [0.5, 0.7]])

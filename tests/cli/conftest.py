@@ -1,21 +1,28 @@
 """Commands run in this process, as a shell would see them."""
 
+import os
+import subprocess
 import sys
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 
 from kinfeas.cli import main
 from kinfeas.config import to_options
+from tests.builders import TRAINING
 
-SETTINGS = {
-    "num_envs": 8, "learner.batch_size": 16, "learner.net_arch": [8], "learner.buffer_size": 1000,
-    "learner.learning_starts": 16, "schedule.evaluations": 1, "schedule.evaluation_episodes": 2,
-    "schedule.final_episodes": 2, "learner.gradient_steps": 1,
-}  # fmt: skip
-"""Settings of a run that takes a second."""
+TINY = to_options(TRAINING)
 
-TINY = to_options(SETTINGS)
+HEAVY = """
+import sys
+from kinfeas.cli.main import main
+try:
+    main()
+finally:
+    sys.stderr.write(f"heavy: {sorted(%r & set(sys.modules))}")
+"""
+"""A program that runs the command and prints which of some modules it has imported."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +49,33 @@ def kinfeas(monkeypatch, capfd, tmp_path):
     return run
 
 
+def kinfeas_process(code, *arguments, **environment):
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, env={**os.environ, **environment}
+    )
+
+
 def check_one_line(outcome: Outcome, named: str = "") -> None:
     """Check that a command ended as bad input has to: code 2, one line that names the input."""
     assert outcome.code == 2, outcome.err
     assert outcome.err.startswith("error: ")
     assert outcome.err.count("\n") == 1, outcome.err
     assert named in outcome.err
+
+
+def write_demonstrations(folder, count, moving=True):
+    """Write demonstrations of a reach to an object, with a base that follows."""
+    folder.mkdir(exist_ok=True)
+    rng, time = np.random.default_rng(0), np.linspace(0.0, 3.0, 60)
+    done = (3.0 * (time / 3.0) ** 2 - 2.0 * (time / 3.0) ** 3) * moving
+    names = [f"{kind}_{axis}" for kind in ("ee", "base", "object")
+             for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]  # fmt: skip
+    for number in range(count):
+        table = np.zeros((len(time), 22))
+        table[:, 0], table[:, [7, 14, 21]] = time, 1.0
+        table[:, 1:4] = done[:, None] * [0.5, 0.2, 0.1] + rng.normal(0.0, 0.005, 3)
+        table[:, 8] = 0.3 * done - 0.7
+        table[:, 15:18] = [0.5, 0.2, 0.1]
+        path = folder / f"{number}{'' if moving else '-still'}.csv"
+        np.savetxt(path, table, delimiter=",", header=",".join(["time", *names]), comments="")

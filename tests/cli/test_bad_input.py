@@ -1,19 +1,14 @@
 import shlex
-from dataclasses import replace
+import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from kinfeas.config.recipes import default_engine
-from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.robots.loading import load_robot
 from tests.builders import contents
-from tests.cli.conftest import check_one_line
+from tests.cli.conftest import check_one_line, write_demonstrations
 from tests.cli.test_benchmark import STUDY
-from tests.importer.conftest import ARM
-from tests.plugins.conftest import door_demonstrations
-from tests.policy_cases import write_run
 
 ENGINE = default_engine()
 SCOUT = Path(__file__).parents[2] / "examples" / "own_robot"
@@ -74,7 +69,7 @@ INPUT = {
         ("--task door", "'task'"),
         ("--rpy 0 0 0 --quaternion 0 0 0 1", "'quaternion'"),
         ("--quaternion 0 0 0 2", "length 1"),
-        ("--record shown/1.csv", "shown/1.csv"),
+        ("--record shown/0.csv", "shown/0.csv"),
         ("--set guards.sped=1", "guards.sped"),
         (f"--backend {ENGINE} --set 'backend.physics={{gravity: -1}}'", "gravity"),
     ],
@@ -101,12 +96,12 @@ INPUT = {
     ],
     "fit --out door.yaml": [
         ("--demonstrations .", "demonstrations"),
-        ("--demonstrations shown", "shown/1.csv"),
+        ("--demonstrations shown", "shown/0-still.csv"),
     ],
-    "robot import dolly.urdf --out new": [
-        ("--ee plam", "'palm'"),
+    "robot import scout.urdf --out new": [
+        ("--ee plam_link", "'palm_link'"),
         ("--name a/b", "--name"),
-        ("--mesh-path package://dolly", "--mesh-path"),
+        ("--mesh-path package://scout", "--mesh-path"),
     ],
     "robot import none.urdf --out new": [("", "none.urdf")],
 }
@@ -120,17 +115,13 @@ def files(tmp_path):
         "adapters.yaml": "adapters: [{name: base_noise, linear: [2, 1]}]",
         "office.yaml": SCENE % "table.urdf",
         "broken.yaml": SCENE % "tabel.urdf",
-        "dolly.urdf": ARM,
     }
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
-    write_run(load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best")
-    (tmp_path / "shown").mkdir()
-    shown, other = door_demonstrations(2)
-    poses = ("ee_pose", "base_pose", "object_pose")
-    still = {name: np.tile(getattr(other, name)[:1], (len(other.time), 1)) for name in poses}
-    write_demonstration(shown, tmp_path / "shown" / "0.csv")
-    write_demonstration(replace(other, **still), tmp_path / "shown" / "1.csv")
+    shutil.copy(SCOUT / "robot.urdf", tmp_path / "scout.urdf")
+    shutil.copytree(load_robot("hsr").folder / "policies" / "pretrained", tmp_path / "run")
+    write_demonstrations(tmp_path / "shown", 2)
+    write_demonstrations(tmp_path / "shown", 1, moving=False)
     return lambda: contents(tmp_path)
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from kinfeas.benchmark import evaluations
 from kinfeas.config.recipes import default_engine
-from tests.cli.conftest import SETTINGS
+from tests.builders import TRAINING
 
 STUDY = f"""
 note: A very small one.
@@ -12,7 +12,7 @@ robots: [hsr]
 tasks: [ggr]
 baselines: {{follow_ee: [ggr]}}
 trainings:
-  - {{robot: hsr, steps: 64, settings: {json.dumps(SETTINGS)}}}
+  - {{robot: hsr, steps: 64, settings: {json.dumps(TRAINING)}}}
 seeds: [0, 1]
 episodes: 2
 settings: {{world.max_seconds: 2.5}}
@@ -53,10 +53,13 @@ def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, mo
     assert "A very small one." in outcome.out
     entries = json.loads((tmp_path / "out.json").read_text())
     assert entries == json.loads((out / "table.json").read_text())
-    assert [(one["policy"], one["seeds"]) for one in entries] == [("sac", 2), ("follow_ee", 1)]
-    assert sorted(path.name for path in (out / "runs").iterdir()) == ["hsr-sac-0", "hsr-sac-1"]
+    assert [(entry["policy"], entry["seeds"]) for entry in entries] == [
+        ("sac", 2),
+        ("follow_ee", 1),
+    ]
+    assert sorted(path.name for path in (out / "runs").iterdir()) == ["hsr-0", "hsr-1"]
     about = json.loads((out / "pretrained" / "hsr" / "policy.json").read_text())
-    assert about["command"].startswith("kinfeas train --robot hsr")
+    assert about["config"]["robot"] == "hsr"
     assert about["benchmark"]["ggr"]["episodes"] == 2
 
     monkeypatch.setattr(evaluations, "compute", None)
@@ -71,7 +74,7 @@ def test_physics_beside_the_analytic_world(run, tmp_path):
     words = ("--config", "physics.yaml", "--world", engine, "--episodes", "2")
     run(*words, "--json", "out.json", code=0)
     entries = json.loads((tmp_path / "out.json").read_text())
-    cells = [(one["policy"], one["row"], one["world"]) for one in entries]
-    rows = (("pretrained", ""), ("pretrained", "late"), ("follow_ee", ""))
-    assert cells == [(*row, engine) for row in rows]
-    assert None not in [one["analytic_success"] for one in entries]
+    rows = [(entry["policy"], entry["row"]) for entry in entries]
+    assert rows == [("pretrained", ""), ("pretrained", "late"), ("follow_ee", "")]
+    assert {entry["world"] for entry in entries} == {engine}
+    assert None not in [entry["analytic_success"] for entry in entries]

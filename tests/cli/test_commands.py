@@ -1,7 +1,6 @@
 import json
 import shutil
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,52 +8,36 @@ import pytest
 
 from kinfeas.cli import options
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.demonstrations import demonstration_files, read_demonstration, write_demonstration
+from kinfeas.io.demonstrations import demonstration_files, read_demonstration
 from kinfeas.io.run_log import read_record
 from kinfeas.plugins.imitation import GaussianMixture, Imitation
 from kinfeas.robots.loading import load_robot
-from tests.cli.conftest import check_one_line
-from tests.importer.conftest import ARM
-from tests.plugins.conftest import door_demonstrations
-from tests.policy_cases import write_run
+from tests.cli.conftest import check_one_line, write_demonstrations
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-@pytest.fixture
-def file(kinfeas, tmp_path):
-    """The export of a training run of the HSR, `run`."""
-    write_run(load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best")
+def test_export_and_check_show_the_same_metadata(kinfeas, tmp_path):
+    shutil.copytree(load_robot("hsr").folder / "policies" / "pretrained", tmp_path / "run")
     kinfeas("export", "run", "--robot", "hsr", "--out", "hsr.onnx", "--json", "out.json", code=0)
-    return tmp_path / "hsr.onnx"
-
-
-def test_export_and_check_show_the_same_metadata(kinfeas, file, tmp_path):
     exported = json.loads((tmp_path / "out.json").read_text())
     assert 0.0 <= exported.pop("parity") <= 1e-5
-    assert exported["robot"]["name"] == "hsr"
-    outcome = kinfeas(
-        "export", "--check", "hsr.onnx", "--robot", "hsr", "--json", "check.json", code=0
-    )
+    words = ("export", "--check", "hsr.onnx", "--json", "check.json")
+    outcome = kinfeas(*words, "--robot", "hsr", code=0)
     assert json.loads((tmp_path / "check.json").read_text()) == exported
-    for words in ("name: hsr", "arm_lift_joint", "not compared"):
-        assert (words in outcome.out) is (words != "not compared")
-    assert "not compared" in kinfeas("export", "--check", "hsr.onnx").out
-
-
-@pytest.fixture
-def shown(tmp_path):
-    (tmp_path / "shown").mkdir()
-    for number, one in enumerate(door_demonstrations(4)):
-        write_demonstration(one, tmp_path / "shown" / f"{number}.csv")
-    return tmp_path / "shown"
+    assert "arm_lift_joint" in outcome.out
+    assert "not compared" not in outcome.out
+    assert "not compared" in kinfeas(*words, code=0).out
 
 
 @pytest.mark.parametrize(
     ("generator", "kind", "components"),
     [(Imitation, "imitation", 8), (GaussianMixture, "gaussian_mixture", 5)],
 )
-def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, kind, components):
-    given = ("--demonstrations", "shown", "--out", "door.yaml", "--json", "door.json")
-    kinfeas("fit", *given, "--kind", kind, "--components", str(components), "--seed", "3", code=0)
+def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, components):
+    write_demonstrations(tmp_path / "shown", 4)
+    words = ("--demonstrations", "shown", "--out", "door.yaml", "--json", "door.json")
+    kinfeas("fit", *words, "--kind", kind, "--components", str(components), code=0)
     generator(model="./door.yaml")
     figures = json.loads((tmp_path / "door.json").read_text())
     assert (figures["demonstrations"], figures["base"]) == (4, True)
@@ -98,44 +81,28 @@ def test_replay_of_a_run(kinfeas, record, tmp_path):
     assert facts["events"][0]["event"] == "start"
     assert (facts["seconds"], facts["steps"]) == (pytest.approx(0.2), 10)
     assert (facts["seed"], facts["guards"]["max_distance"]) == (5, 3.0)
-    assert facts["adapters"] == [{"name": "base_noise", "linear": 0.05}]
-    assert facts["filters"] == [{"name": "time_scaling"}]
-    assert facts["generators"] == [{"name": "linear", "gain": 0.5}]
+    assert facts["adapters"] == [{"name": "base_noise", "parameters": {"linear": 0.05}}]
+    assert facts["filters"] == [{"name": "time_scaling", "parameters": {}}]
+    assert facts["generators"] == [{"name": "linear", "parameters": {"gain": 0.5}}]
     kinfeas("dataset", "run.csv", "--kind", "csv", "--out", "shown", code=0)
     assert len(read_demonstration(tmp_path / "shown" / "001.csv").time) == 11
     record.write_bytes(record.read_bytes()[:-300])
     kinfeas("view", "--record", "run.csv", code=0)
 
 
-@pytest.fixture
-def robot(kinfeas, tmp_path, monkeypatch):
-    """Return a function that runs `kinfeas robot import dolly.urdf ARGUMENTS`, with few goals."""
-    monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
+def test_other_commands_take_an_imported_robot(kinfeas, tmp_path, monkeypatch):
+    monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)  # the full number takes a minute
     monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
-    (tmp_path / "dolly.urdf").write_text(ARM)
-    return partial(kinfeas, "robot", "import", "dolly.urdf")
-
-
-def test_other_commands_take_the_robot(robot, kinfeas, tmp_path):
-    robot("--out", "new", "--json", "found.json", "--picture", "dolly.png", code=0)
-    found = json.loads((tmp_path / "found.json").read_text())
-    known = load_robot(tmp_path / "new")
-    assert list(found["arm"]) == [joint.name for joint in known.arm] == ["pan", "lift", "elbow"]
-    assert found["guessed_velocities"] == ["pan"]
-    assert len(found["heights_m"]) == len(found["reachable"])
-    assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
-    words = ("--policy", "follow_ee", "--episodes", "1", "--set", "world.max_seconds=1")
-    kinfeas("evaluate", "--robot", "./new", *words, code=0)
-
-
-def test_existing_files_are_kept(robot, tmp_path):
-    (tmp_path / "new").mkdir()
-    (tmp_path / "new" / "robot.yaml").write_text("mine")
-    check_one_line(robot("--out", "new"), "new/robot.yaml")
-    assert (tmp_path / "new" / "robot.yaml").read_text() == "mine"
-
-
-EXAMPLE = Path(__file__).parents[2] / "examples" / "target_source.py"
+    words = ("robot", "import", str(EXAMPLES / "own_robot" / "robot.urdf"), "--out", "new")
+    kinfeas(*words, "--json", "new.json", "--picture", "new.png", code=0)
+    facts = json.loads((tmp_path / "new.json").read_text())
+    robot = load_robot(tmp_path / "new")
+    assert list(facts["arm"]) == [joint.name for joint in robot.arm]
+    assert len(facts["heights_m"]) == len(facts["reachable"])
+    assert (tmp_path / "new.png").read_bytes().startswith(b"\x89PNG")
+    short = ("--policy", "follow_ee", "--episodes", "1", "--set", "world.max_seconds=1")
+    kinfeas("evaluate", "--robot", "./new", *short, code=0)
+    check_one_line(kinfeas(*words), "new/robot.yaml")
 
 
 RELAXED = (
@@ -146,13 +113,13 @@ RELAXED = (
 
 def test_the_ee_follows_a_source_of_the_working_directory(kinfeas, tmp_path):
     pytest.importorskip("mujoco")
-    shutil.copy(EXAMPLE, tmp_path / "circles.py")
+    shutil.copy(EXAMPLES / "target_source.py", tmp_path / "circles.py")
     kinfeas(
         "servo", "--robot", "pr2", "--backend", "mujoco", "--source", "circles:Circle",
         "--seconds", "2", "--record", "run.csv", "--json", "run.json", *RELAXED, code=0,
     )  # fmt: skip
-    found = json.loads((tmp_path / "run.json").read_text())
-    assert (found["failures"], found["time_scale"]) == (0, 1.0)
+    facts = json.loads((tmp_path / "run.json").read_text())
+    assert (facts["failures"], facts["time_scale"]) == (0, 1.0)
     lines = [line.split(",") for line in (tmp_path / "run.csv").read_text().splitlines()[1:]]
     column = lines[0].index("desired.y")
     assert lines[1][column] != lines[-1][column]

@@ -45,12 +45,6 @@ def test_adapters_of_a_file(evaluate, tmp_path):
     }
 
 
-def test_ceiling_with_paths(evaluate):
-    bound = evaluate("ceiling", "--robot", "hsr", "--episodes", "2", "--path")
-    assert bound["path"] is True
-    assert len(bound["convergence"]) == len(bound["base_poses"])
-
-
 @pytest.mark.parametrize("world", ["analytic", ENGINE])
 def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     pytest.importorskip("viser")

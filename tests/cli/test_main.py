@@ -1,45 +1,13 @@
-import os
-import subprocess
-import sys
-
 import pytest
 
 from kinfeas.cli import main as module
 from kinfeas.core.errors import KinfeasError
-
-HEAVY = """
-import sys
-from kinfeas.cli.main import main
-try:
-    main()
-finally:
-    sys.stderr.write(f"heavy: {sorted(%r & set(sys.modules))}")
-"""
-
-
-def kinfeas_process(code, *arguments, **environment):
-    command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(
-        command, capture_output=True, text=True, check=False, env={**os.environ, **environment}
-    )
+from tests.cli.conftest import HEAVY, kinfeas_process
 
 
 def test_help_imports_nothing_heavy():
     heavy = {"numpy", "numba", "torch", "matplotlib", "rich"}
     assert kinfeas_process(HEAVY % heavy, "--help").stderr.endswith("heavy: []")
-
-
-@pytest.mark.parametrize(
-    ("words", "offered"),
-    [("kinfeas evaluate --robot ti", "tiago"), ("kinfeas plugins info lin", "linear")],
-)
-def test_shell_completion_imports_nothing_heavy(words, offered):
-    number = str(len(words.split()) - 1)
-    asked = {"_KINFEAS_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": number}
-    code = f"import sys; sys.argv = ['kinfeas']; {HEAVY % {'numpy', 'torch'}}".replace("; \n", "\n")
-    done = kinfeas_process(code, **asked)
-    assert done.stdout.split() == [offered]
-    assert done.stderr.endswith("heavy: []")
 
 
 def raising(error):
@@ -51,7 +19,7 @@ def raising(error):
 
 @pytest.mark.parametrize(("error", "code", "message"), [
     (KinfeasError("first\n  second"), 2, "error: first second\n"),
-    (PermissionError(13, "Permission denied", "/locked"), 2, "error: /locked: Permission deni"),
+    (PermissionError(13, "Permission denied", "/locked"), 2, "error: [Errno 13] Permission denied"),
     (OSError("gone"), 2, "error: gone\n"),
     (KeyboardInterrupt(), 130, ""),
 ])  # fmt: skip

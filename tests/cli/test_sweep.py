@@ -4,12 +4,13 @@ import pytest
 
 from kinfeas import config
 from kinfeas.training.config import TrainConfig
-from tests.cli.conftest import SETTINGS, check_one_line
+from tests.builders import TRAINING
+from tests.cli.conftest import check_one_line
 
 pytest.importorskip("optuna")
 SWEEP = f"""
 robot: hsr
-settings: {json.dumps(SETTINGS | {"schedule.steps": 64, "schedule.minutes": None})}
+settings: {json.dumps(TRAINING | {"schedule.steps": 64, "schedule.minutes": None})}
 space:
   learner.learning_rate: {{low: 1.0e-4, high: 1.0e-3, log: true}}
   learner.batch_size: {{choices: [16, 32]}}
@@ -24,7 +25,7 @@ def test_the_winner_is_a_recipe_that_train_takes(kinfeas, tmp_path):
     outcome = kinfeas(*words, "--json", "out.json", code=0)
     assert (tmp_path / "my out" / "sweep.png").read_bytes().startswith(b"\x89PNG")
     trials = json.loads((tmp_path / "out.json").read_text())
-    assert [one["number"] for one in trials] == [0, 1, 2]
+    assert [trial["number"] for trial in trials] == [0, 1, 2]
     assert "--config 'my out/best.yaml'" in outcome.out
     kinfeas("train", "--config", "my out/best.yaml", "--seed", "1", "--out", "again", code=0)
     assert config.load(TrainConfig, tmp_path / "again" / "config.yaml").seed == 1

@@ -15,17 +15,10 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.training import train as training
 from tests.builders import contents
-from tests.cli.conftest import TINY, check_one_line
-from tests.cli.test_main import HEAVY, kinfeas_process
+from tests.cli.conftest import HEAVY, TINY, check_one_line, kinfeas_process
 from tests.policy_cases import write_run
 
 SHORT = ("train", "--robot", "hsr", "--steps", "64", "--out", "run", *TINY)
-
-
-@pytest.fixture
-def run_folder(kinfeas, tmp_path):
-    kinfeas(*SHORT, code=0)
-    return tmp_path / "run"
 
 
 @pytest.mark.slow
@@ -34,9 +27,9 @@ def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas,
     outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh", "--set", filters, code=0)
     (line,) = [line for line in outcome.out.splitlines() if "kinfeas evaluate" in line]
     words = shlex.split(line.partition(": ")[2])
-    expected = "kinfeas evaluate --robot hsr --task ggr --policy run --adapters harsh --set"
-    assert words[:-1] == expected.split()
-    assert yaml.safe_load(words[-1].removeprefix("world.filters=")) == [{"name": "feasibility"}]
+    expected = "kinfeas evaluate --robot hsr --task ggr --world analytic --policy run --set"
+    assert words[:-3] == expected.split()
+    assert yaml.safe_load(words[-3].removeprefix("world.filters=")) == [{"name": "feasibility"}]
     run = tmp_path / "run"
     metrics = json.loads((run / "evaluation.json").read_text())
     assert (metrics["episodes"], metrics["steps"]) == (2, 64)
@@ -46,8 +39,9 @@ def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas,
     settings = yaml.safe_load((run / "config.yaml").read_text())
     assert (settings["seed"], settings["schedule"]["steps"]) == (3, 64)
     assert settings["schedule"]["minutes"] is None
-    named = [adapter["name"] for adapter in settings["world"]["adapters"]]
-    assert named == metrics["adapters"] == [one.name for one in read_sim2real("harsh").adapters]
+    names = [adapter["name"] for adapter in settings["world"]["adapters"]]
+    assert names == metrics["adapters"] == [spec.name for spec in read_sim2real("harsh").adapters]
+    assert yaml.safe_load(words[-1].removeprefix("world.adapters="))[0]["name"] == names[0]
     assert settings["evaluation_adapters"] == settings["world"]["adapters"]
     with (run / "metrics.csv").open() as file:
         assert list(csv.DictReader(file))
@@ -75,13 +69,9 @@ def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch):
     assert outcome.err.splitlines()[-1].endswith("kinfeas train --resume run")
     kinfeas("train", "--resume", "run", "--steps", "128", code=0)
     assert "steps: 128" in Path("run/config.yaml").read_text()
-
-
-def test_taken_folder_is_one_line(kinfeas, run_folder):
-    before = contents(run_folder)
-    outcome = kinfeas(*SHORT)
-    check_one_line(outcome, "--resume run")
-    assert contents(run_folder) == before
+    before = contents(Path("run"))
+    check_one_line(kinfeas(*SHORT), "--resume run")
+    assert contents(Path("run")) == before
 
 
 @pytest.mark.parametrize("words", [("--out", "."), ("--resume", ".")])

@@ -16,7 +16,7 @@ from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.evaluation.evaluate import EvalConfig, configure, evaluate, reachability_of, run
-from kinfeas.evaluation.reachability import A_SUBGOAL, draw_waypoints
+from kinfeas.evaluation.reachability import WAYPOINTS, draw_waypoints
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward
 from kinfeas.policies.baselines.following import FollowEe
@@ -27,15 +27,15 @@ from kinfeas.tasks.ggr import ggr
 
 
 @pytest.fixture(scope="module")
-def chosen():
+def config():
     world = replace(evaluation_world(), max_seconds=6.0)
     near = ggr(distance=(0.5, 0.8))
     return EvalConfig(load_robot("hsr"), near, episodes=20, seed=3, world=world)
 
 
 @pytest.fixture(scope="module")
-def policy(chosen):
-    return load_policy("follow_ee", chosen.robot)
+def policy(config):
+    return load_policy("follow_ee", config.robot)
 
 
 def test_the_default_world_is_exact_and_ends_no_episode_early():
@@ -43,16 +43,16 @@ def test_the_default_world_is_exact_and_ends_no_episode_early():
     assert EvalConfig(load_robot("hsr"), ggr()).world == evaluation_world()
 
 
-def test_summary(chosen, policy):
+def test_summary(config, policy):
     ended = []
-    summary = evaluate(chosen, policy, "follow_ee", Proportion(0.9, 0.8, 0.95), 1, ended.append)
+    summary = evaluate(config, policy, "follow_ee", Proportion(0.9, 0.8, 0.95), 1, ended.append)
     assert json.loads(json.dumps(summary)) == summary
     assert (summary["robot"], summary["task"], summary["policy"]) == ("hsr", "ggr", "follow_ee")
     assert (summary["episodes"], summary["seed"], summary["ceiling"]) == (20, 3, 0.9)
     assert summary["world"] == "analytic"
     assert summary["task_success"] is summary["base_collisions"] is None
     assert summary["success_low"] <= summary["success"] <= summary["success_high"]
-    assert summary["success"] <= reachability_of(chosen).value
+    assert summary["success"] <= reachability_of(config).value
     assert sum(ended) == 20
 
 
@@ -65,37 +65,31 @@ def test_packaged_policies_keep_their_success_rate(name):
     assert records.success.mean() >= rate - 3.0 * deviation
 
 
-@pytest.mark.parametrize("kind", ["adapters", "filters"])
-def test_wrong_names_are_errors(chosen, policy, kind):
-    with pytest.raises(KinfeasError, match="'none_such'"):
-        run(configure(chosen.robot, "ggr", settings={f"world.{kind}": ["none_such"]}), policy)
-
-
-def test_the_same_seed_gives_the_same_figures(chosen, policy):
-    few = replace(chosen, episodes=5)
+def test_the_same_seed_gives_the_same_figures(config, policy):
+    few = replace(config, episodes=5)
     first = evaluate(few, policy)
     assert first == evaluate(few, policy)
     assert first != evaluate(replace(few, seed=4), policy)
     assert first["ceiling"] is None
 
 
-def test_parts_join_to_the_whole(chosen, policy):
-    whole = run(chosen, policy)
-    world = World(chosen.robot, chosen.task, chosen.world, chosen.seed)
+def test_parts_join_to_the_whole(config, policy):
+    whole = run(config, policy)
+    world = World(config.robot, config.task, config.world, config.seed)
     parts = [run_episodes(world, policy, count, first=at) for at, count in ((0, 8), (8, 12))]
     for key, values in vars(whole).items():
         np.testing.assert_array_equal(getattr(join(parts), key), values, err_msg=key)
     touched = [replace(part, base_collisions=np.ones(len(part.reached))) for part in parts]
     mixed = join([parts[0], touched[1]]), join([touched[0], parts[1]])
-    assert [one.base_collisions.sum() for one in mixed] == [12, 8]
+    assert [records.base_collisions.sum() for records in mixed] == [12, 8]
 
 
 @pytest.mark.slow
-def test_no_figure_depends_on_the_number_of_processes(chosen, policy, monkeypatch):
+def test_no_figure_depends_on_the_number_of_processes(config, policy, monkeypatch):
     monkeypatch.setattr(episodes, "BATCH", 6)
     ended = []
-    assert evaluate(chosen, policy, processes=2, on_done=ended.append) == evaluate(chosen, policy)
-    assert sum(ended) == chosen.episodes
+    assert evaluate(config, policy, processes=2, on_done=ended.append) == evaluate(config, policy)
+    assert sum(ended) == config.episodes
 
 
 @pytest.mark.slow
@@ -139,17 +133,17 @@ def test_recordings_agree_with_the_records(world):
     policy = FollowEe(world.robot.base)
     recordings = record_episodes(world, policy, 3, first=5)
     records = run_episodes(world, policy, 3, first=5)
-    assert [one.episode for one in recordings] == [5, 6, 7]
-    for row, one in enumerate(recordings):
-        moments = len(one.feasible)
-        assert one.base_pose.shape == one.desired.shape == one.ee_pose.shape == (moments, 7)
-        assert one.feasible[0]
-        assert moments - 1 == records.steps[row]
-        assert int(np.sum(~one.feasible)) == records.failures[row]
-        deviation = np.linalg.norm(one.ee_pose[1:, :3] - one.desired[1:, :3], axis=1)
+    assert [episode.episode for episode in recordings] == [5, 6, 7]
+    for row, episode in enumerate(recordings):
+        assert episode.base_pose.shape == episode.desired.shape == (len(episode.feasible), 7)
+        assert episode.feasible[0]
+        assert len(episode.feasible) - 1 == records.steps[row]
+        assert int(np.sum(~episode.feasible)) == records.failures[row]
+        deviation = np.linalg.norm(episode.ee_pose[1:, :3] - episode.desired[1:, :3], axis=1)
         assert deviation.max() == pytest.approx(records.max_deviation[row], abs=1e-12)
-        expected = spatial.compose(one.base_pose, forward(world.solver.chain, one.joint_positions))
-        np.testing.assert_allclose(one.ee_pose, expected, atol=1e-9)
+        ee_in_base = forward(world.solver.chain, episode.joint_positions)
+        expected = spatial.compose(episode.base_pose, ee_in_base)
+        np.testing.assert_allclose(episode.ee_pose, expected, atol=1e-9)
 
 
 @TASKS
@@ -157,12 +151,12 @@ def test_waypoints_are_those_of_the_world(robot, solver, task):
     """Desired poses do not depend on the base; a sub-goal ends where the achieved EE arrives."""
     world = World(robot, task, WorldConfig(max_failures=10**6), seed=5)
     world.start([0, 1])
-    found, seen = draw_waypoints(solver, task, 2, 5)[:, :A_SUBGOAL], []
+    waypoints, desired = draw_waypoints(solver, task, 2, 5)[:, :WAYPOINTS], []
     for _ in range(1500):
         world.step(np.zeros((2, world.action_size)))
-        seen.append(world.loop.desired)
+        desired.append(world.loop.desired)
     for row in range(2):
-        missed = found[row][:, np.newaxis] - np.array(seen)[:, row]
+        missed = waypoints[row][:, np.newaxis] - np.array(desired)[:, row]
         assert np.all(np.abs(missed).max(axis=2).min(axis=1) == 0.0)
 
 
@@ -186,15 +180,16 @@ def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator,
         f"{generator}, parameters: {{file: path.csv}}}}}}\n"
     )
     robot = load_robot("hsr")
-    chosen = configure(robot, str(tmp_path / "task.yaml"), episodes=2)
+    config = configure(robot, str(tmp_path / "task.yaml"), episodes=2)
     policy = load_policy("pretrained", robot)
-    world = World(chosen.robot, chosen.task, chosen.world, chosen.seed)
+    world = World(config.robot, config.task, config.world, config.seed)
     together = record_episodes(world, policy, 2)
     alone = record_episodes(world, policy, 1, first=1)[0]
     np.testing.assert_array_equal(together[1].desired, alone.desired)
-    for one in together:
-        away = spatial.distance(one.desired, np.broadcast_to(one.goal, one.desired.shape))[0]
+    for episode in together:
+        goal = np.broadcast_to(episode.goal, episode.desired.shape)
+        away = spatial.distance(episode.desired, goal)[0]
         arrival = int(np.argmax(away < 0.03))
-        assert one.reached
+        assert episode.reached
         assert away[arrival:].max() == pytest.approx(farthest, abs=0.03)
         assert away[-1] < 0.03

@@ -1,0 +1,128 @@
+"""`kinfeas fit` and `kinfeas dataset`: motions and datasets from demonstrations."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import typer
+
+from kinfeas.cli import options
+from kinfeas.cli.options import argument, option
+from kinfeas.cli.output import print_facts, status, write_json
+from kinfeas.core.extras import require
+
+if TYPE_CHECKING:
+    from kinfeas.io.demonstrations import Demonstration
+
+
+def fit(
+    demonstrations: Path = option(..., "Folder of *.csv files."),
+    out: Path = options.file_option(..., "Model to write.", ".yaml", ".yml"),
+    kind: Literal["imitation", "gaussian_mixture"] = option("imitation", "Generator of the model."),
+    components: int = option(8, "Number of Gaussians.", min=1, max=50),
+    seed: options.Seed = 0,
+    json: options.JsonPath = None,
+) -> None:
+    """Learn an EE motion from demonstrations.
+
+    A demonstration is a CSV table with the columns time, ee_x, ee_y, ee_z, ee_qx, ee_qy, ee_qz,
+    ee_qw and the same of base_ and object_: world poses in metres and unit quaternions. The motion
+    is learned in the frame of the object at the start.
+
+    Use the model in a task or a test as the parameter model: path/of/model.yaml of the motion
+    generator --kind.
+
+    Example: kinfeas fit --demonstrations demonstrations/door/open --out my_door.yaml
+    """
+    from kinfeas.api import fit as api
+
+    with status("learning"):
+        motion = api.fit(demonstrations, out, kind=kind, components=components, seed=seed)
+    names = [Path(name).name for name in motion.names]
+    facts = {
+        "kind": kind,
+        "demonstrations": len(names),
+        "components": len(motion.model.components),
+        "base": motion.model.has_base,
+        "duration_s": motion.duration,
+        "length_m": motion.length,
+        "position_residual_m": list(motion.position_residual),
+        "rotation_residual_rad": list(motion.rotation_residual),
+        "sides": list(motion.sides),
+        "without_base": [name for name, has in zip(names, motion.has_base, strict=True) if not has],
+    }
+    write_json(facts, json)
+    print_facts(f"{kind} model in {out}", facts)
+    if any(motion.sides):
+        sides = list(zip(names, motion.sides, strict=True))
+        left, right = (", ".join(name for name, side in sides if side == i) for i in (0, 1))
+        typer.echo(
+            "warning: the demonstrations follow two paths, and the model is a path between them; "
+            f"fit each group on its own: {left}; {right}",
+            err=True,
+        )
+
+
+def dataset(
+    sources: list[Path] = argument(..., "Demonstrations, records, or folders of them."),
+    out: Path = option(..., "New folder to write.", metavar="FOLDER"),
+    kind: Literal["lerobot", "csv"] = option("lerobot", "LeRobot dataset v3.0, or CSV files."),
+    task: str = option("Follow the motion.", "Instruction in words."),
+    robot: str | None = option(None, "Type of the robot."),
+    fps: int = option(30, "Frames per second.", min=1, max=1000),
+) -> None:
+    """Convert recorded motions for learning.
+
+    Poses are those of the tool tip and of the base. The object of a record is the tool tip's last
+    pose.
+
+    Example: kinfeas dataset demonstrations --out datasets/reach --task "Reach the shelf."
+    """
+    from kinfeas.core.errors import KinfeasError
+    from kinfeas.io.demonstrations import demonstration_files, write_demonstration
+    from kinfeas.io.files import write_folder
+    from kinfeas.io.lerobot import write_lerobot_dataset
+
+    if kind == "lerobot":
+        require("pyarrow")
+    if out.exists():
+        raise KinfeasError(f"{out}: exists")
+    with status("converting"):
+        files = [demonstration_files(source) if source.is_dir() else [source] for source in sources]
+        motions = [_read(file) for some in files for file in some]
+        if kind == "lerobot":
+            write_lerobot_dataset(motions, out, task, robot, fps)
+        else:
+
+            def fill(folder: Path) -> None:
+                for number, motion in enumerate(motions, 1):
+                    write_demonstration(motion, folder / f"{number:03}.csv")
+
+            write_folder(out, fill)
+    seconds = sum(float(motion.time[-1] - motion.time[0]) for motion in motions)
+    print_facts(f"{kind} in {out}", {"motions": len(motions), "seconds": seconds})
+
+
+def _read(path: Path) -> "Demonstration":
+    """Return a demonstration, or the tool tip's motion in a record."""
+    import numpy as np
+
+    from kinfeas.control.execution import tool_pose
+    from kinfeas.core import spatial
+    from kinfeas.io.demonstrations import Demonstration, check_samples, read_demonstration
+    from kinfeas.io.files import reading
+    from kinfeas.io.run_log import is_record, read_record
+    from kinfeas.kinematics.forward import forward
+    from kinfeas.kinematics.ik import IkSolver
+    from kinfeas.robots.loading import load_robot
+
+    with reading(path):
+        if not is_record(path):
+            return read_demonstration(path)
+    run = read_record(path)
+    robot = load_robot(run.about.robot)
+    base, joints = run.base_pose[run.later], run.joint_positions[run.later]
+    ee = spatial.compose(base, forward(IkSolver(robot).chain, joints))
+    tool = spatial.compose(ee, tool_pose(robot))
+    time, goal = run.time[run.later], np.repeat(tool[-1:], len(tool), axis=0)
+    check_samples(path, time, {"ee_pose": tool, "base_pose": base})
+    return Demonstration(time, tool, base, goal)
