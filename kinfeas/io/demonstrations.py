@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from kinfeas.config.quantities import LONGEST, REMOTEST
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import replacing
-from kinfeas.io.formats import read_csv
+from kinfeas.io.files import read_csv, replacing
 
 _AXES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _POSES = ("ee_pose", "base_pose", "object_pose")
