@@ -206,8 +206,6 @@ def _batch(world: World) -> int:
 
 
 class _Tally:
-    """Sums over the steps of each episode."""
-
     def __init__(self, world: World, first: int, episodes: int) -> None:
         self.world, self.first, self.last = world, first, len(world.task.subgoals) - 1
         self.reached = np.zeros(episodes, dtype=np.bool_)

@@ -109,7 +109,6 @@ class BaseMotionVectorEnv(VectorEnv[_Rows, _Rows, NDArray[Any]]):
             self.world.close()
 
     def _numbers(self, rows: NDArray[np.bool_]) -> dict[str, Any]:
-        """Return the infos of the episodes that have begun in `rows`, shape (n,)."""
         numbers = self.world.next_episode - rows.sum() + np.cumsum(rows) - 1
         return _masked({"episode_number": numbers}, rows)
 

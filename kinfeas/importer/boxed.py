@@ -1,6 +1,6 @@
 """URDFs of primitives: links and joints of a vendor's URDF with its meshes replaced."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -58,7 +58,6 @@ def boxed_urdf(
     base: str | None = None,
     on_link: Callable[[str], None] | None = None,
     robot: Element | None = None,
-    fitted: Collection[str] | None = None,
     originals: dict[str, list[Part]] | None = None,
 ) -> str:
     """Return the text of a URDF without meshes; its visual and collision shapes are the same.
@@ -72,7 +71,6 @@ def boxed_urdf(
             behind joints that move bare frames on the floor, as simulators add.
         on_link: Called with the name of each link that is done.
         robot: Content in place of that of the file.
-        fitted: Links that get shapes; all by default.
         originals: Receives the parts of links that primitives replace, in the links' frames.
     """
     robot = read_robot_element(path) if robot is None else robot
@@ -84,9 +82,7 @@ def boxed_urdf(
     for name in filter(kept.__contains__, links):
         link = Element(links[name].xml, f"{path}: link {name!r}")
         kind = "collision" if urdf.rigid[name] & colliding else "visual"
-        parts = []
-        if fitted is None or name in fitted:
-            parts = list(_parts(link, kind, path.absolute().parent))
+        parts = list(_parts(link, kind, path.absolute().parent))
         shapes = [shape for _, primitives in parts for shape in primitives]
         if originals is not None and (
             len(shapes) > MAX_SHAPES or not all(isinstance(part, Shape) for part, _ in parts)
@@ -146,7 +142,6 @@ def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
 
 
 def _parts(link: Element, tag: str, folder: Path) -> Iterable[tuple[Part, list[Shape]]]:
-    """Yield each part of a link and the primitives that replace it."""
     for element in link.children(tag):
         if own := read_shapes(element):
             for shape in own:
@@ -280,7 +275,6 @@ def _cut(triangles: Array, whole: Shape, cuts: int) -> list[Shape]:
 
 
 def _halves(triangles: Array, whole: Shape, axis: int) -> list[Array]:
-    """Return the mesh on either side of its middle plane across an axis of `whole`."""
     from trimesh.intersections import slice_faces_plane
 
     normal = rotation(whole.pose).as_matrix()[:, axis]
@@ -295,7 +289,6 @@ def _halves(triangles: Array, whole: Shape, axis: int) -> list[Array]:
 
 
 def _smallest(points: Array) -> Shape:
-    """Return the smallest box, cylinder or sphere around `points`, shape (n, 3)."""
     from trimesh.bounds import oriented_bounds
 
     corners = _hull(points)
@@ -309,7 +302,6 @@ def _smallest(points: Array) -> Shape:
 
 
 def _around(corners: Array, kind: ShapeKind, pose: Array) -> Shape:
-    """Return the primitive at `pose` that encloses `corners`, with the margin."""
     inner = np.abs(rotation(pose).inv().apply(corners - pose[:3]))
     x, y, z = (inner.max(axis=0) + MARGIN).tolist()
     size: tuple[float, ...] = (2.0 * x, 2.0 * y, 2.0 * z)

@@ -90,7 +90,6 @@ def _axis(urdf: Urdf, joint: Joint) -> Array:
 
 
 def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None:
-    """Return the upright joint that turns a wheel, None without one."""
     above = (
         joint.name
         for joint in urdf.path_to(wheel.parent)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.arm import Arm, Hand, ends_of_arms, find_arm, read_hand
+from kinfeas.importer.arm import Arm, Hand, find_arm, read_hand
 from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.reach import (
@@ -20,10 +19,7 @@ from kinfeas.importer.reach import (
     comfortable,
     free_fraction,
     freedom,
-    limited,
     only_fitted,
-    overload_fractions,
-    overloads_at,
     touching,
     useful_heights,
     with_pairs,
@@ -105,15 +101,8 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     report, source = on_done or (lambda fraction: None), str(path)
     description = read_description(path, meshes=meshes, mesh_paths=mesh_paths)
     links = len(description.children("link"))
-    write = partial(boxed_urdf, path, base, robot=description)
-    # A choice between arms comes before the work: fitting meshes takes most of the time.
-    bare = _parsed(write(fitted=()), source)
-    if hand is not None:
-        find_arm(bare, hand, source)
-    elif ends := ends_of_arms(bare, source):
-        find_arm(_parsed(write(fitted=ends), source), None, source)
     originals: dict[str, list[Part]] = {}
-    whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
+    whole = boxed_urdf(path, base, lambda _: report(_BOXING / links), description, originals)
     arm = find_arm(_parsed(whole, source), hand, source)
     text, lifted = on_the_floor(whole, arm, source)
     urdf = _parsed(text, source)
@@ -128,8 +117,6 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     ignored |= false
     pose_tolerance = _POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None
     robot = replace(with_pairs(robot, ignored), pose_tolerance=pose_tolerance)
-    if overloads := overload_fractions(robot):
-        robot = limited(robot)
     home = comfortable(robot)
     report(_TOUCHING)
     heights = useful_heights(robot, lambda fraction: report(_REACHING * fraction))
@@ -139,7 +126,6 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         reach=reach_of(heights, source),
         pose_tolerance=pose_tolerance,
         ignored_collisions=tuple(ignored),
-        max_gravity_load=robot.max_gravity_load,
     )
     names = [joint.name for joint in arm.joints]
     guesses = Guesses(
@@ -149,8 +135,6 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         stuck=tuple(joint.name for joint in arm.stuck),
         touching=ignored,
         contacts={pair: fraction for pair, fraction in checked.items() if pair not in false},
-        overloads=overloads,
-        overloaded_at_home=overloads_at(robot, home),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
         drive="" if drive else why,
         no_gripper=fingers.no_gripper,
@@ -208,7 +192,6 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
 
 
 def _one_turn(joint: Joint) -> tuple[float, float] | None:
-    """Return the turn nearest to 0 for a joint of more than two turns, else None."""
     lower, upper = joint.soft_lower, joint.soft_upper
     if joint.kind != "revolute" or upper - lower <= _MAX_TURNS:
         return None
@@ -234,7 +217,6 @@ def _fixed(urdf: Urdf, arm: Arm) -> dict[str, float]:
 
 
 def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:
-    """Return the positions of the joints that move the fingers."""
     if hand.gripper is None:
         return {}
     closed, opened = hand.gripper.positions("close"), hand.gripper.positions("open")

@@ -29,8 +29,6 @@ class Guesses:
         stuck: Joints on the way to the hand whose limits leave no range of motion.
         touching: Fraction of configurations in which the ignored pairs of links touch, 0-1.
         contacts: The same of the pairs that are checked.
-        overloads: Fraction of configurations in which gravity exceeds a joint's effort limit, 0-1.
-        overloaded_at_home: Joints whose effort limit gravity exceeds at home.
         slides: Prismatic joints; their positions are metres.
         drive: What the drive of the base was read from.
         no_gripper: Why there is no gripper.
@@ -43,8 +41,6 @@ class Guesses:
     stuck: tuple[str, ...] = ()
     touching: Mapping[tuple[str, str], float] = field(default_factory=dict)
     contacts: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    overloads: Mapping[str, float] = field(default_factory=dict)
-    overloaded_at_home: tuple[str, ...] = ()
     slides: frozenset[str] = frozenset()
     drive: str = ""
     no_gripper: str = ""
@@ -55,31 +51,16 @@ class Guesses:
         return "m" if joint in self.slides else "rad"
 
 
-def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
-    """Return what limits the postures of a draft; `free` is as of `Draft`."""
-    messages = []
-    if free < _FREE:
-        often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
-        pairs = ", ".join(
-            f"{first} and {second} in {fraction:.0%}" for (first, second), fraction in often
-        )
-        messages.append(
-            f"{free:.0%} of random postures are free of self-collision; most often touch {pairs}"
-        )
-    if guesses.overloads:
-        home = ", ".join(guesses.overloaded_at_home)
-        rule = f"IK leaves them out (max_gravity_load: {spec.max_gravity_load})"
-        if spec.max_gravity_load is None:
-            rule = "IK does not leave them out, since hardly any others are free"
-        messages.append(
-            f"gravity exceeds the effort limit in random postures, {_overloads(guesses)}"
-            f"{f', and at home ({home})' if home else ''}; {rule}"
-        )
-    return messages
-
-
-def _overloads(guesses: Guesses) -> str:
-    return ", ".join(f"{joint} in {fraction:.0%}" for joint, fraction in guesses.overloads.items())
+def warnings(guesses: Guesses, free: float) -> list[str]:
+    """Return the doubts about a draft, and what limits its postures; `free` is as of `Draft`."""
+    if free >= _FREE:
+        return [*guesses.doubts]
+    often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
+    pairs = ", ".join(f"{first} and {second} in {part:.0%}" for (first, second), part in often)
+    return [
+        *guesses.doubts,
+        f"{free:.0%} of random postures are free of self-collision; most often touch {pairs}",
+    ]
 
 
 def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
@@ -119,9 +100,6 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         pairs = [f"  - {to_line(p)}  # {guesses.touching[p]:.0%}" for p in spec.ignored_collisions]
         about = "# Guess: links that touch by design or by too large shapes, and how often they do."
         blocks.append([about, "ignored_collisions:", *pairs])
-    if spec.max_gravity_load is not None:
-        load = f"max_gravity_load: {spec.max_gravity_load}  # of the effort limit, guess"
-        blocks.append([f"# Gravity exceeds effort limits: {_overloads(guesses)}.", load])
     return "\n\n".join("\n".join(block) for block in blocks) + "\n"
 
 

@@ -109,7 +109,6 @@ def to_onnx(network: Network, metadata: PolicyMetadata) -> bytes:
 
 
 def _run(content: bytes, observations: Array) -> Array:
-    """Return the actions that onnxruntime computes."""
     import onnxruntime
 
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])

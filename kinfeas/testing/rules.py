@@ -112,7 +112,6 @@ class _Step:
 
 
 def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
-    """Return the start state after checking `start`."""
     rows = range(len(ee_pose))
     arguments = ee_pose.copy(), targets.copy()
     state = probe.start(*arguments, rows)
@@ -132,7 +131,6 @@ def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
 
 
 def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _Step:
-    """Return the step from `state` after checking `twist`."""
     step_state, step_pose = copy.deepcopy(state), ee_pose.copy()
     target_argument, dt = targets.copy(), np.full(len(ee_pose), probe.trial.dt)
     twist, after = copy.deepcopy(probe.twist(state, ee_pose, target_argument, dt))
@@ -166,7 +164,6 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
 
 
 def _check_restart(probe: Probe, history: list[_Step], targets: Array) -> None:
-    """Check that one motion can restart while the others continue."""
     first, now = history[0], history[-1]
     row = len(history) % len(targets)
     single = slice(row, row + 1)
@@ -194,7 +191,6 @@ def _within(tolerances: float, ee_pose: Array, goal: Array) -> NDArray[np.bool_]
 
 
 def _check_end(probe: Probe, left: NDArray[np.bool_]) -> None:
-    """Check that no motion has left its goal after its end, shape (n,)."""
     probe.require(
         not left.any(),
         "end",
@@ -206,7 +202,6 @@ def _check_end(probe: Probe, left: NDArray[np.bool_]) -> None:
 def _check_arrival(
     probe: Probe, ee_pose: Array, targets: Array, states: tuple[State, State]
 ) -> None:
-    """Check that the motions end at the goal of their start."""
     announced, final = (probe.motion.goal_pose(state, targets) for state in states)
     metres, radians = distance(announced, final)
     fixed = metres.max() < _NEAR and radians.max() < np.sqrt(_NEAR)
@@ -230,17 +225,14 @@ def _check_arrival(
 
 
 def _some(rows: range) -> list[int]:
-    """Return the first, the middle and the last of `rows`."""
     return sorted({rows[0], rows[len(rows) // 2], rows[-1]})
 
 
 def _rows(state: State, rows: slice) -> State:
-    """Return a copy of some motions."""
     return {key: value[rows].copy() for key, value in state.items()}
 
 
 def _near(a: Array, b: Array) -> bool:
-    """Return whether the arrays are the same up to rounding."""
     return np.allclose(a, b, rtol=_NEAR, atol=_NEAR)
 
 

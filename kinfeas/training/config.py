@@ -107,7 +107,6 @@ class TrainConfig:
         world: Control period, limits of an episode, adapters, reward and IK.
         evaluation_adapters: Adapters of the evaluations, which select and measure the best policy,
             in place of those of `world`, which may be there for exploration only.
-        trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` is an extra.
         init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
             `learner.net_arch`; terms that it lacks have no effect at first.
         learner: Hyperparameters.
@@ -124,7 +123,6 @@ class TrainConfig:
     observation: tuple[str, ...] = OBSERVATION
     world: WorldConfig = field(default_factory=WorldConfig)
     evaluation_adapters: tuple[PluginSpec, ...] = ()
-    trackers: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

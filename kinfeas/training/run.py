@@ -55,10 +55,8 @@ class Progress:
         evaluations: Number of evaluations.
         recent: Whether each of the last training episodes was without a failure.
         evaluating: Episodes done and episodes in all of the evaluation that runs now.
-        updates: Gradient steps in this process.
         parts: Wall-clock seconds of parts in this process: `step`, of which `update` of the
             networks and `waiting` for the environments; `evaluation` and `checkpoint`.
-        cpu: CPU seconds of the steps: `learner` and, in the analytic world, `environment`.
     """
 
     steps: int = 0
@@ -68,9 +66,7 @@ class Progress:
     evaluations: int = 0
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
     evaluating: tuple[int, int] | None = None
-    updates: int = 0
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    cpu: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     other_seconds: float = 0.0
 
     @property
@@ -86,8 +82,6 @@ class Progress:
 
 @dataclass(frozen=True)
 class _Saved:
-    """Fields of a checkpoint."""
-
     steps: _Tally
     seconds: NotNegative
     best: Annotated[float, Interval(ge=-1.0, le=1.0)]
@@ -204,9 +198,9 @@ def evaluations_due(config: TrainConfig, progress: Progress) -> int:
 
 
 def identity(config: TrainConfig) -> dict[str, object]:
-    """Return the settings that must not change when a run is resumed: not schedule and trackers."""
+    """Return the settings that must not change when a run is resumed: all but the schedule."""
     mapping = configuration.to_mapping(config)
-    return {key: mapping[key] for key in mapping if key not in ("schedule", "trackers")}
+    return {key: mapping[key] for key in mapping if key != "schedule"}
 
 
 def with_initial_policy(config: TrainConfig) -> TrainConfig:

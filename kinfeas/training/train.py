@@ -36,7 +36,7 @@ from kinfeas.training.learner import (
     take_network,
     without_denormals,
 )
-from kinfeas.training.logs import LEARNER, Logs, check_trackers
+from kinfeas.training.logs import LEARNER, Logs
 from kinfeas.training.run import (
     SETTINGS,
     Progress,
@@ -111,11 +111,8 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
 
 
 class _Run:
-    """One training run in its folder."""
-
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.begun = time.monotonic()
-        check_trackers(config)
         self.config, self.out = config, out
         self.limited = evaluation_seconds(config, 1) < math.inf
         self.env: EpisodesVecEnv = (
@@ -151,8 +148,7 @@ class _Run:
         with loading(last):
             read_network(last, self.env.robot)
             self.env.reset()
-            snapshot = load_learner(last, self.learner, self.env.snapshot())
-            self.observation = self.env.restore(snapshot)
+            self.observation = self.env.restore(load_learner(last, self.learner))
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""
@@ -193,12 +189,8 @@ class _Run:
             if self.progress.share >= 1.0:
                 break
             with uninterrupted():
-                own, all_threads = time.thread_time(), time.process_time()
                 with self._timed("step"):
                     self._step()
-                own, all_threads = time.thread_time() - own, time.process_time() - all_threads
-                self.progress.cpu["learner"] += own
-                self.progress.cpu["environment"] += all_threads - own
                 self.progress.seconds = now = time.monotonic() - start
                 self._clock()
             if now - saved >= self.config.schedule.checkpoint_seconds:
@@ -220,7 +212,6 @@ class _Run:
         self.progress.share = share_done(self.config, self.progress)
 
     def _first(self) -> None:
-        """Begin the first episodes, and write what a run needs to be resumed."""
         self.observation = self.env.reset()
         self._compile()
         if self.config.init is not None:
@@ -235,7 +226,6 @@ class _Run:
         self.observation = self.env.restore(snapshot)
 
     def _step(self) -> None:
-        """Step all environments once, and learn from the replay buffer."""
         config, learner, progress = self.config.learner, self.learner, self.progress
         assert self.observation is not None
         filling = progress.steps < max(config.learning_starts, self.config.num_envs)
@@ -244,7 +234,6 @@ class _Run:
         # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:
-            progress.updates += config.gradient_steps
             frozen = self.config.init is not None and (
                 progress.steps < config.learning_starts + config.critic_steps
             )
@@ -301,7 +290,6 @@ class _Run:
         return self.evaluated_at == self.progress.steps or network.equals(best)
 
     def _left(self) -> float:
-        """Return the seconds to the end of a run whose `minutes` include evaluations."""
         assert self.config.schedule.minutes is not None
         return 60.0 * self.config.schedule.minutes - (time.monotonic() - self.begun)
 
@@ -329,7 +317,6 @@ class _Run:
         return {key: value for key, value in metrics.items() if value is not None}
 
     def _evaluate_best(self, logs: Logs, pool: Executor | None, report: Report | None) -> None:
-        """Evaluate the best policy on episodes that did not select it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:
@@ -350,7 +337,6 @@ class _Run:
         return row | self._losses()
 
     def _losses(self) -> dict[str, float]:
-        """Return the figures that the learner logged last."""
         values = self.learner.logger.name_to_value
         losses = {key: float(values[key]) for key in LEARNER if key in values}
         check_losses(losses, self.config.learner)

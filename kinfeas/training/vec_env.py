@@ -129,7 +129,6 @@ class EpisodesVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def _begin(self, method: str, *arguments: Sequence[Any]) -> None:
-        """Let each worker call a method of its batch, with its own arguments."""
         with workers_alive(len(self._workers)):
             self._coming = [
                 worker.submit(self._call, method, *inputs)

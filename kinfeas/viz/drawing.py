@@ -85,6 +85,5 @@ def draw_floor(axes: Axes3D, points: Array, cell: float = 0.5, margin: float = 0
 
 
 def _normal(face: Array) -> Array:
-    """Return the outward unit normal of a polygon, shape (3,)."""
     normal = np.cross(face[1:-1] - face[0], face[2:] - face[0]).sum(axis=0)
     return normal / max(float(np.linalg.norm(normal)), 1e-12)

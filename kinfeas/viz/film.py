@@ -107,8 +107,6 @@ def _moments(replay: Replay, path: Path) -> NDArray[np.intp]:
 
 
 def _floor(low: Array, high: Array) -> list[tuple[Shape, str]]:
-    """Return a floor with a grid between two corners (2,)."""
-
     def box(centre: Array, size: Array, height: float, colour: str) -> tuple[Shape, str]:
         pose = IDENTITY.copy()
         pose[:3] = *centre, height - _FLOOR / 2.0
@@ -126,8 +124,6 @@ def _floor(low: Array, high: Array) -> list[tuple[Shape, str]]:
 
 
 def _draw_paths(draw: ImageDraw.ImageDraw, view: View, recording: Recording, end: int) -> None:
-    """Draw base and EE paths until moment `end`, failures and goals."""
-
     def at(poses: Array) -> list[tuple[float, float]]:
         return [(x, y) for x, y in (_FINE * view.pixels(poses[:, :3])).tolist()]
 
@@ -161,7 +157,6 @@ def _dashes(points: Array, length: float = 5.0) -> Iterator[tuple[int, int]]:
 
 
 def _caption(image: Image.Image, replay: Replay, moment: int, speed: float) -> None:
-    """Write time, playback speed, IK failures and, at the end, the result into a picture."""
     recording = replay.recording
     failures = int(np.sum(~recording.feasible[: moment + 1]))
     faster = f"  ({speed:.1f}x)" if speed > 1.05 else ""

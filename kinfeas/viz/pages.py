@@ -84,7 +84,6 @@ def replay_html(replay: Replay) -> str:
 
 
 def _draw_paths(server: Any, recording: Recording) -> None:
-    """Draw paths, goals and failures over a floor, and place the camera."""
     base = recording.base_pose[:, :3] + np.array([0.0, 0.0, 0.01])
     desired, goals = recording.desired[:, :3], recording.goals[:, :3]
     paths = {BASE: base, DESIRED: desired, EE: recording.ee_pose[:, :3]}

@@ -324,7 +324,6 @@ class PlayPage:
         self._show()
 
     def _show(self) -> None:
-        """Draw the episodes anew, with the handle at the EE."""
         for number in range(2):
             with suppress(KeyError):
                 self.server.scene.remove_by_name(f"/robots/{number}")
@@ -342,7 +341,6 @@ class PlayPage:
         self._report()
 
     def _arrange(self) -> None:
-        """Draw the second robot beside the first, or where it is."""
         for drawn in self._shown[1:]:
             drawn.root.position = _BESIDE * self._beside.value
 

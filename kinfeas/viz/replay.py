@@ -162,7 +162,6 @@ def result(recording: Recording) -> tuple[str, bool]:
 
 
 def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]]:
-    """Return what is visible in a world without its walls, and its links."""
     shapes = [
         shape
         for shape in visual_shapes(backend.robot, backend.scene)
@@ -172,7 +171,6 @@ def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]
 
 
 def _with_solids(episode: Replay) -> Replay:
-    """Return an episode with the solids of its recording."""
     solids = solid_shapes(episode.recording.solids)
     if not solids:
         return episode

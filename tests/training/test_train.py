@@ -11,6 +11,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from safetensors.numpy import load_file
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from kinfeas import config
 from kinfeas.backends.analytic import AnalyticBackend
@@ -88,7 +89,9 @@ def assert_same(one, other):
 def test_a_run_leaves_its_files(whole, tiny):
     assert config.load(TrainConfig, whole / "config.yaml") == tiny()
     assert {path.name for path in (whole / "checkpoints").iterdir()} == {"best", "last"}
-    assert list((whole / "tensorboard").glob("events.*"))
+    events = EventAccumulator(str(whole / "tensorboard")).Reload()
+    assert "fresh/success" in events.Tags()["scalars"]
+    assert {"version/text_summary", "recipe/text_summary"} <= set(events.Tags()["tensors"])
     assert [row[0] for row in evaluated(whole)] == ["160", "320"]
     assert state(whole)["progress"]["steps"] == 320
     for place in (".", "checkpoints/best", "checkpoints/last"):

@@ -150,7 +150,6 @@ def turned(vectors: Array, angle: Array) -> Array:
 
 
 def _best_bearing(targets: _Targets) -> float:
-    """Return the middle of the cone in which the arm reaches most."""
     middles = np.linspace(-np.pi, np.pi, 73)[1:]
     near = np.abs(wrap(targets.bearing - middles[:, None])) < CONE
     fractions = [targets.found[rows].mean() for rows in near]
@@ -195,7 +194,6 @@ def _share(targets: _Targets, kernel: Array) -> Array:
 
 
 def _filled(shapes: Array) -> Array:
-    """Return the shapes with those that are missing taken from the nearest one that is there."""
     missing = np.isnan(shapes[..., 0])
     fitted = np.argwhere(~missing)
     filled = shapes.copy()
@@ -299,7 +297,6 @@ def _decay(level: Array, rho: float) -> Array:
 
 
 def _led_around(velocity: Array, normal: Array, strength: Array) -> Array:
-    """Return the velocity with less of it toward a boundary and more of it along it."""
     along_normal = velocity[:, :1] * normal[:, :1] + velocity[:, 1:] * normal[:, 1:]
     toward = along_normal * normal
     strength = np.where(along_normal < 0.0, strength, 0.0)
