@@ -12,7 +12,7 @@ from kinfeas.policies.loading import QUICK_BASELINES, load_policy
 from kinfeas.policies.network import read_network
 from kinfeas.viz.episodes import episodes_figure
 from kinfeas.viz.plots import learning_curve, read_metrics
-from kinfeas.viz.report import Picture, Report, Row, paper_success
+from kinfeas.viz.report import Report, Row, paper_success
 from kinfeas.viz.style import png
 
 SHOWN = 3
@@ -95,7 +95,7 @@ def success_of(metrics: Summary) -> Proportion:
     return Proportion(metrics["success"], metrics["success_low"], metrics["success_high"])
 
 
-def _pictures(comparison: Comparison) -> list[Picture]:
+def _pictures(comparison: Comparison) -> dict[str, bytes]:
     config = comparison.config
     levels = {name: success_of(summary).value for name, summary in comparison.baselines.items()}
     levels["ceiling"] = comparison.ceiling.value
@@ -103,10 +103,9 @@ def _pictures(comparison: Comparison) -> list[Picture]:
     world = World(config.robot, config.task, config.world, config.seed)
     policy = read_network(comparison.run, config.robot)
     recordings = record_episodes(world, policy, min(SHOWN, config.episodes))
-    return [
-        Picture("Episodes without a failure during training.", png(curve)),
-        Picture(
-            f"The first {len(recordings)} episodes of seed {config.seed}.",
-            png(episodes_figure(config.robot, recordings)),
+    return {
+        "Episodes without a failure during training.": png(curve),
+        f"The first {len(recordings)} episodes of seed {config.seed}.": png(
+            episodes_figure(config.robot, recordings)
         ),
-    ]
+    }

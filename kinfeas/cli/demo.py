@@ -66,8 +66,8 @@ def demo(
     same = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
     again = _line("demo", same, changes)
     report = make_report(comparison, [again, *_commands(comparison, settings)])
-    for name, picture in zip(PICTURES, report.pictures, strict=True):
-        write_file(folder / name, picture.png)
+    for name, picture in zip(PICTURES, report.pictures.values(), strict=True):
+        write_file(folder / name, picture)
     write_report(report, folder / "report.html")
     _show(report)
     typer.echo(f"report: {folder / 'report.html'}")

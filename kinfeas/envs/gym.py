@@ -79,12 +79,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin an episode and return its observation, shape (21 + j,), and its number.
 
-        Args:
-            seed: Seed of this episode and all later ones; random at first.
-            options: Not used.
-
-        Raises:
-            KinfeasError: If the seed is not one integer, or `np_random` was set.
+        The seed is that of this episode and all later ones, random at first; options are not used.
         """
         super().reset(seed=checked_seed(seed))
         seed_world(self.world, seed, self.np_random_seed)
@@ -94,14 +89,10 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Move the base and return observation, reward, terminated, truncated and info.
+        """Move the base by a command in [-1, 1], shape (3,) or (2,).
 
-        Args:
-            action: Base command in [-1, 1], shape (3,) or (2,).
-
-        Raises:
-            KinfeasError: If the action has another shape or is not finite.
-            ResetNeeded: Before the first reset.
+        Returns:
+            Observation, reward, terminated, truncated and info.
         """
         check_reset(self.world)
         transition = self.world.step(np.asarray(action, dtype=np.float64)[np.newaxis])
@@ -115,11 +106,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return None; subclasses return a picture in the mode `rgb_array`.
-
-        Raises:
-            ResetNeeded: Before the first reset.
-        """
+        """Return None; subclasses return a picture in the mode `rgb_array`."""
         check_reset(self.world)
         return None
 

@@ -61,15 +61,7 @@ class BaseMotionVectorEnv(VectorEnv[_Rows, _Rows, NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[_Rows, dict[str, Any]]:
-        """Begin n episodes and return their observations, shape (n, 21 + j), and numbers.
-
-        Args:
-            seed: Seed of these episodes and all later ones; random at first.
-            options: Not used.
-
-        Raises:
-            KinfeasError: If the seed is not one integer, or `np_random` was set.
-        """
+        """Begin n episodes and return their observations, shape (n, 21 + j), and numbers."""
         super().reset(seed=checked_seed(seed))
         seed_world(self.world, seed, self.np_random_seed)
         observation = self._batch.start().astype(np.float32)
@@ -78,14 +70,10 @@ class BaseMotionVectorEnv(VectorEnv[_Rows, _Rows, NDArray[Any]]):
     def step(
         self, actions: _Rows
     ) -> tuple[_Rows, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Move all bases and return observations, rewards, terminated, truncated and infos.
+        """Move all bases by commands in [-1, 1], shape (n, 3) or (n, 2).
 
-        Args:
-            actions: Base commands in [-1, 1], shape (n, 3) or (n, 2).
-
-        Raises:
-            KinfeasError: If the actions have another shape or are not finite.
-            ResetNeeded: Before the first reset.
+        Returns:
+            Observations, rewards, terminated, truncated and infos.
         """
         check_reset(self.world)
         step = self._batch.step(np.asarray(actions, dtype=np.float64))

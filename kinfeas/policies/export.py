@@ -123,14 +123,14 @@ def _observations(network: Network, rows: int, seed: int) -> Array:
 
 
 def _training(trained: Trained) -> dict[str, object]:
-    known = {
+    entries = {
         "config": trained.config or None,
         "steps": trained.steps,
         "seed": trained.seed,
         "version": trained.version,
         "command": trained.command,
     }
-    return {key: value for key, value in known.items() if value is not None}
+    return {key: value for key, value in entries.items() if value is not None}
 
 
 def _success(trained: Trained, folder: Path) -> dict[str, object]:

@@ -6,7 +6,7 @@ import shlex
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Annotated, Any
@@ -20,7 +20,7 @@ from kinfeas import config as configuration
 from kinfeas.config import Settings
 from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import MAX_JSON_BYTES, find_folder, read_file, writing
+from kinfeas.io.files import find_folder, read_json, writing
 from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policies
 from kinfeas.policies.network import Network, read_network
@@ -146,21 +146,14 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
     """Return the progress of a run by its last checkpoint."""
     state = read_state(last)
     with loading(last):
-        # Keys that did not exist when the checkpoint was written have their defaults.
-        before = identity(configuration.from_mapping(TrainConfig, state["config"], str(last)))
-        for key, value in identity(config).items():
-            if before[key] != value:
+        before = state["config"]
+        for key, value in json.loads(json.dumps(identity(config))).items():
+            if before.get(key) != value:
                 raise KinfeasError(
-                    f"{last}: a checkpoint of another run: its {key} is {before[key]}, "
+                    f"{last}: a checkpoint of another run: its {key} is {before.get(key)}, "
                     f"but {last.parents[1] / SETTINGS} has {value}"
                 )
-        saved_entries = state["progress"]
-        entries = {
-            entry.name: saved_entries[entry.name]
-            for entry in fields(_Saved)
-            if entry.name in saved_entries
-        }
-        saved = configuration.from_mapping(_Saved, entries, str(last / _STATE))
+        saved = configuration.from_mapping(_Saved, state["progress"], str(last / _STATE))
     progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
     # The schedule may have been made longer.
     progress.share = share_done(config, progress)
@@ -238,11 +231,10 @@ def write_state(folder: Path, entries: Mapping[str, Any]) -> None:
 
 def read_state(folder: Path) -> dict[str, Any]:
     """Return the entries that `write_state` wrote, and the format."""
-    with loading(folder):
-        about: dict[str, Any] = json.loads(read_file(folder / _STATE, MAX_JSON_BYTES))
-        if about["format"] != _FORMAT:
-            raise ValueError(f"its format is {about['format']}, not {_FORMAT}")
-        return about
+    about: dict[str, Any] = read_json(folder / _STATE)
+    if about.get("format") != _FORMAT:
+        raise KinfeasError(f"{folder}: format {about.get('format')}, not {_FORMAT}")
+    return about
 
 
 @contextmanager
@@ -252,8 +244,6 @@ def loading(folder: Path) -> Iterator[None]:
         yield
     except KinfeasError:
         raise
-    except FileNotFoundError as error:
-        raise KinfeasError(f"{folder}: no checkpoint to resume: a file is missing") from error
     except _BROKEN as error:
         reason = " ".join(str(error).split())[:200]
         raise KinfeasError(
