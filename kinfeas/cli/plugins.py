@@ -20,7 +20,7 @@ from kinfeas.templates import Kind
 
 if TYPE_CHECKING:
     from kinfeas.testing import Finding
-    from kinfeas.testing.trial import Trial
+    from kinfeas.testing.rules import Trial
 
 app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
 
@@ -129,7 +129,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.config import nested
     from kinfeas.testing import RULES, examine
-    from kinfeas.testing.trial import Trial
+    from kinfeas.testing.rules import Trial
 
     if name in registry.names("kinfeas.policies") or ":" in name:
         if overrides or picture is not None:
@@ -180,7 +180,7 @@ def _result(finding: "Finding") -> str:
 
 def _drawing(name: str, parameters: dict[str, object], trial: "Trial") -> bytes:
     from kinfeas.core.checks import CheckedMotion
-    from kinfeas.testing.trial import sample_motions
+    from kinfeas.testing.rules import sample_motions
     from kinfeas.viz.plots import motion_figure
     from kinfeas.viz.style import png
 

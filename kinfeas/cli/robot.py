@@ -63,8 +63,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas robot import fetch.urdf --out robots/fetch --picture fetch.png
     """
     from kinfeas.core.errors import check_name
-    from kinfeas.importer.draft import draft_robot
-    from kinfeas.importer.text import warnings
+    from kinfeas.importer.draft import draft_robot, warnings
     from kinfeas.io.files import write_file, writing
 
     called = out.resolve().name if name is None else name
@@ -104,7 +103,7 @@ def _replacement(text: str) -> tuple[str, str]:
 
 
 def _drawing(draft: "Draft") -> bytes:
-    from kinfeas.viz.figures import robot_figure
+    from kinfeas.viz.drawing import robot_figure
     from kinfeas.viz.style import png
 
     return png(robot_figure(draft.robot), dpi=130)

@@ -25,7 +25,7 @@ def register() -> None:
             registration.register(
                 name,
                 entry_point="kinfeas.viz.gym:RenderedMotionEnv",
-                vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
+                vector_entry_point="kinfeas.envs.gym:BaseMotionVectorEnv",
                 kwargs={"backend": backend},
             )
 

@@ -1,14 +1,16 @@
-"""Drafts of a robot's YAML and URDF from a vendor's URDF."""
+"""Drafts of a robot's YAML and URDF from a vendor's URDF, with comments that mark guesses."""
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from kinfeas import config
 from kinfeas.config import strict_yaml
+from kinfeas.config.strict_yaml import to_line
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import Arm, Hand, find_arm, read_hand
 from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
@@ -24,7 +26,6 @@ from kinfeas.importer.reach import (
     useful_heights,
     with_pairs,
 )
-from kinfeas.importer.text import Guesses, robot_yaml
 from kinfeas.kinematics.ik import POSE_DIMENSIONS
 from kinfeas.robots.elements import parse_xml
 from kinfeas.robots.loading import build_robot
@@ -40,6 +41,137 @@ from kinfeas.robots.spec import (
 )
 from kinfeas.robots.urdf import Joint, Urdf
 from kinfeas.robots.urdf_file import urdf_of
+
+_FREE = 0.5
+"""Fraction of configurations free of self-collision below which a warning says so."""
+
+_BASE_UNITS = {
+    "max_velocity": "m/s",
+    "max_rotation": "rad/s",
+    "max_acceleration": "m/s^2",
+    "max_rotation_acceleration": "rad/s^2",
+}
+
+
+@dataclass(frozen=True)
+class Guesses:
+    """Values of a draft that are not in its URDF.
+
+    Attributes:
+        lifted: Height of the URDF's root above the floor, metres.
+        speeds: Arm joints without a velocity limit.
+        limits: Arm joints of more than two turns that are not continuous.
+        stuck: Joints on the way to the hand whose limits leave no range of motion.
+        touching: Fraction of configurations in which the ignored pairs of links touch, 0-1.
+        contacts: The same of the pairs that are checked.
+        slides: Prismatic joints; their positions are metres.
+        drive: What the drive of the base was read from.
+        no_gripper: Why there is no gripper.
+        doubts: Warnings about the URDF.
+    """
+
+    lifted: float = 0.0
+    speeds: tuple[str, ...] = ()
+    limits: tuple[str, ...] = ()
+    stuck: tuple[str, ...] = ()
+    touching: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    contacts: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    slides: frozenset[str] = frozenset()
+    drive: str = ""
+    no_gripper: str = ""
+    doubts: tuple[str, ...] = ()
+
+    def unit(self, joint: str) -> str:
+        """Return the unit of a joint's position."""
+        return "m" if joint in self.slides else "rad"
+
+
+def warnings(guesses: Guesses, free: float) -> list[str]:
+    """Return the doubts about a draft, and what limits its postures; `free` is as of `Draft`."""
+    if free >= _FREE:
+        return [*guesses.doubts]
+    often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
+    pairs = ", ".join(f"{first} and {second} in {part:.0%}" for (first, second), part in often)
+    return [
+        *guesses.doubts,
+        f"{free:.0%} of random postures are free of self-collision; most often touch {pairs}",
+    ]
+
+
+def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
+    """Return the text of a robot's YAML file, with comments that mark guesses."""
+    joints = {
+        name: {key: value for key, value in vars(joint).items() if value is not None}
+        for name, joint in spec.arm.items()
+    }
+    blocks = [
+        _head(spec, guesses),
+        [
+            "# Guess: the manual has the limits of the base.",
+            *_block(
+                "base", vars(spec.base), _BASE_UNITS | {"drive": " ".join(guesses.drive.split())}
+            ),
+        ],
+        _block("arm", joints, {name: _guessed_units(name, guesses) for name in joints}),
+        ["# rad, or m where a joint slides", *_block("home", spec.home)],
+    ]
+    if spec.gripper is not None:
+        unit = guesses.unit(spec.gripper.fingers[0])
+        effort = f"{'N' if unit == 'm' else 'N m'}, the URDF's limit"
+        units = {"closed": unit, "open": unit, "effort": effort}
+        blocks.append(_block("gripper", vars(spec.gripper), units))
+    if spec.fixed_joints:
+        title = [] if spec.gripper is None else ["# The gripper is half open."]
+        why = {name: _fixed_comment(name, spec, guesses) for name in spec.fixed_joints}
+        blocks.append([*title, *_block("fixed_joints", spec.fixed_joints, why)])
+    reach = f"reach: {{low: {spec.reach.low:g}, high: {spec.reach.high:g}}}"
+    blocks.append(["# Heights at which most goals are reachable, in any orientation, m.", reach])
+    if spec.pose_tolerance is not None:
+        tolerance = _block(
+            "pose_tolerance", vars(spec.pose_tolerance), {"position": "m", "rotation": "rad"}
+        )
+        blocks.append(["# Guess: the arm has fewer than six degrees of freedom.", *tolerance])
+    if spec.ignored_collisions:
+        pairs = [f"  - {to_line(p)}  # {guesses.touching[p]:.0%}" for p in spec.ignored_collisions]
+        about = "# Guess: links that touch by design or by too large shapes, and how often they do."
+        blocks.append([about, "ignored_collisions:", *pairs])
+    return "\n\n".join("\n".join(block) for block in blocks) + "\n"
+
+
+def _head(spec: RobotSpec, guesses: Guesses) -> list[str]:
+    lifted = f"# A root on the floor was added to the URDF, {guesses.lifted:g} m below its own."
+    return [
+        f"# {spec.name}, drafted from its URDF. Check all guesses.",
+        "# The shapes in robot.urdf are primitives.",
+        "# docs/reference/formats.md describes the keys.",
+        f"name: {to_line(spec.name)}",
+        *([lifted] if guesses.lifted else []),
+        f"ee_frame: {to_line(spec.ee_frame)}",
+        f"tool_tip: {to_line(spec.tool_tip)}  # m, guess",
+        f"gripper_rotation: {to_line(spec.gripper_rotation)}  # x y z w, guess",
+    ]
+
+
+def _guessed_units(joint: str, guesses: Guesses) -> str:
+    unit = guesses.unit(joint)
+    kinds = {unit: guesses.limits, f"{unit}/s": guesses.speeds}
+    units = [unit_name for unit_name, joints in kinds.items() if joint in joints]
+    return ", ".join([*units, "guess"]) if units else ""
+
+
+def _fixed_comment(joint: str, spec: RobotSpec, guesses: Guesses) -> str:
+    if joint in guesses.stuck:
+        return f"{guesses.unit(joint)}, its limits leave it no room"
+    return guesses.unit(joint) + (", guess" if spec.gripper is None else "")
+
+
+def _block(
+    key: str, values: Mapping[str, Any], comments: Mapping[str, str] | None = None
+) -> list[str]:
+    comment = {name: f"  # {text}" for name, text in (comments or {}).items() if text}
+    entries = values.items()
+    return [f"{key}:", *(f"  {to_line(k)}: {to_line(v)}{comment.get(k, '')}" for k, v in entries)]
+
 
 _REACHED = (0.8, 0.4, 0.2)
 """Fractions of reachable goals at the heights of a reach; a lower one where there is no range."""

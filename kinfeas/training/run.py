@@ -1,7 +1,6 @@
 """A run's folder, settings and progress, read without torch."""
 
 import json
-import math
 import shlex
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping
@@ -30,9 +29,6 @@ from kinfeas.training.config import TrainConfig
 SETTINGS = "config.yaml"
 """File with the settings of a run, the first that it writes."""
 
-EVALUATIONS = 0.25
-"""Share of `schedule.minutes` for evaluations with physics."""
-
 _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
 _FORMAT, _STATE = 2, "state.json"
@@ -48,7 +44,6 @@ class Progress:
     Attributes:
         steps: Environment steps so far.
         seconds: Wall-clock time of training so far, over all parts of the run.
-        other_seconds: Wall-clock time of start and evaluations, where `schedule.minutes` has it.
         share: Share of the run that is done, 0-1.
         best: Score of the best checkpoint, the mean of success and of the share of episodes in
             which the EE was never more than 5 cm off, 0-1; -1 before the first one.
@@ -67,7 +62,6 @@ class Progress:
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
     evaluating: tuple[int, int] | None = None
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    other_seconds: float = 0.0
 
     @property
     def success(self) -> float:
@@ -76,7 +70,7 @@ class Progress:
 
     def saved(self) -> dict[str, object]:
         """Return the fields of a checkpoint."""
-        names = ("steps", "seconds", "best", "evaluations", "other_seconds")
+        names = ("steps", "seconds", "best", "evaluations")
         return {**{name: getattr(self, name) for name in names}, "recent": list(self.recent)}
 
 
@@ -87,7 +81,6 @@ class _Saved:
     best: Annotated[float, Interval(ge=-1.0, le=1.0)]
     evaluations: _Tally
     recent: tuple[bool, ...]
-    other_seconds: NotNegative = 0.0
 
 
 def check_new(out: Path) -> None:
@@ -161,27 +154,13 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
     return progress
 
 
-def evaluation_seconds(config: TrainConfig, episodes: int) -> float:
-    """Return the time limit of an evaluation of so many episodes; infinity where there is none.
-
-    With physics, `schedule.minutes` includes start and evaluations.
-    """
-    schedule = config.schedule
-    if schedule.minutes is None or config.world.backend == "analytic":
-        return math.inf
-    planned = schedule.evaluations * schedule.evaluation_episodes + schedule.final_episodes
-    return EVALUATIONS * 60.0 * schedule.minutes * episodes / planned
-
-
 def share_done(config: TrainConfig, progress: Progress) -> float:
     """Return the share of a run's steps, or of its time if that is more, 0-1."""
     fractions, schedule = [0.0], config.schedule
     if schedule.steps is not None:
         fractions.append(progress.steps / schedule.steps)
     if schedule.minutes is not None:
-        last = evaluation_seconds(config, schedule.evaluation_episodes + schedule.final_episodes)
-        limit = 60.0 * schedule.minutes - (last if last < math.inf else 0.0)
-        fractions.append((progress.seconds + progress.other_seconds) / limit)
+        fractions.append(progress.seconds / (60.0 * schedule.minutes))
     return min(1.0, max(fractions))
 
 

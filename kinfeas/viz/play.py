@@ -22,9 +22,9 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.live import DT, NONE, Choice, Episode
+from kinfeas.viz.pages import DrawnRobot, draw_floor, draw_scene, place, rgb
 from kinfeas.viz.shapes import corners, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
-from kinfeas.viz.viewer import DrawnRobot, draw_floor, draw_scene, place, rgb
 
 _STEPS_PER_FRAME = 2
 _FRAMES_PER_REPORT = 6

@@ -3,9 +3,8 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
-from kinfeas.importer.draft import draft_robot, reach_of, stated
+from kinfeas.importer.draft import draft_robot, reach_of, stated, warnings
 from kinfeas.importer.reach import Heights
-from kinfeas.importer.text import warnings
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
