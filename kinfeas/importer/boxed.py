@@ -34,6 +34,9 @@ MAX_MESH_BYTES = 200_000_000
 MAX_SHAPES = 32
 """Shapes of a link; more are replaced by primitives around all of them."""
 
+MOST_LINKS = 2000
+"""Links of a robot at most: all pairs of them are checked for contact."""
+
 _DIGITS = 4  # decimals of lengths and angles
 _THINNEST = 10.0**-_DIGITS  # m
 MARGIN = 5e-4  # m, by which primitives are too large on each side; more than rounding takes away
@@ -73,7 +76,7 @@ def boxed_urdf(
         robot: Content in place of that of the file.
         originals: Receives the parts of links that primitives replace, in the links' frames.
     """
-    robot = read_robot_element(path) if robot is None else robot
+    robot = read_description(path) if robot is None else robot
     urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
     kept = carried(urdf, _first_body(urdf, links) if base is None else base, str(path))
@@ -108,11 +111,34 @@ def _text(robot: Any) -> str:
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def read_robot_element(path: Path) -> Element:
-    """Return the element <robot> of a URDF."""
+def read_description(
+    path: Path, *, meshes: bool = True, mesh_paths: Mapping[str, str] | None = None
+) -> Element:
+    """Return the element <robot> of a URDF, without its meshes unless `meshes`.
+
+    `mesh_paths` has beginnings of mesh addresses, and their replacements.
+    """
     robot = read_robot_xml(path)
     if any("xacro}" in element.tag for element in robot.xml.iter()):
         raise robot.error("this is xacro; convert it first: xacro FILE > FILE.urdf")
+    links = robot.xml.findall("link")
+    if len(links) > MOST_LINKS:
+        raise KinfeasError(f"{path}: {len(links)} links; at most {MOST_LINKS} are supported")
+    unused = set(mesh_paths or {})
+    for link in links:
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            mesh = shape.find("geometry/mesh")
+            if mesh is None:
+                continue
+            address = mesh.get("filename", "")
+            for old, new in (mesh_paths or {}).items():
+                if address.startswith(old):
+                    unused.discard(old)
+                    mesh.set("filename", new + address.removeprefix(old))
+            if not meshes:
+                link.remove(shape)
+    if unused:
+        raise KinfeasError(f"{path}: no address of a mesh begins with {min(unused)!r}")
     return robot
 
 

@@ -1,7 +1,8 @@
 """Drafts of a robot's YAML and URDF from a vendor's URDF, with comments that mark guesses."""
 
 import math
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,9 @@ from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.config.strict_yaml import to_line
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, rotation
 from kinfeas.importer.arm import Arm, Hand, find_arm, read_hand
-from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
-from kinfeas.importer.description import doubts, find_drive, read_description
+from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor, read_description
 from kinfeas.importer.reach import (
     Heights,
     built_to_touch,
@@ -41,6 +42,12 @@ from kinfeas.robots.spec import (
 )
 from kinfeas.robots.urdf import Joint, Urdf
 from kinfeas.robots.urdf_file import urdf_of
+
+_OMNIDIRECTIONAL = re.compile(r"mecanum|omni|swerve|holonomic", re.IGNORECASE)
+_CASTER = re.compile(r"cast[eo]r", re.IGNORECASE)
+_UPRIGHT, _LEVEL, _PARALLEL = 0.9, 0.2, 0.98  # cosines of angles, to the vertical or between axes
+_LONGEST = 5.0  # m; longer links are more likely in other units
+_LISTED = 5  # names in a message at most
 
 _FREE = 0.5
 """Fraction of configurations free of self-collision below which a warning says so."""
@@ -358,3 +365,82 @@ def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:
         middle = (closed[finger] + opened[finger]) / 2.0
         leaders[leader.name] = round((middle - offset) / scale, 4) + 0.0
     return dict(sorted(leaders.items()))
+
+
+def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
+    """Return the drive of a base and what it was read from: names and axes of its wheels.
+
+    Without wheels it is differential, a guess.
+    """
+    base = set(urdf.links) - urdf.below(arm.joints[0].name)
+    joints = [joint for joint in urdf.joints.values() if joint.child in base]
+    names = [*sorted(base), *(joint.name for joint in joints)]
+    if named := [name for name in names if _OMNIDIRECTIONAL.search(name)]:
+        return "omnidirectional", f"the name {named[0]}"
+    axes = {joint.name: _axis(urdf, joint) for joint in joints if joint.moves}
+    wheels = [
+        wheel
+        for wheel in joints
+        if wheel.kind == "continuous" and abs(axes[wheel.name][2]) < _LEVEL
+    ]
+    if driven := [wheel for wheel in wheels if not _CASTER.search(wheel.name + wheel.child)]:
+        wheels = driven  # the others follow
+    steering = {wheel.name: _steering(urdf, wheel, axes) for wheel in wheels}
+    fixed = [wheel for wheel in wheels if steering[wheel.name] is None]
+    listed = _listed(wheel.name for wheel in wheels)
+    if not wheels:
+        return "differential", "a guess: no wheel has a joint"
+    if not fixed:
+        return "omnidirectional", f"wheels steered by {_listed(filter(None, steering.values()))}"
+    parallel = [abs(axes[fixed[0].name] @ axes[wheel.name]) > _PARALLEL for wheel in fixed]
+    if not all(parallel):
+        return "omnidirectional", f"wheels in several directions: {listed}"
+    if len(wheels) == 2:
+        return "differential", f"two driven wheels: {listed}"
+    return "differential", f"a guess: {len(wheels)} wheels, perhaps mecanum or steered: {listed}"
+
+
+def _axis(urdf: Urdf, joint: Joint) -> Array:
+    axis: Array = rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)
+    return axis
+
+
+def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None:
+    above = (
+        joint.name
+        for joint in urdf.path_to(wheel.parent)
+        if joint.kind in ("revolute", "continuous")
+    )
+    return next((name for name in above if abs(axes[name][2]) > _UPRIGHT), None)
+
+
+def doubts(urdf: Urdf) -> tuple[str, ...]:
+    """Return warnings about a URDF whose lengths or masses are probably wrong."""
+    warnings = []
+    sizes = {
+        name: max((max(shape.size) for shape in link.shapes), default=0.0)
+        for name, link in urdf.links.items()
+    }
+    if large := [name for name, size in sizes.items() if size > _LONGEST]:
+        warnings.append(
+            f"{_listed(large)} up to {max(sizes.values()):.0f} m long: if meshes are in "
+            'millimetres, <mesh> needs scale="0.001 0.001 0.001"'
+        )
+    bodies = dict.fromkeys(urdf.rigid.values())
+    light = [
+        next(name for name in urdf.links if name in body and urdf.links[name].shapes)
+        for body in bodies
+        if not any(urdf.links[name].mass for name in body)
+        and any(urdf.links[name].shapes for name in body)
+    ]
+    if light:
+        warnings.append(
+            f"{_listed(light)} without mass: --world pybullet and mujoco need an <inertial>"
+        )
+    return tuple(warnings)
+
+
+def _listed(names: Iterable[str]) -> str:
+    every = list(dict.fromkeys(names))
+    more = f" and {len(every) - _LISTED} more" if len(every) > _LISTED else ""
+    return ", ".join(every[:_LISTED]) + more

@@ -2,8 +2,8 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm
-from kinfeas.importer.description import doubts, find_drive, read_description
-from kinfeas.importer.draft import draft_robot
+from kinfeas.importer.boxed import read_description
+from kinfeas.importer.draft import doubts, draft_robot, find_drive
 from kinfeas.robots.urdf_file import parse_urdf
 
 
