@@ -1,6 +1,6 @@
 """Films of episodes as GIF or MP4 files, or as a PNG with some of their pictures."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -136,24 +136,13 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, recording: Recording, end
     draw.line(at(base), fill=BASE, width=2 * _FINE)
     for goal in recording.goals:
         draw.line(at(np.stack([goal, goal * [1, 1, 0, 1, 1, 1, 1]])), fill=GOAL, width=_FINE)
+    draw.line(at(recording.desired[:end]), fill=DESIRED, width=_FINE)
     draw.line(at(ee), fill="white", width=4 * _FINE)
     draw.line(at(ee), fill=EE, width=2 * _FINE)
-    points = view.pixels(recording.desired[:end, :3])
-    for start, stop in _dashes(points):
-        draw.line(at(recording.desired[start:stop]), fill=DESIRED, width=_FINE)
     dot(recording.goals, GOAL, 5.0 * _FINE, INK)
     dot(base[:1], "white", 3.0 * _FINE, BASE)
     dot(ee[:1], "white", 3.0 * _FINE, EE)
     dot(ee[~recording.feasible[:end]], FAILURE, 2.5 * _FINE)
-
-
-def _dashes(points: Array, length: float = 5.0) -> Iterator[tuple[int, int]]:
-    """Yield the ranges of points (k, 2) that are dashes of a path, for a length in pixels."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    dash = (np.concatenate([[0.0], np.cumsum(steps)]) // length).astype(int)
-    for number in np.unique(dash[dash % 2 == 0]).tolist():
-        (inside,) = np.nonzero(dash == number)
-        yield int(inside[0]), int(inside[-1]) + 2
 
 
 def _caption(image: Image.Image, replay: Replay, moment: int, speed: float) -> None:
