@@ -120,8 +120,8 @@ def training_bar() -> Iterator["OnTraining"]:
 
         def report(now: "Progress") -> None:
             nonlocal reported
-            advance(now.share - reported, describe(now))
-            reported = now.share
+            advance(now.fraction - reported, describe(now))
+            reported = now.fraction
 
         yield report
 
@@ -131,7 +131,7 @@ def describe(now: "Progress") -> str:
     if now.evaluating is not None:
         done, episodes = now.evaluating
         return f"{now.steps:,} steps, evaluating {done}/{episodes} episodes"
-    left = now.seconds * (1.0 - now.share) / max(now.share, 1e-9)
+    left = now.seconds * (1.0 - now.fraction) / max(now.fraction, 1e-9)
     # NaN and -1 mean unknown.
     recent = f"{now.success:.0%}" if now.success >= 0.0 else "-"
     best = f", best evaluation {now.best:.1%} (mean of success and within 5 cm)"

@@ -244,7 +244,7 @@ def observation_space(world: World) -> "spaces.Box[np.float32]":
 
 
 def action_space(world: World) -> "spaces.Box[np.float32]":
-    """Return the space of one robot's base commands, shape (3,) or (2,), shares of the limits."""
+    """Return the space of base commands, shape (3,) or (2,), as fractions of the limits."""
     return spaces.Box(-1.0, 1.0, (world.action_size,), np.float32)
 
 

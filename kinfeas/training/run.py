@@ -44,8 +44,8 @@ class Progress:
     Attributes:
         steps: Environment steps so far.
         seconds: Wall-clock time of training so far, over all parts of the run.
-        share: Share of the run that is done, 0-1.
-        best: Score of the best checkpoint, the mean of success and of the share of episodes in
+        fraction: Fraction of the run that is done, 0-1.
+        best: Score of the best checkpoint, the mean of success and of the fraction of episodes in
             which the EE was never more than 5 cm off, 0-1; -1 before the first one.
         evaluations: Number of evaluations.
         recent: Whether each of the last training episodes was without a failure.
@@ -56,7 +56,7 @@ class Progress:
 
     steps: int = 0
     seconds: float = 0.0
-    share: float = 0.0
+    fraction: float = 0.0
     best: float = -1.0
     evaluations: int = 0
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
@@ -65,7 +65,7 @@ class Progress:
 
     @property
     def success(self) -> float:
-        """Share of recent training episodes without a failure, NaN before the first has ended."""
+        """Fraction of recent training episodes without a failure; NaN before the first end."""
         return float(np.mean(self.recent)) if self.recent else float("nan")
 
     def saved(self) -> dict[str, object]:
@@ -115,7 +115,7 @@ def finished(out: Path, settings: Settings | None = None) -> Progress | None:
     if not last.is_dir():
         return None
     progress = read_progress(config, last)
-    ended = progress.share >= 1.0 and progress.evaluations >= evaluations_due(config, progress)
+    ended = progress.fraction >= 1.0 and progress.evaluations >= evaluations_due(config, progress)
     return progress if ended and read_trained(out).fresh_evaluation else None
 
 
@@ -149,13 +149,13 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
         saved = configuration.from_mapping(_Saved, state["progress"], str(last / _STATE))
     progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
     # The schedule may have been made longer.
-    progress.share = share_done(config, progress)
+    progress.fraction = fraction_done(config, progress)
     progress.evaluations = min(progress.evaluations, evaluations_due(config, progress))
     return progress
 
 
-def share_done(config: TrainConfig, progress: Progress) -> float:
-    """Return the share of a run's steps, or of its time if that is more, 0-1."""
+def fraction_done(config: TrainConfig, progress: Progress) -> float:
+    """Return the fraction of a run's steps, or of its time if that is more, 0-1."""
     fractions, schedule = [0.0], config.schedule
     if schedule.steps is not None:
         fractions.append(progress.steps / schedule.steps)
@@ -166,7 +166,7 @@ def share_done(config: TrainConfig, progress: Progress) -> float:
 
 def evaluations_due(config: TrainConfig, progress: Progress) -> int:
     """Return the number of evaluations due by now; an initial policy is evaluated as well."""
-    return (config.init is not None) + int(progress.share * config.schedule.evaluations)
+    return (config.init is not None) + int(progress.fraction * config.schedule.evaluations)
 
 
 def identity(config: TrainConfig) -> dict[str, object]:

@@ -40,12 +40,12 @@ from kinfeas.training.run import (
     check_begun,
     check_new,
     evaluations_due,
+    fraction_done,
     identity,
     initial_policy,
     loading,
     read_progress,
     read_settings,
-    share_done,
     with_initial_policy,
 )
 from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv
@@ -173,13 +173,13 @@ class _Run:
                 # Evaluations do not count as training time.
                 start = time.monotonic() - self.progress.seconds
                 saved = self.progress.seconds
-            if self.progress.share >= 1.0:
+            if self.progress.fraction >= 1.0:
                 break
             with uninterrupted():
                 with self._timed("step"):
                     self._step()
                 self.progress.seconds = now = time.monotonic() - start
-                self.progress.share = share_done(self.config, self.progress)
+                self.progress.fraction = fraction_done(self.config, self.progress)
             if now - saved >= self.config.schedule.checkpoint_seconds:
                 self._save()
                 saved = now
@@ -218,7 +218,7 @@ class _Run:
                 progress.steps < config.learning_starts + config.critic_steps
             )
             learner.actor.requires_grad_(not frozen)
-            learner._current_progress_remaining = 1.0 - progress.share
+            learner._current_progress_remaining = 1.0 - progress.fraction
             with self._timed("update"):
                 learn(learner, config)
         with self._timed("waiting"):

@@ -19,7 +19,7 @@ from kinfeas.viz.shapes import corners, link_poses, robot_parts, scene_solids, s
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
 
 _FLOOR, _LINES = (245, 246, 248), (205, 210, 217)  # colours
-_VIEW = np.array([0.82, -1.18, 0.85])  # from what is shown to the camera, as shares of its radius
+_VIEW = np.array([0.82, -1.18, 0.85])  # to the camera, by the radius of the content
 _STILL = 1e-4  # m, and of a quaternion
 
 

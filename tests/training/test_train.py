@@ -219,7 +219,7 @@ def test_minutes_count_training_without_evaluations(tiny, tmp_path, monkeypatch)
     reports = []
     settings = tiny({"schedule.steps": None, "schedule.minutes": 0.5})
     progress = train(settings, tmp_path / "run", reports.append)
-    assert (progress.steps, progress.seconds, progress.share) == (240, 30.0, 1.0)
+    assert (progress.steps, progress.seconds, progress.fraction) == (240, 30.0, 1.0)
     assert progress.evaluations == 2
     assert [one.steps for one in reports if one.evaluating] == [120, 240, 240]
     longer = resume(tmp_path / "run", settings={"schedule.minutes": 0.6})
