@@ -42,6 +42,7 @@ def robot_of(policy: Name | None) -> str:
     path = Path(policy or "")
     if not policy or str(policy) in registry.names(loading.GROUP) or not path.exists():
         return DEFAULT_ROBOT
+    settings: object
     if path.is_dir():
         trained = read_trained(path)
         settings, robot = trained.config, trained.robot
