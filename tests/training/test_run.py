@@ -64,9 +64,7 @@ def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, fraction)
 @pytest.mark.parametrize(("init", "first"), [(None, 0), ("pretrained", 1)])
 def test_an_initial_policy_is_evaluated_as_well(tiny, init, first):
     settings = tiny({"init": init, "schedule.evaluations": 4})
-    due = [
-        evaluations_due(settings, Progress(fraction=fraction)) for fraction in (0.0, 0.24, 0.5, 1.0)
-    ]
+    due = [evaluations_due(settings, Progress(fraction=part)) for part in (0.0, 0.24, 0.5, 1.0)]
     assert due == [first, first, first + 2, first + 4]
 
 
