@@ -28,7 +28,7 @@ from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
 from kinfeas.io.demonstrations import check_samples
-from kinfeas.io.formats import read_csv
+from kinfeas.io.files import read_csv
 from kinfeas.plugins.limits import norm
 from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame
 

@@ -2,7 +2,7 @@
 
     python studies/ablation.py pr2 --steps 600000 --variant learner.policy_delay=2,learner.tau=0.01
 
-Prints a row for each variant, the recipe first: the success at each evaluation and the CPU time of
+Prints a row for each variant, the recipe first: the success at each evaluation and the time of
 a gradient step with its environment steps, means of the seeds.
 """
 
@@ -20,7 +20,7 @@ from kinfeas.training.train import train
 
 
 def curve(robot: str, settings: list[str]) -> tuple[list[float], float, float]:
-    """Return success at each evaluation, 0-1, and CPU ms of a step: learner and environment."""
+    """Return success at each evaluation, 0-1, and ms of a step: updates, waiting."""
     name = load_robot(robot).name
     config = load_section(TrainConfig, "train", name, [f"robot={robot}", *settings])
     with tempfile.TemporaryDirectory() as folder:
@@ -28,7 +28,7 @@ def curve(robot: str, settings: list[str]) -> tuple[list[float], float, float]:
         with (Path(folder) / "run" / "metrics.csv").open(newline="", encoding="utf-8") as file:
             found = [row["evaluation/success"] for row in csv.DictReader(file)]
     steps = done.steps / (config.num_envs * config.action_repeat)
-    costs = (1e3 * done.cpu[part] / steps for part in ("learner", "environment"))
+    costs = (1e3 * done.parts[part] / steps for part in ("update", "waiting"))
     return [float(value) for value in found if value], *costs
 
 
@@ -57,9 +57,9 @@ def main() -> None:
         settings = [*schedule, *filter(None, variant.split(","))]
         runs = [curve(chosen.robot, [*settings, f"seed={seed}"]) for seed in range(chosen.seeds)]
         means = np.mean([success for success, *_ in runs], axis=0)
-        learner, environment = np.mean([costs for _, *costs in runs], axis=0)
+        update, waiting = np.mean([costs for _, *costs in runs], axis=0)
         shares = " ".join(f"{100.0 * value:5.1f}" for value in means)
-        cost = f"{learner:5.2f} + {environment:5.2f} ms"
+        cost = f"{update:5.2f} + {waiting:5.2f} ms"
         print(f"{shares}  {cost}  {variant or 'recipe'}", flush=True)
 
 

@@ -200,11 +200,8 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
         progress = train(recipe, Path(folder) / "run")
     steps, seconds = progress.steps, progress.parts["step"]
     yield Figure("training", steps / progress.seconds, "steps/s")
-    yield Figure("updates", progress.updates / progress.seconds, "updates/s")
     for part, text in (("update", "updates"), ("waiting", "waiting for environments")):
         yield Figure(f"share of {text}", progress.parts[part] / seconds, "")
-    for part, used in progress.cpu.items():
-        yield Figure(f"CPU time of {part} a step", used / steps * 1e6, "us")
 
 
 def cold_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:

@@ -306,4 +306,4 @@ def _build_source(name: str, parameters: dict[str, object]) -> TargetSource:
     if ":" not in name:
         return registry.build(GROUP, name, parameters)
     sys.path.append(str(Path.cwd()))
-    return registry.build_target(GROUP, name, parameters)
+    return registry.build(GROUP, name, parameters)

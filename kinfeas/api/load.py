@@ -102,8 +102,14 @@ def robot_of(policy: Name | None) -> str:
     path = Path(policy or "")
     if not policy or str(policy) in registry.names(loading.GROUP) or not path.exists():
         return DEFAULT_ROBOT
-    trained = read_trained(path) if path.is_dir() else read_policy_file(path, None).metadata
-    robot = trained.trained_with
+    settings: object
+    if path.is_dir():
+        trained = read_trained(path)
+        settings, robot = trained.config, trained.robot
+    else:
+        metadata = read_policy_file(path, None).metadata
+        settings, robot = metadata.training.get("config"), metadata.robot.name
+    robot = str(settings.get("robot", robot)) if isinstance(settings, dict) else robot
     if is_path(robot) and not Path(robot).exists():
         raise KinfeasError(f"{policy}: its robot {robot} does not exist; use --robot")
     return robot

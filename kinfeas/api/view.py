@@ -64,7 +64,7 @@ def view(  # noqa: PLR0913 - options of the command
 
 
 def _draw_scene(scene: Scene, picture: Name | None, html: Name | None) -> None:
-    from kinfeas.viz.figures import scene_figure
+    from kinfeas.viz.drawing import scene_figure
     from kinfeas.viz.style import png
 
     if picture is not None:

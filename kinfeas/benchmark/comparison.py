@@ -10,7 +10,7 @@ from kinfeas.evaluation.recording import record_episodes
 from kinfeas.policies.loading import QUICK_BASELINES, load_policy
 from kinfeas.viz.episodes import episodes_figure
 from kinfeas.viz.plots import learning_curve, read_metrics
-from kinfeas.viz.report import Picture, Report, Row, paper_success
+from kinfeas.viz.report import Report, Row, paper_success
 from kinfeas.viz.style import png
 
 SHOWN = 3
@@ -64,13 +64,12 @@ def compare(
             "paper's, which come from its own program. Intervals are Wilson's.",
             "Ceiling: goals that the end-effector reaches from some base pose.",
         ),
-        pictures=[
-            Picture("Episodes without a failure during training.", png(curve)),
-            Picture(
-                f"The first {len(recordings)} episodes of seed {config.seed}.",
-                png(episodes_figure(robot, recordings)),
+        pictures={
+            "Episodes without a failure during training.": png(curve),
+            f"The first {len(recordings)} episodes of seed {config.seed}.": png(
+                episodes_figure(robot, recordings)
             ),
-        ],
+        },
         commands=commands,
     )
 

@@ -14,10 +14,9 @@ from kinfeas.config.recipes import robot_file
 from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
-from kinfeas.io.policy_metadata import policy_folder
+from kinfeas.io.policy_metadata import WEIGHTS, policy_folder
 from kinfeas.jobs.job import Job, Result
 from kinfeas.policies.loading import BASELINES, PRETRAINED, load_policy, trained_folder
-from kinfeas.policies.network import WEIGHTS
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 

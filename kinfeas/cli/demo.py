@@ -67,8 +67,8 @@ def demo(
         count = counter(on_progress, "evaluating")
         metrics, report = compare(config, folder, commands, min(2, os.cpu_count() or 1), count)
     write_json(metrics, folder / "evaluation.json")
-    for name, picture in zip(PICTURES, report.pictures, strict=True):
-        write_file(folder / name, picture.png)
+    for name, picture in zip(PICTURES, report.pictures.values(), strict=True):
+        write_file(folder / name, picture)
     write_report(report, folder / "report.html")
     rows = []
     for row in report.rows:

@@ -18,7 +18,7 @@ from kinfeas.core.registry import GROUPS, Plugin
 from kinfeas.templates import Kind
 
 if TYPE_CHECKING:
-    from kinfeas.testing.trial import Trial
+    from kinfeas.testing.rules import Trial
 
 app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
 
@@ -122,7 +122,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.policies.loading import load_policy
     from kinfeas.robots.loading import load_robot
     from kinfeas.testing import RULES, check_policy, examine
-    from kinfeas.testing.trial import Trial
+    from kinfeas.testing.rules import Trial
 
     if name in registry.names("kinfeas.policies") or ":" in name:
         if overrides or picture is not None:
@@ -164,7 +164,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 def _drawing(name: str, parameters: dict[str, object], trial: "Trial") -> bytes:
     from kinfeas.core.checks import CheckedMotion
-    from kinfeas.testing.trial import sample_motions
+    from kinfeas.testing.rules import sample_motions
     from kinfeas.viz.plots import motion_figure
     from kinfeas.viz.style import png
 

@@ -102,7 +102,7 @@ def describe(now: "Progress") -> str:
     if now.evaluating is not None:
         done, episodes = now.evaluating
         return f"{now.steps:,} steps, evaluating {done}/{episodes} episodes"
-    left = (now.seconds + now.other_seconds) * (1.0 - now.share) / max(now.share, 1e-9)
+    left = now.seconds * (1.0 - now.fraction) / max(now.fraction, 1e-9)
     # NaN and -1 mean unknown.
     recent = f"{now.success:.0%}" if now.success >= 0.0 else "-"
     best = f", best evaluation {now.best:.1%} (mean of success and within 5 cm)"

@@ -99,15 +99,17 @@ def load(group: str, name: str) -> Any:
 
 
 def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
-    """Return the object that the class or function `name` makes of keyword parameters.
+    """Return the object that a class or function makes of keyword parameters.
 
+    `name` is an entry point of the group, or `module:name`.
     Parameters are as in YAML and converted to their annotated types, such as a Path or a dataclass.
 
     Raises:
         KinfeasError: As `load`; also if a parameter is unknown, missing or invalid, or the object
             lacks a method of its group.
     """
-    return _build(_find(group, name), parameters)
+    entry = EntryPoint(name, name, group) if ":" in name else _find(group, name)
+    return _build(entry, parameters)
 
 
 def build_with(
@@ -124,11 +126,6 @@ def build_with(
     for key in objects.keys() & parameters.keys():
         raise KinfeasError(f"{GROUPS[group]} {name!r}: the run sets the parameter {key!r}")
     return build(group, name, {**objects, **parameters})
-
-
-def build_target(group: str, target: str, parameters: Mapping[str, object]) -> Any:
-    """Return the object of a class or function `module:name`, as `build` does of entry points."""
-    return _build(EntryPoint(target, target, group), parameters)
 
 
 def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:

@@ -20,19 +20,12 @@ def register() -> None:
     """Register the environments with Gymnasium; a second call changes nothing."""
     from gymnasium.envs import registration
 
-    if ENVIRONMENT not in registration.registry:
-        registration.register(
-            ENVIRONMENT,
-            entry_point="kinfeas.viz.gym:RenderedMotionEnv",
-            vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
-        )
-    for backend, name in PHYSICS_ENVIRONMENTS.items():
+    for backend, name in {"analytic": ENVIRONMENT, **PHYSICS_ENVIRONMENTS}.items():
         if name not in registration.registry:
-            kind = "WindowedMotionEnv" if backend == "pybullet" else "RenderedMotionEnv"
             registration.register(
                 name,
-                entry_point=f"kinfeas.viz.gym:{kind}",
-                vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
+                entry_point="kinfeas.viz.gym:RenderedMotionEnv",
+                vector_entry_point="kinfeas.envs.gym:BaseMotionVectorEnv",
                 kwargs={"backend": backend},
             )
 

@@ -12,7 +12,7 @@ from kinfeas.envs.world import Transition, World
 
 
 class End(NamedTuple):
-    """The end of an episode: its last observation, shape (d,), and its result.
+    """The end of an episode.
 
     Attributes:
         observation: Last observation, shape (d,).

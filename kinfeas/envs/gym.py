@@ -1,4 +1,4 @@
-"""The world as a Gymnasium environment of one episode at a time, and what the vector one shares."""
+"""The world as Gymnasium environments: of one episode at a time, and of n episodes in one batch."""
 
 import os
 import sys
@@ -10,11 +10,13 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.batch import step_info
+from kinfeas.envs.batch import Batch, step_info
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
@@ -79,12 +81,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin an episode and return its observation, shape (21 + j,), and its number.
 
-        Args:
-            seed: Seed of this episode and all later ones; random at first.
-            options: Not used.
-
-        Raises:
-            KinfeasError: If the seed is not one integer, or `np_random` was set.
+        The seed is that of this episode and all later ones, random at first; options are not used.
         """
         super().reset(seed=checked_seed(seed))
         seed_world(self.world, seed, self.np_random_seed)
@@ -94,14 +91,10 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Move the base and return observation, reward, terminated, truncated and info.
+        """Move the base by a command in [-1, 1], shape (3,) or (2,).
 
-        Args:
-            action: Base command in [-1, 1], shape (3,) or (2,).
-
-        Raises:
-            KinfeasError: If the action has another shape or is not finite.
-            ResetNeeded: Before the first reset.
+        Returns:
+            Observation, reward, terminated, truncated and info.
         """
         check_reset(self.world)
         transition = self.world.step(np.asarray(action, dtype=np.float64)[np.newaxis])
@@ -115,17 +108,99 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return None; subclasses return a picture in the mode `rgb_array`.
-
-        Raises:
-            ResetNeeded: Before the first reset.
-        """
+        """Return None; subclasses return a picture in the mode `rgb_array`."""
         check_reset(self.world)
         return None
 
     def close(self) -> None:
         """Close the backend."""
         self.world.close()
+
+
+class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """n robots whose base motions keep their EE motions feasible.
+
+    An ended episode restarts in the same step; its last observation and info are in `final_obs` and
+    `final_info`. `reset(seed=s)` begins episodes 0 to n - 1 of seed s; later ones take the next
+    numbers in any row.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: str = "pr2",
+        task: str = "ggr",
+        world: WorldConfig | None = None,
+        task_parameters: Mapping[str, object] | None = None,
+        backend: str = "analytic",
+    ) -> None:
+        """Build the world for `num_envs` episodes; other arguments as in `BaseMotionEnv`."""
+        if num_envs < 1:
+            raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
+        self.num_envs = num_envs
+        config = world or learning_world(backend, robot)
+        self.world = make_world(robot, task, task_parameters, config)
+        self._batch = Batch(self.world, num_envs, infos=True)
+        self.single_observation_space = observation_space(self.world)
+        self.single_action_space = action_space(self.world)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin n episodes and return their observations, shape (n, 21 + j), and numbers."""
+        super().reset(seed=checked_seed(seed))
+        seed_world(self.world, seed, self.np_random_seed)
+        observation = self._batch.start().astype(np.float32)
+        return observation, self._numbers(np.ones(self.num_envs, dtype=np.bool_))
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Move all bases by commands in [-1, 1], shape (n, 3) or (n, 2).
+
+        Returns:
+            Observations, rewards, terminated, truncated and infos.
+        """
+        check_reset(self.world)
+        step = self._batch.step(np.asarray(actions, dtype=np.float64))
+        done, truncated = np.zeros((2, self.num_envs), dtype=np.bool_)
+        final = np.full(self.num_envs, None, dtype=object)
+        for row, end in step.ends.items():
+            done[row], truncated[row] = True, end.truncated
+            final[row] = end.observation.astype(np.float32)
+        infos = _masked(step.infos, ~done)
+        if step.ends:
+            infos |= {"final_obs": final, "_final_obs": done.copy()}
+            infos |= {"final_info": _masked(step.infos, done), "_final_info": done.copy()}
+            infos |= self._numbers(done)
+        observation = step.observation.astype(np.float32)
+        return observation, step.reward, done & ~truncated, truncated, infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the backend."""
+        # Gymnasium also closes an environment whose constructor failed.
+        if hasattr(self, "world"):
+            self.world.close()
+
+    def _numbers(self, rows: NDArray[np.bool_]) -> dict[str, Any]:
+        numbers = self.world.next_episode - rows.sum() + np.cumsum(rows) - 1
+        return _masked({"episode_number": numbers}, rows)
+
+
+def _masked(infos: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return infos in Gymnasium's layout: zeros in other rows, and masks `_key`."""
+    batched: dict[str, Any] = {}
+    for key, values in infos.items():
+        batched[key] = np.where(rows, values, np.zeros_like(values))
+        batched[f"_{key}"] = rows.copy()
+    return batched
 
 
 def learning_world(backend: str, robot: str) -> WorldConfig:
@@ -169,7 +244,7 @@ def observation_space(world: World) -> "spaces.Box[np.float32]":
 
 
 def action_space(world: World) -> "spaces.Box[np.float32]":
-    """Return the space of one robot's base commands, shape (3,) or (2,), shares of the limits."""
+    """Return the space of base commands, shape (3,) or (2,), as fractions of the limits."""
     return spaces.Box(-1.0, 1.0, (world.action_size,), np.float32)
 
 

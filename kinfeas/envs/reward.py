@@ -102,8 +102,8 @@ def _earn(
         if jumps[i]:
             total -= jump_penalty
         if deviation_penalty > 0.0:
-            share = min(deviation[i] / WITHIN, 1.0)
-            total -= deviation_penalty * (share * share)
+            fraction = min(deviation[i] / WITHIN, 1.0)
+            total -= deviation_penalty * (fraction * fraction)
         if limit_penalty > 0.0 and margin > 0.0:
             # A joint that is measured beyond its limit costs no more than one at it.
             short = margin - _limit_distance(joints[i], lower, upper)
@@ -124,5 +124,5 @@ def _limit_distance(joints, lower, upper):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _squares(metres, radians, unit_metres, unit_radians):
-    one, other = metres / unit_metres, radians / unit_radians
-    return one * one + other * other
+    linear, angular = metres / unit_metres, radians / unit_radians
+    return linear * linear + angular * angular

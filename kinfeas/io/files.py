@@ -1,17 +1,23 @@
-"""Files and folders: reading with size limits, atomic writing, locks, errors with paths."""
+"""Files and folders: reading of CSV and JSON, atomic writing, locks, errors with paths."""
 
+import csv
 import errno
 import fcntl
 import json
 import os
 import shutil
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+from numpy.typing import NDArray
+
 from kinfeas.core.errors import KinfeasError
+
+MAX_JSON_BYTES = 1_000_000
 
 
 def is_path(name: object) -> bool:
@@ -43,6 +49,52 @@ def read_file(path: Path, max_bytes: int) -> bytes:
     if len(content) > max_bytes:
         raise KinfeasError(f"{path}: too large, at most {max_bytes} bytes are allowed")
     return content
+
+
+def read_csv(
+    path: Path, columns: Sequence[str], optional: Collection[str] = ()
+) -> dict[str, NDArray[np.float64]]:
+    """Return columns of a CSV file by name, NaN where a row has no entry.
+
+    The `optional` ones may be missing, others are ignored.
+
+    Raises:
+        KinfeasError: If the file cannot be read, a column is missing or an entry is no number.
+    """
+    try:
+        with reading(path), path.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, skipinitialspace=True, strict=True)
+            rows, names = list(table), table.fieldnames or ()
+    except csv.Error as error:
+        raise KinfeasError(f"{path}: is no CSV file: {error}") from error
+    table_columns = {}
+    for name in columns:
+        if name in names:
+            table_columns[name] = np.empty(len(rows))
+            for i, row in enumerate(rows):
+                try:
+                    table_columns[name][i] = float(row[name] or "nan")
+                except ValueError as error:
+                    raise KinfeasError(f"{path}, row {i + 1}, {name}: {error}") from error
+        elif name not in optional:
+            raise KinfeasError(f"{path}: column {name!r} is missing")
+    return table_columns
+
+
+def read_json(path: Path) -> dict[str, object]:
+    """Return the mapping in a JSON file; numbers may be `Infinity` and `NaN`.
+
+    Raises:
+        KinfeasError: If the file cannot be read, is larger than 1 MB, or holds no mapping.
+    """
+    content = read_file(path, MAX_JSON_BYTES)
+    try:
+        data = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise KinfeasError(f"{path}: broken JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise KinfeasError(f"{path}: must hold a mapping of keys to values")
+    return data
 
 
 def write_file(path: Path, content: bytes) -> None:

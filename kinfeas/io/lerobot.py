@@ -105,7 +105,6 @@ def _at(times: Array, sample_times: Array, poses: Array) -> Any:
 
 
 def _numbered(episodes: list[dict[str, Any]], fps: int) -> list[dict[str, Any]]:
-    """Return the episodes with the times and numbers of their frames."""
     numbered, begin = [], 0
     for number, frames in enumerate(episodes):
         count = np.arange(len(frames["action"]))
@@ -122,7 +121,6 @@ def _numbered(episodes: list[dict[str, Any]], fps: int) -> list[dict[str, Any]]:
 def _description(
     whole: Mapping[str, Any], names: Mapping[str, Sequence[str]], episodes: int
 ) -> dict[str, Any]:
-    """Return the description of the frames of all episodes."""
     return {
         "codebase_version": "v3.0",
         "total_episodes": episodes, "total_frames": len(whole["index"]), "total_tasks": 1,
@@ -141,7 +139,6 @@ def _description(
 
 
 def _row(frames: dict[str, Any], task: str) -> dict[str, Any]:
-    """Return the row of an episode in the table of the episodes."""
     begin, length = int(frames["index"][0]), len(frames["index"])
     statistics = {
         f"stats/{name}/{key}": value

@@ -1,17 +1,21 @@
-"""Metadata of a trained policy: the file `policy.json` beside its weights."""
+"""Files of a trained policy: `policy.json` and `policy.safetensors`."""
 
 import json
 import math
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+from safetensors import SafetensorError
+from safetensors.numpy import load_file
 
 from kinfeas import config
 from kinfeas.config.quantities import Count, Episodes
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
-from kinfeas.io.files import find_folder
-from kinfeas.io.formats import read_json
+from kinfeas.io.files import find_folder, read_json, reading
+
+WEIGHTS = "policy.safetensors"
 
 _FILE = "policy.json"
 _METRICS = {"episodes", "success", "success_low", "success_high"}
@@ -54,11 +58,6 @@ class Trained:
     benchmark: dict[str, object] = field(default_factory=dict)
 
     @property
-    def trained_with(self) -> str:
-        """Name or path of the robot in the configuration of the training."""
-        return str(self.config.get("robot", self.robot))
-
-    @property
     def period(self) -> float | None:
         """Control period of the training in seconds; None if unknown."""
         world = self.config.get("world")
@@ -67,16 +66,33 @@ class Trained:
 
 
 def policy_folder(folder: Path) -> Path:
-    """Return the best checkpoint of a training run `runs/NAME`; other folders are unchanged."""
+    """Return the best checkpoint of a training run `runs/NAME`, or `folder` if it is a checkpoint.
+
+    Raises:
+        KinfeasError: If it is neither.
+    """
     best = find_folder(folder / "checkpoints" / "best")
-    return best if best.is_dir() else find_folder(folder)
+    checkpoint = best if best.is_dir() else find_folder(folder)
+    if not (checkpoint / _FILE).exists():
+        raise KinfeasError(f"{folder}: not a training run or checkpoint: no {checkpoint / _FILE}")
+    return checkpoint
+
+
+def read_policy(folder: Path) -> tuple[dict[str, Any], Trained]:
+    """Return the tensors by name and the metadata of the policy in a training run or checkpoint."""
+    path = policy_folder(folder) / WEIGHTS
+    try:
+        with reading(path):
+            tensors = load_file(path)
+    # Exceptions of truncated or foreign files, and of types that NumPy lacks.
+    except (SafetensorError, KeyError, TypeError, AttributeError) as error:
+        raise KinfeasError(f"{path}: broken: {error}") from error
+    return tensors, read_trained(folder)
 
 
 def read_trained(folder: Path) -> Trained:
-    """Return the metadata of the policy in a `policy_folder`; raise KinfeasError without one."""
+    """Return the metadata of the policy in a training run or checkpoint."""
     path = policy_folder(folder) / _FILE
-    if not path.exists():
-        raise KinfeasError(f"{folder}: not a training run or checkpoint: there is no {path}")
     data = read_json(path)
     entries = {entry.name: data[entry.name] for entry in fields(Trained) if entry.name in data}
     return config.from_mapping(Trained, entries, str(path))

@@ -219,7 +219,6 @@ def _about(line: str, path: Path) -> About:
 
 
 def _names(joints: Sequence[str]) -> list[str]:
-    """Return the names of all columns."""
     groups = {"base": _POSE, "joint": joints, "desired": _POSE, "goal": _POSE, "command": _TWIST}
     groups["target"] = joints
     names = [f"{group}.{name}" for group, members in groups.items() for name in members]

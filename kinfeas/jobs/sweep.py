@@ -178,7 +178,7 @@ def run_trial(description: tuple[Path, int]) -> Result:
     def report(progress: Progress) -> None:
         if progress.evaluations and progress.evaluations not in evaluations():
             trial.report(progress.best, progress.evaluations)
-            if progress.share < 1.0 and trial.should_prune():
+            if progress.fraction < 1.0 and trial.should_prune():
                 raise optuna.TrialPruned
 
     state, metrics = TrialState.COMPLETE, {}

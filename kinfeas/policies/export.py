@@ -9,8 +9,7 @@ from kinfeas import __version__, config
 from kinfeas.control.observation import CLIP, HORIZON, describe_action, describe_observation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import write_file
-from kinfeas.io.formats import read_json
+from kinfeas.io.files import read_json, write_file
 from kinfeas.io.policy_metadata import Trained, read_trained
 from kinfeas.policies import onnx_policy
 from kinfeas.policies.network import Network, read_network
@@ -110,7 +109,6 @@ def to_onnx(network: Network, metadata: PolicyMetadata) -> bytes:
 
 
 def _run(content: bytes, observations: Array) -> Array:
-    """Return the actions that onnxruntime computes."""
     import onnxruntime
 
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
@@ -125,14 +123,14 @@ def _observations(network: Network, rows: int, seed: int) -> Array:
 
 
 def _training(trained: Trained) -> dict[str, object]:
-    known = {
+    entries = {
         "config": trained.config or None,
         "steps": trained.steps,
         "seed": trained.seed,
         "version": trained.version,
         "command": trained.command,
     }
-    return {key: value for key, value in known.items() if value is not None}
+    return {key: value for key, value in entries.items() if value is not None}
 
 
 def _success(trained: Trained, folder: Path) -> dict[str, object]:

@@ -40,13 +40,10 @@ def trained_folder(name: str, robot: Robot) -> Path:
     Raises:
         KinfeasError: If `name` is `pretrained`, and the robot has no such policy.
     """
-    if name in trained_policies(robot):
-        return robot.folder / "policies" / name
-    if name == PRETRAINED:
-        raise KinfeasError(
-            f"no policy {name!r} in {robot.folder / 'policies'}; train one with kinfeas train"
-        )
-    return Path(name)
+    folder = robot.folder / "policies" / name
+    if name == PRETRAINED and not folder.is_dir():
+        raise KinfeasError(f"{folder}: no such policy; train one with kinfeas train")
+    return folder if name in trained_policies(robot) else Path(name)
 
 
 def load_policy(name: str, robot: Robot) -> Policy:
@@ -62,22 +59,20 @@ def load_policy(name: str, robot: Robot) -> Policy:
     Raises:
         KinfeasError: If there is no such policy, or it is broken or for another robot.
     """
-    if name in registry.names(GROUP):
-        policy: Policy = registry.build(GROUP, name, {"robot": robot})
-        return policy
-    path = trained_folder(name, robot)
-    if name and path.is_dir():
-        return read_network(path, robot)
-    if path.suffix == ".onnx" or path.is_file():
-        return read_policy_file(path, robot)
-    module, _, attribute = name.partition(":")
-    if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):
-        names = (*registry.names(GROUP), PRETRAINED, *trained_policies(robot))
-        raise KinfeasError(
-            f"unknown policy {name!r}{no_such(name, names)}, or the folder of a training run, an "
-            "exported ONNX file, or module:Class"
-        )
-    if (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)
-    policy = registry.build_target(GROUP, name, {"robot": robot})
+    plugins = registry.names(GROUP)
+    if name not in plugins:
+        path = trained_folder(name, robot)
+        if name and path.is_dir():
+            return read_network(path, robot)
+        if path.suffix == ".onnx" or path.is_file():
+            return read_policy_file(path, robot)
+        if ":" not in name:
+            names = (*plugins, PRETRAINED, *trained_policies(robot))
+            raise KinfeasError(
+                f"unknown policy {name!r}{no_such(name, names)}, or the folder of a training run, "
+                "an exported ONNX file, or module:Class"
+            )
+        if str(Path.cwd()) not in sys.path:
+            sys.path.append(str(Path.cwd()))
+    policy: Policy = registry.build(GROUP, name, {"robot": robot})
     return policy

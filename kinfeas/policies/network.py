@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import save_file
 
 from kinfeas.control.observation import (
-    ACTION,
     OBSERVATION,
-    check_terms,
+    TERMS,
     describe_action,
     describe_observation,
     scale,
@@ -23,17 +21,16 @@ from kinfeas.control.observation import (
     size,
 )
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import Observation
+from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import reading, write_folder
-from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
-from kinfeas.kinematics.drive import command_size
+from kinfeas.io.files import write_folder
+from kinfeas.io.policy_metadata import (
+    WEIGHTS,
+    Trained,
+    read_policy,
+    write_trained,
+)
 from kinfeas.robots.robot import Robot, fingerprint
-
-WEIGHTS = "policy.safetensors"
-
-# Exceptions of truncated or foreign files, and of types that NumPy lacks.
-_BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError)
 
 
 @dataclass(frozen=True)
@@ -85,13 +82,13 @@ class Network:
     def equals(self, other: "Network") -> bool:
         """Return whether both networks have equal weights and biases."""
         pairs = zip((*self.weights, *self.biases), (*other.weights, *other.biases), strict=True)
-        return all(np.array_equal(one, another) for one, another in pairs)
+        return all(np.array_equal(own, another) for own, another in pairs)
 
 
-def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[str, Any]) -> None:
+def write_network(network: Network, folder: Path, robot: Robot, about: Mapping[str, Any]) -> None:
     """Write a network as `policy.safetensors` and `policy.json` into an existing folder.
 
-    `known` has more fields of `Trained`: settings, steps, metrics.
+    `about` has more fields of `Trained`: settings, steps, metrics.
     """
     tensors = {"scale": network.scale}
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
@@ -104,7 +101,7 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
         kinematics=fingerprint(robot),
         observation=describe_observation(robot, network.observation_terms),
         action=(describe_action(robot),),
-        **known,
+        **about,
     )
     write_trained(trained, folder)
 
@@ -126,58 +123,71 @@ def read_network(folder: Path, robot: Robot) -> Network:
         KinfeasError: If there is no policy, or it is broken or for another robot or other
             kinematics.
     """
-    place = policy_folder(folder)
-    trained = read_trained(place)
+    tensors, trained = read_policy(folder)
+    layers = range(trained.layers)
     try:
-        with reading(place / WEIGHTS):
-            tensors = load_file(place / WEIGHTS)
         network = Network(
             tensors["scale"],
-            tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
-            tuple(tensors[f"bias.{i}"] for i in range(trained.layers)),
-            check_terms([term.name for term in trained.observation], f"{place}: observation"),
+            tuple(tensors[f"weight.{i}"] for i in layers),
+            tuple(tensors[f"bias.{i}"] for i in layers),
+            tuple(term.name for term in trained.observation),
         )
-    except KinfeasError:
-        raise
-    except _BROKEN as error:
-        raise KinfeasError(f"{place}: broken policy: {error}") from error
-    check_network(network, str(place))
-    _check_robot(network, trained, robot, place)
+    except KeyError as error:
+        raise KinfeasError(f"{folder}: broken policy: there is no tensor {error}") from error
+    check_network(network, trained.observation, trained.action, str(folder))
+    check_robot(
+        robot, trained.robot, trained.kinematics, trained.observation, trained.action, str(folder)
+    )
     return network
 
 
-def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) -> None:
-    wanted = (
-        size(robot, network.observation_terms),
-        command_size(robot.base),
-    )
-    found = (len(network.scale), len(network.biases[-1]))
-    if (names := [term.name for term in trained.action]) != [ACTION]:
-        raise KinfeasError(f"{place}: action must be [{ACTION}], not {names}")
-    if trained.robot != robot.name or found != wanted:
+def check_robot(
+    robot: Robot,
+    name: str,
+    kinematics: str | None,
+    observation: tuple[TermInfo, ...],
+    action: tuple[TermInfo, ...],
+    source: str,
+) -> None:
+    """Raise KinfeasError unless a policy of this description was trained for a robot.
+
+    `kinematics` is the fingerprint of the robot of the training, None if unknown.
+    """
+    if name != robot.name:
+        raise KinfeasError(f"{source}: a policy for robot {name!r}, not for {robot.name!r}")
+    if kinematics not in {None, fingerprint(robot)}:
         raise KinfeasError(
-            f"{place}: a policy for robot {trained.robot!r} with (inputs, actions) {found}, "
-            f"not for {robot.name!r} with {wanted}"
+            f"{source}: trained with other kinematics of {name!r}: joints, limits, EE frame, or "
+            "the base's drive or speed"
         )
-    if trained.kinematics not in (None, fingerprint(robot)):
+    described, known = (*observation, *action), [t.name for t in observation if t.name in TERMS]
+    expected = (*describe_observation(robot, known), describe_action(robot))
+    own, here = ([(t.name, t.size, t.scale) for t in terms] for terms in (described, expected))
+    if own != here:
         raise KinfeasError(
-            f"{place}: trained with other kinematics of {robot.name!r}: joints, limits, EE frame, "
-            "or the base's drive or speed"
+            f"{source}: its observation or action differs from this version's of kinfeas: {own}"
         )
 
 
-def check_network(network: Network, source: str) -> None:
-    """Raise KinfeasError, which names the source, unless the layers fit and are finite."""
-    scale = network.scale
-    if scale.ndim != 1 or scale.dtype != np.float32 or not np.isfinite(scale).all():
-        raise KinfeasError(f"{source}: broken policy: scale must be a row of finite float32")
-    width = len(scale)
+def check_network(
+    network: Network,
+    observation: Sequence[TermInfo],
+    action: Sequence[TermInfo],
+    source: str,
+) -> None:
+    """Raise KinfeasError unless the layers fit each other and the description, and are finite."""
+    width = sum(term.size for term in observation)
+    arrays = (network.scale, *network.weights, *network.biases)
+    fits = network.scale.shape == (width,)
     for weight, bias in zip(network.weights, network.biases, strict=True):
-        fits = weight.ndim == 2 and weight.shape == (width, *bias.shape)
-        finite = np.isfinite(weight).all() and np.isfinite(bias).all()
-        if not (fits and finite and weight.dtype == bias.dtype == np.float32):
-            raise KinfeasError(f"{source}: broken policy: its layers do not fit or are not finite")
-        width = len(bias)
+        fits &= bias.ndim == 1 and weight.shape == (width, *bias.shape)
+        width = bias.size
+    fits &= width == sum(term.size for term in action)
+    if not fits or not all(a.dtype == np.float32 and np.isfinite(a).all() for a in arrays):
+        raise KinfeasError(
+            f"{source}: broken policy: layers must be finite float32 and fit observation, action "
+            "and each other"
+        )
 
 
 @njit(cache=True, error_model="numpy")

@@ -15,18 +15,12 @@ from typing import Any
 import numpy as np
 
 from kinfeas import config
-from kinfeas.control.observation import (
-    CLIP,
-    HORIZON,
-    check_terms,
-    describe_action,
-    describe_observation,
-)
+from kinfeas.control.observation import CLIP, HORIZON
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import read_file
-from kinfeas.policies.network import Network, check_network
+from kinfeas.policies.network import Network, check_network, check_robot
 from kinfeas.robots.robot import Robot, fingerprint
 
 SCHEMA, PREFIX = 1, "kinfeas."
@@ -89,13 +83,6 @@ class PolicyMetadata:
     success: dict[str, object]
     golden: GoldenPairs
 
-    @property
-    def trained_with(self) -> str:
-        """Name or path of the robot in the configuration of the training."""
-        settings = self.training.get("config")
-        known = settings if isinstance(settings, dict) else {}
-        return str(known.get("robot", self.robot.name))
-
 
 class OnnxPolicy:
     """A policy of a file; it acts as the trained one, to the bit.
@@ -119,12 +106,17 @@ class OnnxPolicy:
         if entry != digest_entry(body):
             raise KinfeasError("changed after its export: the digest does not match")
         entries, self._network = _read_model(content)
-        check_network(self._network, "its graph")
-        self._content, self.metadata = content, _metadata(entries)
-        names = [term.name for term in self.metadata.observation]
-        self.observation_terms = check_terms(names, "its observation")
-        self._check_sizes()
-        self._check_golden_pairs()
+        self.metadata = metadata = _metadata(entries)
+        check_network(self._network, metadata.observation, metadata.action, "its graph")
+        self.observation_terms = tuple(term.name for term in metadata.observation)
+        golden = metadata.golden
+        try:
+            actions = self(np.array(golden.observation))
+            deviation = np.abs(actions - np.array(golden.action)).max()
+        except (ValueError, IndexError) as error:
+            raise KinfeasError(f"its golden pairs do not fit its graph: {error}") from error
+        if not deviation <= TOLERANCE:
+            raise KinfeasError(f"its golden pairs are off by {deviation:.2g} > {TOLERANCE:g}")
 
     def act(self, observation: Observation) -> Array:
         """Return actions in [-1, 1], shape (n, actions)."""
@@ -140,44 +132,6 @@ class OnnxPolicy:
         action[~finite] = np.nan
         return action
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return the constructor call for worker processes."""
-        return OnnxPolicy, (self._content,)
-
-    def check_robot(self, robot: Robot) -> None:
-        """Check that the policy was trained for a robot with these kinematics."""
-        metadata, wanted = self.metadata, describe_robot(robot)
-        found = metadata.robot
-        if found.name != wanted.name:
-            raise KinfeasError(f"a policy for robot {found.name!r}, not for {wanted.name!r}")
-        if found.kinematics != wanted.kinematics:
-            raise KinfeasError(
-                f"the kinematics of robot {robot.name!r} changed since the training: "
-                f"{wanted.kinematics[:15]!r} here, {found.kinematics[:15]!r} in the file"
-            )
-        observation = describe_observation(robot, self.observation_terms)
-        action = (describe_action(robot),)
-        here = wanted, observation, action, HORIZON
-        if here != (found, metadata.observation, metadata.action, metadata.control.horizon):
-            raise KinfeasError("its observation or action differs from this version's of kinfeas")
-
-    def _check_sizes(self) -> None:
-        found = len(self._network.scale), len(self._network.biases[-1])
-        metadata = self.metadata
-        wanted = tuple(sum(o.size for o in one) for one in (metadata.observation, metadata.action))
-        if found != wanted:
-            raise KinfeasError(f"its graph has the sizes {found}, its metadata {wanted}")
-
-    def _check_golden_pairs(self) -> None:
-        golden, network = self.metadata.golden, self._network
-        n, inputs, outputs = len(golden.observation), len(network.scale), len(network.biases[-1])
-        sizes = [len(row) for row in (*golden.observation, *golden.action)]
-        if not n or sizes != [inputs] * n + [outputs] * n:
-            raise KinfeasError(f"its golden pairs are not rows of {inputs} and {outputs} numbers")
-        deviation = np.abs(self(np.array(golden.observation)) - np.array(golden.action)).max()
-        if not deviation <= TOLERANCE:
-            raise KinfeasError(f"its golden pairs are off by {deviation:.2g} > {TOLERANCE:g}")
-
 
 def read_policy_file(path: Path, robot: Robot | None) -> OnnxPolicy:
     """Return the policy of a file written by `kinfeas export`; without a robot, to inspect it.
@@ -188,10 +142,14 @@ def read_policy_file(path: Path, robot: Robot | None) -> OnnxPolicy:
     content = read_file(path, MAX_BYTES)
     try:
         policy = OnnxPolicy(content)
-        if robot is not None:
-            policy.check_robot(robot)
     except KinfeasError as error:
         raise KinfeasError(f"{path}: {error}") from error
+    if robot is not None:
+        info, metadata = policy.metadata.robot, policy.metadata
+        terms = metadata.observation, metadata.action
+        check_robot(robot, info.name, info.kinematics, *terms, str(path))
+        if metadata.control.horizon != HORIZON:
+            raise KinfeasError(f"{path}: its horizon of observation or action is not {HORIZON} s")
     return policy
 
 
@@ -225,15 +183,15 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
         model = _fields(content)
         pairs = [_fields(entry) for entry in model[14]]
         graph, tensors = _fields(model[7][0]), {}
-        for one in map(_fields, graph[5]):
-            numbers = np.frombuffer(one[9][0], "<f4").astype(np.float32)
-            tensors[one[8][0].decode()] = numbers.reshape(one[1])
+        for tensor in map(_fields, graph[5]):
+            numbers = np.frombuffer(tensor[9][0], "<f4").astype(np.float32)
+            tensors[tensor[8][0].decode()] = numbers.reshape(tensor[1])
         layers = range((len(tensors) - 3) // 2)
-        known = [
+        nodes = [
             {1: [name.encode() for name in inputs], 2: [output.encode()], 4: [operator.encode()]}
             for operator, inputs, output in graph_nodes(len(layers))
         ]
-        if not layers or [_fields(node) for node in graph[1]] != known:
+        if not layers or [_fields(node) for node in graph[1]] != nodes:
             raise KinfeasError("its graph is not that of a policy")
         if (float(tensors["low"]), float(tensors["high"])) != (-CLIP, CLIP):
             raise KinfeasError("its graph clips observations elsewhere")
@@ -241,7 +199,7 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
             tuple(tensors[f"{name}_{i}"] for i in layers) for name in ("weight", "bias")
         )
         network = Network(tensors["scale"], weights, biases)
-        return {one[1][0].decode(): one[2][0].decode() for one in pairs}, network
+        return {pair[1][0].decode(): pair[2][0].decode() for pair in pairs}, network
     except (ValueError, LookupError, AttributeError, TypeError, OverflowError) as error:
         raise KinfeasError(f"its graph cannot be read: {error}") from error
 

@@ -21,12 +21,17 @@ def write_distribution(kind: str, name: str, folder: Path) -> list[Path]:
 
     The name is in lower case; the folder is empty or missing.
     """
-    kinds = {known.value: known for known in Kind}
+    kinds = {member.value: member for member in Kind}
     if kind not in kinds:
         raise KinfeasError(f"unknown kind of plugin {kind!r}{no_such(kind, kinds)}")
-    _check_name(kinds[kind].group, name)
-    _check_folder(folder)
-    words = _words(kinds[kind], name)
+    group, class_name = kinds[kind].group, "".join(part.capitalize() for part in name.split("_"))
+    _check_name(group, name, class_name)
+    with writing(folder):
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise KinfeasError(f"{folder}: not an empty or a new folder")
+    words = {"name": name, "Class": class_name, "dashed": name.replace("_", "-")}
+    words["target"] = Template(kinds[kind].target).substitute(words)
+    words |= {"package": f"kinfeas_{name}", "group": group, "what": registry.GROUPS[group]}
     written = []
     for source, target in _files(kind):
         path = folder / target.replace(_PLACEHOLDER, name)
@@ -38,8 +43,8 @@ def write_distribution(kind: str, name: str, folder: Path) -> list[Path]:
     return written
 
 
-def _check_name(group: str, name: str) -> None:
-    if not _NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.iskeyword(_class(name)):
+def _check_name(group: str, name: str, class_name: str) -> None:
+    if not _NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.iskeyword(class_name):
         raise KinfeasError(
             f"{name!r}: a name has lower-case letters, digits and single _, such as my_motion, and "
             "is no keyword of Python"
@@ -49,33 +54,9 @@ def _check_name(group: str, name: str) -> None:
         raise KinfeasError(f"the name is taken by {taken[0]}; choose another")
 
 
-def _check_folder(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise KinfeasError(f"{folder}: is a file; name a folder that is empty or not there")
-    with writing(folder):
-        if folder.is_dir() and any(folder.iterdir()):
-            raise KinfeasError(f"{folder}: is not empty; name a folder that is empty or not there")
-
-
 def _files(kind: str) -> Iterator[tuple[Path, str]]:
     """Yield the template and the relative path of each file."""
     for folder_name in ("common", kind):
         root = Path(__file__).parent / folder_name
         for source in sorted(root.rglob(f"*{_SUFFIX}")):
             yield source, source.relative_to(root).as_posix().removesuffix(_SUFFIX)
-
-
-def _words(kind: Kind, name: str) -> dict[str, str]:
-    """Return the values of the placeholders."""
-    names = {"name": name, "Class": _class(name), "dashed": name.replace("_", "-")}
-    target = Template(kind.target).substitute(names)
-    what = registry.GROUPS[kind.group]
-    return names | {"package": _package(name), "group": kind.group, "target": target, "what": what}
-
-
-def _package(name: str) -> str:
-    return f"kinfeas_{name}"
-
-
-def _class(name: str) -> str:
-    return "".join(part.capitalize() for part in name.split("_"))

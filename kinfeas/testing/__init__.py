@@ -8,8 +8,7 @@ from kinfeas.core.checks import CheckedMotion, ConformanceError
 from kinfeas.core.errors import PLUGIN_ERRORS
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.testing.policies import check_policy
-from kinfeas.testing.rules import RULES, Probe, run_trial
-from kinfeas.testing.trial import Trial, describe
+from kinfeas.testing.rules import RULES, Probe, Trial, describe, run_trial
 
 __all__ = [
     "RULES",

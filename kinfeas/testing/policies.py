@@ -42,7 +42,6 @@ def check_policy(policy: Policy, robot: Robot) -> None:
 
 
 def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
-    """Return the actions of some episodes, shape (steps, n, action size)."""
     world = World(robot, load_task("ggr"), WorldConfig(max_failures=10**6), seed=0)
     world.loop.set_policy(policy)
     world.start(list(episodes))

@@ -1,17 +1,101 @@
-"""Rules of motion generators and the trial that checks them."""
+"""Rules of motion generators, and the trial that checks them."""
 
 import copy
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from kinfeas.core.checks import CheckedMotion
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.motion import State
-from kinfeas.core.spatial import Array, distance, integrate
-from kinfeas.testing.trial import Trial
+from kinfeas.core.spatial import Array, distance, integrate, make_pose
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Motions and limits of a test.
+
+    Attributes:
+        seed: Seed of the random poses and of the generator's random numbers.
+        duration: Time limit of each motion in seconds.
+        dt: Duration of a step in seconds.
+        max_velocity: Maximum speed, m/s; None for no limit.
+        max_angular_velocity: Maximum angular speed, rad/s; None for no limit.
+    """
+
+    seed: int = 0
+    duration: float = 120.0
+    dt: float = 0.1
+    max_velocity: float | None = 0.1
+    max_angular_velocity: float | None = 0.1
+
+    @property
+    def steps(self) -> int:
+        """Count of steps."""
+        return max(1, round(self.duration / self.dt))
+
+    def poses(self) -> tuple[Array, Array]:
+        """Return starts and targets of the motions, each of shape (12, 7).
+
+        Eight motions to random targets from a random pose up to 2 m away, and four special ones:
+        from the target itself, half a turn on the spot, a path without rotation, a rotation almost
+        on the spot.
+        """
+        rng = np.random.default_rng(self.seed)
+        targets = _random_poses(rng, 8)
+        starts = _random_poses(rng, len(targets))
+        starts[:, :3] = targets[:, :3] + rng.uniform(-1.15, 1.15, (len(targets), 3))
+        ends = np.resize(targets, (4, 7))
+        position, orientation = ends[:, :3], Rotation.from_quat(ends[:, 3:])
+        away = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.8, 0.0, 0.6], [1e-7, 0.0, 0.0]])
+        turn = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi], [0.0, 0.0, 0.0], [0.0, 2.5, 0.0]])
+        special = make_pose(position + away, Rotation.from_rotvec(turn) * orientation)
+        return np.concatenate([starts, special]), np.concatenate([targets, ends])
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """t steps of n motions: world poses (t + 1, n, 7), twists (t, n, 6) and goals (n, 7)."""
+
+    ee_pose: Array
+    twist: Array
+    goal: Array
+
+
+def sample_motions(motion: CheckedMotion, trial: Trial) -> Samples:
+    """Return the motions of a trial."""
+    ee_pose, targets = trial.poses()
+    rngs = [np.random.default_rng([trial.seed, row]) for row in range(len(targets))]
+    state = motion.start(ee_pose.copy(), targets.copy(), rngs)
+    goal, poses, twists = motion.goal_pose(state, targets), [ee_pose], []
+    for _ in range(trial.steps):
+        twist, state = motion.twist(state, ee_pose, targets, np.full(len(targets), trial.dt))
+        ee_pose = integrate(ee_pose, twist, trial.dt)
+        poses.append(ee_pose)
+        twists.append(twist)
+    return Samples(np.stack(poses), np.stack(twists), goal)
+
+
+def describe(error: BaseException, subject: str) -> str:
+    """Return the message of an error; that of a plugin's own exception has subject and place."""
+    if isinstance(error, KinfeasError):
+        return str(error)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    location = f"{Path(frame.filename).name}, line {frame.lineno}"
+    return f"{subject} raises {type(error).__name__}: {error} ({location})"
+
+
+def _random_poses(rng: np.random.Generator, n: int) -> Array:
+    """Return poses in a room of 4 x 4 m with any orientation, shape (n, 7)."""
+    position = rng.uniform([-2.0, -2.0, 0.3], [2.0, 2.0, 1.2], (n, 3))
+    return make_pose(position, Rotation.from_quat(rng.normal(size=(n, 4))))
+
 
 _ARRIVED_METRES, _ARRIVED_DEGREES = 0.01, 3.0
 _NEAR = 1e-9  # for the same motion in another batch, where sums may round in another order
@@ -112,7 +196,6 @@ class _Step:
 
 
 def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
-    """Return the start state after checking `start`."""
     rows = range(len(ee_pose))
     arguments = ee_pose.copy(), targets.copy()
     state = probe.start(*arguments, rows)
@@ -132,7 +215,6 @@ def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
 
 
 def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _Step:
-    """Return the step from `state` after checking `twist`."""
     step_state, step_pose = copy.deepcopy(state), ee_pose.copy()
     target_argument, dt = targets.copy(), np.full(len(ee_pose), probe.trial.dt)
     twist, after = copy.deepcopy(probe.twist(state, ee_pose, target_argument, dt))
@@ -166,7 +248,6 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
 
 
 def _check_restart(probe: Probe, history: list[_Step], targets: Array) -> None:
-    """Check that one motion can restart while the others continue."""
     first, now = history[0], history[-1]
     row = len(history) % len(targets)
     single = slice(row, row + 1)
@@ -194,7 +275,6 @@ def _within(tolerances: float, ee_pose: Array, goal: Array) -> NDArray[np.bool_]
 
 
 def _check_end(probe: Probe, left: NDArray[np.bool_]) -> None:
-    """Check that no motion has left its goal after its end, shape (n,)."""
     probe.require(
         not left.any(),
         "end",
@@ -206,7 +286,6 @@ def _check_end(probe: Probe, left: NDArray[np.bool_]) -> None:
 def _check_arrival(
     probe: Probe, ee_pose: Array, targets: Array, states: tuple[State, State]
 ) -> None:
-    """Check that the motions end at the goal of their start."""
     announced, final = (probe.motion.goal_pose(state, targets) for state in states)
     metres, radians = distance(announced, final)
     fixed = metres.max() < _NEAR and radians.max() < np.sqrt(_NEAR)
@@ -230,17 +309,14 @@ def _check_arrival(
 
 
 def _some(rows: range) -> list[int]:
-    """Return the first, the middle and the last of `rows`."""
     return sorted({rows[0], rows[len(rows) // 2], rows[-1]})
 
 
 def _rows(state: State, rows: slice) -> State:
-    """Return a copy of some motions."""
     return {key: value[rows].copy() for key, value in state.items()}
 
 
 def _near(a: Array, b: Array) -> bool:
-    """Return whether the arrays are the same up to rounding."""
     return np.allclose(a, b, rtol=_NEAR, atol=_NEAR)
 
 

@@ -105,7 +105,6 @@ def robot_at(
 
 
 def _furniture_near(recording: Recording) -> list[list[shapes.Solid]]:
-    """Return the solids of each object near the paths."""
     scene = recording.scene
     if scene is None:
         return []
@@ -124,7 +123,6 @@ def _furniture_near(recording: Recording) -> list[list[shapes.Solid]]:
 
 
 def _solids_near(recording: Recording, moment: int, within: float = _NEAR) -> list[shapes.Solid]:
-    """Return the solids that have a part near the paths."""
     points = [recording.base_pose, recording.desired, recording.goals]
     paths = np.concatenate([poses[:, :2] for poses in points])
     low, high = paths.min(axis=0) - within, paths.max(axis=0) + within
@@ -182,7 +180,6 @@ def _draw_outline(axes: Axes, points: Array, colour: tuple[float, ...], order: f
 
 
 def _draw_paths(axes: Axes, recording: Recording) -> None:
-    """Draw base and EE paths, failures and goals into 2-D or 3-D axes."""
     size = 3 if isinstance(axes, Axes3D) else 2
 
     def draw(points: Array, *marker: str, **how: Any) -> None:

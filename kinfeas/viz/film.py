@@ -1,6 +1,6 @@
 """Films of episodes as GIF or MP4 files, or as a PNG with some of their pictures."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -107,8 +107,6 @@ def _moments(replay: Replay, path: Path) -> NDArray[np.intp]:
 
 
 def _floor(low: Array, high: Array) -> list[tuple[Shape, str]]:
-    """Return a floor with a grid between two corners (2,)."""
-
     def box(centre: Array, size: Array, height: float, colour: str) -> tuple[Shape, str]:
         pose = IDENTITY.copy()
         pose[:3] = *centre, height - _FLOOR / 2.0
@@ -126,8 +124,6 @@ def _floor(low: Array, high: Array) -> list[tuple[Shape, str]]:
 
 
 def _draw_paths(draw: ImageDraw.ImageDraw, view: View, recording: Recording, end: int) -> None:
-    """Draw base and EE paths until moment `end`, failures and goals."""
-
     def at(poses: Array) -> list[tuple[float, float]]:
         return [(x, y) for x, y in (_FINE * view.pixels(poses[:, :3])).tolist()]
 
@@ -140,28 +136,16 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, recording: Recording, end
     draw.line(at(base), fill=BASE, width=2 * _FINE)
     for goal in recording.goals:
         draw.line(at(np.stack([goal, goal * [1, 1, 0, 1, 1, 1, 1]])), fill=GOAL, width=_FINE)
+    draw.line(at(recording.desired[:end]), fill=DESIRED, width=_FINE)
     draw.line(at(ee), fill="white", width=4 * _FINE)
     draw.line(at(ee), fill=EE, width=2 * _FINE)
-    points = view.pixels(recording.desired[:end, :3])
-    for start, stop in _dashes(points):
-        draw.line(at(recording.desired[start:stop]), fill=DESIRED, width=_FINE)
     dot(recording.goals, GOAL, 5.0 * _FINE, INK)
     dot(base[:1], "white", 3.0 * _FINE, BASE)
     dot(ee[:1], "white", 3.0 * _FINE, EE)
     dot(ee[~recording.feasible[:end]], FAILURE, 2.5 * _FINE)
 
 
-def _dashes(points: Array, length: float = 5.0) -> Iterator[tuple[int, int]]:
-    """Yield the ranges of points (k, 2) that are dashes of a path, for a length in pixels."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    dash = (np.concatenate([[0.0], np.cumsum(steps)]) // length).astype(int)
-    for number in np.unique(dash[dash % 2 == 0]).tolist():
-        (inside,) = np.nonzero(dash == number)
-        yield int(inside[0]), int(inside[-1]) + 2
-
-
 def _caption(image: Image.Image, replay: Replay, moment: int, speed: float) -> None:
-    """Write time, playback speed, IK failures and, at the end, the result into a picture."""
     recording = replay.recording
     failures = int(np.sum(~recording.feasible[: moment + 1]))
     faster = f"  ({speed:.1f}x)" if speed > 1.05 else ""

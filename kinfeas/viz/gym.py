@@ -12,12 +12,10 @@ if TYPE_CHECKING:
 
 
 class RenderedMotionEnv(BaseMotionEnv):
-    """`BaseMotionEnv` with the render mode `rgb_array`, drawn by PyBullet."""
+    """`BaseMotionEnv` with the render mode `rgb_array`, drawn by PyBullet.
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
-        "render_modes": ["rgb_array"],
-        "render_fps": 10,  # with the control period that it has by default
-    }
+    The render mode `human` needs the backend `pybullet`.
+    """
 
     _film: "FilmCamera | None" = None
 
@@ -50,9 +48,3 @@ class RenderedMotionEnv(BaseMotionEnv):
         if self._film is not None:
             self._film.close()
             self._film = None
-
-
-class WindowedMotionEnv(RenderedMotionEnv):
-    """`RenderedMotionEnv` in PyBullet, which also has the render mode `human`."""
-
-    metadata = BaseMotionEnv.metadata

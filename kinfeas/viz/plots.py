@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
 from kinfeas.core.spatial import Array
-from kinfeas.io.formats import read_csv
-from kinfeas.testing.trial import Samples, Trial
+from kinfeas.io.files import read_csv
+from kinfeas.testing.rules import Samples, Trial
 from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, STYLE
 
 _PLOTTED = ("steps", "seconds", "train/success", "evaluation/success")

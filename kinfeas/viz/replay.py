@@ -81,15 +81,21 @@ def run_episode(world: World, policy: Policy, episode: int) -> Replay:
     """Run one episode of a world and return it with everything visible."""
     backend, stage = world.backend, world.task
     title = f"{TITLES.get(world.robot.name, world.robot.name)}, {world.task.name}"
+    shapes: list[VisualShape] = []
+    names: list[LinkName] = []
+    moments: list[Array] = []
+
+    def watch(*_: object) -> None:
+        if isinstance(backend, PhysicsBackend):
+            moments.append(backend.link_poses(0, names))
+
+    if isinstance(backend, PhysicsBackend) and isinstance(stage, Stage):
+        stage.sample(world.solver, world.rng(episode))
+        shapes, names = _visible(backend)
+        watch()
+    (recording,) = record_episodes(world, policy, 1, episode, watch)
     if not isinstance(backend, PhysicsBackend) or not isinstance(stage, Stage):
-        (recording,) = record_episodes(world, policy, 1, first=episode)
         return replay_of(recording, world.robot, title)
-    stage.sample(world.solver, world.rng(episode))
-    shapes, names = _visible(backend)
-    moments = [backend.link_poses(0, names)]
-    (recording,) = record_episodes(
-        world, policy, 1, episode, lambda *_: moments.append(backend.link_poses(0, names))
-    )
     if not stage.has_success_condition:
         recording = replace(recording, task_done=None)
     if recording.solids is not None:  # furniture is visible already
@@ -156,7 +162,6 @@ def result(recording: Recording) -> tuple[str, bool]:
 
 
 def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]]:
-    """Return what is visible in a world without its walls, and its links."""
     shapes = [
         shape
         for shape in visual_shapes(backend.robot, backend.scene)
@@ -166,7 +171,6 @@ def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]
 
 
 def _with_solids(episode: Replay) -> Replay:
-    """Return an episode with the solids of its recording."""
     solids = solid_shapes(episode.recording.solids)
     if not solids:
         return episode

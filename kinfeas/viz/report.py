@@ -44,46 +44,29 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A PNG picture with a caption."""
-
-    caption: str
-    png: bytes
-
-
-@dataclass(frozen=True)
 class Report:
-    """Title, summary, table, notes below it, pictures, and commands that reproduce them."""
+    """Title, summary, table, notes below it, PNGs by caption, and commands that reproduce them."""
 
     title: str
     summary: str
     rows: Sequence[Row]
     notes: Sequence[str]
-    pictures: Sequence[Picture]
+    pictures: Mapping[str, bytes]
     commands: Sequence[str]
 
 
 def write_report(report: Report, path: Path) -> None:
     """Write a report as a self-contained HTML file."""
-    write_file(path, to_html(report).encode())
-
-
-def to_html(report: Report) -> str:
-    """Return a report as a page of HTML."""
-    heads = [
-        "",
-        "without a failure",
-        "95 % interval",
-        "",
-        *(head for head, *_ in _COLUMNS.values()),
-    ]
+    heads = ["", "without a failure", "95 % interval", *(head for head, *_ in _COLUMNS.values())]
     pictures = "".join(
-        f"<figure><img src='data:image/png;base64,{base64.b64encode(picture.png).decode()}'>"
-        f"<figcaption>{escape(picture.caption)}</figcaption></figure>\n"
-        for picture in report.pictures
+        f"<figure><img src='data:image/png;base64,{base64.b64encode(png).decode()}'>"
+        f"<figcaption>{escape(caption)}</figcaption></figure>\n"
+        for caption, png in report.pictures.items()
     )
-    facts = "".join(f"<dt>{key}</dt><dd>{escape(value)}</dd>" for key, value in machine().items())
-    return (
+    facts = {"machine": f"{platform.platform()}, {os.cpu_count()} cores"}
+    facts |= {"Python": platform.python_version(), **{name: version(name) for name in _VERSIONS}}
+    listed = "".join(f"<dt>{key}</dt><dd>{escape(value)}</dd>" for key, value in facts.items())
+    html = (
         "<!doctype html>\n<html lang=en><meta charset=utf-8>"
         "<meta name=viewport content='width=device-width, initial-scale=1'>"
         f"<title>{escape(report.title)}</title><style>{_STYLE}</style>\n"
@@ -92,22 +75,9 @@ def to_html(report: Report) -> str:
         f"{''.join(_line(row) for row in report.rows)}</table>\n"
         f"{''.join(f'<p class=note>{escape(note)}</p>' for note in report.notes)}\n{pictures}\n"
         f"<h2>Commands</h2><pre>{escape(chr(10).join(report.commands))}</pre>\n"
-        f"<h2>Versions</h2><dl>{facts}</dl>\n</html>\n"
+        f"<h2>Versions</h2><dl>{listed}</dl>\n</html>\n"
     )
-
-
-def machine() -> dict[str, str]:
-    """Return processor, system and versions by name."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    processor = (names or [platform.processor() or platform.machine()])[0]
-    return {
-        "processor": f"{processor}, {os.cpu_count()} cores",
-        "system": f"{platform.system()} {platform.release()}",
-        "Python": platform.python_version(),
-        **{name: version(name) for name in _VERSIONS},
-    }
+    write_file(path, html.encode())
 
 
 def paper_success(robot: str, task: str) -> dict[str, float]:
@@ -119,7 +89,6 @@ def _line(row: Row) -> str:
     success = row.success
     interval = f"{success.low:.1%} &ndash; {success.high:.1%}" if success.low < success.high else ""
     cells = [escape(row.name), f"<b>{success.value:.1%}</b>", interval]
-    cells.append(f"<meter value={success.value:.4f}></meter>")
     for key, (_, form, factor) in _COLUMNS.items():
         value = row.metrics.get(key)
         cells.append("" if value is None else form.format(factor * float(value)))

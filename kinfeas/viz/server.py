@@ -1,11 +1,9 @@
 """The server of a page, which answers that page alone.
 
 viser accepts websockets from every web site, sets any attribute of a control to any value, can
-publish the page through a tunnel, and searches for a free port without end.
+publish the page through a tunnel, and searches for another port.
 """
 
-import errno
-import os
 import re
 import secrets
 import socket
@@ -26,7 +24,6 @@ from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.errors import KinfeasError
 
 _LOCAL = ("localhost", "127.0.0.1", "[::1]")
-_PORTS = 100  # tried from the asked one on
 _TITLE = "<title>Viser</title>"
 
 
@@ -39,7 +36,7 @@ class Access:
     """
 
     def __init__(self, host: str, port: int) -> None:
-        """Listen at the port, or at the next free one; errors are those of `serving`."""
+        """Listen at the port; errors are those of `serving`."""
         self.listener = _listen(host, port)
         address, port = self.listener.getsockname()[:2]
         bound = ip_address(address)
@@ -165,7 +162,7 @@ def serving(title: str, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page
     """Yield the server of a page, by default at a free port.
 
     Raises:
-        KinfeasError: If the host is not an address of this computer, or no port is free.
+        KinfeasError: If the host is not an address of this computer, or the port is in use.
     """
     with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
         server = PageServer(title, host, port)
@@ -181,25 +178,16 @@ def _listen(host: str, port: int) -> socket.socket:
         family, *_, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
+        dual = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
+        return socket.create_server(
+            (address[0], port, *address[2:]), family=family, dualstack_ipv6=dual
+        )
     except (OSError, UnicodeError) as error:
-        raise KinfeasError(f"host {host!r}: {getattr(error, 'strerror', error)}") from error
-    ports = range(port, min(port + _PORTS, 2**16))
-    for candidate in ports:
-        try:
-            return socket.create_server(
-                (address[0], candidate, *address[2:]), family=family,
-                dualstack_ipv6=family == socket.AF_INET6 and socket.has_dualstack_ipv6(),
-            )  # fmt: skip
-        except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                reason = os.strerror(error.errno or 0)
-                raise KinfeasError(f"host {host!r}, port {candidate}: {reason}") from error
-    last = "" if len(ports) == 1 else f" to {ports[-1]}"
-    raise KinfeasError(f"host {host!r}, port {port}{last}: {os.strerror(errno.EADDRINUSE)}")
+        reason = getattr(error, "strerror", None) or error
+        raise KinfeasError(f"host {host!r}, port {port}: {reason}") from error
 
 
 def _own_address() -> str:
-    """Return the address of this computer in its network."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # for documentation; nothing is sent

@@ -174,7 +174,6 @@ def faces(shape: Shape) -> list[Array]:
 
 
 def _lathed(radii: Array, heights: Array) -> list[Array]:
-    """Return the faces of a profile turned about z; radii and heights of shape (p,)."""
     angle = np.linspace(0.0, 2.0 * np.pi, SIDES, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)], axis=1)
     rings = [radius * circle + [0, 0, z] for radius, z in zip(radii, heights, strict=True)]

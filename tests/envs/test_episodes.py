@@ -1,11 +1,9 @@
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
 from kinfeas.envs import episodes as module
-from kinfeas.envs.episodes import evaluate_within, run_episodes
+from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.loading import load_robot
@@ -43,18 +41,6 @@ def assert_equal(found, records, rows=slice(None)):
 def test_no_figure_depends_on_the_batch(world, policy, records, batch, monkeypatch):
     monkeypatch.setattr(module, "BATCH", batch)
     assert_equal(run_episodes(world, policy, 24), records)
-
-
-@pytest.mark.parametrize(("seconds", "count"), [(-1.0, 4), (1e9, 9)])
-def test_a_time_limit_leaves_out_the_last_episodes(policy, records, seconds, count):
-    def build():
-        return World(load_robot("hsr"), NEAR, NOISY, seed=2)
-
-    ended = []
-    with ThreadPoolExecutor(1) as pool:
-        found = evaluate_within(seconds, pool, 2, build, policy, range(9), ended.append)
-    assert_equal(found, records, slice(count))
-    assert sum(ended) == count
 
 
 def test_no_figure_depends_on_the_other_episodes(world, policy, records):

@@ -14,8 +14,7 @@ from kinfeas import envs
 from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.batch import step_info
-from kinfeas.envs.gym import BaseMotionEnv
-from kinfeas.envs.vector import BaseMotionVectorEnv
+from kinfeas.envs.gym import BaseMotionEnv, BaseMotionVectorEnv
 from kinfeas.envs.world import WorldConfig
 
 NOISY = WorldConfig(
@@ -121,19 +120,6 @@ def test_an_episode_is_the_same_alone_and_beside_others(name):
     assert len(set(single.values())) == EPISODES
     assert trace_vector(name, 3) == single
     assert trace_vector(name, 1) == single
-
-
-def test_a_failure_on_the_last_step_terminates_and_does_not_truncate():
-    action, steps, ended = np.array([-1.0, 0.0, 1.0]), 0, False
-    env = BaseMotionEnv("hsr", world=WorldConfig(max_failures=4))
-    env.reset(seed=0)
-    while not ended:
-        _, _, terminated, truncated, info = env.step(action)
-        ended, steps = terminated or truncated, steps + 1
-    assert (terminated, truncated, info["failures"], info["is_success"]) == (True, False, 5, False)
-    limited = BaseMotionEnv("hsr", world=WorldConfig(max_failures=4, max_seconds=steps / 10))
-    limited.reset(seed=0)
-    assert [limited.step(action)[2:4] for _ in range(steps)][-1] == (True, False)
 
 
 @pytest.mark.parametrize(("reached", "failures"), [(True, 0), (True, 1), (False, 0)])

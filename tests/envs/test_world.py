@@ -136,42 +136,27 @@ def test_a_world_continues_from_a_snapshot_to_the_bit(hsr, task, config, terms):
 
 
 @pytest.mark.parametrize("allowed", [0, 19])
-def test_more_failures_than_allowed_terminate(hsr, allowed):
+def test_more_failures_than_allowed_terminate_also_with_feasible_steps_between(hsr, allowed):
     world = make(hsr, world=WorldConfig(max_failures=allowed), seed=0)
     world.start([0])
-    pretend(world, feasible=False, finished=False)
-    for _ in range(allowed):
+    for feasible in [False, True] * allowed:
+        world.loop.step = type(world.loop).step.__get__(world.loop)
+        pretend(world, feasible=feasible, finished=False)
         assert not world.step(idle(world)).done.any()
+    pretend(world, feasible=False, finished=False)
     last = world.step(idle(world))
     assert (last.terminated, last.truncated, last.reached) == (True, False, False)
     assert world.failures == [allowed + 1]
 
 
-def test_feasible_steps_do_not_reset_the_failures(world):
-    world.start([0])
-    real = world.loop.step
-    for i in range(39):
-        world.loop.step = lambda action, i=i: replace(real(action), feasible=np.array([i % 2 == 1]))
-        assert world.step(idle(world)).terminated.all() == (i == 38)
-
-
-@pytest.mark.parametrize("finished", [True, False])
-def test_the_end_of_the_last_sub_goal_is_success(world, finished):
-    world.start([0, 1])
-    pretend(world, finished=finished)
-    transition = world.step(idle(world, 2))
-    for ended in (transition.reached, transition.terminated, transition.done):
-        np.testing.assert_array_equal(ended, finished)
-
-
-def test_a_goal_reached_with_a_touching_base_is_no_success(world):
-    world.start([0, 1])
-    touched, real = np.array([[True, False], [False, True]]), world.loop.step
-    ended = {"finished": np.ones(2, dtype=bool), "collision": touched}
+def test_the_end_of_the_last_sub_goal_is_success_unless_the_base_touches(world):
+    world.start(range(3))
+    touched, real = np.array([[True, False], [False, True], [False, False]]), world.loop.step
+    ended = {"finished": np.array([True, True, False]), "collision": touched}
     world.loop.step = lambda action: replace(real(action), **ended)
-    transition = world.step(idle(world, 2))
-    assert transition.reached.tolist() == [False, True]
-    assert transition.terminated.all()
+    transition = world.step(idle(world, 3))
+    assert transition.reached.tolist() == [False, True, False]
+    assert transition.terminated.tolist() == [True, True, False]
 
 
 @pytest.mark.parametrize(("changes", "steps"), [

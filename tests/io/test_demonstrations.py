@@ -63,15 +63,6 @@ def test_invalid_samples_of_tables(tmp_path, rows, place):
         read_demonstration(path)
 
 
-@pytest.mark.parametrize(
-    ("unit", "factor"), [("nanoseconds", "1e9"), ("microseconds", "1e6"), ("milliseconds", "1e3")]
-)
-def test_times_in_another_unit(tmp_path, unit, factor):
-    shown, seconds = demonstration(samples=4000), np.arange(4000) / 25.0
-    with pytest.raises(KinfeasError, match=rf"{unit}.*\b{factor}\b"):
-        write_demonstration(replace(shown, time=seconds * float(factor)), tmp_path / "one.csv")
-
-
 def test_invalid_arrays_are_not_written(tmp_path):
     shown = demonstration()
     for changes in ({"time": shown.time * 0.0}, {"ee_pose": shown.ee_pose * np.nan}):

@@ -9,13 +9,14 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import (
     alone,
     find_folder,
+    read_csv,
     read_file,
+    read_json,
     reading,
     replacing,
     write_file,
     write_folder,
 )
-from kinfeas.io.formats import read_csv, read_json
 
 
 def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):

@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.core.spatial import twist_between
 from kinfeas.testing import RULES, ConformanceError, check_motion_generator, examine
-from kinfeas.testing.trial import Trial
+from kinfeas.testing.rules import Trial
 
 
 class Good:

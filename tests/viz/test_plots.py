@@ -5,8 +5,8 @@ from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.plugins.linear import Linear
 from kinfeas.scenes.scene import read_scene
-from kinfeas.testing.trial import Trial, sample_motions
-from kinfeas.viz.figures import scene_figure
+from kinfeas.testing.rules import Trial, sample_motions
+from kinfeas.viz.drawing import scene_figure
 from kinfeas.viz.plots import learning_curve, motion_figure, read_metrics
 from kinfeas.viz.shapes import corners, robot_solids, scene_solids
 from kinfeas.viz.style import ARM, BODY, png

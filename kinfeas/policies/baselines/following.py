@@ -101,46 +101,46 @@ class FollowBase:
     def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         base, pose = self.base, observation.base_pose
-        wanted: Array = getattr(observation, self.source)
+        target: Array = getattr(observation, self.source)
         motion = observation.planned[:, :3] - observation.desired[:, :3]
         rules = np.array([base.max_velocity, base.max_rotation, self.forward_shift])
         like = TWIST[: command_size(base)]
-        action: Array = _follow_base(wanted, pose, motion, rules, like)
+        action: Array = _follow_base(target, pose, motion, rules, like)
         return action
 
 
 @compiled(["void(f8[:], f8[:], f8[:], f8[:], f8[:], f8[:])"], "(p),(p),(m),(r),(a)->(a)")
 def _follow_base(
-    wanted: Array, pose: Array, motion: Array, rules: Array, like: Array, out: Array
+    target: Array, pose: Array, motion: Array, rules: Array, like: Array, out: Array
 ) -> None:
-    """Action that drives to a wanted base pose at the speed of the EE, or copies its velocity.
+    """Action that drives to a target base pose at the speed of the EE, or copies its velocity.
 
-    `motion` is the way of the EE in `HORIZON` seconds; `rules` are the two velocity limits of the
-    base and its distance ahead of the wanted pose.
+    `motion` is the displacement of the EE in `HORIZON` seconds; `rules` are the velocity limits of
+    the base and its distance ahead of the target.
     """
-    fastest, fastest_turn, shift = rules
+    max_velocity, max_rotation, shift = rules
     now, x, y = heading(pose), motion[0] / HORIZON, motion[1] / HORIZON
     turn, rest = 0.0, False
-    if not math.isnan(wanted.sum()):
-        angle = heading(wanted)
-        way_x = wanted[0] + shift * math.cos(angle) - pose[0]
-        way_y = wanted[1] + shift * math.sin(angle) - pose[1]
-        turn, distance = wrapped(angle - now), math.sqrt(way_x * way_x + way_y * way_y)
+    if not math.isnan(target.sum()):
+        angle = heading(target)
+        offset_x = target[0] + shift * math.cos(angle) - pose[0]
+        offset_y = target[1] + shift * math.sin(angle) - pose[1]
+        turn, distance = wrapped(angle - now), math.sqrt(offset_x * offset_x + offset_y * offset_y)
         step = max(math.sqrt((motion * motion).sum()), _MIN_SPEED * HORIZON)
         rate = step / max(distance, _LEVER * abs(turn), step) / HORIZON
-        x, y, turn, rest = way_x * rate, way_y * rate, turn * rate, distance <= _THERE
+        x, y, turn, rest = offset_x * rate, offset_y * rate, turn * rate, distance <= _THERE
     write_action_toward(pose, (x, y), rules, HORIZON, out)
     if len(out) == 3:
-        out[2] = clipped(turn / fastest_turn)
+        out[2] = clipped(turn / max_rotation)
     elif rest:
         forward = math.cos(now) * x + math.sin(now) * y
-        out[0], out[1] = clipped(forward / fastest), clipped(turn / fastest_turn)
+        out[0], out[1] = clipped(forward / max_velocity), clipped(turn / max_rotation)
 
 
 def demonstrated_base(robot: Robot) -> FollowBase:
     """Return the baseline that drives to the base pose of the demonstration."""
-    known = load_section(BaselineConfig, "baselines", robot.folder)
-    return FollowBase(robot.base, known.forward_shift)
+    settings = load_section(BaselineConfig, "baselines", robot.folder)
+    return FollowBase(robot.base, settings.forward_shift)
 
 
 def planned_base(robot: Robot) -> FollowBase:

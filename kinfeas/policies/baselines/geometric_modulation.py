@@ -2,8 +2,8 @@
 
 After Welschehold et al., "Coupling mobile base and end-effector motion in task space" (IROS 2018),
 with ellipses fitted to the robot's own reach: the EE's height, and the pitch of its approach axis,
-determine which places on the floor suit the base. IK finds them for targets spread evenly over
-heights, pitches, rolls and places. The base copies the EE's velocity, is led around the ellipses
+determine which positions on the floor suit the base. IK finds them for targets spread evenly over
+heights, pitches, rolls and positions. The base copies the EE's velocity, is led around the ellipses
 where it would cross them, and turns to have the EE before it.
 """
 
@@ -42,8 +42,8 @@ _SCOUTS, _TARGETS = 8192, 24576
 _HEIGHT_STEP, _HEIGHT_BLUR = 0.2, 0.1
 _PITCHES, _PITCH_BLUR = 9, 0.25
 _CELL, _HALF_WIDTH, _BLUR = 0.1, 1.5, 0.08
-_SHARE = 0.6
-"""Reach of places within the ellipses, as a share of that of the best places."""
+_REACHED = 0.6
+"""Reach of positions within the ellipses, as a fraction of that of the best positions."""
 
 _CENTRES = np.arange(-_HALF_WIDTH + _CELL / 2.0, _HALF_WIDTH, _CELL)
 _X, _Y = (grid.ravel() for grid in np.meshgrid(_CENTRES, _CENTRES, indexing="ij"))
@@ -91,8 +91,8 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
 
     First the bearing at which the arm reaches most is found among targets all around. Then each
     cell of the grid takes the targets near it and near that bearing; the outer ellipse has the
-    centre and the proportions of the places from which it reaches most of them, and both are of
-    the size at which they hold the most such places and the fewest others.
+    centre and the proportions of the positions from which it reaches most of them, and both are of
+    the size at which they hold the most such positions and the fewest others.
     """
     low, high = robot.reach.low, robot.reach.high
     solver = IkSolver(robot, IkOptions(candidates=1, restarts=8))
@@ -104,7 +104,7 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     shapes = np.array([[_fit(targets, height, pitch) for pitch in pitches] for height in heights])
     if np.isnan(shapes).all():
         raise KinfeasError(
-            f"geometric_modulation finds no place from which the arm of robot {robot.name!r} "
+            f"geometric_modulation finds no position from which the arm of robot {robot.name!r} "
             f"has its reach, {low:g} to {high:g} m"
         )
     return ReachEllipses(heights, pitches, _filled(shapes), bearing)
@@ -116,8 +116,8 @@ class _Targets:
     Attributes:
         height: Shape (n,), metres, as is `pitch`, radians.
         bearing: Of the EE from the base, shape (n,).
-        place: Of the base, seen from the EE along its azimuth, shape (n, 2), metres.
-        found: Whether IK succeeded, shape (n,).
+        position: Of the base, seen from the EE along its azimuth, shape (n, 2), metres.
+        reached: Whether IK succeeded, shape (n,).
     """
 
     def __init__(self, solver: IkSolver, count: int, bearing: float, cone: float) -> None:
@@ -138,8 +138,8 @@ class _Targets:
         )
         ee = make_pose(np.stack([x, y, self.height], axis=1), orientation)
         home = np.tile(robot.home["home"], (count, 1))
-        self.found = solver.solve(ee, home).feasible
-        self.place = turned(np.stack([-x, -y], axis=1), -azimuth)
+        self.reached = solver.solve(ee, home).feasible
+        self.position = turned(np.stack([-x, -y], axis=1), -azimuth)
 
 
 def turned(vectors: Array, angle: Array) -> Array:
@@ -150,10 +150,9 @@ def turned(vectors: Array, angle: Array) -> Array:
 
 
 def _best_bearing(targets: _Targets) -> float:
-    """Return the middle of the cone in which the arm reaches most."""
     middles = np.linspace(-np.pi, np.pi, 73)[1:]
     near = np.abs(wrap(targets.bearing - middles[:, None])) < CONE
-    fractions = [targets.found[rows].mean() for rows in near]
+    fractions = [targets.reached[rows].mean() for rows in near]
     best = np.array(fractions) >= 0.98 * max(fractions)
     return float(np.angle(np.exp(1j * middles[best]).sum()))
 
@@ -163,14 +162,14 @@ def _fit(targets: _Targets, height: float, pitch: float) -> Array:
     off_height = (targets.height - height) / _HEIGHT_BLUR
     off_pitch = (targets.pitch - pitch) / _PITCH_BLUR
     kernel = np.exp(-0.5 * (off_height * off_height + off_pitch * off_pitch))
-    reach = _share(targets, kernel)
-    good = reach > _SHARE
+    reach = _reach(targets, kernel)
+    good = reach > _REACHED
     if np.count_nonzero(good) < 4:
         return np.full(6, np.nan)
     centre = np.array([_X[good].mean(), _Y[good].mean()])
     axes = 2.0 * np.array([_X[good].std(), _Y[good].std()]) + _CELL / 2.0
     level = np.hypot((_X - centre[0]) / axes[0], (_Y - centre[1]) / axes[1])
-    gain, hole = reach - _SHARE, np.full(2, _SIZES[0])
+    gain, hole = reach - _REACHED, np.full(2, _SIZES[0])
     for _ in range(3):
         ring = np.where((_X / hole[0]) ** 2 + (_Y / hole[1]) ** 2 < 1.0, 0.0, gain)
         scale = _SCALES[np.argmax([ring[level < scale].sum() for scale in _SCALES])]
@@ -179,23 +178,22 @@ def _fit(targets: _Targets, height: float, pitch: float) -> Array:
     return np.concatenate([centre, axes * scale, hole])
 
 
-def _share(targets: _Targets, kernel: Array) -> Array:
-    """Return the reach of the grid's places as shares of that of the best ones, shape (c,)."""
-    x, y = targets.place[:, 0], targets.place[:, 1]
+def _reach(targets: _Targets, kernel: Array) -> Array:
+    """Return the reach of the grid's positions as fractions of the best ones', shape (c,)."""
+    x, y = targets.position[:, 0], targets.position[:, 1]
     edges = np.append(_CENTRES - _CELL / 2.0, _HALF_WIDTH)
 
     def counted(weights: Array) -> Array:
         counts, *_ = np.histogram2d(x, y, bins=(edges, edges), weights=weights)
         return gaussian_filter(counts, _BLUR / _CELL).ravel()
 
-    tried, reached = counted(kernel), counted(kernel * targets.found)
+    tried, reached = counted(kernel), counted(kernel * targets.reached)
     reach = np.where(tried > 1e-4 * tried.max(), reached / np.maximum(tried, 1e-12), 0.0)
     positive = reach[reach > 0.01]
     return reach / np.quantile(positive, 0.98) if len(positive) else reach
 
 
 def _filled(shapes: Array) -> Array:
-    """Return the shapes with those that are missing taken from the nearest one that is there."""
     missing = np.isnan(shapes[..., 0])
     fitted = np.argwhere(~missing)
     filled = shapes.copy()
@@ -253,10 +251,10 @@ class GeometricModulation:
         _, later = approach(self.robot, planned)
         # Where the approach is all but vertical its azimuth spins, and the ellipses are round.
         spin = np.where(np.cos(pitch) > 0.1, wrap(later - azimuth), 0.0)
-        place = turned(offset, -azimuth)
-        drift = (turned(offset, -azimuth - spin) - place) / HORIZON
+        position = turned(offset, -azimuth)
+        drift = (turned(offset, -azimuth - spin) - position) / HORIZON
         shape = self.ellipses.at(ee[:, 2], pitch)
-        return turned(modulated(place, drift, shape) - drift, azimuth)
+        return turned(modulated(position, drift, shape) - drift, azimuth)
 
 
 def geometric_modulation(robot: Robot) -> GeometricModulation:
@@ -264,19 +262,19 @@ def geometric_modulation(robot: Robot) -> GeometricModulation:
     return GeometricModulation(robot, fit_ellipses(robot))
 
 
-def modulated(place: Array, velocity: Array, shape: Array) -> Array:
+def modulated(position: Array, velocity: Array, shape: Array) -> Array:
     """Return a velocity that does not leave the ring between two ellipses, and leads back into it.
 
     Welschehold et al. (2018): along the normal of a boundary that is approached, the velocity is
     scaled by `1 - w / level^(1/rho)`, along its tangent by `1 + w / level^(1/rho)`.
 
     Args:
-        place: Position in the frame of the ellipses, shape (n, 2), metres.
+        position: Position in the frame of the ellipses, shape (n, 2), metres.
         velocity: Relative to them, shape (n, 2), m/s.
         shape: As `ReachEllipses.shapes`, shape (n, 6).
     """
-    level_in, normal_in = _boundary(place, shape[:, 4:6])
-    level_out, normal_out = _boundary(place - shape[:, :2], shape[:, 2:4])
+    level_in, normal_in = _boundary(position, shape[:, 4:6])
+    level_out, normal_out = _boundary(position - shape[:, :2], shape[:, 2:4])
     level_out, normal_out = 1.0 / level_out, -normal_out
     above_in, above_out = np.maximum(level_in - 1.0, _TINY), np.maximum(level_out - 1.0, _TINY)
     weight_in = above_out / (above_in + above_out)
@@ -299,7 +297,6 @@ def _decay(level: Array, rho: float) -> Array:
 
 
 def _led_around(velocity: Array, normal: Array, strength: Array) -> Array:
-    """Return the velocity with less of it toward a boundary and more of it along it."""
     along_normal = velocity[:, :1] * normal[:, :1] + velocity[:, 1:] * normal[:, 1:]
     toward = along_normal * normal
     strength = np.where(along_normal < 0.0, strength, 0.0)

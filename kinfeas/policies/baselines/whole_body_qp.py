@@ -52,14 +52,14 @@ class WholeBodyQp:
         joints = observation.joint_positions
         targets = relative(observation.planned, observation.base_pose)
         actions = np.zeros((len(joints), command_size(self.robot.base)))
-        barriers: list[tuple[Barriers, ...]] = [()] * len(joints)
+        barriers: list[list[Barriers]] = [[] for _ in joints]
         if observation.obstacles is not None:
             damper = VelocityDamper(self.robot.base, observation.dt)
             constraints = damper.constraints(observation.obstacles, len(joints))
             actions = constraints.hold(actions[:, np.newaxis])[:, 0]
-            barriers = [(Barriers(constraints, row),) for row in range(len(joints))]
-        for row, one in enumerate(zip(targets, joints, barriers, strict=True)):
-            action = self._step(*one)
+            barriers = [[Barriers(constraints, row)] for row in range(len(joints))]
+        for row in range(len(joints)):
+            action = self._step(targets[row], joints[row], barriers[row])
             if action is not None:
                 actions[row] = action
         return actions
@@ -69,7 +69,7 @@ class WholeBodyQp:
         return WholeBodyQp, (self.robot,)
 
     @cached_property
-    def _step(self) -> Callable[[Array, Array, tuple["Barriers", ...]], Array | None]:
+    def _step(self) -> Callable[[Array, Array, list["Barriers"]], Array | None]:
         return _make_step(self.robot)
 
 
@@ -120,9 +120,9 @@ def build_model(robot: Robot) -> Any:
         parent = model.addJoint(parent, kind, pin.SE3.Identity(), f"base_{i}", *bounds)
     for i, joint in enumerate(robot.arm):
         kind = pin.JointModelPZ() if tree.prismatic[i] else pin.JointModelRZ()
-        place = pin.SE3(tree.rotation[i], tree.offset[i])
+        pose = pin.SE3(tree.rotation[i], tree.offset[i])
         bounds = _bounds(joint.velocity, joint.lower, joint.upper)
-        parent = model.addJoint(parent, kind, place, joint.name, *bounds)
+        parent = model.addJoint(parent, kind, pose, joint.name, *bounds)
     end = pin.SE3(chain.ee_rotation, chain.ee_offset)
     model.addFrame(pin.Frame("ee", parent, 0, end, pin.FrameType.OP_FRAME))
     return model
@@ -133,7 +133,7 @@ def _bounds(velocity: float, lower: float, upper: float) -> list[Array]:
     return [np.array([limit]) for limit in (np.inf, velocity, lower, upper)]
 
 
-def _make_step(robot: Robot) -> Callable[[Array, Array, tuple[Barriers, ...]], Array | None]:
+def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array | None]:
     """Return a function from planned EE pose in the base frame, joints and barriers to the action.
 
     It returns None where the quadratic program has no solution.
@@ -154,7 +154,7 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, tuple[Barriers, ...]], A
     limits = (ConfigurationLimit(model), VelocityLimit(model))
     rest, q = np.zeros(model.nq), np.zeros(model.nq)
 
-    def step(target: Array, joints: Array, barriers: tuple[Barriers, ...]) -> Array | None:
+    def step(target: Array, joints: Array, barriers: list[Barriers]) -> Array | None:
         q[carried:] = joints
         np.clip(q, lower, upper, out=q)
         rest[:] = q
@@ -163,9 +163,9 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, tuple[Barriers, ...]], A
         ee.set_target(pin.XYZQUATToSE3(target))
         body = Configuration(model, data, q, copy_data=False)
         try:
-            both = (*limits, *barriers)
+            rules = (*limits, *barriers)
             velocity = solve_ik(
-                body, (ee, posture), HORIZON, _SOLVER, _DAMPING, both, safety_break=False
+                body, (ee, posture), HORIZON, _SOLVER, _DAMPING, rules, safety_break=False
             )
         except NoSolutionFound:
             return None
