@@ -60,9 +60,6 @@ class Problem(NamedTuple):
         candidates: Number of solutions of which the nearest is taken.
         accept_position: Position error of a feasible pose, metres.
         accept_rotation: Rotation error of a feasible pose, radians.
-        held: Joint that stays where the seed has it, in the middle of its range in the library; -1
-            for none.
-        lift: Motion of the EE per unit of that joint, shape (3,).
     """
 
     chain: Chain
@@ -83,8 +80,6 @@ class Problem(NamedTuple):
     candidates: int
     accept_position: float
     accept_rotation: float
-    held: int
-    lift: Array
 
 
 def library_features(position: Array, orientation: Array, weight: float) -> NDArray[np.float32]:
@@ -125,16 +120,10 @@ def solve_batch(
     near = np.empty((6, len(max_joint_step)))
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
-    orientation, position = np.empty((3, 3)), np.empty(3)
-    held, lower, upper = problem.held, problem.lower.copy(), problem.upper.copy()
-    limits, (pose, size, cylinder) = (lower, upper), solids
+    orientation = np.empty((3, 3))
+    limits, (pose, size, cylinder) = (problem.lower, problem.upper), solids
     grown = np.empty(size.shape[1:])
     for i in range(len(solution)):
-        if held >= 0:
-            at = solution[i, held]
-            if len(max_joint_step) == 0:
-                at = min(max(at, problem.lower[held]), problem.upper[held])
-            lower[held] = upper[held] = at
         write_matrix(targets[i], orientation)
         target = orientation, targets[i, :3]
         row = min(i, len(pose) - 1)
@@ -148,11 +137,7 @@ def solve_batch(
         elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
             feasible[i] = False
         else:
-            copy_row(targets[i, :3], position)
-            if held >= 0:
-                for k in range(3):
-                    position[k] -= problem.lift[k] * (lower[held] - problem.library[0, held])
-            _rank_library(problem, (orientation, position), scores, order)
+            _rank_library(problem, target, scores, order)
             feasible[i] = _solve_from_library(
                 problem, limits, target, solution[i], errors[i], order, scratch, touching, around
             )
@@ -280,8 +265,6 @@ def _solve_from_library(problem, limits, target, solution, error, order, scratch
         if attempt >= SEARCH.restarts and closest > SEARCH.hopeless_cost:
             break
         copy_row(problem.library[order[attempt]], q)
-        if problem.held >= 0:
-            q[problem.held] = seed[problem.held]
         place_chain(problem.chain, q, scratch.frames)
         metres, radians = descend(problem.chain, problem.descent, limits, target, q, scratch)
         closest = min(closest, _cost(problem, metres, radians))

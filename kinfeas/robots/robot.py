@@ -87,11 +87,6 @@ class Robot:
     max_gravity_load: float | None
 
     @cached_property
-    def torso(self) -> int | None:
-        """Index of the arm joint that lifts the rest of the arm; None without one."""
-        return 0 if self.urdf.joints[self.arm[0].name].kind == "prismatic" else None
-
-    @cached_property
     def continuous(self) -> NDArray[np.bool_]:
         """Whether each arm joint is continuous, shape (j,)."""
         return _read_only([joint.continuous for joint in self.arm])
