@@ -35,8 +35,7 @@ from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
 from kinfeas.io.files import is_path
-from kinfeas.plugins.limits import slowed
-from kinfeas.plugins.path import PathMotion, PosePath
+from kinfeas.plugins.path import PathMotion, PosePath, slowed
 
 Kind = Literal["imitation", "gaussian_mixture"]
 # Beyond any room or rotation, and small enough that results do not overflow.
@@ -153,7 +152,6 @@ class Component:
     covariance: tuple[tuple[Number, ...], ...]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the sizes do not fit, or the index does not vary."""
         size = len(self.mean)
         if size not in (_SIZE, _SIZE_WITH_BASE):
             raise ValueError(f"the mean must have {_SIZE} or {_SIZE_WITH_BASE} numbers, not {size}")
@@ -199,7 +197,6 @@ class Model:
     components: tuple[Component, ...]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the parts do not fit."""
         quaternions = {"goal": self.goal[3:], "mean_orientation": self.mean_orientation}
         for name, quaternion in quaternions.items():
             if abs(float(np.linalg.norm(quaternion)) - 1.0) > _ROUNDING:

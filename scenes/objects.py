@@ -1,6 +1,6 @@
 """Objects and handles of a scene, and their blocks in its YAML file."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -123,11 +123,6 @@ class Handle:
 def free_joints(urdf: Urdf) -> dict[str, Joint]:
     """Return the moving joints by name."""
     return {name: joint for name, joint in urdf.joints.items() if joint.moves}
-
-
-def rest_positions(urdf: Urdf, given: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of all moving joints: those `given`, else the ones nearest to zero."""
-    return {name: given.get(name, joint.rest) for name, joint in free_joints(urdf).items()}
 
 
 def moving_joint(urdf: Urdf, link: str) -> str | None:

@@ -27,7 +27,6 @@ from kinfeas.scenes.objects import (
     SceneSpec,
     free_joints,
     moving_joint,
-    rest_positions,
 )
 
 T = TypeVar("T")
@@ -139,7 +138,8 @@ def _object(spec: ObjectSpec, path: Path, where: str, urdfs: dict[Path, Urdf]) -
     check_inertia(file, urdf, fixed=spec.fixed)
     _check_joints(urdf, spec.joints, f"{where}.joints'")
     pose = _pose(spec.position, spec.rpy)
-    return SceneObject(file, urdf, pose, spec.fixed, rest_positions(urdf, spec.joints))
+    rest = {name: joint.rest for name, joint in free_joints(urdf).items()}
+    return SceneObject(file, urdf, pose, spec.fixed, rest | spec.joints)
 
 
 def _find_urdf(name: Path, beside: Path, where: str) -> Path:

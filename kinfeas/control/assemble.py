@@ -20,10 +20,6 @@ from kinfeas.core.policy import Policy
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 
-OFFERED = ("solver", "backend", "dt", "execution", "stream", "executor")
-"""Parameters of command filters that the loop sets: IK solver, backend, control period in seconds,
-`ExecutionConfig`, targets that move or None, and an executor of long work or None."""
-
 
 def assemble(  # noqa: PLR0913 - the parts of a loop
     solver: IkSolver,
@@ -57,7 +53,10 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
     """
     backend = with_adapters(backend, adapters, solver.robot)
     execution = backend.execution(execution or ExecutionConfig())
-    offered = dict(zip(OFFERED, (solver, backend, dt, execution, stream, executor), strict=True))
+    offered = {
+        "solver": solver, "backend": backend, "dt": dt, "execution": execution, "stream": stream,
+        "executor": executor,
+    }  # fmt: skip
     built = [
         registry.build_with("kinfeas.filters", each.name, each.parameters, offered)
         if isinstance(each, PluginSpec)

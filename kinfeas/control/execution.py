@@ -1,7 +1,7 @@
 """Sub-goals, their tolerances, and the execution of motions."""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 
@@ -16,10 +16,6 @@ Frame = Literal["ee", "tip"]
 
 GRASP_METRES = 0.005
 """Distance to the end of a sub-goal at which a gripper acts."""
-
-RECONFIGURATION_SECONDS = 0.15
-"""An arm further from its command than this time at full joint velocity is reconfiguring, rather
-than lagging."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,7 @@ class ExecutionConfig:
             arrival, to bring the EE within `GRASP_METRES` of its end.
         head_start_jitter: Upper bound of the seconds by which each episode's head start is longer.
         arm_settle_timeout: Longest pause of motion and base, in seconds, while the arm moves to
-            another configuration that is further away than `RECONFIGURATION_SECONDS`.
+            another configuration that is further away than 0.15 s at full joint velocity.
     """
 
     time_scale: TimeScale = 1.0
@@ -60,15 +56,6 @@ class ExecutionConfig:
     grasp_settle_time: Seconds = 0.0
     head_start_jitter: Seconds = 0.0
     arm_settle_timeout: Seconds = 0.0
-
-
-@runtime_checkable
-class ExecutionAdapter(Protocol):
-    """An adapter that changes the execution of motions."""
-
-    def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
-        """Return the execution within this adapter."""
-        ...
 
 
 def tool_pose(robot: Robot) -> Array:

@@ -102,7 +102,6 @@ class Loop:
         execution: ExecutionConfig,
         filters: Sequence[CommandFilter] = (),
     ) -> None:
-        """Connect the parts; call `start` before anything else."""
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
         self.execution, self.filters, self.robot = execution, tuple(filters), solver.robot
         self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
@@ -273,7 +272,6 @@ class Loop:
         return action
 
     def _period(self) -> Period:
-        """Return the next period before any filter."""
         robots, step = self.robots, self.sequence.next_step
         paused = self._arm.pauses(robots.joint_positions)
         period = Period(
@@ -329,7 +327,6 @@ class Loop:
         return forward(self.solver.chain, robots.joint_positions)
 
     def _observe(self) -> None:
-        """Observe the robots and what comes next."""
         self.observation = self.observer.observe(
             self.robots, self._ee_in_base, self.ee_pose, self.previous_command
         )

@@ -124,7 +124,8 @@ class Period(KinematicInputs):
 class CommandFilter(Protocol):
     """Changes base commands before they are sent; entry points `kinfeas.filters`.
 
-    A filter is built from keyword parameters, and from those of `assemble.OFFERED` that it names.
+    A filter is built from keyword parameters; of `solver`, `backend`, `dt` (seconds), `execution`,
+    `stream` (None without moving targets) and `executor` (or None), `assemble` sets those it names.
     One with a state has `reset(rows, n)`, as a `Policy`; `max_batch` limits the robots of a process
     if it needs time or memory for each.
     """

@@ -29,7 +29,7 @@ from kinfeas.kinematics.ik import IkSolver
 
 _PATHS = "waypoints"
 _ROWS = (
-    "desired", "subgoal", "head_start", "settling", "dwelling", "seeds", "targets", "elapsed",
+    "desired", "subgoal", "head_start", "settling", "dwelling", "_seeds", "_targets", "elapsed",
     "periods", "time_scale",
 )  # fmt: skip
 _STREAM = "target_stream."
@@ -74,16 +74,6 @@ class MotionSequence:
         gripper: Gripper | None = None,
         stream: TargetStream | None = None,
     ) -> None:
-        """Set out the sub-goals, at least one; call `start` before anything else.
-
-        Args:
-            subgoals: Motions that every EE makes one after the other.
-            solver: IK of the robot.
-            dt: Control period in seconds.
-            execution: As planned by default.
-            gripper: Grippers, if the robots have any.
-            stream: Targets that move, if there are any.
-        """
         execution = execution or ExecutionConfig()
         self.stream, self._gripper = stream, gripper
         self._motion_time = dt * execution.time_scale
@@ -148,8 +138,8 @@ class MotionSequence:
             self.whole_body.start(len(rngs))
             self._solids, rows = None, np.arange(len(rngs))
         else:
-            pairs = zip(self._arrays(), fresh, strict=True)
-            self._put(tuple(with_rows(old, rows, new) for old, new in pairs))
+            pairs = zip(_ROWS, fresh, strict=True)
+            self._put([with_rows(getattr(self, name), rows, new) for name, new in pairs])
         self._begin(rows)
 
     def start_stream(self, rngs: Sequence[np.random.Generator], rows: Rows, base: Array) -> None:
@@ -374,14 +364,14 @@ class MotionSequence:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as arrays by name."""
-        own = dict(zip(_ROWS, self._arrays(), strict=True))
+        own = {name: getattr(self, name) for name in _ROWS}
         stream = {} if self.stream is None else self.stream.snapshot()
         targets = {f"{_STREAM}{key}": values for key, values in stream.items()}
         return own | targets | {_PATHS: self.whole_body.waypoints} | self._motions.snapshot()
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
-        self._put(tuple(snapshot[key].copy() for key in _ROWS))
+        self._put([snapshot[name].copy() for name in _ROWS])
         if self.stream is not None:
             targets = {k: values for k, values in snapshot.items() if k.startswith(_STREAM)}
             self.stream.restore({k.removeprefix(_STREAM): v for k, v in targets.items()})
@@ -390,23 +380,16 @@ class MotionSequence:
         self._solids = self.whole_body.robots = None
         self.whole_body.waypoints = snapshot[_PATHS].copy()
 
-    def _arrays(self) -> tuple[NDArray[Any], ...]:
-        waits = self.head_start, self.settling, self.dwelling
-        progress = self.elapsed, self.periods, self.time_scale
-        return self.desired, self.subgoal, *waits, self._seeds, self._targets, *progress
-
-    def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
-        self.desired, self.subgoal, self.head_start, self.settling, self.dwelling, *rest = arrays
-        self._seeds, self._targets, self.elapsed, self.periods, self.time_scale = rest
+    def _put(self, arrays: Sequence[NDArray[Any]]) -> None:
+        for name, values in zip(_ROWS, arrays, strict=True):
+            setattr(self, name, values)
 
     def _progress(self, rows: Rows, base_pose: Array) -> Progress:
-        """Return what targets that move depend on."""
         return Progress(
             rows, self.periods, self.desired, base_pose, self.time_scale, self.dt, self._motion_time
         )
 
     def _replan_moving(self, surroundings: Surroundings, robots: RobotState) -> None:
-        """Plan motions around solids that have moved; sub-goals that begin now avoid them, too."""
         solids = surroundings.after(0.0)
         if solids is None or not self.avoids_solids:
             return
@@ -443,7 +426,6 @@ class MotionSequence:
         return moved & (settling == 0)
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
-        """Command the grippers of rows whose sub-goals have just ended."""
         if self._gripper is None or not stops.any():
             return
         for number, ended in enumerate(self.subgoals):
@@ -489,7 +471,6 @@ class MotionSequence:
 
     @property
     def _target(self) -> Array:
-        """World pose of the target of each row's sub-goal, shape (n, 7)."""
         if len(self.subgoals) == 1:
             return self._targets[:, 0]
         target: Array = self._targets[np.arange(len(self.subgoal)), self.subgoal]

@@ -90,7 +90,6 @@ class TargetRules:
     heights: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check that the heights ascend."""
         if self.heights is not None:
             check_ascending("heights", self.heights)
 
@@ -121,19 +120,6 @@ class TargetInbox:
         live: Whether each target moves by a message that is not too old, shape (n,).
         counts: Messages by each of `RULES`, shape (n, 5).
     """
-
-    target: Array
-    speed: Array
-    live: NDArray[np.bool_]
-    counts: NDArray[np.intp]
-    _before: Array
-    _twist: Array
-    _times: Array
-    _poses: Array
-    _has_poses: NDArray[np.bool_]
-    _last_aim: Array
-    _sent: Array
-    _until: Array
 
     def __init__(self, rules: TargetRules, size: int = 2) -> None:
         """Hold chunks of up to `size` poses, at least two."""
@@ -253,7 +239,7 @@ class TargetInbox:
     def _put_all(self, target: Array) -> None:
         n = len(target)
         self.target, self._before = target.copy(), target.copy()
-        self.live, self._has_poses = np.zeros((2, n), dtype=np.bool_)
+        self.live, self._has_poses = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
         self.speed = np.zeros(n)
         self._sent, self._until = np.full((2, n), -np.inf)
         self._twist = np.zeros((n, 6))

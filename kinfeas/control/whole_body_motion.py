@@ -32,11 +32,8 @@ class WholeBodyMotions:
     def __init__(
         self, solver: IkSolver, dt: float, time_scale: float, generators: Iterable[CheckedMotion]
     ) -> None:
-        """Set up the planner.
-
-        Motions are carried out in periods of `dt` seconds, slower by the factor `time_scale`.
-        """
-        used = any(each.follows_whole_body for each in generators)
+        """Plan for periods of `dt` seconds of motions slower by the factor `time_scale`."""
+        used = any(generator.follows_whole_body for generator in generators)
         self.planner = BaseGoalPlanner(solver, time_scale) if used else None
         self.robots: tuple[Array, Array] | None = None
         self.waypoints: Array = np.empty((0, WAYPOINTS * used, 3 + len(solver.robot.arm)))

@@ -60,15 +60,9 @@ class IkOptions:
 
     def thorough(self) -> "IkOptions":
         """Return options with the same solutions that search at least as hard as the default."""
+        efforts = "library", "restarts", "candidates", "max_iterations", "centering"
         default = IkOptions()
-        return replace(
-            self,
-            library=max(self.library, default.library),
-            restarts=max(self.restarts, default.restarts),
-            candidates=max(self.candidates, default.candidates),
-            max_iterations=max(self.max_iterations, default.max_iterations),
-            centering=max(self.centering, default.centering),
-        )
+        return replace(self, **{k: max(getattr(self, k), getattr(default, k)) for k in efforts})
 
 
 @dataclass(frozen=True)
@@ -98,7 +92,6 @@ class IkSolver:
     """Solves IK for batches of EE poses of one robot."""
 
     def __init__(self, robot: Robot, options: IkOptions | None = None) -> None:
-        """Prepare the solver for `robot`."""
         self.options = options = options or IkOptions()
         self.robot = robot
         self.chain = build_chain(robot)
@@ -191,12 +184,8 @@ def _make_problem(solver: IkSolver) -> Problem:
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     middle, half = _ranges(lower, upper)
-    position, radians, weight = (
-        options.position_tolerance,
-        options.rotation_tolerance,
-        ROTATION_WEIGHT,
-    )
-    aim = (SEARCH.aim * position, SEARCH.aim * radians)
+    position, radians = options.position_tolerance, options.rotation_tolerance
+    aim, weight = (SEARCH.aim * position, SEARCH.aim * radians), ROTATION_WEIGHT
     if options.pose_tolerance and robot.pose_tolerance is not None:
         position, radians = robot.pose_tolerance.position, robot.pose_tolerance.rotation
         weight = position / radians

@@ -229,7 +229,6 @@ def _solve_from_seed(
 
 @inlined
 def _start(limits, seed, q):
-    """Write the seed, within the joint limits."""
     for j in range(len(q)):
         q[j] = min(max(seed[j], limits[0][j]), limits[1][j])
 
@@ -322,7 +321,6 @@ def _collides(collision, with_itself, q, touching, pose, size, cylinder):
 
 @inlined
 def _grow(size, clearance, out):
-    """Write the sizes of solids, shape (k, 4), that have grown by a clearance."""
     for k in range(len(size)):
         by = 0.0 if is_empty(size[k]) else clearance
         out[k, 0], out[k, 1] = size[k, 0] + by, size[k, 1] + by
@@ -383,7 +381,6 @@ def _out_of_reach(problem, target):
 
 @inlined
 def _seconds_between(problem, start, end):
-    """Return the time that the slowest joint needs at its velocity limit."""
     longest = 0.0
     for j in range(len(start)):
         move = end[j] - start[j]

@@ -207,7 +207,6 @@ def place_bodies(tree, q, scratch):
 
 @inlined
 def _place_shape(model, s, scratch):
-    """Write orientation and centre of a shape in the base frame."""
     body, offset, out = model.body[s], model.offset, scratch.rotation
     for r in range(3):
         a, b, c = scratch.bodies[body, r, 0], scratch.bodies[body, r, 1], scratch.bodies[body, r, 2]

@@ -59,11 +59,7 @@ class BaseGoalSettings:
     enough: int = 8  # base poses that suffice; twice as many are compared
     border: float = 3.0  # width of the floor around start and goal that is searched, metres
     step: float = 0.05  # distance between the poses of a motion, metres
-    unfold: tuple[float, ...] = (
-        3.0,
-        1.2,
-        0.3,
-    )  # base path while the arm unfolds, metres
+    unfold: tuple[float, ...] = (3.0, 1.2, 0.3)  # base path while the arm unfolds, metres
     rest_reach: tuple[float, float] = (0.4, 0.75)  # EE at rest: distance from the base, metres
     rest_bearing: float = 0.6  # its largest bearing, radians
     rest_height: tuple[float, float] = (0.5, 1.3)  # its height, metres
@@ -90,10 +86,7 @@ class BaseGoalPlanner:
         time_scale: float = 1.0,
         settings: BaseGoalSettings | None = None,
     ) -> None:
-        """Choose the arm configurations in which the robot drives.
-
-        Motions are carried out at a fraction `time_scale` of their speed.
-        """
+        """Plan motions that are carried out at a fraction `time_scale` of their speed."""
         self.robot = robot = solver.robot
         self.settings = settings = settings or BaseGoalSettings()
         self.solver = IkSolver(robot, at_goals(robot, solver.options))
@@ -162,7 +155,6 @@ class BaseGoalPlanner:
         return not collides(self.solver.collision, arm, base, then).any()
 
     def _at_arrival(self, base_pose: Array, goal: Array, solids: Solids) -> Solids:
-        """Return the solids as they will stand when a robot has driven straight to its goal."""
         seconds = float(np.hypot(*(goal - base_pose)[:2])) / self._speed[0]
         return _later(solids, np.array([seconds]))
 
@@ -233,7 +225,6 @@ class BaseGoalPlanner:
         return self._path(base, pose, arm), total
 
     def _path(self, base: Array, pose: Array, arm: Array) -> WholeBodyPath:
-        """Return the motion of base and arm, shapes (k, 3), (k, 7) and (k, j), with its times."""
         joints = np.abs(self._displacement(arm[:-1], arm[1:]))
         joints /= self.settings.speed * self.robot.max_joint_velocity
         driving = self._time_scale * np.diff(self._times(base))

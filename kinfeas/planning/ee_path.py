@@ -185,7 +185,6 @@ def _cheapest_path(start, goal, prisms, settings):
 
 @kernel
 def _make_grid(start, goal, prisms, settings):
-    """Return the grid around a motion, with its free nodes and costs."""
     origin = np.minimum(start, goal) - settings.border
     width, depth = np.abs(start[:2] - goal[:2]) + 2.0 * settings.border
     cell = max(settings.cell, max(width, depth) / (settings.most_cells - 2))
@@ -207,7 +206,6 @@ def _make_grid(start, goal, prisms, settings):
 
 @inner
 def _write_node(node, grid, out):
-    """Write the position of a node, shape (3,)."""
     _, ny, nz = grid.free.shape
     out[0] = grid.origin[0] + node // (ny * nz) * grid.cell
     out[1] = grid.origin[1] + node // nz % ny * grid.cell

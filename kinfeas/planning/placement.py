@@ -183,7 +183,8 @@ class Postures:
         sine = product[:, 0, 1] - product[:, 1, 0]
         tilt = 3.0 - np.hypot(cosine, sine) - product[:, 2, 2]
         cost = (self.ee_pose[:, 2] - goal[2]) ** 2 + ROTATION_WEIGHT**2 * tilt
-        best = _smallest(cost, last)[first:]
+        best = np.argpartition(cost, last)[:last] if last < len(cost) else np.arange(len(cost))
+        best = best[np.argsort(cost[best])][first:]
         heading, ee = np.arctan2(sine[best], cosine[best]), self.ee_pose[best]
         cosine, sine = np.cos(heading), np.sin(heading)
         x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
@@ -244,11 +245,3 @@ def connected(
     region = labels[cells[:, 0], cells[:, 1]]
     reached: NDArray[np.bool_] = (region[1:] == region[0]) & (region[0] > 0)
     return reached
-
-
-def _smallest(values: Array, count: int) -> NDArray[np.intp]:
-    """Return the indices of the smallest values, (n,), in ascending order, at most `count`."""
-    near = np.arange(len(values))
-    if count < len(values):
-        near = np.argpartition(values, count)[:count]
-    return near[np.argsort(values[near])]

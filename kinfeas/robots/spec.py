@@ -85,7 +85,6 @@ class Gripper:
     effort: Effort
 
     def __post_init__(self) -> None:
-        """Check that the fingers differ and move."""
         if self.fingers[0] == self.fingers[1]:
             raise ValueError("'fingers' must name two joints")
         if not all(self._strokes):
@@ -122,7 +121,6 @@ class Reach:
     high: Metres
 
     def __post_init__(self) -> None:
-        """Check that the heights ascend."""
         if not self.low < self.high:
             raise ValueError("'low' must be less than 'high'")
 
@@ -177,7 +175,6 @@ class RobotSpec:
     max_gravity_load: GravityLoad | None = None
 
     def __post_init__(self) -> None:
-        """Check everything that does not need the URDF."""
         check_name(self.name)
         if not self.arm:
             raise ValueError("'arm' must name at least one joint")

@@ -129,7 +129,6 @@ def _link(name: str, element: Element) -> Link:
 
 
 def _mass(link: Element) -> tuple[float, Array]:
-    """Return the mass of a link and its centre, shape (3,)."""
     inertial = link.child("inertial")
     if inertial is None:
         return 0.0, np.zeros(3)

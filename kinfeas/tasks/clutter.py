@@ -54,7 +54,6 @@ class Clutter:
     span: tuple[Distance, Distance] = (2.0, 3.0)
 
     def __post_init__(self) -> None:
-        """Check that the ranges ascend."""
         for name in ("speed", "span"):
             check_ascending(name, getattr(self, name))
 

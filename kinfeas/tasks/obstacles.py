@@ -49,7 +49,6 @@ class ReachingAmongSolids(GoalReaching, Clutter):
     empty: Share = 0.0
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         GoalReaching.__post_init__(self)
         Clutter.__post_init__(self)
         if self.places > MOST_SOLIDS or not 0.5 <= self.spacing <= self.extent <= 100.0:

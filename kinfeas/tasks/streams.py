@@ -64,7 +64,6 @@ class Stream:
     motion: MotionSpec = field(default_factory=lambda: MotionSpec("servo"))
 
     def __post_init__(self) -> None:
-        """Check that the ranges ascend."""
         for name in ("rate", "delay", "offset"):
             check_ascending(name, getattr(self, name))
 

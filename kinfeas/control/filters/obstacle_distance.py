@@ -132,6 +132,5 @@ class ObstacleFilter:
 
 
 def _full_velocity(base: Base) -> Array:
-    """Return the velocities of a full command, shape (a,), m/s."""
     translations = command_size(base) - 1
     return np.array([*[base.max_velocity] * translations, base.max_rotation * LEVER])
