@@ -61,26 +61,18 @@ _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a tho
 class Fit:
     """A learned motion, and its distance from the demonstrations.
 
-    Attributes:
-        model: The motion.
-        duration: Mean duration of the demonstrations in seconds.
-        length: Length of the learned EE path in metres.
-        position_residual: Mean distance of each demonstration from the learned path, metres.
-        rotation_residual: The same in radians.
-        sides: 0 or 1 for each demonstration if they follow two paths, such as left and right of an
-            obstacle, and the learned one leads between them; otherwise all 0.
-        names: Names of the demonstrations.
-        has_base: Whether each demonstration has poses of the base.
+    Its `sides` differ where demonstrations follow two paths, such as left and right of an obstacle,
+    and the learned one leads between them.
     """
 
-    model: Model
-    duration: float
-    length: float
-    position_residual: tuple[float, ...]
-    rotation_residual: tuple[float, ...]
-    sides: tuple[int, ...]
-    names: tuple[str, ...]
-    has_base: tuple[bool, ...]
+    model: Model  # the motion
+    duration: float  # mean duration of the demonstrations in seconds
+    length: float  # length of the learned EE path in metres
+    position_residual: tuple[float, ...]  # mean distances from the learned path, metres
+    rotation_residual: tuple[float, ...]  # the same in radians
+    sides: tuple[int, ...]  # 0 or 1 for each demonstration
+    names: tuple[str, ...]  # names of the demonstrations
+    has_base: tuple[bool, ...]  # whether each demonstration has poses of the base
 
 
 @dataclass(frozen=True)

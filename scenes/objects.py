@@ -70,21 +70,13 @@ class SceneSpec:
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """An object with a pose.
+    """An object with a pose."""
 
-    Attributes:
-        urdf_path: File that physics engines load.
-        urdf: Links and joints of that file.
-        pose: World pose of its root link, shape (7,).
-        fixed: Whether the root link is fixed to the world.
-        joint_positions: Position of each moving joint, rad or m.
-    """
-
-    urdf_path: Path
-    urdf: Urdf
-    pose: Array
-    fixed: bool
-    joint_positions: dict[str, float]
+    urdf_path: Path  # file that physics engines load
+    urdf: Urdf  # links and joints of that file
+    pose: Array  # world pose of its root link, shape (7,)
+    fixed: bool  # whether the root link is fixed to the world
+    joint_positions: dict[str, float]  # position of each moving joint, rad or m
 
     @property
     def mass(self) -> float:
@@ -105,19 +97,12 @@ class SceneObject:
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """A grasp frame with x along the approach and z up.
+    """A grasp frame with x along the approach and z up."""
 
-    Attributes:
-        object: Name of its object.
-        link: Its link.
-        pose: Pose in the link's frame, shape (7,).
-        joint: The nearest joint that moves the link, or None.
-    """
-
-    object: str
-    link: str
-    pose: Array
-    joint: str | None
+    object: str  # name of its object
+    link: str  # its link
+    pose: Array  # pose in the link's frame, shape (7,)
+    joint: str | None  # the nearest joint that moves the link, or None
 
 
 def free_joints(urdf: Urdf) -> dict[str, Joint]:

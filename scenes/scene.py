@@ -38,19 +38,12 @@ _SHIPPED = ("room", "shelf", "doorway")
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A room with objects.
+    """A room with objects."""
 
-    Attributes:
-        name: Short name.
-        size: Size of the floor along x and y, metres; the origin is its centre.
-        objects: Objects by name.
-        handles: Handles by name.
-    """
-
-    name: str
-    size: tuple[float, float]
-    objects: dict[str, SceneObject]
-    handles: dict[str, Handle]
+    name: str  # short name
+    size: tuple[float, float]  # size of the floor along x and y, metres; the origin is its centre
+    objects: dict[str, SceneObject]  # objects by name
+    handles: dict[str, Handle]  # handles by name
 
     def handle_pose(self, name: str) -> Array:
         """Return the world pose of a handle, shape (7,), x along the approach and z up."""

@@ -14,19 +14,12 @@ _STATES = "motion."
 
 
 class Motions(NamedTuple):
-    """The motions of r rows, which one generator makes.
+    """The motions of r rows, which one generator makes."""
 
-    Attributes:
-        number: Of the generator.
-        generator: Of these motions.
-        rows: Which of the n motions they are, shape (r,).
-        state: State of the generator for them.
-    """
-
-    number: int
-    generator: CheckedMotion
-    rows: Rows
-    state: State
+    number: int  # of the generator
+    generator: CheckedMotion  # of these motions
+    rows: Rows  # which of the n motions they are, shape (r,)
+    state: State  # state of the generator for them
 
 
 class EeMotions:

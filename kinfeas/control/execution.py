@@ -20,21 +20,13 @@ GRASP_METRES = 0.005
 
 @dataclass(frozen=True)
 class SubgoalMotion:
-    """One sub-goal of a motion sequence with its motion generator.
+    """One sub-goal of a motion sequence with its motion generator."""
 
-    Attributes:
-        generator: Moves the frame; sub-goals may share one.
-        frame: Whether it moves the EE frame or the tool tip in the common gripper convention.
-        dwell: Seconds that the EE rests after its arrival, unless it is the last sub-goal.
-        grip: Command to the gripper at the end of the sub-goal.
-        name: Name of the generator in errors; its class by default.
-    """
-
-    generator: MotionGenerator
-    frame: Frame = "ee"
-    dwell: float = 0.0
-    grip: Grip | None = None
-    name: str = ""
+    generator: MotionGenerator  # moves the frame; sub-goals may share one
+    frame: Frame = "ee"  # moves the EE frame or the tool tip in the common gripper convention
+    dwell: float = 0.0  # seconds that the EE rests after it, unless it is the last sub-goal
+    grip: Grip | None = None  # command to the gripper at the end of the sub-goal
+    name: str = ""  # name of the generator in errors; its class by default
 
 
 @dataclass(frozen=True)

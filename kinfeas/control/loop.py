@@ -36,34 +36,20 @@ _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 class Outcome:
     """Result of one step of the loop; each array has the leading shape (n,).
 
-    Attributes:
-        feasible: Whether IK found the desired pose.
-        position_error: Distance from the desired pose to the IK solution or its closest attempt,
-            metres.
-        rotation_error: The same in radians.
-        deviation: Distance of the achieved EE from the desired position, metres; the true one if
-            the backend measures it.
-        subgoal: Number of the sub-goal of this step.
-        goal_distance: Distance of the achieved EE from the end of that sub-goal, metres.
-        goal_angle: The same in radians.
-        finished: Whether the end of the last sub-goal was reached, on this feasible step.
-        joint_jump: Whether an arm joint was commanded to move faster than its limit.
-        time_scale: Fraction of the planned motion that was carried out.
-        collision: Whether the base, then the arm, touches a solid, shape (n, 2); None without any,
-            or if the loop does not find them.
+    `collision` is None without solids, or where the loop does not find them.
     """
 
-    feasible: NDArray[np.bool_]
-    position_error: Array
-    rotation_error: Array
-    deviation: Array
-    subgoal: NDArray[np.intp]
-    goal_distance: Array
-    goal_angle: Array
-    finished: NDArray[np.bool_]
-    joint_jump: NDArray[np.bool_]
-    time_scale: Array
-    collision: NDArray[np.bool_] | None = None
+    feasible: NDArray[np.bool_]  # whether IK found the desired pose
+    position_error: Array  # from the desired pose to the IK solution or closest attempt, metres
+    rotation_error: Array  # the same in radians
+    deviation: Array  # of the EE from the desired position, metres; the true one if measured
+    subgoal: NDArray[np.intp]  # number of the sub-goal of this step
+    goal_distance: Array  # distance of the achieved EE from the end of that sub-goal, metres
+    goal_angle: Array  # the same in radians
+    finished: NDArray[np.bool_]  # whether the last sub-goal was reached, on this feasible step
+    joint_jump: NDArray[np.bool_]  # whether an arm joint was to move faster than its limit
+    time_scale: Array  # fraction of the planned motion that was carried out
+    collision: NDArray[np.bool_] | None = None  # whether base, then arm, touch solids, (n, 2)
 
 
 class Loop:

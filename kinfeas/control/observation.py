@@ -70,19 +70,12 @@ def _closeness(state: ObservedState, band: int) -> Any:
 
 @dataclass(frozen=True)
 class ObservationTerm:
-    """A named part of an observation.
+    """A named part of an observation."""
 
-    Attributes:
-        size: Count of numbers, or a function that returns it for a robot.
-        unit: Their unit.
-        scale: Factors that bring each number to about unit range, shape (size,) or one for all.
-        values: Computes them, shape (n, size).
-    """
-
-    size: int | Callable[[Robot], int]
-    unit: str
-    scale: tuple[float, ...]
-    values: Callable[[ObservedState], Any]
+    size: int | Callable[[Robot], int]  # count of numbers, or a function of the robot
+    unit: str  # their unit
+    scale: tuple[float, ...]  # factors for about unit range, shape (size,) or one for all
+    values: Callable[[ObservedState], Any]  # computes them, shape (n, size)
 
     def width(self, robot: Robot) -> int:
         """Return the count of numbers for a robot."""

@@ -20,38 +20,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MotionStep:
-    """Next step of the motions of n EEs.
+    """Next step of the motions of n EEs."""
 
-    Attributes:
-        desired: Desired world poses of the EE after the step, shape (n, 7).
-        preview: The same after `HORIZON` seconds at the step's twist, shape (n, 7).
-        states: State of each generator after the step.
-        seconds: Motion time of the step, shape (n,).
-    """
-
-    desired: Array
-    preview: Array
-    states: list[State]
-    seconds: Array
+    desired: Array  # desired world poses of the EE after the step, shape (n, 7)
+    preview: Array  # the same after `HORIZON` seconds at the step's twist, shape (n, 7)
+    states: list[State]  # state of each generator after the step
+    seconds: Array  # motion time of the step, shape (n,)
 
 
 @dataclass(frozen=True, kw_only=True)
 class KinematicInputs:
-    """Beginning and end of a control period of bases and arms.
+    """Beginning and end of a control period of bases and arms."""
 
-    Attributes:
-        base_pose: World pose of the base at the beginning, shape (n, 7).
-        joints: Arm joints at which IK begins, shape (n, j), radians or metres: the last command.
-        desired: World pose of the EE at the end, shape (n, 7).
-        solids: World solids at the end, n rows, which the arms avoid.
-        posture_guide: Arm joints that IK prefers, shape (n, j); NaN for none.
-    """
-
-    base_pose: Array
-    joints: Array
-    desired: Array
-    solids: Solids | None = None
-    posture_guide: Array | None = None
+    base_pose: Array  # world pose of the base at the beginning, shape (n, 7)
+    joints: Array  # where IK begins, shape (n, j), radians or metres: the last command
+    desired: Array  # world pose of the EE at the end, shape (n, 7)
+    solids: Solids | None = None  # world solids at the end, n rows, which the arms avoid
+    posture_guide: Array | None = None  # arm joints that IK prefers, shape (n, j); NaN for none
 
     def of(self, rows: Rows) -> "KinematicInputs":
         """Return the inputs of some rows."""
@@ -66,41 +51,24 @@ class KinematicInputs:
 
 @dataclass(frozen=True)
 class Move:
-    """Commands of bases and arms for one control period.
+    """Commands of bases and arms for one control period."""
 
-    Attributes:
-        base_twist: World twists, shape (n, 6), m/s and rad/s.
-        arm: IK solutions.
-        command: Base commands of which they come, shape (n, a).
-    """
-
-    base_twist: Array
-    arm: IkSolution
-    command: Array
+    base_twist: Array  # world twists, shape (n, 6), m/s and rad/s
+    arm: IkSolution  # IK solutions
+    command: Array  # base commands of which they come, shape (n, a)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Period(KinematicInputs):
-    """A control period that a loop is about to carry out.
+    """A control period that a loop is about to carry out."""
 
-    Attributes:
-        command: Base commands in [-1, 1], shape (n, 3) or (n, 2).
-        step: Step of the motions.
-        time_scale: Fraction of the planned motion that it carries out, shape (n,).
-        motions: Motions of the EEs, which do not change while filters read them.
-        paused: Whether base and motion pause while the arm reconfigures, shape (n,); None if none
-            does.
-        velocity_constraints: Constraints of an obstacle filter, for the filters after it.
-        move: Commands of bases and arms, where a filter has computed them.
-    """
-
-    command: Array
-    step: MotionStep
-    time_scale: Array
-    motions: "MotionSequence"
-    paused: NDArray[np.bool_] | None = None
-    velocity_constraints: "VelocityConstraints | None" = None
-    move: Move | None = None
+    command: Array  # base commands in [-1, 1], shape (n, 3) or (n, 2)
+    step: MotionStep  # step of the motions
+    time_scale: Array  # fraction of the planned motion that it carries out, shape (n,)
+    motions: "MotionSequence"  # motions of the EEs, which do not change while filters read them
+    paused: NDArray[np.bool_] | None = None  # rows whose arms reconfigure, (n,), or None
+    velocity_constraints: "VelocityConstraints | None" = None  # of an obstacle filter before
+    move: Move | None = None  # commands of bases and arms, where a filter has computed them
 
     @property
     def motion_seconds(self) -> Array:

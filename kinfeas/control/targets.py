@@ -16,25 +16,15 @@ from kinfeas.core.spatial import Array
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of n motions at the end of a control period.
+    """Progress of n motions at the end of a control period."""
 
-    Attributes:
-        rows: Rows that begin a period, shape (m,).
-        periods: Control periods since the start of each motion, shape (n,).
-        desired: Desired world poses of the EEs, shape (n, 7).
-        base_pose: World poses of the bases, shape (n, 7).
-        time_scale: Fraction of the planned motion that the last period carried out, shape (n,).
-        dt: Control period, seconds.
-        motion_seconds: Planned motion time of a period.
-    """
-
-    rows: Rows
-    periods: NDArray[np.intp]
-    desired: Array
-    base_pose: Array
-    time_scale: Array
-    dt: float
-    motion_seconds: float
+    rows: Rows  # rows that begin a period, shape (m,)
+    periods: NDArray[np.intp]  # control periods since the start of each motion, shape (n,)
+    desired: Array  # desired world poses of the EEs, shape (n, 7)
+    base_pose: Array  # world poses of the bases, shape (n, 7)
+    time_scale: Array  # fraction of the planned motion that the last period carried out, shape (n,)
+    dt: float  # control period, seconds
+    motion_seconds: float  # planned motion time of a period
 
 
 class TargetStream(Protocol):

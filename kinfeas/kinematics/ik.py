@@ -67,20 +67,12 @@ class IkOptions:
 
 @dataclass(frozen=True)
 class IkSolution:
-    """Solutions for n targets.
+    """Solutions for n targets."""
 
-    Attributes:
-        joint_positions: Solutions, or the seeds where there is none, shape (n, v).
-        feasible: Whether a solution was found, shape (n,).
-        position_error: Position error of the solution, or of the closest attempt without
-            collision, shape (n,), metres.
-        rotation_error: Rotation error of the same, shape (n,), radians.
-    """
-
-    joint_positions: Array
-    feasible: NDArray[np.bool_]
-    position_error: Array
-    rotation_error: Array
+    joint_positions: Array  # solutions, or the seeds where there is none, shape (n, v)
+    feasible: NDArray[np.bool_]  # whether a solution was found, shape (n,)
+    position_error: Array  # of the solution or closest attempt, shape (n,), metres
+    rotation_error: Array  # the same, shape (n,), radians
 
     def put(self, rows: NDArray[np.intp], solutions: "IkSolution") -> None:
         """Replace the solutions of the m targets `rows`, shape (m,)."""

@@ -40,46 +40,28 @@ from where these ended to anywhere."""
 class Problem(NamedTuple):
     """Constants of a robot's search.
 
-    Attributes:
-        chain: From base to EE, driven by v variables.
-        descent: Options of a descent.
-        collision: Self-collision model.
-        check_collision: Whether self-collision is checked.
-        load: Of a `GravityModel`, shape (m, 6); (0, 6) if any posture can be held.
-        lower: Joint limits, shape (v,); -inf for continuous joints.
-        upper: Same, +inf for continuous joints.
-        velocity: Joint velocity limits, shape (v,).
-        continuous: Whether joints are continuous, shape (v,).
-        middle: Middles of the joint ranges, shape (v,).
-        centering: Pull towards the middles, shape (v,): times the root of the distance, a fraction
-            of `max_joint_step`. Shape (0,) for none.
-        reach: Centre and radius of a ball that contains the last joint, shape (4,), metres.
-        library: Configurations to restart from, shape (l, v).
-        features: Their features for ranking, shape (13, l); see `library_features`.
-        restarts: Largest number of restarts.
-        candidates: Number of solutions of which the nearest is taken.
-        accept_position: Position error of a feasible pose, metres.
-        accept_rotation: Rotation error of a feasible pose, radians.
+    Arms move towards the middles by `centering` times the root of the distance, a fraction of
+    `max_joint_step`.
     """
 
-    chain: Chain
-    descent: Descent
-    collision: CollisionModel
-    check_collision: bool
-    load: Array
-    lower: Array
-    upper: Array
-    velocity: Array
-    continuous: NDArray[np.bool_]
-    middle: Array
-    centering: Array
-    reach: Array
-    library: Array
-    features: NDArray[np.float32]
-    restarts: int
-    candidates: int
-    accept_position: float
-    accept_rotation: float
+    chain: Chain  # from base to EE, driven by v variables
+    descent: Descent  # options of a descent
+    collision: CollisionModel  # self-collision model
+    check_collision: bool  # whether self-collision is checked
+    load: Array  # of a `GravityModel`, shape (m, 6); (0, 6) if any posture can be held
+    lower: Array  # joint limits, shape (v,); -inf for continuous joints
+    upper: Array  # same, +inf for continuous joints
+    velocity: Array  # joint velocity limits, shape (v,)
+    continuous: NDArray[np.bool_]  # whether joints are continuous, shape (v,)
+    middle: Array  # middles of the joint ranges, shape (v,)
+    centering: Array  # pull towards the middles, shape (v,); (0,) for none
+    reach: Array  # centre and radius of a ball that contains the last joint, shape (4,), metres
+    library: Array  # configurations to restart from, shape (l, v)
+    features: NDArray[np.float32]  # for ranking these, shape (13, l); see `library_features`
+    restarts: int  # largest number of restarts
+    candidates: int  # number of solutions of which the nearest is taken
+    accept_position: float  # position error of a feasible pose, metres
+    accept_rotation: float  # rotation error of a feasible pose, radians
 
 
 def library_features(position: Array, orientation: Array, weight: float) -> NDArray[np.float32]:

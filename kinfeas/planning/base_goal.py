@@ -26,19 +26,12 @@ CHECKED_AHEAD = np.arange(1.0, 7.0)
 
 
 class Attempt(NamedTuple):
-    """One attempt to find a motion; later ones ask for less.
+    """One attempt to find a motion; later ones ask for less."""
 
-    Attributes:
-        margin: Distance of the base path from solids, metres; negative lets the lattice touch them.
-        reach: Distance from start and goal within which the arm is not at rest, metres.
-        rounding: Standard deviation of the smoothing of the base path, metres.
-        small: Whether the arm takes least room at rest, or else is nearest to start and goal.
-    """
-
-    margin: float
-    reach: float
-    rounding: float
-    small: bool
+    margin: float  # distance of the base path from solids, metres; may be negative
+    reach: float  # distance from start and goal within which the arm is not at rest, metres
+    rounding: float  # standard deviation of the smoothing of the base path, metres
+    small: bool  # whether the arm takes least room at rest, or else is nearest to start and goal
 
 
 @dataclass(frozen=True)

@@ -52,23 +52,14 @@ SETTINGS = BasePathSettings()
 
 @dataclass(frozen=True)
 class BasePath:
-    """A path of base and arm along an EE path.
+    """A path of base and arm along an EE path."""
 
-    Attributes:
-        ee: World poses of the EE, shape (k, 7).
-        step: Motion time from one to the next, seconds.
-        begin: Motion time of the first one, seconds.
-        seconds: Motion times for which the path has a robot, shape (m,).
-        robot: x, y and unwrapped yaw of the base, then arm joints, shape (m, 3 + j).
-        time_scale: Fraction of its speed at which the EE moves until each of these times, (m,).
-    """
-
-    ee: Array
-    step: float
-    begin: float
-    seconds: Array
-    robot: Array
-    time_scale: Array
+    ee: Array  # world poses of the EE, shape (k, 7)
+    step: float  # motion time from one to the next, seconds
+    begin: float  # motion time of the first one, seconds
+    seconds: Array  # motion times for which the path has a robot, shape (m,)
+    robot: Array  # x, y and unwrapped yaw of the base, then arm joints, shape (m, 3 + j)
+    time_scale: Array  # fraction of its speed at which the EE moves until each of these times, (m,)
 
     def ee_at(self, seconds: float) -> Array:
         """Return the EE pose nearest to a motion time, shape (7,)."""
@@ -87,21 +78,13 @@ class BasePath:
 
 @dataclass(frozen=True)
 class _Beam:
-    """Robots with their EE at one pose.
+    """Robots with their EE at one pose."""
 
-    Attributes:
-        base: World poses of the base, shape (m, 7).
-        joints: Arm joints, shape (m, j).
-        command: Base commands that led here, shape (m, a).
-        cost: Cost of the path, shape (m,).
-        parent: Number of the robot of the beam before, shape (m,).
-    """
-
-    base: Array
-    joints: Array
-    command: Array
-    cost: Array
-    parent: NDArray[np.intp]
+    base: Array  # world poses of the base, shape (m, 7)
+    joints: Array  # arm joints, shape (m, j)
+    command: Array  # base commands that led here, shape (m, a)
+    cost: Array  # cost of the path, shape (m,)
+    parent: NDArray[np.intp]  # number of the robot of the beam before, shape (m,)
 
     def of(self, rows: NDArray[np.intp]) -> "_Beam":
         return _Beam(*(values[rows] for values in vars(self).values()))

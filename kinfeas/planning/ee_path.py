@@ -130,23 +130,14 @@ def _assess(points, fraction, prisms, settings):
 
 
 class _Grid(NamedTuple):
-    """Grid of x, y and height around a motion.
+    """Grid of x, y and height around a motion."""
 
-    Attributes:
-        prisms: The solids, shape (k, `PRISM`).
-        origin: Position of the first node, shape (3,), metres.
-        cell: Side of a cell, metres.
-        level: Distance of heights, metres.
-        free: Which nodes are free, shape (x, y, heights).
-        cost: Cost of a metre at each cell, shape (x, y).
-    """
-
-    prisms: Array
-    origin: Array
-    cell: float
-    level: float
-    free: NDArray[np.bool_]
-    cost: Array
+    prisms: Array  # the solids, shape (k, `PRISM`)
+    origin: Array  # position of the first node, shape (3,), metres
+    cell: float  # side of a cell, metres
+    level: float  # distance of heights, metres
+    free: NDArray[np.bool_]  # which nodes are free, shape (x, y, heights)
+    cost: Array  # cost of a metre at each cell, shape (x, y)
 
 
 @kernel

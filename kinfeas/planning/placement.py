@@ -53,17 +53,12 @@ _SETTINGS = PlacementSettings()
 class Reachability:
     """Reached goals.
 
-    Attributes:
-        reached: Whether a base pose was found for each goal, shape (n,).
-        share: Share of reached goals with its Wilson interval.
-        convergence: Share reached by the end of each stage.
-        limits: For each sub-goal the numbers of goals out of reach, by `LIMITS`; empty if they were
-            not determined.
+    `limits` are the numbers of goals out of reach for each sub-goal, by `LIMITS`, or empty.
     """
 
-    reached: NDArray[np.bool_]
-    share: Proportion
-    convergence: tuple[float, ...]
+    reached: NDArray[np.bool_]  # whether a base pose was found for each goal, shape (n,)
+    share: Proportion  # share of reached goals with its Wilson interval
+    convergence: tuple[float, ...]  # share reached by the end of each stage
     limits: tuple[dict[str, int], ...] = ()
 
 

@@ -25,18 +25,11 @@ _RIM = 0.5
 
 @dataclass(frozen=True)
 class VelocityConstraints:
-    """Linear constraints on base velocities u of n robots: `normal @ u <= limit`.
+    """Linear constraints on base velocities u of n robots: `normal @ u <= limit`."""
 
-    Attributes:
-        full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `LEVER`.
-        normal: Share of each velocity that approaches each of k obstacles, shape (n, k, a).
-        limit: Allowed approach velocities, shape (n, k), m/s; inf without obstacle, negative where
-            the base must move away.
-    """
-
-    full: Array
-    normal: Array
-    limit: Array
+    full: Array  # velocity of a full command, shape (a,), m/s; rotation at `LEVER`
+    normal: Array  # fraction of each velocity that approaches k obstacles, (n, k, a)
+    limit: Array  # velocities, (n, k), m/s; inf without obstacle, negative to move away
 
     def of(self, rows: NDArray[np.intp]) -> "VelocityConstraints":
         """Return the constraints of some rows."""
