@@ -41,9 +41,7 @@ Kind = Literal["imitation", "gaussian_mixture"]
 # Beyond any room or rotation, and small enough that results do not overflow.
 Number = Annotated[float, Interval(ge=-1000.0, le=1000.0)]
 
-SHORTEST, LONGEST = 0.01, 3600.0
-"""Durations of learned motions, seconds."""
-
+SHORTEST, LONGEST = 0.01, 3600.0  # durations of learned motions, seconds
 _SIZE, _SIZE_WITH_BASE = 7, 10  # numbers of a component's mean
 _FOLDER = Path(__file__).parent / "models"
 _ROUNDING = 1e-6  # error of quaternions and weights

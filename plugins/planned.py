@@ -26,8 +26,7 @@ from kinfeas.plugins.path import norm, slowed
 _MOVED = 0.05
 """Metres that a target may move before its path is planned anew; paths bend along until then."""
 
-_MOMENT = 0.05
-"""Seconds over which the velocity is measured when the path changes."""
+_MOMENT = 0.05  # seconds over which the velocity is measured when the path changes
 
 
 class SmoothPath:

@@ -54,8 +54,7 @@ def _solid(fcl: Any, shape: Shape, less: float) -> Any:
     return fcl.CollisionObject(kinds[shape.kind](*size), placed)
 
 
-OVERLAP = 1e-3
-"""Metres by which two objects may overlap, as where one is on the other."""
+OVERLAP = 1e-3  # metres by which two objects may overlap, as where one is on the other
 
 
 def check_places(

@@ -89,8 +89,7 @@ def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot
     return backend
 
 
-FOLDER = "sim2real"
-"""Folder of the shipped lists of adapters."""
+FOLDER = "sim2real"  # folder of the shipped lists of adapters
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from kinfeas.robots.robot import Robot
 
 Frame = Literal["ee", "tip"]
 
-GRASP_METRES = 0.005
-"""Distance to the end of a sub-goal at which a gripper acts."""
+GRASP_METRES = 0.005  # distance to the end of a sub-goal at which a gripper acts
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,8 @@ from kinfeas.core.spatial import Array, catch_up, relative
 from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.robot import Robot
 
-HORIZON = 0.1
-"""Seconds of planned motion that an observation shows, at any control rate."""
-
-CLIP = 3.0
-"""Bound of a scaled number: an EE far from its path would dominate all others."""
+HORIZON = 0.1  # seconds of planned motion that an observation shows, at any control rate
+CLIP = 3.0  # bound of a scaled number: an EE far from its path would dominate all others
 
 AHEAD = np.array([0.5, 1.0, 1.5])
 """Distances along the planned motion at which an observation shows it, metres."""
@@ -82,7 +79,8 @@ class ObservationTerm:
         return self.size if isinstance(self.size, int) else self.size(robot)
 
 
-# An EE at 0.1 m/s and 0.1 rad/s turns by a quaternion of about 0.005 in `HORIZON`.
+# Poses and velocities are in the current base frame. An EE at 0.1 m/s and 0.1 rad/s turns by a
+# quaternion of about 0.005 in `HORIZON`.
 TERMS = {
     "ee_position": ObservationTerm(3, "m", (1.0,), lambda state: state.ee[:, :3]),
     "ee_orientation": ObservationTerm(4, QUATERNION, (1.0,), lambda state: state.ee[:, 3:]),
@@ -110,16 +108,13 @@ TERMS = {
         SCAN_BEAMS, _CLOSENESS, (1.0,), lambda state: _closeness(state, 1)
     ),
 }
-"""Observation terms by name; poses and velocities are in the current base frame."""
 
-SCAN_TERMS = {"scan_low", "scan_high"}
-"""Terms that need a scan."""
+SCAN_TERMS = {"scan_low", "scan_high"}  # terms that need a scan
 
 SURROUNDINGS = SCAN_TERMS | {"planned_base"}
 """Terms that are 0 where nothing stands around the robot."""
 
-OBSERVATION = tuple(TERMS)[:7]
-"""Terms of policies by default, in this order."""
+OBSERVATION = tuple(TERMS)[:7]  # terms of policies by default, in this order
 
 ACTION = "base_velocity"
 """Name of the action: velocity in the base frame, each number in [-1, 1], as a fraction of its
@@ -169,9 +164,7 @@ def describe_action(robot: Robot) -> TermInfo:
     base = robot.base
     linear = ("forward", "left")[: command_size(base) - 1]
     scale = (*(base.max_velocity for _ in linear), base.max_rotation)
-    entries = (*linear, "turn")
-    unit = "m/s, turn in rad/s"
-    return TermInfo(ACTION, len(entries), base.frame, unit, entries, scale)
+    return TermInfo(ACTION, len(scale), base.frame, "m/s, turn in rad/s", (*linear, "turn"), scale)
 
 
 def check_terms(names: object, where: str) -> tuple[str, ...]:

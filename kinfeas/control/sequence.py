@@ -34,13 +34,11 @@ _ROWS = (
 )  # fmt: skip
 _STREAM = "target_stream."
 
-_REPLAN_SECONDS = 1.0
-"""Control time between plans around moving solids."""
+_REPLAN_SECONDS = 1.0  # control time between plans around moving solids
 
 _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
-_LONGEST = 300.0
-"""Seconds after which a motion counts as ended where it is looked at in advance."""
+_LONGEST = 300.0  # seconds after which a motion counts as ended where it is looked at in advance
 
 
 class MotionSequence:

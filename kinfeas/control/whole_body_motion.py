@@ -14,8 +14,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_goal import CHECKED_AHEAD, BaseGoalPlanner
 
-LEAD = 1.0
-"""Seconds by which the planned base that policies see is ahead of the EE."""
+LEAD = 1.0  # seconds by which the planned base that policies see is ahead of the EE
 
 
 class WholeBodyMotions:

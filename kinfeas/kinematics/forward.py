@@ -49,8 +49,7 @@ class Chain(NamedTuple):
     variables: int  # number of the arm's joints, including those that do not move the EE
 
 
-_Segment = tuple[int, Array, Array, bool, int, float, float]
-"""Fields of a `Tree` for one joint."""
+_Segment = tuple[int, Array, Array, bool, int, float, float]  # fields of a `Tree` for one joint
 
 
 def build_tree(robot: Robot, tip: str | None = None) -> tuple[Tree, dict[str, Mount]]:

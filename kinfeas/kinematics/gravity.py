@@ -11,8 +11,7 @@ from kinfeas.kinematics.kernels import inlined, inner, kernel
 from kinfeas.kinematics.self_collision import CollisionScratch, place_bodies
 from kinfeas.robots.robot import Robot
 
-GRAVITY = 9.81
-"""Acceleration, m/s^2."""
+GRAVITY = 9.81  # acceleration, m/s^2
 
 
 class GravityModel(NamedTuple):

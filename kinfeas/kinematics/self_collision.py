@@ -14,8 +14,7 @@ from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 
-MARGIN = 1e-3
-"""Distance below which two shapes count as touching, metres."""
+MARGIN = 1e-3  # distance below which two shapes count as touching, metres
 
 _KINDS = {"box": BOX, "cylinder": CYLINDER, "sphere": SPHERE}
 

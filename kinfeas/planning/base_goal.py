@@ -21,8 +21,7 @@ from kinfeas.planning.base_lattice import LATTICE, driving_costs, lattice_moves,
 from kinfeas.planning.placement import Postures, at_goals
 from kinfeas.robots.robot import joint_displacement
 
-CHECKED_AHEAD = np.arange(1.0, 7.0)
-"""Seconds after which a motion among moving solids is checked."""
+CHECKED_AHEAD = np.arange(1.0, 7.0)  # seconds after which a motion among moving solids is checked
 
 
 class Attempt(NamedTuple):
@@ -188,10 +187,7 @@ class BaseGoalPlanner:
 
         `arms` are the configurations at the start, at rest and at the end.
         """
-        length = np.linalg.norm(np.diff(base[:, :2], axis=0), axis=1)
-        length = np.maximum(length, LATTICE.lever * np.abs(np.diff(base[:, 2]))) + 1e-9
-        s = np.concatenate([[0.0], np.cumsum(length)])
-        begin, rest, end = arms
+        s, (begin, rest, end) = _path_lengths(base), arms
         model, pose = self.solver.collision, planar_pose(*base.T)
         among = _later(solids.wider(self.settings.margin), self._times(base))
 
@@ -285,14 +281,16 @@ def _room(model, joints, table, above):
     return room
 
 
+def _path_lengths(base: Array) -> Array:
+    """Return the length of a path of base poses until each, (k, 3) -> (k,), metres."""
+    x, y, angle = np.abs(np.diff(base, axis=0)).T
+    return np.cumsum([0.0, *(np.maximum(np.hypot(x, y), LATTICE.lever * angle) + 1e-9)])
+
+
 def _smooth(corners: Array, deviation: float, step: float) -> Array:
     """Return base poses at even steps along corners, rounded, shape (m, 3) -> (k, 3)."""
     corners = np.column_stack([corners[:, :2], np.unwrap(corners[:, 2])])
-    steps = np.diff(corners, axis=0)
-    length = (
-        np.maximum(np.hypot(steps[:, 0], steps[:, 1]), LATTICE.lever * np.abs(steps[:, 2])) + 1e-9
-    )
-    s = np.concatenate([[0.0], np.cumsum(length)])
+    s = _path_lengths(corners)
     count = max(int(s[-1] / step), 8) + 1
     even = np.linspace(0.0, s[-1], count)
     path = np.stack([np.interp(even, s, column) for column in corners.T], axis=1)

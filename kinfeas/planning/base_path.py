@@ -15,8 +15,7 @@ from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.robots.robot import joint_displacement
 
-_ROUNDING = 1e-6
-"""Seconds by which a motion time may be below that of a node."""
+_ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
 
 
 @dataclass(frozen=True)

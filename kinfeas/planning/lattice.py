@@ -10,8 +10,7 @@ from kinfeas.core.solid_kernels import PRISM, horizontal_gap, is_empty, vertical
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.kernels import inner, kernel, square
 
-UNSEEN, CLOSED = -1, -2
-"""Values of `Frontier.slot` of nodes that are not open."""
+UNSEEN, CLOSED = -1, -2  # values of `Frontier.slot` of nodes that are not open
 
 
 class Frontier(NamedTuple):

@@ -20,19 +20,15 @@ from kinfeas.kinematics.solids import base_collides, in_base
 from kinfeas.planning.base_lattice import driving_costs
 from kinfeas.robots.robot import Robot
 
-STAGES = (4, 16, 64, 256, 1024)
-"""Base poses tried around a goal by the end of each stage."""
-
-LIMITS = {
+STAGES = (4, 16, 64, 256, 1024)  # base poses tried around a goal by the end of each stage
+LIMITS = {  # reasons for which a goal is out of reach
     "height": "above or below the heights of the EE",
     "orientation": "no arm configuration has this height and tilt",
     "self-collision": "arm configurations touch the robot",
     "solids": "solids are in the way of base or arm",
 }
-"""Reasons for which a goal is out of reach."""
 
-_LIFTED = (256,)
-"""Base poses that are tried without a limit."""
+_LIFTED = (256,)  # base poses that are tried without a limit
 
 
 @dataclass(frozen=True)

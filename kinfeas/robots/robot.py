@@ -17,11 +17,8 @@ from kinfeas.core.spatial import Array
 from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance, Reach
 from kinfeas.robots.urdf import Joint, Urdf
 
-_ROUNDING = 1.001
-"""Factor on the velocity limits, so that a motion at the limit is no joint jump."""
-
-_DIGITS = 9
-"""Decimals in the fingerprint: nanometres and nanoradians, far above rounding errors."""
+_ROUNDING = 1.001  # factor on the velocity limits, so that a motion at the limit is no joint jump
+_DIGITS = 9  # decimals in the fingerprint: nanometres and nanoradians, far above rounding errors
 
 
 @dataclass(frozen=True)

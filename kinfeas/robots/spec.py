@@ -13,8 +13,7 @@ from kinfeas.core.errors import check_name
 
 Drive = Literal["omnidirectional", "differential"]
 
-MAX_JOINT_VELOCITY = 1000.0
-"""rad/s or m/s; larger numbers in a URDF stand for no limit."""
+MAX_JOINT_VELOCITY = 1000.0  # rad/s or m/s; larger numbers in a URDF stand for no limit
 
 Velocity = Annotated[float, Interval(gt=0.0, le=100.0)]
 JointVelocity = Annotated[float, Interval(gt=0.0, le=MAX_JOINT_VELOCITY)]

@@ -18,9 +18,7 @@ from kinfeas.robots.urdf import Joint, JointKind, Link, Mimic, Shape, Urdf, desc
 MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 """Attributes of <inertia>, and their row and column."""
 
-SLACK = 1e-6
-"""Share of a principal moment that counts as rounding."""
-
+SLACK = 1e-6  # share of a principal moment that counts as rounding
 _MAX_MASS, _MAX_MOMENT = 1e5, 1e7  # kg and kg m^2
 
 _BASE_JOINTS = ("planar", "floating")

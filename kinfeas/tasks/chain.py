@@ -21,11 +21,9 @@ from kinfeas.scenes.scene import Scene, furniture_solids, read_scene
 from kinfeas.tasks.clutter import all_reachable, with_clutter
 from kinfeas.tasks.task import Subgoal, random_arm
 
-Length = Metres | tuple[Metres, Metres]
-"""Metres, or the ends of a range to draw from uniformly."""
+Length = Metres | tuple[Metres, Metres]  # metres, or the ends of a range to draw from uniformly
 
-Angle = Radians | tuple[Radians, Radians]
-"""Radians, or the ends of a range to draw from uniformly."""
+Angle = Radians | tuple[Radians, Radians]  # radians, or the ends of a range to draw from uniformly
 
 _ROUNDS = 200
 

@@ -15,17 +15,10 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import base_collides, collides
 from kinfeas.planning.placement import connected, footprint
 
-SMALLEST = 0.2
-"""Smallest length and width of a solid, metres."""
-
-_WALL, _LOW, _TABLE = 2.0, (0.05, 0.35), (0.5, 0.9)
-"""Heights of solids, metres."""
-
-_REACH = (0.4, 0.9)
-"""Distances from a goal at which the base needs room, metres."""
-
-_CLEARANCE = 0.7
-"""Radius of free discs around base and EE at the start, and around goals, metres."""
+SMALLEST = 0.2  # smallest length and width of a solid, metres
+_WALL, _LOW, _TABLE = 2.0, (0.05, 0.35), (0.5, 0.9)  # heights of solids, metres
+_REACH = (0.4, 0.9)  # distances from a goal at which the base needs room, metres
+_CLEARANCE = 0.7  # radius of free discs around base and EE at the start, and around goals, metres
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,8 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
 
-_GRID = 0.1
-"""Seconds between the poses of a path."""
-
-_MARGIN = 0.1
-"""Distance in metres from the limits of height at which targets slow down toward them."""
+_GRID = 0.1  # seconds between the poses of a path
+_MARGIN = 0.1  # distance in metres from the limits of height at which targets slow down toward them
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,8 @@ LEVER = 0.05
 """Radius in metres by which rotations are compared with translations. It is small, so that a base
 turns aside before it leaves the path of its arm."""
 
-_RESTORE = 0.5
-"""Seconds in which a base restores most of a distance that is too small."""
-
-_SLACK = 1e-6
-"""Velocity in m/s by which rounding may exceed a limit."""
+_RESTORE = 0.5  # seconds in which a base restores most of a distance that is too small
+_SLACK = 1e-6  # velocity in m/s by which rounding may exceed a limit
 
 _ROUNDS = 100
 """Half-spaces at most that are taken up, some of them again; most points take fewer than five."""
@@ -24,8 +21,7 @@ _ROUNDS = 100
 _FRACTIONS = (1.0, 0.5, 0.0)
 """Fractions of negative offsets that are tried, until there is a point in all half-spaces."""
 
-_PARALLEL = 1e-9
-"""Squared sine of the angle to others below which a normal depends on them."""
+_PARALLEL = 1e-9  # squared sine of the angle to others below which a normal depends on them
 
 
 @compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:,:])"], "(k,p),(k,p),(a)->(k,a)")
@@ -88,21 +84,15 @@ def project(point, normals, offsets, slack):
     """
     if _worst(point, normals, offsets)[1] <= slack:
         return False
-    _bring_inside(point, normals, offsets, slack)
-    return True
-
-
-@kernel
-def _bring_inside(point, normals, offsets, slack):
-    """Move a point (a,) into all half-spaces."""
     start, lowest = point.copy(), min(offsets.min(), 0.0)
     for fraction in _FRACTIONS:
         point[:] = start
         if _move(point, normals, np.maximum(offsets, fraction * lowest), slack):
-            return
+            return True
         if lowest == 0.0:
             break
     point[:] = 0.0
+    return True
 
 
 @kernel

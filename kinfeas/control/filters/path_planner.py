@@ -21,8 +21,7 @@ _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.1, 0.7
 """Deviations of EE, base and arm from a path beyond which it is planned anew, metres and radians or
 metres."""
 
-_REPLAN_SECONDS = 2.0
-"""Control time until a motion may be planned anew; it doubles with each plan."""
+_REPLAN_SECONDS = 2.0  # control time until a motion may be planned anew; it doubles with each plan
 
 _GAIN, _STEER, _MOVING = 3.0, 3.0, 0.05
 """Feedback of the base's deviation, 1/s; angle by which a differential base steers towards its path
