@@ -111,14 +111,9 @@ class SmoothPath:
         velocity: Array,
         least_seconds: Array | float = 0.0,
     ) -> State:
-        """Return the state at the beginning of new paths.
+        """Return the state at the beginning of new paths, control points of shape (n, 64, 7).
 
-        Args:
-            state: State before.
-            poses: World poses of EE and target, shape (n, 7) each.
-            points: Control points, shape (n, 64, 7).
-            velocity: Twist at the beginning, shape (n, 6).
-            least_seconds: Shortest durations at full speed, shape (n,).
+        `poses` are of EE and target; the paths begin with a twist `velocity`, (n, 6).
         """
         (ee_pose, target_pose), steps = poses, points[:, 1:] - points[:, :-1]
         seconds = self._seconds(points[:, :-1], points[:, 1:]).max(axis=1) * (POINTS - 1)

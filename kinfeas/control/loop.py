@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.arm import Arm
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.control.observer import Observer
-from kinfeas.control.period import CommandFilter, Move, Period
+from kinfeas.control.period import Arm, CommandFilter, Move, Period
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.control.surroundings import Surroundings
 from kinfeas.control.targets import TargetStream

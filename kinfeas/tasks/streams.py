@@ -97,6 +97,7 @@ class SimulatedStream:
         self.task, self._heights = task, heights
         self._chunk = 16 if task.kind == "chunks" else 2
         self.inbox, self.asked = (TargetInbox(task.rules, self._chunk) for _ in range(2))
+        self._inboxes = {"inbox": self.inbox, "asked": self.asked}
         self._seeds = np.empty(0, dtype=np.uint64)
         self._read = np.empty(0, dtype=np.intp)
         self._begun = np.empty((0, 7))
@@ -107,8 +108,8 @@ class SimulatedStream:
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
         everyone = len(rows) == len(desired)
         begun = desired[rows]
-        for one in (self.inbox, self.asked):
-            one.start(begun, None if everyone else rows)
+        for inbox in self._inboxes.values():
+            inbox.start(begun, None if everyone else rows)
         drawn = self._draw(seeds, begun)
         if everyone:
             self._seeds, self._read, self._begun = seeds, np.zeros(len(rows), dtype=np.intp), begun
@@ -131,8 +132,8 @@ class SimulatedStream:
             self._deliver(sent, now[sent], desired[sent])
             self._read[sent] += 1
         self.inbox.wait(rows, progress.time_scale[rows], desired[rows])
-        for one in (self.inbox, self.asked):
-            one.advance(rows, now[rows], dt, progress.motion_seconds)
+        for inbox in self._inboxes.values():
+            inbox.advance(rows, now[rows], dt, progress.motion_seconds)
         return self.inbox.target
 
     @property
@@ -148,9 +149,8 @@ class SimulatedStream:
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
         own = {"seeds": self._seeds.copy(), "read": self._read.copy(), "begun": self._begun.copy()}
-        for name in ("inbox", "asked"):
-            state = getattr(self, name).snapshot()
-            own |= {f"{name}.{key}": values for key, values in state.items()}
+        for name, inbox in self._inboxes.items():
+            own |= {f"{name}.{key}": values for key, values in inbox.snapshot().items()}
         return own
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
@@ -158,19 +158,20 @@ class SimulatedStream:
         self._seeds, self._read = snapshot["seeds"].copy(), snapshot["read"].copy()
         self._begun = snapshot["begun"].copy()
         self._drawn = self._draw(self._seeds, self._begun)
-        for name in ("inbox", "asked"):
-            given = {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
-            getattr(self, name).restore(given)
+        for name, inbox in self._inboxes.items():
+            inbox.restore(
+                {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
+            )
 
     def _draw(self, seeds: NDArray[np.uint64], begun: Array) -> dict[str, Array]:
         """Return messages of episodes: times (m, k), and twists (m, k, 6) or path and offsets."""
-        drawn = [self._draw_one(np.random.default_rng(seed)) for seed in seeds]
-        stacked = {key: np.stack([one[key] for one in drawn]) for key in drawn[0]}
+        drawn = [self._draw_episode(np.random.default_rng(seed)) for seed in seeds]
+        stacked = {key: np.stack([episode[key] for episode in drawn]) for key in drawn[0]}
         if self.task.kind != "joystick":
             stacked["path"] = self._path(begun, stacked.pop("twists"))
         return stacked
 
-    def _draw_one(self, rng: np.random.Generator) -> dict[str, Array]:
+    def _draw_episode(self, rng: np.random.Generator) -> dict[str, Array]:
         task = self.task
         rate, loss = rng.uniform(*task.rate), rng.uniform(0.0, task.loss)
         count = int(task.seconds * task.rate[1]) + 1
@@ -226,23 +227,21 @@ class SimulatedStream:
         sent = drawn["sent"][rows, read]
         if self.task.kind == "joystick":
             twists = self._walled(drawn["twists"][rows, read], desired[:, 2])
-            self._put("put_twists", rows, now, sent, twists)
+            for inbox in self._inboxes.values():
+                inbox.put_twists(rows, now, sent, twists)
             return
         path = drawn["path"]
         if self.task.kind == "carried":
-            step = np.clip(np.rint(sent / _GRID).astype(np.intp), 0, path.shape[1] - 1)
-            poses = path[rows, step][:, np.newaxis]
-            self._put("put_poses", rows, now, sent, sent[:, np.newaxis], poses)
-            return
-        first = np.ceil(sent / _GRID).astype(np.intp)
-        steps = first[:, np.newaxis] + np.arange(self._chunk)
-        poses = path[rows[:, np.newaxis], np.clip(steps, 0, path.shape[1] - 1)].copy()
-        poses[..., :3] += drawn["offset"][rows, read][:, np.newaxis]
-        self._put("put_poses", rows, now, sent, _GRID * steps.astype(np.float64), poses)
-
-    def _put(self, method: str, *message: NDArray[Any]) -> None:
-        for one in (self.inbox, self.asked):
-            getattr(one, method)(*message)
+            steps, times = np.rint(sent / _GRID).astype(np.intp)[:, np.newaxis], sent[:, np.newaxis]
+        else:
+            first = np.ceil(sent / _GRID).astype(np.intp)
+            steps = first[:, np.newaxis] + np.arange(self._chunk)
+            times = _GRID * steps.astype(np.float64)
+        poses = path[rows[:, np.newaxis], np.clip(steps, 0, path.shape[1] - 1)]
+        if self.task.kind == "chunks":
+            poses[..., :3] += drawn["offset"][rows, read][:, np.newaxis]
+        for inbox in self._inboxes.values():
+            inbox.put_poses(rows, now, sent, times, poses)
 
 
 def joystick(**parameters: object) -> Stream:
@@ -262,5 +261,5 @@ def carried(**parameters: object) -> Stream:
 
 
 def _stream(kind: str, defaults: Mapping[str, object], parameters: Mapping[str, object]) -> Stream:
-    given = {"name": kind, "kind": kind, **defaults, **parameters}
-    return config.from_mapping(Stream, given, kind)
+    values = {"name": kind, "kind": kind, **defaults, **parameters}
+    return config.from_mapping(Stream, values, kind)

@@ -126,10 +126,3 @@ def test_arms_keep_the_clearance_unless_they_may_be_reconfigured(robot, judge):
     assert free.min() > 0.0
     assert free.min() < clearance < np.median(free)
     assert len(strict) < len(free)
-
-
-def test_solids_need_a_row_for_each_arm(hsr):
-    solver, joints = IkSolver(hsr), np.tile(hsr.home["home"], (4, 1))
-    around = in_base(Solids.empty(1, 1), planar_pose(*np.zeros((3, 4))))
-    with pytest.raises(KinfeasError, match="4 rows"):
-        solver.solve(forward(solver.chain, joints), joints, solids=around)
