@@ -51,20 +51,12 @@ class Scene:
         return compose(self.objects[handle.object].link_poses()[handle.link], handle.pose)
 
     def with_poses(self, poses: Mapping[str, Array]) -> "Scene":
-        """Return the scene with other object poses; `check_places` checks them.
-
-        Args:
-            poses: World poses, shape (7,), by the names of objects.
-        """
+        """Return the scene with other world poses, (7,), by object; `check_places` checks them."""
         moved = {name: replace(self._object(name), pose=pose) for name, pose in poses.items()}
         return replace(self, objects={**self.objects, **moved})
 
     def with_joints(self, positions: Mapping[str, Mapping[str, float]]) -> "Scene":
-        """Return the scene with other joint positions.
-
-        Args:
-            positions: Positions in rad or m, by the names of objects and joints.
-        """
+        """Return the scene with other positions, rad or m, by the names of objects and joints."""
         moved = {}
         for name, joints in positions.items():
             scene_object = self._object(name)
@@ -75,11 +67,7 @@ class Scene:
         return replace(self, objects={**self.objects, **moved})
 
     def check_places(self, source: str) -> None:
-        """Check that all objects are on the floor and do not overlap.
-
-        Args:
-            source: Beginning of the error.
-        """
+        """Raise an error that begins with `source` unless objects are on the floor and apart."""
         check_places(source, self.size, self.objects)
 
     def _object(self, name: str) -> SceneObject:

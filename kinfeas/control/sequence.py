@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -105,10 +106,6 @@ class MotionSequence:
         self._targets: Array = np.empty((0, len(subgoals), 7))
         self.elapsed: Array = np.empty(0)
         self.revision = 0
-        # Until something changes:
-        self._goal: Array | None = None
-        self._next: MotionStep | None = None
-        self._robot_soon: tuple[Array, Array | None] | None = None
 
     def start(
         self,
@@ -146,17 +143,13 @@ class MotionSequence:
             self.stream.start(self.desired, rngs, rows)
             self.aim(self.stream.targets(self._progress(rows, base)))
 
-    @property
+    @cached_property  # until something changes
     def goal(self) -> Array:
         """World pose of the EE at the end of each row's sub-goal, shape (n, 7)."""
-        if self._goal is None:
-            targets = self._target
-            self._goal = self._to_ee(
-                self._motions.ask(
-                    lambda group: group.generator.goal_pose(group.state, targets[group.rows])
-                )
-            )
-        return self._goal
+        targets, ask = self._target, self._motions.ask
+        return self._to_ee(
+            ask(lambda group: group.generator.goal_pose(group.state, targets[group.rows]))
+        )
 
     @property
     def last(self) -> NDArray[np.bool_]:
@@ -282,12 +275,10 @@ class MotionSequence:
             self._begin(rows)
             self._replan(rows)
 
-    @property
+    @cached_property
     def next_step(self) -> MotionStep:
         """Next step of the motions, of one control period."""
-        if self._next is None:
-            self._next = self.step_of(self._motion_time)
-        return self._next
+        return self.step_of(self._motion_time)
 
     def step(self, time_scale: Array) -> MotionStep:
         """Return the next step with fractions, shape (n,), of the planned motion."""
@@ -476,14 +467,13 @@ class MotionSequence:
 
     def _changed(self) -> None:
         self.revision += 1
-        self._goal = self._robot_soon = self._next = None
+        for name in ("goal", "next_step", "_planned"):
+            vars(self).pop(name, None)
 
-    @property
+    @cached_property
     def _planned(self) -> tuple[Array, Array | None]:
-        if self._robot_soon is None:
-            motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
-            self._robot_soon = self.whole_body.soon(motions)
-        return self._robot_soon
+        motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
+        return self.whole_body.soon(motions)
 
     def _to_frame(self, ee_pose: Array) -> Array:
         """Return the pose of the frame that each row's sub-goal moves, shape (n, 7)."""

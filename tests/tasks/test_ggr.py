@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, rotation, yaw
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.kinematics.forward import forward
