@@ -29,7 +29,6 @@ from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import Count, Positive, PositiveShare
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State
@@ -210,18 +209,13 @@ class Model:
         return len(self.components[0].mean) == _SIZE_WITH_BASE
 
 
-def shipped_models(kind: Kind | None = None) -> list[str]:
-    """Return the sorted names of the installed models, by default of any kind."""
-    paths = sorted(_FOLDER.glob("*.yaml"))
-    return [path.stem for path in paths if kind in (None, strict_yaml.read(path).get("kind"))]
-
-
 def read_model(name_or_path: str, kind: Kind) -> Model:
     """Return the shipped model of this name (`door_open`), or that of a file (`my/model.yaml`)."""
     path = Path(name_or_path)
     if not is_path(name_or_path):
-        if name_or_path not in shipped_models():
-            hint = no_such(name_or_path, shipped_models(kind))
+        shipped = [model.stem for model in _FOLDER.glob("*.yaml")]
+        if name_or_path not in shipped:
+            hint = no_such(name_or_path, shipped)
             raise KinfeasError(f"unknown model {name_or_path!r}{hint}, or the path of a .yaml file")
         path = _FOLDER / f"{name_or_path}.yaml"
     model = config.load(Model, path)

@@ -49,14 +49,10 @@ def norm(vector: Array) -> Array:
 
 
 class PosePath:
-    """Poses of the EE, and optionally of the base, at even steps of an index in [0, 1].
+    """EE poses `knots`, shape (m + 1, 7), at even steps of an index in [0, 1].
 
-    Args:
-        knots: EE poses, shape (m + 1, 7).
-        base: x, y and unwrapped yaw of the base, shape (m + 1, 3).
-
-    Attributes:
-        segments: Twists that lead from each knot to the next in one second, shape (m, 6).
+    `base` is x, y and unwrapped yaw, (m + 1, 3), or None. `segments` are the twists that lead from
+    each knot to the next in one second, (m, 6).
     """
 
     def __init__(self, knots: Array, base: Array | None = None) -> None:

@@ -23,15 +23,9 @@ class Motions(NamedTuple):
 
 
 class EeMotions:
-    """n motions, each made by one of several generators.
+    """n motions, each made by the generator whose number is in `which`, shape (n,).
 
-    No motion depends on the others. Arrays are replaced, never written into, since others may hold
-    them.
-
-    Attributes:
-        generators: All of them.
-        states: State of each generator, with n rows.
-        which: Number of the generator of each motion, shape (n,).
+    Arrays are replaced, never written into, since others may hold them.
     """
 
     def __init__(self, generators: Sequence[CheckedMotion]) -> None:

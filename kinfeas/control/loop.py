@@ -55,12 +55,8 @@ class Loop:
     """n robots, each following its own EE motion; `assemble` builds one.
 
     Attributes:
-        solver: IK of the robot.
         sequence: Desired motions of the EEs.
-        backend: Moves the robots.
         dt: Control period, seconds.
-        execution: Execution of the motions.
-        filters: Change the policy's commands, in this order.
         surroundings: Solids and scans, where the backend has them.
         observer: Observes the robots, with the terms of the policy.
         policy: Policy that commands the bases, or None while it learns. Set it by `set_policy`.
