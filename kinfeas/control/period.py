@@ -1,12 +1,14 @@
 """One control period of n robots: a value from the motions, through the filters, to the arms."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.motion import Rows, State, with_rows
+from kinfeas.control.filters.half_spaces import VelocityConstraints
+from kinfeas.control.sequence import MotionSequence, MotionStep
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative
 from kinfeas.kinematics.drive import base_twist
@@ -14,24 +16,9 @@ from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import in_base
 from kinfeas.robots.robot import exceeds_joint_velocity
 
-if TYPE_CHECKING:
-    from kinfeas.control.filters.obstacle_distance import VelocityConstraints
-    from kinfeas.control.sequence import MotionSequence
-
-
 RECONFIGURATION_SECONDS = 0.15
 """An arm further from its command than this time at full joint velocity is reconfiguring, rather
 than lagging."""
-
-
-@dataclass(frozen=True)
-class MotionStep:
-    """Next step of the motions of n EEs."""
-
-    desired: Array  # desired world poses of the EE after the step, shape (n, 7)
-    preview: Array  # the same after `HORIZON` seconds at the step's twist, shape (n, 7)
-    states: list[State]  # state of each generator after the step
-    seconds: Array  # motion time of the step, shape (n,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +58,9 @@ class Period(KinematicInputs):
     command: Array  # base commands in [-1, 1], shape (n, 3) or (n, 2)
     step: MotionStep  # step of the motions
     time_scale: Array  # fraction of the planned motion that it carries out, shape (n,)
-    motions: "MotionSequence"  # motions of the EEs, which do not change while filters read them
+    motions: MotionSequence  # motions of the EEs, which do not change while filters read them
     paused: NDArray[np.bool_] | None = None  # rows whose arms reconfigure, (n,), or None
-    velocity_constraints: "VelocityConstraints | None" = None  # of an obstacle filter before
+    velocity_constraints: VelocityConstraints | None = None  # of an obstacle filter before
     move: Move | None = None  # commands of bases and arms, where a filter has computed them
 
     @property

@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from kinfeas.control.ee_motions import EeMotions, Motions
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.period import MotionStep
 from kinfeas.control.surroundings import Surroundings
 from kinfeas.control.targets import Progress, TargetStream
 from kinfeas.control.whole_body_motion import WholeBodyMotions
@@ -21,12 +20,23 @@ from kinfeas.core import spatial
 from kinfeas.core.backend import Gripper, RobotState
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.metrics import GOAL_RADIANS
-from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.motion import Rows, State, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+
+
+@dataclass(frozen=True)
+class MotionStep:
+    """Next step of the motions of n EEs."""
+
+    desired: Array  # desired world poses of the EE after the step, shape (n, 7)
+    preview: Array  # the same after `HORIZON` seconds at the step's twist, shape (n, 7)
+    states: list[State]  # state of each generator after the step
+    seconds: Array  # motion time of the step, shape (n,)
+
 
 _PATHS = "waypoints"
 _ROWS = (
