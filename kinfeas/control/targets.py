@@ -116,6 +116,18 @@ class TargetInbox:
         self.rules, self._size = rules, size
         self._put_all(np.empty((0, 7)))
 
+    def _put_all(self, target: Array) -> None:
+        n = len(target)
+        self.target, self._before = target.copy(), target.copy()
+        self.live, self._has_poses = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+        self.speed = np.zeros(n)
+        self._sent, self._until = np.full((2, n), -np.inf)
+        self._twist = np.zeros((n, 6))
+        self._times = np.full((n, self._size), np.inf)
+        self._poses = np.repeat(target[:, np.newaxis], self._size, axis=1)
+        self._last_aim = target.copy()
+        self.counts = np.zeros((n, len(RULES)), dtype=np.intp)
+
     def start(self, target: Array, rows: Rows | None = None) -> None:
         """Rest at targets (m, 7), without messages, in `rows` or as all of them."""
         if rows is None:
@@ -225,18 +237,6 @@ class TargetInbox:
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
         vars(self).update({key: values.copy() for key, values in snapshot.items()})
-
-    def _put_all(self, target: Array) -> None:
-        n = len(target)
-        self.target, self._before = target.copy(), target.copy()
-        self.live, self._has_poses = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
-        self.speed = np.zeros(n)
-        self._sent, self._until = np.full((2, n), -np.inf)
-        self._twist = np.zeros((n, 6))
-        self._times = np.full((n, self._size), np.inf)
-        self._poses = np.repeat(target[:, np.newaxis], self._size, axis=1)
-        self._last_aim = target.copy()
-        self.counts = np.zeros((n, len(RULES)), dtype=np.intp)
 
     def _near(self, pose: Array, other: Array) -> NDArray[np.bool_]:
         metres, radians = spatial.distance(pose, other)

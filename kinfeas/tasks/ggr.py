@@ -20,25 +20,18 @@ class GoalReaching:
     """Reach a random EE pose from a random arm configuration.
 
     The base begins at the origin with a random heading; the goal lies at a random bearing, with
-    uniformly random roll, pitch and yaw.
-
-    Attributes:
-        name: Task name.
-        motion: Generator of the EE motion.
-        distance: Smallest and largest planar distance of the goal from the base, metres.
-        heights: Smallest and largest height of the goal, metres; by default the robot's reach, or
-            with `restrict_start` its comfortable part.
-        restrict_start: Whether the EE also starts within the goal heights.
-        start: `free` draws arm configurations without self-collision; `any` also allows
-            self-collision at the goal heights and, even with `restrict_start`, other heights
-            without self-collision, as the paper's program does for `ggr_restricted`.
+    uniformly random roll, pitch and yaw. Heights are by default those of the robot's reach, or of
+    its comfortable part with `restrict_start`. Of `start`, `free` draws arm configurations without
+    self-collision; `any` also allows self-collision at the goal heights and, even with
+    `restrict_start`, other heights without self-collision, as the paper's program does for
+    `ggr_restricted`.
     """
 
-    name: str = "ggr"
-    motion: MotionSpec = field(default_factory=MotionSpec)
-    distance: tuple[Distance, Distance] = (1.0, 5.0)
-    heights: tuple[Metres, Metres] | None = None
-    restrict_start: bool = False
+    name: str = "ggr"  # task name
+    motion: MotionSpec = field(default_factory=MotionSpec)  # of the EE
+    distance: tuple[Distance, Distance] = (1.0, 5.0)  # planar, of the goal from the base, metres
+    heights: tuple[Metres, Metres] | None = None  # of the goal, metres
+    restrict_start: bool = False  # whether the EE also starts within the goal heights
     start: Literal["free", "any"] = "free"
 
     def __post_init__(self) -> None:

@@ -31,34 +31,20 @@ class Stream:
     the heights. `chunks` sends poses of a smooth path in advance, as a learned model: each chunk
     is off by an offset of its own, so that the target jumps. `carried` sends poses of an object
     that is carried along a curve at constant speed.
-
-    Attributes:
-        name: Task name.
-        kind: What sends the messages.
-        seconds: Duration of an episode.
-        rate: Lowest and highest rate of messages, Hz.
-        delay: Lowest and highest delay of a message, seconds.
-        loss: Largest share of lost messages.
-        speed: Standard deviation of velocities by axis, m/s; for `carried` the largest speed.
-        angular_speed: The same of angular velocities, rad/s.
-        correlation_time: Time constant of the velocities, seconds.
-        offset: Lowest and highest length of a chunk's offset, metres.
-        rules: Limits of targets.
-        motion: Motion generator.
     """
 
-    name: str
-    kind: Literal["joystick", "chunks", "carried"]
-    seconds: PositiveSeconds = 60.0
-    rate: tuple[Positive, Positive] = (5.0, 30.0)
-    delay: tuple[Seconds, Seconds] = (0.0, 0.05)
-    loss: Share = 0.2
-    speed: Positive = 0.05
-    angular_speed: Positive = 0.1
-    correlation_time: PositiveSeconds = 2.0
-    offset: tuple[Seconds, Seconds] = (0.02, 0.1)
-    rules: TargetRules = field(default_factory=lambda: TargetRules(timeout=0.5))
-    motion: MotionSpec = field(default_factory=lambda: MotionSpec("servo"))
+    name: str  # task name
+    kind: Literal["joystick", "chunks", "carried"]  # what sends the messages
+    seconds: PositiveSeconds = 60.0  # duration of an episode
+    rate: tuple[Positive, Positive] = (5.0, 30.0)  # lowest and highest rate of messages, Hz
+    delay: tuple[Seconds, Seconds] = (0.0, 0.05)  # lowest and highest delay of a message, seconds
+    loss: Share = 0.2  # largest share of lost messages
+    speed: Positive = 0.05  # deviation of velocities by axis, m/s; for `carried` the largest speed
+    angular_speed: Positive = 0.1  # the same of angular velocities, rad/s
+    correlation_time: PositiveSeconds = 2.0  # time constant of the velocities, seconds
+    offset: tuple[Seconds, Seconds] = (0.02, 0.1)  # range of lengths of a chunk's offset, metres
+    rules: TargetRules = field(default_factory=lambda: TargetRules(timeout=0.5))  # limits
+    motion: MotionSpec = field(default_factory=lambda: MotionSpec("servo"))  # generator
 
     def __post_init__(self) -> None:
         for name in ("rate", "delay", "offset"):
