@@ -36,16 +36,13 @@ class ObservedState:
             contains the tracking error.
         rotation: Rotation change over `HORIZON` seconds, shape (n, 4).
         joint_positions: Arm joints, continuous ones in (-pi, pi], shape (n, j).
-        previous_command: Base command of the last period, shape (n, c), where a term needs it.
-        ahead: Positions `AHEAD` on the planned motion, shape (n, 3 d), metres, likewise.
-        planned_base: x, y and yaw of the base on a whole-body path, shape (n, 3), likewise.
-        ranges: Ranges of a scan, shape (n, 2, beams), metres, likewise.
     """
 
-    previous_command: Array | None = None
-    ahead: Array | None = None
-    planned_base: Array | None = None
-    ranges: Array | None = None
+    # Where a term needs them:
+    previous_command: Array | None = None  # base command of the last period, shape (n, c)
+    ahead: Array | None = None  # positions `AHEAD` on the planned motion, shape (n, 3 d), metres
+    planned_base: Array | None = None  # x, y and yaw on a whole-body path, shape (n, 3)
+    ranges: Array | None = None  # ranges of a scan, shape (n, 2, beams), metres
 
     def __init__(
         self, base_pose: Array, ee_in_base: Array, planned: Array, goal: Array, joints: Array

@@ -97,13 +97,9 @@ class CommandFilter(Protocol):
 
 
 class KinematicStep:
-    """Effect of base commands in one control period: base twists, and arms by IK.
+    """Effect of base commands in one control period of `dt` seconds: base twists, and arms by IK.
 
-    Attributes:
-        solver: IK of the robot.
-        dt: Control period in seconds.
-        max_joint_step: Longest displacement of each arm joint in a period, shape (j,), radians or
-            metres.
+    `max_joint_step` is the longest displacement of each arm joint, shape (j,), radians or metres.
     """
 
     def __init__(self, solver: IkSolver, dt: float) -> None:
@@ -113,12 +109,9 @@ class KinematicStep:
     def __call__(
         self, command: Array, inputs: KinematicInputs, *, allow_reconfiguration: bool = True
     ) -> Move:
-        """Return the commands of bases and arms.
+        """Return the commands of bases and arms for base commands, shape (n, 3) or (n, 2).
 
-        Args:
-            command: Base commands in [-1, 1], shape (n, 3) or (n, 2).
-            inputs: Of the same n rows.
-            allow_reconfiguration: Whether IK also tries solutions out of reach in this period.
+        With `allow_reconfiguration` IK also tries solutions out of reach in this period.
         """
         twist = base_twist(self.solver.robot.base, inputs.base_pose, command, self.dt)
         reached = integrate(inputs.base_pose, twist, self.dt)
@@ -137,9 +130,8 @@ class KinematicStep:
 class Arm:
     """Arms that follow their bases.
 
-    Attributes:
-        joint_command: Last commanded arm joints, shape (n, j), radians or metres.
-        waited: Control periods for which each arm has been reconfiguring, shape (n,).
+    `joint_command` are the last commanded joints, shape (n, j), radians or metres; `waited` are the
+    control periods for which each arm has been reconfiguring, shape (n,).
     """
 
     def __init__(self, solver: IkSolver, dt: float, settle_timeout: float) -> None:

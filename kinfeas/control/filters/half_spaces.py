@@ -40,12 +40,9 @@ class VelocityConstraints:
         return VelocityConstraints(self.full, self.normal[rows], self.limit[rows])
 
     def hold(self, action: Array) -> Array:
-        """Return the commands nearest to `action` that satisfy the constraints.
+        """Return the commands nearest to `action`, shape (n, t, a), that satisfy the constraints.
 
         Commands that satisfy them stay bit-identical. No row depends on the others.
-
-        Args:
-            action: Base commands, shape (n, t, a): t for each row.
         """
         held = np.array(action, dtype=np.float64, order="C")
         hold(held, self.full, self.normal, self.limit)
