@@ -94,13 +94,9 @@ FOLDER = "sim2real"  # folder of the shipped lists of adapters
 
 @dataclass(frozen=True)
 class Sim2Real:
-    """A list of adapters.
+    """A list of adapters."""
 
-    Attributes:
-        adapters: Adapters around the backend, the first one innermost.
-    """
-
-    adapters: tuple[PluginSpec, ...]
+    adapters: tuple[PluginSpec, ...]  # around the backend, the first one innermost
 
 
 def read_sim2real(name: str) -> Sim2Real:
