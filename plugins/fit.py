@@ -61,26 +61,18 @@ _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a tho
 class Fit:
     """A learned motion, and its distance from the demonstrations.
 
-    Attributes:
-        model: The motion.
-        duration: Mean duration of the demonstrations in seconds.
-        length: Length of the learned EE path in metres.
-        position_residual: Mean distance of each demonstration from the learned path, metres.
-        rotation_residual: The same in radians.
-        sides: 0 or 1 for each demonstration if they follow two paths, such as left and right of an
-            obstacle, and the learned one leads between them; otherwise all 0.
-        names: Names of the demonstrations.
-        has_base: Whether each demonstration has poses of the base.
+    Its `sides` differ where demonstrations follow two paths, such as left and right of an obstacle,
+    and the learned one leads between them.
     """
 
-    model: Model
-    duration: float
-    length: float
-    position_residual: tuple[float, ...]
-    rotation_residual: tuple[float, ...]
-    sides: tuple[int, ...]
-    names: tuple[str, ...]
-    has_base: tuple[bool, ...]
+    model: Model  # the motion
+    duration: float  # mean duration of the demonstrations in seconds
+    length: float  # length of the learned EE path in metres
+    position_residual: tuple[float, ...]  # mean distances from the learned path, metres
+    rotation_residual: tuple[float, ...]  # the same in radians
+    sides: tuple[int, ...]  # 0 or 1 for each demonstration
+    names: tuple[str, ...]  # names of the demonstrations
+    has_base: tuple[bool, ...]  # whether each demonstration has poses of the base
 
 
 @dataclass(frozen=True)
@@ -138,7 +130,8 @@ def fit(
         components=_mixture(features, components, seed),
     )
     learned = learned_path(model).at(np.linspace(0.0, 1.0, _SAMPLES))
-    metres, radians = np.transpose([_residual(learned, path) for path in paths]).tolist()
+    apart = np.array([distance(learned, path.ee_pose) for path in paths])
+    metres, radians = apart.mean(axis=2).T.tolist()
     length, turned = (float(step.sum()) for step in distance(learned[:-1], learned[1:]))
     sides = _sides(features, len(paths), length + _METRES_PER_RADIAN * turned)
     bases = tuple(demonstration.has_base for demonstration in demonstrations)
@@ -183,7 +176,6 @@ def _planar(base_pose: Array, frame: Array) -> Array:
 
 
 def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> Array:
-    """Return the data of the mixture, a row for each sample, shape (paths * m, 7 or 10)."""
     ee_pose = np.concatenate([path.ee_pose for path in paths])
     rotation_vector = (mean_orientation.inv() * rotation(ee_pose)).as_rotvec()
     if np.linalg.norm(rotation_vector, axis=1).max() > _MAX_ROTATION:
@@ -207,7 +199,6 @@ def _bases(paths: Sequence[_Path]) -> Array:
 
 
 def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ...]:
-    """Return the mixture fitted to the features, its components in the order of their index."""
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 
@@ -248,12 +239,6 @@ def _sides(features: Array, count: int, length: float) -> tuple[int, ...]:
     if not far or silhouette_score(smooth, side) < _STRONG:
         return same
     return tuple(side.tolist())
-
-
-def _residual(learned: Array, path: _Path) -> tuple[float, float]:
-    """Return the mean distance of a path from the learned path, in metres and radians."""
-    metres, radians = distance(learned, path.ee_pose)
-    return float(metres.mean()), float(radians.mean())
 
 
 def _plain(values: Any) -> Any:

@@ -29,22 +29,18 @@ from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import Count, Positive, PositiveShare
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
 from kinfeas.io.files import is_path
-from kinfeas.plugins.limits import slowed
-from kinfeas.plugins.path import PathMotion, PosePath
+from kinfeas.plugins.path import PathMotion, PosePath, slowed
 
 Kind = Literal["imitation", "gaussian_mixture"]
 # Beyond any room or rotation, and small enough that results do not overflow.
 Number = Annotated[float, Interval(ge=-1000.0, le=1000.0)]
 
-SHORTEST, LONGEST = 0.01, 3600.0
-"""Durations of learned motions, seconds."""
-
+SHORTEST, LONGEST = 0.01, 3600.0  # durations of learned motions, seconds
 _SIZE, _SIZE_WITH_BASE = 7, 10  # numbers of a component's mean
 _FOLDER = Path(__file__).parent / "models"
 _ROUNDING = 1e-6  # error of quaternions and weights
@@ -153,7 +149,6 @@ class Component:
     covariance: tuple[tuple[Number, ...], ...]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the sizes do not fit, or the index does not vary."""
         size = len(self.mean)
         if size not in (_SIZE, _SIZE_WITH_BASE):
             raise ValueError(f"the mean must have {_SIZE} or {_SIZE_WITH_BASE} numbers, not {size}")
@@ -199,7 +194,6 @@ class Model:
     components: tuple[Component, ...]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the parts do not fit."""
         quaternions = {"goal": self.goal[3:], "mean_orientation": self.mean_orientation}
         for name, quaternion in quaternions.items():
             if abs(float(np.linalg.norm(quaternion)) - 1.0) > _ROUNDING:
@@ -215,18 +209,13 @@ class Model:
         return len(self.components[0].mean) == _SIZE_WITH_BASE
 
 
-def shipped_models(kind: Kind | None = None) -> list[str]:
-    """Return the sorted names of the installed models, by default of any kind."""
-    paths = sorted(_FOLDER.glob("*.yaml"))
-    return [path.stem for path in paths if kind in (None, strict_yaml.read(path).get("kind"))]
-
-
 def read_model(name_or_path: str, kind: Kind) -> Model:
     """Return the shipped model of this name (`door_open`), or that of a file (`my/model.yaml`)."""
     path = Path(name_or_path)
     if not is_path(name_or_path):
-        if name_or_path not in shipped_models():
-            hint = no_such(name_or_path, shipped_models(kind))
+        shipped = [model.stem for model in _FOLDER.glob("*.yaml")]
+        if name_or_path not in shipped:
+            hint = no_such(name_or_path, shipped)
             raise KinfeasError(f"unknown model {name_or_path!r}{hint}, or the path of a .yaml file")
         path = _FOLDER / f"{name_or_path}.yaml"
     model = config.load(Model, path)

@@ -8,7 +8,7 @@ from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, twist_between
-from kinfeas.plugins.limits import norm
+from kinfeas.plugins.path import norm
 
 # Below this distance in metres a motion is a rotation on the spot, with a speed set by its angle.
 _ON_THE_SPOT = 1e-6
@@ -65,16 +65,12 @@ class Linear:
     ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         rest = twist_between(ee_pose, target_pose, 1.0)
-        # Never past the goal: at most the whole rest within dt.
-        rate = np.minimum(self._rate(rest), 1.0 / dt)
-        return rest * rate[:, np.newaxis], dict(state)
-
-    def _rate(self, rest: Array) -> Array:
-        """Return the fraction of the rest of the motion, (n, 6), to cover per second, (n,)."""
         metres = np.maximum(norm(rest[:, :3]), _TINY)
         radians = np.maximum(norm(rest[:, 3:]), _TINY)
         slowest = np.where(
             metres > _ON_THE_SPOT, self._min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
         )
         rate = np.minimum(np.maximum(self._gain, slowest), self._max_velocity / metres)
-        return np.minimum(rate, self._max_angular_velocity / radians)
+        rate = np.minimum(rate, self._max_angular_velocity / radians)
+        # Never past the goal: at most the whole rest within dt.
+        return rest * np.minimum(rate, 1.0 / dt)[:, np.newaxis], dict(state)

@@ -7,7 +7,7 @@ import numpy as np
 from kinfeas.config.quantities import Positive
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, integrate, twist_between
-from kinfeas.plugins.limits import norm, slowed
+from kinfeas.plugins.path import norm, slowed
 
 _PEAK = 1.875  # greatest slope of the profile, in the middle
 

@@ -1,4 +1,4 @@
-"""Paths of the EE, and the phase dynamic system that follows them."""
+"""Paths of the EE, the phase dynamic system that follows them, and limits of velocity."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,6 @@ from kinfeas.core.spatial import (
     relative,
     twist_between,
 )
-from kinfeas.plugins.limits import norm, slowed
 
 Frame = Literal["object", "goal", "world"]
 """Frame of a path: the target as the grasped object, the target as its end, or the world."""
@@ -30,17 +29,30 @@ _END_SECONDS = 1.0
 _FINEST = 0.05  # seconds from knot to knot, if the path is not too long for that
 _MOST_SEGMENTS = 20_000
 _ROUNDING = 1e-9
+_TINY = 1e-12  # keeps quotients finite; in m/s and in rad/s
+
+
+def slowed(twist: Array, max_velocity: float, max_angular_velocity: float) -> Array:
+    """Return the factor in (0, 1] by which twists, (n, 6), must shrink to keep both limits, (n,).
+
+    Limits and twists are in m/s and rad/s.
+    """
+    linear = max_velocity / np.maximum(norm(twist[:, :3]), _TINY)
+    angular = max_angular_velocity / np.maximum(norm(twist[:, 3:]), _TINY)
+    return np.minimum(1.0, np.minimum(linear, angular))
+
+
+def norm(vector: Array) -> Array:
+    """Return lengths, shape (n, 3) -> (n,); by elements, so that no row depends on the batch."""
+    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
+    return np.sqrt(x * x + y * y + z * z)
 
 
 class PosePath:
-    """Poses of the EE, and optionally of the base, at even steps of an index in [0, 1].
+    """EE poses `knots`, shape (m + 1, 7), at even steps of an index in [0, 1].
 
-    Args:
-        knots: EE poses, shape (m + 1, 7).
-        base: x, y and unwrapped yaw of the base, shape (m + 1, 3).
-
-    Attributes:
-        segments: Twists that lead from each knot to the next in one second, shape (m, 6).
+    `base` is x, y and unwrapped yaw, (m + 1, 3), or None. `segments` are the twists that lead from
+    each knot to the next in one second, (m, 6).
     """
 
     def __init__(self, knots: Array, base: Array | None = None) -> None:
@@ -151,7 +163,6 @@ class PathMotion:
         return twist * scale[:, np.newaxis], {"phase": phase + scale * advance}
 
     def _frame(self, target_pose: Array) -> Array:
-        """Return the world poses of the frames that the path is in, shape (n, 7)."""
         return np.broadcast_to(IDENTITY, target_pose.shape) if self.in_world else target_pose
 
 

@@ -20,14 +20,13 @@ from kinfeas.planning.spline import (
     pose_at,
     position_at,
 )
-from kinfeas.plugins.limits import norm, slowed
 from kinfeas.plugins.minimum_jerk import MinimumJerk
+from kinfeas.plugins.path import norm, slowed
 
 _MOVED = 0.05
 """Metres that a target may move before its path is planned anew; paths bend along until then."""
 
-_MOMENT = 0.05
-"""Seconds over which the velocity is measured when the path changes."""
+_MOMENT = 0.05  # seconds over which the velocity is measured when the path changes
 
 
 class SmoothPath:
@@ -112,14 +111,9 @@ class SmoothPath:
         velocity: Array,
         least_seconds: Array | float = 0.0,
     ) -> State:
-        """Return the state at the beginning of new paths.
+        """Return the state at the beginning of new paths, control points of shape (n, 64, 7).
 
-        Args:
-            state: State before.
-            poses: World poses of EE and target, shape (n, 7) each.
-            points: Control points, shape (n, 64, 7).
-            velocity: Twist at the beginning, shape (n, 6).
-            least_seconds: Shortest durations at full speed, shape (n,).
+        `poses` are of EE and target; the paths begin with a twist `velocity`, (n, 6).
         """
         (ee_pose, target_pose), steps = poses, points[:, 1:] - points[:, :-1]
         seconds = self._seconds(points[:, :-1], points[:, 1:]).max(axis=1) * (POINTS - 1)
@@ -145,13 +139,11 @@ class SmoothPath:
         }
 
     def _fraction(self, state: State, time: Array) -> Array:
-        """Return the fractions of the paths that are behind the EE after some seconds, (..., n)."""
         rates = state["first_rate"], state["rate"]
         fraction: Array = fraction_after(time, state["duration"], *rates, self._ramp)
         return fraction
 
     def _at(self, state: State, target_pose: Array, time: Array) -> Array:
-        """Return the poses of the motions after some seconds, shape (n, 7)."""
         pose = self._on_path(state, target_pose, self._fraction(state, time))
         fade = np.minimum(self._ramp, state["duration"])
         left = np.maximum(1.0 - time / fade, 0.0)
@@ -168,7 +160,6 @@ class SmoothPath:
         return pose
 
     def _velocity(self, state: State, target_pose: Array) -> Array:
-        """Return the present twists, shape (n, 6)."""
         soon = np.minimum(state["time"] + _MOMENT, state["duration"])
         now, then = (self._at(state, target_pose, time) for time in (state["time"], soon))
         velocity = twist_between(now, then, _MOMENT)
@@ -337,7 +328,6 @@ def _even(curve: Array) -> Array:
 
 
 def _slerped(begin: Array, end: Array) -> Array:
-    """Return poses at even steps of straight motions, shape (n, 7) -> (n, 64, 7)."""
     fraction = np.linspace(0.0, 1.0, POINTS)[:, np.newaxis]
     twist = twist_between(begin, end, 1.0)[:, np.newaxis]
     poses = integrate(begin[:, np.newaxis], twist * fraction, 1.0)
@@ -346,7 +336,6 @@ def _slerped(begin: Array, end: Array) -> Array:
 
 
 def _selected(rows: NDArray[np.bool_], new: State, old: State) -> State:
-    """Return the new state in some rows, shape (n,), and the old one in the others."""
     return {
         key: np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), new[key], values)
         for key, values in old.items()

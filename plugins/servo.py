@@ -7,7 +7,7 @@ import numpy as np
 from kinfeas.config.quantities import Positive, Seconds
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, integrate, twist_between
-from kinfeas.plugins.limits import slowed
+from kinfeas.plugins.path import slowed
 
 _ACCELERATION = 2.0 / np.e
 _JERK = 2.0 + 2.0 / np.e**2

@@ -29,8 +29,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
 from kinfeas.io.demonstrations import check_samples
 from kinfeas.io.files import read_csv
-from kinfeas.plugins.limits import norm
-from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame
+from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame, norm
 
 _COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _FINE = 2000  # samples of a spline, or 20 between waypoints if these are more
@@ -82,7 +81,6 @@ class Waypoints(PathMotion):
 
 
 def _spline(parameter: Array, poses: Array) -> Callable[[Array], Array]:
-    """Return twice differentiable poses over a parameter, shape (m,) -> (m, 7)."""
     position = CubicSpline(parameter, poses[:, :3], bc_type="natural")
     orientation = RotationSpline(parameter, rotation(poses))
     return lambda at: make_pose(position(at), orientation(at))
@@ -133,8 +131,6 @@ def _ramped(time: Array, duration: float, ramp: float) -> Array:
 
 @dataclass(frozen=True)
 class _Waypoints:
-    """Fields of a YAML file."""
-
     poses: tuple[tuple[float, float, float, float, float, float, float], ...]
     time: tuple[float, ...] | None = None
 

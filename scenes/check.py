@@ -54,20 +54,13 @@ def _solid(fcl: Any, shape: Shape, less: float) -> Any:
     return fcl.CollisionObject(kinds[shape.kind](*size), placed)
 
 
-OVERLAP = 1e-3
-"""Metres by which two objects may overlap, as where one is on the other."""
+OVERLAP = 1e-3  # metres by which two objects may overlap, as where one is on the other
 
 
 def check_places(
     source: str, size: tuple[float, float], objects: Mapping[str, SceneObject]
 ) -> None:
-    """Check that all objects are on the floor and do not overlap.
-
-    Args:
-        source: Beginning of errors, such as a file name.
-        size: Size of the floor along x and y, metres.
-        objects: Objects by name.
-    """
+    """Raise an error unless objects are on a floor of some size, metres, and do not overlap."""
     for name, scene_object in objects.items():
         _check_floor(f"{source}: object {name!r}", size, scene_object)
     _check_overlaps(source, objects)

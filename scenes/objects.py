@@ -1,6 +1,6 @@
 """Objects and handles of a scene, and their blocks in its YAML file."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -70,21 +70,13 @@ class SceneSpec:
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """An object with a pose.
+    """An object with a pose."""
 
-    Attributes:
-        urdf_path: File that physics engines load.
-        urdf: Links and joints of that file.
-        pose: World pose of its root link, shape (7,).
-        fixed: Whether the root link is fixed to the world.
-        joint_positions: Position of each moving joint, rad or m.
-    """
-
-    urdf_path: Path
-    urdf: Urdf
-    pose: Array
-    fixed: bool
-    joint_positions: dict[str, float]
+    urdf_path: Path  # file that physics engines load
+    urdf: Urdf  # links and joints of that file
+    pose: Array  # world pose of its root link, shape (7,)
+    fixed: bool  # whether the root link is fixed to the world
+    joint_positions: dict[str, float]  # position of each moving joint, rad or m
 
     @property
     def mass(self) -> float:
@@ -105,29 +97,17 @@ class SceneObject:
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """A grasp frame with x along the approach and z up.
+    """A grasp frame with x along the approach and z up."""
 
-    Attributes:
-        object: Name of its object.
-        link: Its link.
-        pose: Pose in the link's frame, shape (7,).
-        joint: The nearest joint that moves the link, or None.
-    """
-
-    object: str
-    link: str
-    pose: Array
-    joint: str | None
+    object: str  # name of its object
+    link: str  # its link
+    pose: Array  # pose in the link's frame, shape (7,)
+    joint: str | None  # the nearest joint that moves the link, or None
 
 
 def free_joints(urdf: Urdf) -> dict[str, Joint]:
     """Return the moving joints by name."""
     return {name: joint for name, joint in urdf.joints.items() if joint.moves}
-
-
-def rest_positions(urdf: Urdf, given: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of all moving joints: those `given`, else the ones nearest to zero."""
-    return {name: given.get(name, joint.rest) for name, joint in free_joints(urdf).items()}
 
 
 def moving_joint(urdf: Urdf, link: str) -> str | None:

@@ -27,7 +27,6 @@ from kinfeas.scenes.objects import (
     SceneSpec,
     free_joints,
     moving_joint,
-    rest_positions,
 )
 
 T = TypeVar("T")
@@ -39,19 +38,12 @@ _SHIPPED = ("room", "shelf", "doorway")
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A room with objects.
+    """A room with objects."""
 
-    Attributes:
-        name: Short name.
-        size: Size of the floor along x and y, metres; the origin is its centre.
-        objects: Objects by name.
-        handles: Handles by name.
-    """
-
-    name: str
-    size: tuple[float, float]
-    objects: dict[str, SceneObject]
-    handles: dict[str, Handle]
+    name: str  # short name
+    size: tuple[float, float]  # size of the floor along x and y, metres; the origin is its centre
+    objects: dict[str, SceneObject]  # objects by name
+    handles: dict[str, Handle]  # handles by name
 
     def handle_pose(self, name: str) -> Array:
         """Return the world pose of a handle, shape (7,), x along the approach and z up."""
@@ -59,20 +51,12 @@ class Scene:
         return compose(self.objects[handle.object].link_poses()[handle.link], handle.pose)
 
     def with_poses(self, poses: Mapping[str, Array]) -> "Scene":
-        """Return the scene with other object poses; `check_places` checks them.
-
-        Args:
-            poses: World poses, shape (7,), by the names of objects.
-        """
+        """Return the scene with other world poses, (7,), by object; `check_places` checks them."""
         moved = {name: replace(self._object(name), pose=pose) for name, pose in poses.items()}
         return replace(self, objects={**self.objects, **moved})
 
     def with_joints(self, positions: Mapping[str, Mapping[str, float]]) -> "Scene":
-        """Return the scene with other joint positions.
-
-        Args:
-            positions: Positions in rad or m, by the names of objects and joints.
-        """
+        """Return the scene with other positions, rad or m, by the names of objects and joints."""
         moved = {}
         for name, joints in positions.items():
             scene_object = self._object(name)
@@ -83,11 +67,7 @@ class Scene:
         return replace(self, objects={**self.objects, **moved})
 
     def check_places(self, source: str) -> None:
-        """Check that all objects are on the floor and do not overlap.
-
-        Args:
-            source: Beginning of the error.
-        """
+        """Raise an error that begins with `source` unless objects are on the floor and apart."""
         check_places(source, self.size, self.objects)
 
     def _object(self, name: str) -> SceneObject:
@@ -139,7 +119,8 @@ def _object(spec: ObjectSpec, path: Path, where: str, urdfs: dict[Path, Urdf]) -
     check_inertia(file, urdf, fixed=spec.fixed)
     _check_joints(urdf, spec.joints, f"{where}.joints'")
     pose = _pose(spec.position, spec.rpy)
-    return SceneObject(file, urdf, pose, spec.fixed, rest_positions(urdf, spec.joints))
+    rest = {name: joint.rest for name, joint in free_joints(urdf).items()}
+    return SceneObject(file, urdf, pose, spec.fixed, rest | spec.joints)
 
 
 def _find_urdf(name: Path, beside: Path, where: str) -> Path:

@@ -303,7 +303,6 @@ def _watched(name: str, controller: TargetController) -> Iterator[None]:
 
 def _build_source(name: str, parameters: dict[str, object]) -> TargetSource:
     """Return a source by its entry point or as `module:Class`, also of the working directory."""
-    if ":" not in name:
-        return registry.build(GROUP, name, parameters)
-    sys.path.append(str(Path.cwd()))
+    if ":" in name:
+        sys.path.append(str(Path.cwd()))
     return registry.build(GROUP, name, parameters)

@@ -20,10 +20,6 @@ from kinfeas.core.policy import Policy
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 
-OFFERED = ("solver", "backend", "dt", "execution", "stream", "executor")
-"""Parameters of command filters that the loop sets: IK solver, backend, control period in seconds,
-`ExecutionConfig`, targets that move or None, and an executor of long work or None."""
-
 
 def assemble(  # noqa: PLR0913 - the parts of a loop
     solver: IkSolver,
@@ -57,7 +53,10 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
     """
     backend = with_adapters(backend, adapters, solver.robot)
     execution = backend.execution(execution or ExecutionConfig())
-    offered = dict(zip(OFFERED, (solver, backend, dt, execution, stream, executor), strict=True))
+    offered = {
+        "solver": solver, "backend": backend, "dt": dt, "execution": execution, "stream": stream,
+        "executor": executor,
+    }  # fmt: skip
     built = [
         registry.build_with("kinfeas.filters", each.name, each.parameters, offered)
         if isinstance(each, PluginSpec)
@@ -90,19 +89,14 @@ def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot
     return backend
 
 
-FOLDER = "sim2real"
-"""Folder of the shipped lists of adapters."""
+FOLDER = "sim2real"  # folder of the shipped lists of adapters
 
 
 @dataclass(frozen=True)
 class Sim2Real:
-    """A list of adapters.
+    """A list of adapters."""
 
-    Attributes:
-        adapters: Adapters around the backend, the first one innermost.
-    """
-
-    adapters: tuple[PluginSpec, ...]
+    adapters: tuple[PluginSpec, ...]  # around the backend, the first one innermost
 
 
 def read_sim2real(name: str) -> Sim2Real:

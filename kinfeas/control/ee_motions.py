@@ -14,31 +14,18 @@ _STATES = "motion."
 
 
 class Motions(NamedTuple):
-    """The motions of r rows, which one generator makes.
+    """The motions of r rows, which one generator makes."""
 
-    Attributes:
-        number: Of the generator.
-        generator: Of these motions.
-        rows: Which of the n motions they are, shape (r,).
-        state: State of the generator for them.
-    """
-
-    number: int
-    generator: CheckedMotion
-    rows: Rows
-    state: State
+    number: int  # of the generator
+    generator: CheckedMotion  # of these motions
+    rows: Rows  # which of the n motions they are, shape (r,)
+    state: State  # state of the generator for them
 
 
 class EeMotions:
-    """n motions, each made by one of several generators.
+    """n motions, each made by the generator whose number is in `which`, shape (n,).
 
-    No motion depends on the others. Arrays are replaced, never written into, since others may hold
-    them.
-
-    Attributes:
-        generators: All of them.
-        states: State of each generator, with n rows.
-        which: Number of the generator of each motion, shape (n,).
+    Arrays are replaced, never written into, since others may hold them.
     """
 
     def __init__(self, generators: Sequence[CheckedMotion]) -> None:

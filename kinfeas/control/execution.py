@@ -1,7 +1,7 @@
 """Sub-goals, their tolerances, and the execution of motions."""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 
@@ -14,31 +14,18 @@ from kinfeas.robots.robot import Robot
 
 Frame = Literal["ee", "tip"]
 
-GRASP_METRES = 0.005
-"""Distance to the end of a sub-goal at which a gripper acts."""
-
-RECONFIGURATION_SECONDS = 0.15
-"""An arm further from its command than this time at full joint velocity is reconfiguring, rather
-than lagging."""
+GRASP_METRES = 0.005  # distance to the end of a sub-goal at which a gripper acts
 
 
 @dataclass(frozen=True)
 class SubgoalMotion:
-    """One sub-goal of a motion sequence with its motion generator.
+    """One sub-goal of a motion sequence with its motion generator."""
 
-    Attributes:
-        generator: Moves the frame; sub-goals may share one.
-        frame: Whether it moves the EE frame or the tool tip in the common gripper convention.
-        dwell: Seconds that the EE rests after its arrival, unless it is the last sub-goal.
-        grip: Command to the gripper at the end of the sub-goal.
-        name: Name of the generator in errors; its class by default.
-    """
-
-    generator: MotionGenerator
-    frame: Frame = "ee"
-    dwell: float = 0.0
-    grip: Grip | None = None
-    name: str = ""
+    generator: MotionGenerator  # moves the frame; sub-goals may share one
+    frame: Frame = "ee"  # moves the EE frame or the tool tip in the common gripper convention
+    dwell: float = 0.0  # seconds that the EE rests after it, unless it is the last sub-goal
+    grip: Grip | None = None  # command to the gripper at the end of the sub-goal
+    name: str = ""  # name of the generator in errors; its class by default
 
 
 @dataclass(frozen=True)
@@ -52,7 +39,7 @@ class ExecutionConfig:
             arrival, to bring the EE within `GRASP_METRES` of its end.
         head_start_jitter: Upper bound of the seconds by which each episode's head start is longer.
         arm_settle_timeout: Longest pause of motion and base, in seconds, while the arm moves to
-            another configuration that is further away than `RECONFIGURATION_SECONDS`.
+            another configuration that is further away than 0.15 s at full joint velocity.
     """
 
     time_scale: TimeScale = 1.0
@@ -60,15 +47,6 @@ class ExecutionConfig:
     grasp_settle_time: Seconds = 0.0
     head_start_jitter: Seconds = 0.0
     arm_settle_timeout: Seconds = 0.0
-
-
-@runtime_checkable
-class ExecutionAdapter(Protocol):
-    """An adapter that changes the execution of motions."""
-
-    def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
-        """Return the execution within this adapter."""
-        ...
 
 
 def tool_pose(robot: Robot) -> Array:

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.arm import Arm
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.control.observer import Observer
-from kinfeas.control.period import CommandFilter, Move, Period
+from kinfeas.control.period import Arm, CommandFilter, Move, Period
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.control.surroundings import Surroundings
 from kinfeas.control.targets import TargetStream
@@ -36,46 +35,28 @@ _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 class Outcome:
     """Result of one step of the loop; each array has the leading shape (n,).
 
-    Attributes:
-        feasible: Whether IK found the desired pose.
-        position_error: Distance from the desired pose to the IK solution or its closest attempt,
-            metres.
-        rotation_error: The same in radians.
-        deviation: Distance of the achieved EE from the desired position, metres; the true one if
-            the backend measures it.
-        subgoal: Number of the sub-goal of this step.
-        goal_distance: Distance of the achieved EE from the end of that sub-goal, metres.
-        goal_angle: The same in radians.
-        finished: Whether the end of the last sub-goal was reached, on this feasible step.
-        joint_jump: Whether an arm joint was commanded to move faster than its limit.
-        time_scale: Fraction of the planned motion that was carried out.
-        collision: Whether the base, then the arm, touches a solid, shape (n, 2); None without any,
-            or if the loop does not find them.
+    `collision` is None without solids, or where the loop does not find them.
     """
 
-    feasible: NDArray[np.bool_]
-    position_error: Array
-    rotation_error: Array
-    deviation: Array
-    subgoal: NDArray[np.intp]
-    goal_distance: Array
-    goal_angle: Array
-    finished: NDArray[np.bool_]
-    joint_jump: NDArray[np.bool_]
-    time_scale: Array
-    collision: NDArray[np.bool_] | None = None
+    feasible: NDArray[np.bool_]  # whether IK found the desired pose
+    position_error: Array  # from the desired pose to the IK solution or closest attempt, metres
+    rotation_error: Array  # the same in radians
+    deviation: Array  # of the EE from the desired position, metres; the true one if measured
+    subgoal: NDArray[np.intp]  # number of the sub-goal of this step
+    goal_distance: Array  # distance of the achieved EE from the end of that sub-goal, metres
+    goal_angle: Array  # the same in radians
+    finished: NDArray[np.bool_]  # whether the last sub-goal was reached, on this feasible step
+    joint_jump: NDArray[np.bool_]  # whether an arm joint was to move faster than its limit
+    time_scale: Array  # fraction of the planned motion that was carried out
+    collision: NDArray[np.bool_] | None = None  # whether base, then arm, touch solids, (n, 2)
 
 
 class Loop:
     """n robots, each following its own EE motion; `assemble` builds one.
 
     Attributes:
-        solver: IK of the robot.
         sequence: Desired motions of the EEs.
-        backend: Moves the robots.
         dt: Control period, seconds.
-        execution: Execution of the motions.
-        filters: Change the policy's commands, in this order.
         surroundings: Solids and scans, where the backend has them.
         observer: Observes the robots, with the terms of the policy.
         policy: Policy that commands the bases, or None while it learns. Set it by `set_policy`.
@@ -102,7 +83,6 @@ class Loop:
         execution: ExecutionConfig,
         filters: Sequence[CommandFilter] = (),
     ) -> None:
-        """Connect the parts; call `start` before anything else."""
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
         self.execution, self.filters, self.robot = execution, tuple(filters), solver.robot
         self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
@@ -273,7 +253,6 @@ class Loop:
         return action
 
     def _period(self) -> Period:
-        """Return the next period before any filter."""
         robots, step = self.robots, self.sequence.next_step
         paused = self._arm.pauses(robots.joint_positions)
         period = Period(
@@ -329,7 +308,6 @@ class Loop:
         return forward(self.solver.chain, robots.joint_positions)
 
     def _observe(self) -> None:
-        """Observe the robots and what comes next."""
         self.observation = self.observer.observe(
             self.robots, self._ee_in_base, self.ee_pose, self.previous_command
         )

@@ -15,11 +15,8 @@ from kinfeas.core.spatial import Array, catch_up, relative
 from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.robot import Robot
 
-HORIZON = 0.1
-"""Seconds of planned motion that an observation shows, at any control rate."""
-
-CLIP = 3.0
-"""Bound of a scaled number: an EE far from its path would dominate all others."""
+HORIZON = 0.1  # seconds of planned motion that an observation shows, at any control rate
+CLIP = 3.0  # bound of a scaled number: an EE far from its path would dominate all others
 
 AHEAD = np.array([0.5, 1.0, 1.5])
 """Distances along the planned motion at which an observation shows it, metres."""
@@ -39,16 +36,13 @@ class ObservedState:
             contains the tracking error.
         rotation: Rotation change over `HORIZON` seconds, shape (n, 4).
         joint_positions: Arm joints, continuous ones in (-pi, pi], shape (n, j).
-        previous_command: Base command of the last period, shape (n, c), where a term needs it.
-        ahead: Positions `AHEAD` on the planned motion, shape (n, 3 d), metres, likewise.
-        planned_base: x, y and yaw of the base on a whole-body path, shape (n, 3), likewise.
-        ranges: Ranges of a scan, shape (n, 2, beams), metres, likewise.
     """
 
-    previous_command: Array | None = None
-    ahead: Array | None = None
-    planned_base: Array | None = None
-    ranges: Array | None = None
+    # Where a term needs them:
+    previous_command: Array | None = None  # base command of the last period, shape (n, c)
+    ahead: Array | None = None  # positions `AHEAD` on the planned motion, shape (n, 3 d), metres
+    planned_base: Array | None = None  # x, y and yaw on a whole-body path, shape (n, 3)
+    ranges: Array | None = None  # ranges of a scan, shape (n, 2, beams), metres
 
     def __init__(
         self, base_pose: Array, ee_in_base: Array, planned: Array, goal: Array, joints: Array
@@ -70,26 +64,20 @@ def _closeness(state: ObservedState, band: int) -> Any:
 
 @dataclass(frozen=True)
 class ObservationTerm:
-    """A named part of an observation.
+    """A named part of an observation."""
 
-    Attributes:
-        size: Count of numbers, or a function that returns it for a robot.
-        unit: Their unit.
-        scale: Factors that bring each number to about unit range, shape (size,) or one for all.
-        values: Computes them, shape (n, size).
-    """
-
-    size: int | Callable[[Robot], int]
-    unit: str
-    scale: tuple[float, ...]
-    values: Callable[[ObservedState], Any]
+    size: int | Callable[[Robot], int]  # count of numbers, or a function of the robot
+    unit: str  # their unit
+    scale: tuple[float, ...]  # factors for about unit range, shape (size,) or one for all
+    values: Callable[[ObservedState], Any]  # computes them, shape (n, size)
 
     def width(self, robot: Robot) -> int:
         """Return the count of numbers for a robot."""
         return self.size if isinstance(self.size, int) else self.size(robot)
 
 
-# An EE at 0.1 m/s and 0.1 rad/s turns by a quaternion of about 0.005 in `HORIZON`.
+# Poses and velocities are in the current base frame. An EE at 0.1 m/s and 0.1 rad/s turns by a
+# quaternion of about 0.005 in `HORIZON`.
 TERMS = {
     "ee_position": ObservationTerm(3, "m", (1.0,), lambda state: state.ee[:, :3]),
     "ee_orientation": ObservationTerm(4, QUATERNION, (1.0,), lambda state: state.ee[:, 3:]),
@@ -117,16 +105,13 @@ TERMS = {
         SCAN_BEAMS, _CLOSENESS, (1.0,), lambda state: _closeness(state, 1)
     ),
 }
-"""Observation terms by name; poses and velocities are in the current base frame."""
 
-SCAN_TERMS = {"scan_low", "scan_high"}
-"""Terms that need a scan."""
+SCAN_TERMS = {"scan_low", "scan_high"}  # terms that need a scan
 
 SURROUNDINGS = SCAN_TERMS | {"planned_base"}
 """Terms that are 0 where nothing stands around the robot."""
 
-OBSERVATION = tuple(TERMS)[:7]
-"""Terms of policies by default, in this order."""
+OBSERVATION = tuple(TERMS)[:7]  # terms of policies by default, in this order
 
 ACTION = "base_velocity"
 """Name of the action: velocity in the base frame, each number in [-1, 1], as a fraction of its
@@ -176,9 +161,7 @@ def describe_action(robot: Robot) -> TermInfo:
     base = robot.base
     linear = ("forward", "left")[: command_size(base) - 1]
     scale = (*(base.max_velocity for _ in linear), base.max_rotation)
-    entries = (*linear, "turn")
-    unit = "m/s, turn in rad/s"
-    return TermInfo(ACTION, len(entries), base.frame, unit, entries, scale)
+    return TermInfo(ACTION, len(scale), base.frame, "m/s, turn in rad/s", (*linear, "turn"), scale)
 
 
 def check_terms(names: object, where: str) -> tuple[str, ...]:

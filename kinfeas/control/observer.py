@@ -34,7 +34,6 @@ class Observer:
         dt: float,
         execution: ExecutionConfig,
     ) -> None:
-        """Observe motions that are carried out in periods of `dt` seconds."""
         self.terms: tuple[str, ...] = OBSERVATION
         self._sequence, self._surroundings, self._obstacles = sequence, surroundings, obstacles
         self._dt, self._time_scale = dt, execution.time_scale

@@ -8,31 +8,28 @@ from numpy.typing import NDArray
 
 from kinfeas.control.filters.half_spaces import VelocityConstraints
 from kinfeas.control.sequence import MotionSequence, MotionStep
-from kinfeas.core.motion import Rows
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative
 from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import in_base
+from kinfeas.robots.robot import exceeds_joint_velocity
+
+RECONFIGURATION_SECONDS = 0.15
+"""An arm further from its command than this time at full joint velocity is reconfiguring, rather
+than lagging."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KinematicInputs:
-    """Beginning and end of a control period of bases and arms.
+    """Beginning and end of a control period of bases and arms."""
 
-    Attributes:
-        base_pose: World pose of the base at the beginning, shape (n, 7).
-        joints: Arm joints at which IK begins, shape (n, j), radians or metres: the last command.
-        desired: World pose of the EE at the end, shape (n, 7).
-        solids: World solids at the end, n rows, which the arms avoid.
-        posture_guide: Arm joints that IK prefers, shape (n, j); NaN for none.
-    """
-
-    base_pose: Array
-    joints: Array
-    desired: Array
-    solids: Solids | None = None
-    posture_guide: Array | None = None
+    base_pose: Array  # world pose of the base at the beginning, shape (n, 7)
+    joints: Array  # where IK begins, shape (n, j), radians or metres: the last command
+    desired: Array  # world pose of the EE at the end, shape (n, 7)
+    solids: Solids | None = None  # world solids at the end, n rows, which the arms avoid
+    posture_guide: Array | None = None  # arm joints that IK prefers, shape (n, j); NaN for none
 
     def of(self, rows: Rows) -> "KinematicInputs":
         """Return the inputs of some rows."""
@@ -47,41 +44,24 @@ class KinematicInputs:
 
 @dataclass(frozen=True)
 class Move:
-    """Commands of bases and arms for one control period.
+    """Commands of bases and arms for one control period."""
 
-    Attributes:
-        base_twist: World twists, shape (n, 6), m/s and rad/s.
-        arm: IK solutions.
-        command: Base commands of which they come, shape (n, a).
-    """
-
-    base_twist: Array
-    arm: IkSolution
-    command: Array
+    base_twist: Array  # world twists, shape (n, 6), m/s and rad/s
+    arm: IkSolution  # IK solutions
+    command: Array  # base commands of which they come, shape (n, a)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Period(KinematicInputs):
-    """A control period that a loop is about to carry out.
+    """A control period that a loop is about to carry out."""
 
-    Attributes:
-        command: Base commands in [-1, 1], shape (n, 3) or (n, 2).
-        step: Step of the motions.
-        time_scale: Fraction of the planned motion that it carries out, shape (n,).
-        motions: Motions of the EEs, which do not change while filters read them.
-        paused: Whether base and motion pause while the arm reconfigures, shape (n,); None if none
-            does.
-        velocity_constraints: Constraints of an obstacle filter, for the filters after it.
-        move: Commands of bases and arms, where a filter has computed them.
-    """
-
-    command: Array
-    step: MotionStep
-    time_scale: Array
-    motions: MotionSequence
-    paused: NDArray[np.bool_] | None = None
-    velocity_constraints: VelocityConstraints | None = None
-    move: Move | None = None
+    command: Array  # base commands in [-1, 1], shape (n, 3) or (n, 2)
+    step: MotionStep  # step of the motions
+    time_scale: Array  # fraction of the planned motion that it carries out, shape (n,)
+    motions: MotionSequence  # motions of the EEs, which do not change while filters read them
+    paused: NDArray[np.bool_] | None = None  # rows whose arms reconfigure, (n,), or None
+    velocity_constraints: VelocityConstraints | None = None  # of an obstacle filter before
+    move: Move | None = None  # commands of bases and arms, where a filter has computed them
 
     @property
     def motion_seconds(self) -> Array:
@@ -105,7 +85,8 @@ class Period(KinematicInputs):
 class CommandFilter(Protocol):
     """Changes base commands before they are sent; entry points `kinfeas.filters`.
 
-    A filter is built from keyword parameters, and from those of `assemble.OFFERED` that it names.
+    A filter is built from keyword parameters; of `solver`, `backend`, `dt` (seconds), `execution`,
+    `stream` (None without moving targets) and `executor` (or None), `assemble` sets those it names.
     One with a state has `reset(rows, n)`, as a `Policy`; `max_batch` limits the robots of a process
     if it needs time or memory for each.
     """
@@ -116,13 +97,9 @@ class CommandFilter(Protocol):
 
 
 class KinematicStep:
-    """Effect of base commands in one control period: base twists, and arms by IK.
+    """Effect of base commands in one control period of `dt` seconds: base twists, and arms by IK.
 
-    Attributes:
-        solver: IK of the robot.
-        dt: Control period in seconds.
-        max_joint_step: Longest displacement of each arm joint in a period, shape (j,), radians or
-            metres.
+    `max_joint_step` is the longest displacement of each arm joint, shape (j,), radians or metres.
     """
 
     def __init__(self, solver: IkSolver, dt: float) -> None:
@@ -132,12 +109,9 @@ class KinematicStep:
     def __call__(
         self, command: Array, inputs: KinematicInputs, *, allow_reconfiguration: bool = True
     ) -> Move:
-        """Return the commands of bases and arms.
+        """Return the commands of bases and arms for base commands, shape (n, 3) or (n, 2).
 
-        Args:
-            command: Base commands in [-1, 1], shape (n, 3) or (n, 2).
-            inputs: Of the same n rows.
-            allow_reconfiguration: Whether IK also tries solutions out of reach in this period.
+        With `allow_reconfiguration` IK also tries solutions out of reach in this period.
         """
         twist = base_twist(self.solver.robot.base, inputs.base_pose, command, self.dt)
         reached = integrate(inputs.base_pose, twist, self.dt)
@@ -151,3 +125,52 @@ class KinematicStep:
             posture_guide=inputs.posture_guide,
         )
         return Move(twist, arm, command)
+
+
+class Arm:
+    """Arms that follow their bases.
+
+    `joint_command` are the last commanded joints, shape (n, j), radians or metres; `waited` are the
+    control periods for which each arm has been reconfiguring, shape (n,).
+    """
+
+    def __init__(self, solver: IkSolver, dt: float, settle_timeout: float) -> None:
+        """Command arms in periods of `dt` seconds; pauses last `settle_timeout` seconds at most."""
+        self._step, self._robot = KinematicStep(solver, dt), solver.robot
+        self._settle_timeout = round(settle_timeout / dt)
+        self.joint_command: Array = np.empty((0, len(solver.robot.arm)))
+        self.waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+
+    def start(self, joint_positions: Array, rows: Rows | None) -> None:
+        """Begin new episodes with measured arms, shape (n, j), in some rows, or in all of n."""
+        if rows is None:
+            self.joint_command = joint_positions.copy()
+            self.waited = np.zeros(len(joint_positions), dtype=np.intp)
+        else:
+            self.joint_command = with_rows(self.joint_command, rows, joint_positions[rows])
+            self.waited[rows] = 0
+
+    def __call__(self, period: Period) -> Move:
+        """Return the commands of bases and arms that reach the desired poses."""
+        move = period.move
+        if move is None or not (
+            move.command is period.command or np.array_equal(move.command, period.command)
+        ):
+            move = self._step(period.command, period)
+        self.joint_command = move.arm.joint_positions
+        return move
+
+    def pauses(self, joint_positions: Array) -> NDArray[np.bool_] | None:
+        """Return which rows pause in this period, shape (n,), since their arms reconfigure.
+
+        None if none does. Policies are trained with arms at their commands. During a
+        reconfiguration they would read a large tracking error and drive the base after the EE.
+        """
+        if not self._settle_timeout:
+            return None
+        reconfigures = exceeds_joint_velocity(
+            self._robot, joint_positions, self.joint_command, RECONFIGURATION_SECONDS
+        )
+        self.waited = np.where(reconfigures, self.waited + 1, 0)
+        paused = reconfigures & (self.waited <= self._settle_timeout)
+        return paused if paused.any() else None

@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,35 +30,26 @@ from kinfeas.kinematics.ik import IkSolver
 
 @dataclass(frozen=True)
 class MotionStep:
-    """Next step of the motions of n EEs.
+    """Next step of the motions of n EEs."""
 
-    Attributes:
-        desired: Desired world poses of the EE after the step, shape (n, 7).
-        preview: The same after `HORIZON` seconds at the step's twist, shape (n, 7).
-        states: State of each generator after the step.
-        seconds: Motion time of the step, shape (n,).
-    """
-
-    desired: Array
-    preview: Array
-    states: list[State]
-    seconds: Array
+    desired: Array  # desired world poses of the EE after the step, shape (n, 7)
+    preview: Array  # the same after `HORIZON` seconds at the step's twist, shape (n, 7)
+    states: list[State]  # state of each generator after the step
+    seconds: Array  # motion time of the step, shape (n,)
 
 
 _PATHS = "waypoints"
 _ROWS = (
-    "desired", "subgoal", "head_start", "settling", "dwelling", "seeds", "targets", "elapsed",
+    "desired", "subgoal", "head_start", "settling", "dwelling", "_seeds", "_targets", "elapsed",
     "periods", "time_scale",
 )  # fmt: skip
 _STREAM = "target_stream."
 
-_REPLAN_SECONDS = 1.0
-"""Control time between plans around moving solids."""
+_REPLAN_SECONDS = 1.0  # control time between plans around moving solids
 
 _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
-_LONGEST = 300.0
-"""Seconds after which a motion counts as ended where it is looked at in advance."""
+_LONGEST = 300.0  # seconds after which a motion counts as ended where it is looked at in advance
 
 
 class MotionSequence:
@@ -91,16 +83,6 @@ class MotionSequence:
         gripper: Gripper | None = None,
         stream: TargetStream | None = None,
     ) -> None:
-        """Set out the sub-goals, at least one; call `start` before anything else.
-
-        Args:
-            subgoals: Motions that every EE makes one after the other.
-            solver: IK of the robot.
-            dt: Control period in seconds.
-            execution: As planned by default.
-            gripper: Grippers, if the robots have any.
-            stream: Targets that move, if there are any.
-        """
         execution = execution or ExecutionConfig()
         self.stream, self._gripper = stream, gripper
         self._motion_time = dt * execution.time_scale
@@ -134,10 +116,6 @@ class MotionSequence:
         self._targets: Array = np.empty((0, len(subgoals), 7))
         self.elapsed: Array = np.empty(0)
         self.revision = 0
-        # Until something changes:
-        self._goal: Array | None = None
-        self._next: MotionStep | None = None
-        self._robot_soon: tuple[Array, Array | None] | None = None
 
     def start(
         self,
@@ -165,8 +143,8 @@ class MotionSequence:
             self.whole_body.start(len(rngs))
             self._solids, rows = None, np.arange(len(rngs))
         else:
-            pairs = zip(self._arrays(), fresh, strict=True)
-            self._put(tuple(with_rows(old, rows, new) for old, new in pairs))
+            pairs = zip(_ROWS, fresh, strict=True)
+            self._put([with_rows(getattr(self, name), rows, new) for name, new in pairs])
         self._begin(rows)
 
     def start_stream(self, rngs: Sequence[np.random.Generator], rows: Rows, base: Array) -> None:
@@ -175,17 +153,13 @@ class MotionSequence:
             self.stream.start(self.desired, rngs, rows)
             self.aim(self.stream.targets(self._progress(rows, base)))
 
-    @property
+    @cached_property  # until something changes
     def goal(self) -> Array:
         """World pose of the EE at the end of each row's sub-goal, shape (n, 7)."""
-        if self._goal is None:
-            targets = self._target
-            self._goal = self._to_ee(
-                self._motions.ask(
-                    lambda group: group.generator.goal_pose(group.state, targets[group.rows])
-                )
-            )
-        return self._goal
+        targets, ask = self._target, self._motions.ask
+        return self._to_ee(
+            ask(lambda group: group.generator.goal_pose(group.state, targets[group.rows]))
+        )
 
     @property
     def last(self) -> NDArray[np.bool_]:
@@ -311,12 +285,10 @@ class MotionSequence:
             self._begin(rows)
             self._replan(rows)
 
-    @property
+    @cached_property
     def next_step(self) -> MotionStep:
         """Next step of the motions, of one control period."""
-        if self._next is None:
-            self._next = self.step_of(self._motion_time)
-        return self._next
+        return self.step_of(self._motion_time)
 
     def step(self, time_scale: Array) -> MotionStep:
         """Return the next step with fractions, shape (n,), of the planned motion."""
@@ -391,14 +363,14 @@ class MotionSequence:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as arrays by name."""
-        own = dict(zip(_ROWS, self._arrays(), strict=True))
+        own = {name: getattr(self, name) for name in _ROWS}
         stream = {} if self.stream is None else self.stream.snapshot()
         targets = {f"{_STREAM}{key}": values for key, values in stream.items()}
         return own | targets | {_PATHS: self.whole_body.waypoints} | self._motions.snapshot()
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
-        self._put(tuple(snapshot[key].copy() for key in _ROWS))
+        self._put([snapshot[name].copy() for name in _ROWS])
         if self.stream is not None:
             targets = {k: values for k, values in snapshot.items() if k.startswith(_STREAM)}
             self.stream.restore({k.removeprefix(_STREAM): v for k, v in targets.items()})
@@ -407,23 +379,16 @@ class MotionSequence:
         self._solids = self.whole_body.robots = None
         self.whole_body.waypoints = snapshot[_PATHS].copy()
 
-    def _arrays(self) -> tuple[NDArray[Any], ...]:
-        waits = self.head_start, self.settling, self.dwelling
-        progress = self.elapsed, self.periods, self.time_scale
-        return self.desired, self.subgoal, *waits, self._seeds, self._targets, *progress
-
-    def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
-        self.desired, self.subgoal, self.head_start, self.settling, self.dwelling, *rest = arrays
-        self._seeds, self._targets, self.elapsed, self.periods, self.time_scale = rest
+    def _put(self, arrays: Sequence[NDArray[Any]]) -> None:
+        for name, values in zip(_ROWS, arrays, strict=True):
+            setattr(self, name, values)
 
     def _progress(self, rows: Rows, base_pose: Array) -> Progress:
-        """Return what targets that move depend on."""
         return Progress(
             rows, self.periods, self.desired, base_pose, self.time_scale, self.dt, self._motion_time
         )
 
     def _replan_moving(self, surroundings: Surroundings, robots: RobotState) -> None:
-        """Plan motions around solids that have moved; sub-goals that begin now avoid them, too."""
         solids = surroundings.after(0.0)
         if solids is None or not self.avoids_solids:
             return
@@ -460,7 +425,6 @@ class MotionSequence:
         return moved & (settling == 0)
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
-        """Command the grippers of rows whose sub-goals have just ended."""
         if self._gripper is None or not stops.any():
             return
         for number, ended in enumerate(self.subgoals):
@@ -506,7 +470,6 @@ class MotionSequence:
 
     @property
     def _target(self) -> Array:
-        """World pose of the target of each row's sub-goal, shape (n, 7)."""
         if len(self.subgoals) == 1:
             return self._targets[:, 0]
         target: Array = self._targets[np.arange(len(self.subgoal)), self.subgoal]
@@ -514,14 +477,13 @@ class MotionSequence:
 
     def _changed(self) -> None:
         self.revision += 1
-        self._goal = self._robot_soon = self._next = None
+        for name in ("goal", "next_step", "_planned"):
+            vars(self).pop(name, None)
 
-    @property
+    @cached_property
     def _planned(self) -> tuple[Array, Array | None]:
-        if self._robot_soon is None:
-            motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
-            self._robot_soon = self.whole_body.soon(motions)
-        return self._robot_soon
+        motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
+        return self.whole_body.soon(motions)
 
     def _to_frame(self, ee_pose: Array) -> Array:
         """Return the pose of the frame that each row's sub-goal moves, shape (n, 7)."""

@@ -21,7 +21,6 @@ class Surroundings:
     """
 
     def __init__(self, backend: Backend, shapes: CollisionModel) -> None:
-        """Take the solids of a backend; `shapes` are those of its robots."""
         self._backend, self._shapes = backend, shapes
         self._known = MovingSolids() if backend.real_time and backend.solids is None else None
         self._solids = backend.solids or self._known

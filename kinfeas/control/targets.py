@@ -16,25 +16,15 @@ from kinfeas.core.spatial import Array
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of n motions at the end of a control period.
+    """Progress of n motions at the end of a control period."""
 
-    Attributes:
-        rows: Rows that begin a period, shape (m,).
-        periods: Control periods since the start of each motion, shape (n,).
-        desired: Desired world poses of the EEs, shape (n, 7).
-        base_pose: World poses of the bases, shape (n, 7).
-        time_scale: Fraction of the planned motion that the last period carried out, shape (n,).
-        dt: Control period, seconds.
-        motion_seconds: Planned motion time of a period.
-    """
-
-    rows: Rows
-    periods: NDArray[np.intp]
-    desired: Array
-    base_pose: Array
-    time_scale: Array
-    dt: float
-    motion_seconds: float
+    rows: Rows  # rows that begin a period, shape (m,)
+    periods: NDArray[np.intp]  # control periods since the start of each motion, shape (n,)
+    desired: Array  # desired world poses of the EEs, shape (n, 7)
+    base_pose: Array  # world poses of the bases, shape (n, 7)
+    time_scale: Array  # fraction of the planned motion that the last period carried out, shape (n,)
+    dt: float  # control period, seconds
+    motion_seconds: float  # planned motion time of a period
 
 
 class TargetStream(Protocol):
@@ -90,7 +80,6 @@ class TargetRules:
     heights: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check that the heights ascend."""
         if self.heights is not None:
             check_ascending("heights", self.heights)
 
@@ -122,23 +111,22 @@ class TargetInbox:
         counts: Messages by each of `RULES`, shape (n, 5).
     """
 
-    target: Array
-    speed: Array
-    live: NDArray[np.bool_]
-    counts: NDArray[np.intp]
-    _before: Array
-    _twist: Array
-    _times: Array
-    _poses: Array
-    _has_poses: NDArray[np.bool_]
-    _last_aim: Array
-    _sent: Array
-    _until: Array
-
     def __init__(self, rules: TargetRules, size: int = 2) -> None:
         """Hold chunks of up to `size` poses, at least two."""
         self.rules, self._size = rules, size
         self._put_all(np.empty((0, 7)))
+
+    def _put_all(self, target: Array) -> None:
+        n = len(target)
+        self.target, self._before = target.copy(), target.copy()
+        self.live, self._has_poses = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+        self.speed = np.zeros(n)
+        self._sent, self._until = np.full((2, n), -np.inf)
+        self._twist = np.zeros((n, 6))
+        self._times = np.full((n, self._size), np.inf)
+        self._poses = np.repeat(target[:, np.newaxis], self._size, axis=1)
+        self._last_aim = target.copy()
+        self.counts = np.zeros((n, len(RULES)), dtype=np.intp)
 
     def start(self, target: Array, rows: Rows | None = None) -> None:
         """Rest at targets (m, 7), without messages, in `rows` or as all of them."""
@@ -249,18 +237,6 @@ class TargetInbox:
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
         vars(self).update({key: values.copy() for key, values in snapshot.items()})
-
-    def _put_all(self, target: Array) -> None:
-        n = len(target)
-        self.target, self._before = target.copy(), target.copy()
-        self.live, self._has_poses = np.zeros((2, n), dtype=np.bool_)
-        self.speed = np.zeros(n)
-        self._sent, self._until = np.full((2, n), -np.inf)
-        self._twist = np.zeros((n, 6))
-        self._times = np.full((n, self._size), np.inf)
-        self._poses = np.repeat(target[:, np.newaxis], self._size, axis=1)
-        self._last_aim = target.copy()
-        self.counts = np.zeros((n, len(RULES)), dtype=np.intp)
 
     def _near(self, pose: Array, other: Array) -> NDArray[np.bool_]:
         metres, radians = spatial.distance(pose, other)

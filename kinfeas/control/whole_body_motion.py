@@ -14,8 +14,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_goal import CHECKED_AHEAD, BaseGoalPlanner
 
-LEAD = 1.0
-"""Seconds by which the planned base that policies see is ahead of the EE."""
+LEAD = 1.0  # seconds by which the planned base that policies see is ahead of the EE
 
 
 class WholeBodyMotions:
@@ -32,11 +31,8 @@ class WholeBodyMotions:
     def __init__(
         self, solver: IkSolver, dt: float, time_scale: float, generators: Iterable[CheckedMotion]
     ) -> None:
-        """Set up the planner.
-
-        Motions are carried out in periods of `dt` seconds, slower by the factor `time_scale`.
-        """
-        used = any(each.follows_whole_body for each in generators)
+        """Plan for periods of `dt` seconds of motions slower by the factor `time_scale`."""
+        used = any(generator.follows_whole_body for generator in generators)
         self.planner = BaseGoalPlanner(solver, time_scale) if used else None
         self.robots: tuple[Array, Array] | None = None
         self.waypoints: Array = np.empty((0, WAYPOINTS * used, 3 + len(solver.robot.arm)))

@@ -11,25 +11,15 @@ from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 
 
 class Descent(NamedTuple):
-    """Options of a descent.
+    """Options of a descent."""
 
-    Attributes:
-        position_tolerance: Position error at which it ends, metres.
-        rotation_tolerance: Rotation error at which it ends, radians.
-        rotation_weight: Metres equivalent to one radian of error.
-        max_iterations: Largest number of steps.
-        stall_steps: Steps without progress after which it ends.
-        damping_floor: Least damping, m^2.
-        damping_gain: Factor of the squared error, m^2, that is added to it.
-    """
-
-    position_tolerance: float
-    rotation_tolerance: float
-    rotation_weight: float
-    max_iterations: int
-    stall_steps: int = 3
-    damping_floor: float = 1e-6
-    damping_gain: float = 0.02
+    position_tolerance: float  # position error at which it ends, metres
+    rotation_tolerance: float  # rotation error at which it ends, radians
+    rotation_weight: float  # metres equivalent to one radian of error
+    max_iterations: int  # largest number of steps
+    stall_steps: int = 3  # steps without progress after which it ends
+    damping_floor: float = 1e-6  # least damping, m^2
+    damping_gain: float = 0.02  # factor of the squared error, m^2, that is added to it
 
 
 class Scratch(NamedTuple):

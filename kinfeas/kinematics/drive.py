@@ -62,18 +62,15 @@ def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> A
 
 
 def _limits(base: Base) -> Array:
-    """Return the limits of speed and rotation, for kernels."""
     return np.array([base.max_velocity, base.max_rotation])
 
 
 def _turned_first(base: Base, dt: float) -> float:
-    """Return the seconds for which a base has turned when its twist is computed."""
     return 0.0 if base.drive == "omnidirectional" else dt
 
 
 @inlined
 def _write_twist(pose, forward, left, turn, seconds, out):
-    """Write the world twist of a base that has turned for some seconds."""
     angle = heading(pose) + turn * seconds
     cosine, sine = math.cos(angle), math.sin(angle)
     out[0], out[1] = cosine * forward - sine * left, sine * forward + cosine * left
@@ -89,7 +86,6 @@ def within_speed(forward, left, fastest):
 
 @compiled(["void(f8[:], f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(a),(l),(),(t)->(t)")
 def _base_twist(pose, action, limits, dt, like, out):
-    """World twist of an action, whose size depends on the drive."""
     fastest = limits[0]
     forward, turn = clipped(action[0]) * fastest, clipped(action[-1]) * limits[1]
     if len(action) == 2:
@@ -101,13 +97,11 @@ def _base_twist(pose, action, limits, dt, like, out):
 
 @compiled(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(v),(),(t)->(t)")
 def _world_twist(pose, velocity, seconds, like, out):
-    """World twist of a velocity of a base that has turned for some seconds."""
     _write_twist(pose, velocity[0], velocity[1], velocity[2], seconds, out)
 
 
 @compiled(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(t),(),(v)->(v)")
 def _base_velocity(pose, twist, seconds, like, out):
-    """Inverse of `world_twist`."""
     angle = heading(pose) + twist[5] * seconds
     cosine, sine = math.cos(angle), math.sin(angle)
     out[0], out[1] = cosine * twist[0] + sine * twist[1], cosine * twist[1] - sine * twist[0]
@@ -134,5 +128,4 @@ def write_action_toward(pose, velocity, limits, dt, out):
 
 @compiled(["void(f8[:], f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(u),(l),(),(a)->(a)")
 def _action_toward(pose, velocity, limits, dt, like, out):
-    """Action that comes closest to a planar velocity."""
     write_action_toward(pose, velocity, limits, dt, out)

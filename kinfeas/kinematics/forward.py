@@ -21,58 +21,35 @@ class Tree(NamedTuple):
 
     Every joint moves about or along the z axis of its own frame: the constant transforms before and
     after it contain the rotation to the URDF's axis, so that a joint mixes only two columns.
-
-    Attributes:
-        parent: Parent joint, shape (m,); -1 is the robot's base.
-        rotation: From the parent's body to the joint, shape (m, 3, 3).
-        offset: Same, metres, shape (m, 3).
-        prismatic: Whether the joint is prismatic, shape (m,).
-        variable: Arm variable that drives it, shape (m,).
-        multiplier: Joint position per unit of the variable, shape (m,); 1 except for mimic joints.
-        bias: Joint position at variable 0, shape (m,).
     """
 
-    parent: NDArray[np.intp]
-    rotation: Array
-    offset: Array
-    prismatic: NDArray[np.bool_]
-    variable: NDArray[np.intp]
-    multiplier: Array
-    bias: Array
+    parent: NDArray[np.intp]  # parent joint, shape (m,); -1 is the robot's base
+    rotation: Array  # from the parent's body to the joint, shape (m, 3, 3)
+    offset: Array  # same, metres, shape (m, 3)
+    prismatic: NDArray[np.bool_]  # whether the joint is prismatic, shape (m,)
+    variable: NDArray[np.intp]  # arm variable that drives it, shape (m,)
+    multiplier: Array  # joint position per unit of the variable, shape (m,); 1 unless mimic
+    bias: Array  # joint position at variable 0, shape (m,)
 
 
 class Mount(NamedTuple):
-    """Pose of a link on the body of a joint.
+    """Pose of a link on the body of a joint."""
 
-    Attributes:
-        joint: Index into the tree; -1 is the robot's base.
-        rotation: From that body to the link, shape (3, 3).
-        offset: Same, metres, shape (3,).
-    """
-
-    joint: int
-    rotation: Array
-    offset: Array
+    joint: int  # index into the tree; -1 is the robot's base
+    rotation: Array  # from that body to the link, shape (3, 3)
+    offset: Array  # same, metres, shape (3,)
 
 
 class Chain(NamedTuple):
-    """A serial tree (parent of i is i - 1) with the EE frame on its last body.
+    """A serial tree (parent of i is i - 1) with the EE frame on its last body."""
 
-    Attributes:
-        tree: Joints from the base to the EE.
-        ee_rotation: From the last body to the EE frame, shape (3, 3).
-        ee_offset: Same, metres, shape (3,).
-        variables: Number of the arm's joints, including those that do not move the EE.
-    """
-
-    tree: Tree
-    ee_rotation: Array
-    ee_offset: Array
-    variables: int
+    tree: Tree  # joints from the base to the EE
+    ee_rotation: Array  # from the last body to the EE frame, shape (3, 3)
+    ee_offset: Array  # same, metres, shape (3,)
+    variables: int  # number of the arm's joints, including those that do not move the EE
 
 
-_Segment = tuple[int, Array, Array, bool, int, float, float]
-"""Fields of a `Tree` for one joint."""
+_Segment = tuple[int, Array, Array, bool, int, float, float]  # fields of a `Tree` for one joint
 
 
 def build_tree(robot: Robot, tip: str | None = None) -> tuple[Tree, dict[str, Mount]]:
@@ -184,21 +161,13 @@ def _jacobian_batch(chain, joint_positions, out):
 
 
 class Frames(NamedTuple):
-    """Frames of a chain, allocated once for a whole batch.
+    """Frames of a chain, allocated once for a whole batch."""
 
-    Attributes:
-        motion: Cosine, sine and translation of each joint, shape (m, 3).
-        axis: Joint axes in the base frame, shape (m, 3).
-        origin: Joint origins in the base frame, shape (m, 3), metres.
-        rotation: EE orientation in the base frame, shape (3, 3).
-        position: EE position in the base frame, shape (3,), metres.
-    """
-
-    motion: Array
-    axis: Array
-    origin: Array
-    rotation: Array
-    position: Array
+    motion: Array  # cosine, sine and translation of each joint, shape (m, 3)
+    axis: Array  # joint axes in the base frame, shape (m, 3)
+    origin: Array  # joint origins in the base frame, shape (m, 3), metres
+    rotation: Array  # EE orientation in the base frame, shape (3, 3)
+    position: Array  # EE position in the base frame, shape (3,), metres
 
 
 @kernel

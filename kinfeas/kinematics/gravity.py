@@ -11,24 +11,20 @@ from kinfeas.kinematics.kernels import inlined, inner, kernel
 from kinfeas.kinematics.self_collision import CollisionScratch, place_bodies
 from kinfeas.robots.robot import Robot
 
-GRAVITY = 9.81
-"""Acceleration, m/s^2."""
+GRAVITY = 9.81  # acceleration, m/s^2
 
 
 class GravityModel(NamedTuple):
     """The masses that the arm's joints carry, and the torques that its motors can hold.
 
-    Attributes:
-        tree: All m joints that the arm drives, mimic joints included, as in `CollisionModel`.
-        load: A row for each joint, shape (m, 6), one array since each costs a call of a kernel:
-            mass of its body, kg; the same times its centre, in its frame, three numbers, kg m; mass
-            of all bodies from it on, kg; largest gravity torque, N m or N, inf for none.
-        variables: Number of the arm's joints.
+    `load` has for each joint the mass of its body, kg; the same times its centre in its frame,
+    three numbers, kg m; mass of all bodies from it on, kg; largest gravity torque, N m or N, inf
+    for none. It is one array since each costs a call of a kernel.
     """
 
-    tree: Tree
-    load: Array
-    variables: int
+    tree: Tree  # all m joints that the arm drives, mimic joints included, as in `CollisionModel`
+    load: Array  # shape (m, 6)
+    variables: int  # number of the arm's joints
 
     @property
     def limited(self) -> bool:

@@ -1,7 +1,6 @@
 """Inverse kinematics: verified, within joint limits, deterministic."""
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -13,7 +12,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.descent import Descent
-from kinfeas.kinematics.forward import Chain, build_chain, forward, jacobian
+from kinfeas.kinematics.forward import Chain, build_chain, forward
 from kinfeas.kinematics.gravity import build_gravity_model, overloaded
 from kinfeas.kinematics.search import SEARCH, Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
@@ -61,33 +60,19 @@ class IkOptions:
 
     def thorough(self) -> "IkOptions":
         """Return options with the same solutions that search at least as hard as the default."""
+        efforts = "library", "restarts", "candidates", "max_iterations", "centering"
         default = IkOptions()
-        return replace(
-            self,
-            library=max(self.library, default.library),
-            restarts=max(self.restarts, default.restarts),
-            candidates=max(self.candidates, default.candidates),
-            max_iterations=max(self.max_iterations, default.max_iterations),
-            centering=max(self.centering, default.centering),
-        )
+        return replace(self, **{k: max(getattr(self, k), getattr(default, k)) for k in efforts})
 
 
 @dataclass(frozen=True)
 class IkSolution:
-    """Solutions for n targets.
+    """Solutions for n targets."""
 
-    Attributes:
-        joint_positions: Solutions, or the seeds where there is none, shape (n, v).
-        feasible: Whether a solution was found, shape (n,).
-        position_error: Position error of the solution, or of the closest attempt without
-            collision, shape (n,), metres.
-        rotation_error: Rotation error of the same, shape (n,), radians.
-    """
-
-    joint_positions: Array
-    feasible: NDArray[np.bool_]
-    position_error: Array
-    rotation_error: Array
+    joint_positions: Array  # solutions, or the seeds where there is none, shape (n, v)
+    feasible: NDArray[np.bool_]  # whether a solution was found, shape (n,)
+    position_error: Array  # of the solution or closest attempt, shape (n,), metres
+    rotation_error: Array  # the same, shape (n,), radians
 
     def put(self, rows: NDArray[np.intp], solutions: "IkSolution") -> None:
         """Replace the solutions of the m targets `rows`, shape (m,)."""
@@ -99,20 +84,12 @@ class IkSolver:
     """Solves IK for batches of EE poses of one robot."""
 
     def __init__(self, robot: Robot, options: IkOptions | None = None) -> None:
-        """Prepare the solver for `robot`."""
         self.options = options = options or IkOptions()
         self.robot = robot
         self.chain = build_chain(robot)
         self.collision = build_collision_model(robot)
         self.gravity = build_gravity_model(robot)
         self._problem = _make_problem(self)
-
-    @cached_property
-    def _held_torso(self) -> Problem:
-        torso = self.robot.torso
-        if torso is None:
-            raise KinfeasError(f"the arm of robot {self.robot.name!r} has no torso to hold")
-        return _make_problem(self, torso)
 
     def admissible(self, joint_positions: Array) -> NDArray[np.bool_]:
         """Return which postures (..., v) are free of self-collision and can be held, shape (...).
@@ -132,7 +109,6 @@ class IkSolver:
         *,
         allow_reconfiguration: bool = True,
         solids: Solids | None = None,
-        hold_torso: bool = False,
         posture_guide: Array | None = None,
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
@@ -152,13 +128,11 @@ class IkSolver:
             allow_reconfiguration: Whether solutions beyond `max_joint_step` are allowed.
             solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
                 solution.
-            hold_torso: Whether the torso stays where the seed has it.
             posture_guide: Joint positions towards which arms move within `max_joint_step` if a
                 solution is there, shape (n, v); NaN for none.
 
         Raises:
-            KinfeasError: If an array has another shape, `max_joint_step` is needed and missing, or
-                there is no torso to hold.
+            KinfeasError: If an array has another shape, or `max_joint_step` is needed and missing.
         """
         if max_joint_step is None and not allow_reconfiguration:
             raise KinfeasError("without reconfiguration, max_joint_step must be given")
@@ -172,18 +146,17 @@ class IkSolver:
             guide = _checked("posture guides", posture_guide, (n, joints))
         around = _NO_SOLIDS if solids is None else solid_arrays(solids, n)
         clearance = 0.0 if solids is None else self.options.solid_clearance
-        problem = self._held_torso if hold_torso else self._problem
         feasible, errors = np.empty(n, dtype=np.bool_), np.empty((n, 2))
         # No arm is reconfigured for the clearance.
         anywhere = allow_reconfiguration and not (clearance and len(step))
         results = solution, feasible, errors
-        solve_batch(problem, targets, step, anywhere, guide, around, clearance, *results)
+        solve_batch(self._problem, targets, step, anywhere, guide, around, clearance, *results)
         rows = (~feasible).nonzero()[0]
         if clearance and allow_reconfiguration and rows.size:
             guide = guide[rows] if len(guide) else guide
             among = tuple(values[rows] for values in around)
             again = solution[rows], feasible[rows], errors[rows]
-            solve_batch(problem, targets[rows], step, True, guide, among, 0.0, *again)
+            solve_batch(self._problem, targets[rows], step, True, guide, among, 0.0, *again)
             for values, new in zip(results, again, strict=True):
                 values[rows] = new
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
@@ -197,24 +170,18 @@ def _checked(name: str, values: Array, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
+def _make_problem(solver: IkSolver) -> Problem:
     robot, options, chain = solver.robot, solver.options, solver.chain
     # Copies, since kernels are compiled again for read-only arrays.
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     middle, half = _ranges(lower, upper)
-    position, radians, weight = (
-        options.position_tolerance,
-        options.rotation_tolerance,
-        ROTATION_WEIGHT,
-    )
-    aim = (SEARCH.aim * position, SEARCH.aim * radians)
+    position, radians = options.position_tolerance, options.rotation_tolerance
+    aim, weight = (SEARCH.aim * position, SEARCH.aim * radians), ROTATION_WEIGHT
     if options.pose_tolerance and robot.pose_tolerance is not None:
         position, radians = robot.pose_tolerance.position, robot.pose_tolerance.rotation
         weight = position / radians
     library = spread_configurations(robot, options.library)
-    if held >= 0:
-        library[:, held] = middle[held]
     if options.self_collision:
         library = library[~self_collides(solver.collision, library)]
     library = library[~overloaded(solver.gravity, library).any(axis=1)]
@@ -238,8 +205,6 @@ def _make_problem(solver: IkSolver, held: int = -1) -> Problem:
         candidates=options.candidates,
         accept_position=position,
         accept_rotation=radians,
-        held=held,
-        lift=jacobian(chain, middle)[:3, held].copy(),
     )
 
 

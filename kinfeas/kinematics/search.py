@@ -40,51 +40,28 @@ from where these ended to anywhere."""
 class Problem(NamedTuple):
     """Constants of a robot's search.
 
-    Attributes:
-        chain: From base to EE, driven by v variables.
-        descent: Options of a descent.
-        collision: Self-collision model.
-        check_collision: Whether self-collision is checked.
-        load: Of a `GravityModel`, shape (m, 6); (0, 6) if any posture can be held.
-        lower: Joint limits, shape (v,); -inf for continuous joints.
-        upper: Same, +inf for continuous joints.
-        velocity: Joint velocity limits, shape (v,).
-        continuous: Whether joints are continuous, shape (v,).
-        middle: Middles of the joint ranges, shape (v,).
-        centering: Pull towards the middles, shape (v,): times the root of the distance, a fraction
-            of `max_joint_step`. Shape (0,) for none.
-        reach: Centre and radius of a ball that contains the last joint, shape (4,), metres.
-        library: Configurations to restart from, shape (l, v).
-        features: Their features for ranking, shape (13, l); see `library_features`.
-        restarts: Largest number of restarts.
-        candidates: Number of solutions of which the nearest is taken.
-        accept_position: Position error of a feasible pose, metres.
-        accept_rotation: Rotation error of a feasible pose, radians.
-        held: Joint that stays where the seed has it, in the middle of its range in the library; -1
-            for none.
-        lift: Motion of the EE per unit of that joint, shape (3,).
+    Arms move towards the middles by `centering` times the root of the distance, a fraction of
+    `max_joint_step`.
     """
 
-    chain: Chain
-    descent: Descent
-    collision: CollisionModel
-    check_collision: bool
-    load: Array
-    lower: Array
-    upper: Array
-    velocity: Array
-    continuous: NDArray[np.bool_]
-    middle: Array
-    centering: Array
-    reach: Array
-    library: Array
-    features: NDArray[np.float32]
-    restarts: int
-    candidates: int
-    accept_position: float
-    accept_rotation: float
-    held: int
-    lift: Array
+    chain: Chain  # from base to EE, driven by v variables
+    descent: Descent  # options of a descent
+    collision: CollisionModel  # self-collision model
+    check_collision: bool  # whether self-collision is checked
+    load: Array  # of a `GravityModel`, shape (m, 6); (0, 6) if any posture can be held
+    lower: Array  # joint limits, shape (v,); -inf for continuous joints
+    upper: Array  # same, +inf for continuous joints
+    velocity: Array  # joint velocity limits, shape (v,)
+    continuous: NDArray[np.bool_]  # whether joints are continuous, shape (v,)
+    middle: Array  # middles of the joint ranges, shape (v,)
+    centering: Array  # pull towards the middles, shape (v,); (0,) for none
+    reach: Array  # centre and radius of a ball that contains the last joint, shape (4,), metres
+    library: Array  # configurations to restart from, shape (l, v)
+    features: NDArray[np.float32]  # for ranking these, shape (13, l); see `library_features`
+    restarts: int  # largest number of restarts
+    candidates: int  # number of solutions of which the nearest is taken
+    accept_position: float  # position error of a feasible pose, metres
+    accept_rotation: float  # rotation error of a feasible pose, radians
 
 
 def library_features(position: Array, orientation: Array, weight: float) -> NDArray[np.float32]:
@@ -125,16 +102,10 @@ def solve_batch(
     near = np.empty((6, len(max_joint_step)))
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
-    orientation, position = np.empty((3, 3)), np.empty(3)
-    held, lower, upper = problem.held, problem.lower.copy(), problem.upper.copy()
-    limits, (pose, size, cylinder) = (lower, upper), solids
+    orientation = np.empty((3, 3))
+    limits, (pose, size, cylinder) = (problem.lower, problem.upper), solids
     grown = np.empty(size.shape[1:])
     for i in range(len(solution)):
-        if held >= 0:
-            at = solution[i, held]
-            if len(max_joint_step) == 0:
-                at = min(max(at, problem.lower[held]), problem.upper[held])
-            lower[held] = upper[held] = at
         write_matrix(targets[i], orientation)
         target = orientation, targets[i, :3]
         row = min(i, len(pose) - 1)
@@ -148,11 +119,7 @@ def solve_batch(
         elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
             feasible[i] = False
         else:
-            copy_row(targets[i, :3], position)
-            if held >= 0:
-                for k in range(3):
-                    position[k] -= problem.lift[k] * (lower[held] - problem.library[0, held])
-            _rank_library(problem, (orientation, position), scores, order)
+            _rank_library(problem, target, scores, order)
             feasible[i] = _solve_from_library(
                 problem, limits, target, solution[i], errors[i], order, scratch, touching, around
             )
@@ -244,7 +211,6 @@ def _solve_from_seed(
 
 @inlined
 def _start(limits, seed, q):
-    """Write the seed, within the joint limits."""
     for j in range(len(q)):
         q[j] = min(max(seed[j], limits[0][j]), limits[1][j])
 
@@ -280,8 +246,6 @@ def _solve_from_library(problem, limits, target, solution, error, order, scratch
         if attempt >= SEARCH.restarts and closest > SEARCH.hopeless_cost:
             break
         copy_row(problem.library[order[attempt]], q)
-        if problem.held >= 0:
-            q[problem.held] = seed[problem.held]
         place_chain(problem.chain, q, scratch.frames)
         metres, radians = descend(problem.chain, problem.descent, limits, target, q, scratch)
         closest = min(closest, _cost(problem, metres, radians))
@@ -339,7 +303,6 @@ def _collides(collision, with_itself, q, touching, pose, size, cylinder):
 
 @inlined
 def _grow(size, clearance, out):
-    """Write the sizes of solids, shape (k, 4), that have grown by a clearance."""
     for k in range(len(size)):
         by = 0.0 if is_empty(size[k]) else clearance
         out[k, 0], out[k, 1] = size[k, 0] + by, size[k, 1] + by
@@ -400,7 +363,6 @@ def _out_of_reach(problem, target):
 
 @inlined
 def _seconds_between(problem, start, end):
-    """Return the time that the slowest joint needs at its velocity limit."""
     longest = 0.0
     for j in range(len(start)):
         move = end[j] - start[j]

@@ -14,37 +14,23 @@ from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 
-MARGIN = 1e-3
-"""Distance below which two shapes count as touching, metres."""
+MARGIN = 1e-3  # distance below which two shapes count as touching, metres
 
 _KINDS = {"box": BOX, "cylinder": CYLINDER, "sphere": SPHERE}
 
 
 class CollisionModel(NamedTuple):
-    """The s collision shapes of a robot and the pairs of them that may touch.
+    """The s collision shapes of a robot and the pairs of them that may touch."""
 
-    Attributes:
-        tree: All joints that the arm drives, mimic joints included.
-        body: Joint of the shape's body, shape (s,); -1 is the base.
-        kind: Shape kinds of `convex`, shape (s,).
-        size: Half extents, shape (s, 3), metres.
-        radius: Radius of the bounding sphere, shape (s,), metres.
-        rotation: From body to shape, shape (s, 3, 3).
-        offset: Same, metres, shape (s, 3).
-        pairs: Indices of shapes to check, shape (p, 2); unsigned, since each signed index costs
-            kernels a test whether it is negative.
-        variables: Number of the arm's joints.
-    """
-
-    tree: Tree
-    body: NDArray[np.intp]
-    kind: NDArray[np.intp]
-    size: Array
-    radius: Array
-    rotation: Array
-    offset: Array
-    pairs: NDArray[np.uintp]
-    variables: int
+    tree: Tree  # all joints that the arm drives, mimic joints included
+    body: NDArray[np.intp]  # joint of the shape's body, shape (s,); -1 is the base
+    kind: NDArray[np.intp]  # shape kinds of `convex`, shape (s,)
+    size: Array  # half extents, shape (s, 3), metres
+    radius: Array  # radius of the bounding sphere, shape (s,), metres
+    rotation: Array  # from body to shape, shape (s, 3, 3)
+    offset: Array  # same, metres, shape (s, 3)
+    pairs: NDArray[np.uintp]  # indices of shapes to check, (p, 2); signed ones are slower
+    variables: int  # number of the arm's joints
 
 
 class CollisionScratch(NamedTuple):
@@ -207,7 +193,6 @@ def place_bodies(tree, q, scratch):
 
 @inlined
 def _place_shape(model, s, scratch):
-    """Write orientation and centre of a shape in the base frame."""
     body, offset, out = model.body[s], model.offset, scratch.rotation
     for r in range(3):
         a, b, c = scratch.bodies[body, r, 0], scratch.bodies[body, r, 1], scratch.bodies[body, r, 2]

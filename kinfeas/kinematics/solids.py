@@ -45,7 +45,6 @@ def in_base(solids: Solids, base_pose: Array) -> Solids:
 
 @compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:,:], f8[:,:])"], "(k,p),(k,v),(b)->(k,p),(k,v)")
 def _in_base(pose, velocity, base, pose_out, velocity_out):
-    """Poses and velocities of k solids in the frame of a base."""
     write_local(pose, base, pose_out)
     yaw = heading(base)
     cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -171,7 +170,6 @@ def touches_solids(
 
 @inlined
 def _touches(model, s, kind, scratch):
-    """Return whether a shape touches the solid in the scratch memory."""
     rotation, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
     x, y, z = scratch.position[s]
     if squared_distance(scratch.prism, x, y, z) > square(model.radius[s] + MARGIN):

@@ -21,24 +21,16 @@ from kinfeas.planning.base_lattice import LATTICE, driving_costs, lattice_moves,
 from kinfeas.planning.placement import Postures, at_goals
 from kinfeas.robots.robot import joint_displacement
 
-CHECKED_AHEAD = np.arange(1.0, 7.0)
-"""Seconds after which a motion among moving solids is checked."""
+CHECKED_AHEAD = np.arange(1.0, 7.0)  # seconds after which a motion among moving solids is checked
 
 
 class Attempt(NamedTuple):
-    """One attempt to find a motion; later ones ask for less.
+    """One attempt to find a motion; later ones ask for less."""
 
-    Attributes:
-        margin: Distance of the base path from solids, metres; negative lets the lattice touch them.
-        reach: Distance from start and goal within which the arm is not at rest, metres.
-        rounding: Standard deviation of the smoothing of the base path, metres.
-        small: Whether the arm takes least room at rest, or else is nearest to start and goal.
-    """
-
-    margin: float
-    reach: float
-    rounding: float
-    small: bool
+    margin: float  # distance of the base path from solids, metres; may be negative
+    reach: float  # distance from start and goal within which the arm is not at rest, metres
+    rounding: float  # standard deviation of the smoothing of the base path, metres
+    small: bool  # whether the arm takes least room at rest, or else is nearest to start and goal
 
 
 @dataclass(frozen=True)
@@ -59,11 +51,7 @@ class BaseGoalSettings:
     enough: int = 8  # base poses that suffice; twice as many are compared
     border: float = 3.0  # width of the floor around start and goal that is searched, metres
     step: float = 0.05  # distance between the poses of a motion, metres
-    unfold: tuple[float, ...] = (
-        3.0,
-        1.2,
-        0.3,
-    )  # base path while the arm unfolds, metres
+    unfold: tuple[float, ...] = (3.0, 1.2, 0.3)  # base path while the arm unfolds, metres
     rest_reach: tuple[float, float] = (0.4, 0.75)  # EE at rest: distance from the base, metres
     rest_bearing: float = 0.6  # its largest bearing, radians
     rest_height: tuple[float, float] = (0.5, 1.3)  # its height, metres
@@ -90,10 +78,7 @@ class BaseGoalPlanner:
         time_scale: float = 1.0,
         settings: BaseGoalSettings | None = None,
     ) -> None:
-        """Choose the arm configurations in which the robot drives.
-
-        Motions are carried out at a fraction `time_scale` of their speed.
-        """
+        """Plan motions that are carried out at a fraction `time_scale` of their speed."""
         self.robot = robot = solver.robot
         self.settings = settings = settings or BaseGoalSettings()
         self.solver = IkSolver(robot, at_goals(robot, solver.options))
@@ -162,7 +147,6 @@ class BaseGoalPlanner:
         return not collides(self.solver.collision, arm, base, then).any()
 
     def _at_arrival(self, base_pose: Array, goal: Array, solids: Solids) -> Solids:
-        """Return the solids as they will stand when a robot has driven straight to its goal."""
         seconds = float(np.hypot(*(goal - base_pose)[:2])) / self._speed[0]
         return _later(solids, np.array([seconds]))
 
@@ -203,10 +187,7 @@ class BaseGoalPlanner:
 
         `arms` are the configurations at the start, at rest and at the end.
         """
-        length = np.linalg.norm(np.diff(base[:, :2], axis=0), axis=1)
-        length = np.maximum(length, LATTICE.lever * np.abs(np.diff(base[:, 2]))) + 1e-9
-        s = np.concatenate([[0.0], np.cumsum(length)])
-        begin, rest, end = arms
+        s, (begin, rest, end) = _path_lengths(base), arms
         model, pose = self.solver.collision, planar_pose(*base.T)
         among = _later(solids.wider(self.settings.margin), self._times(base))
 
@@ -233,7 +214,6 @@ class BaseGoalPlanner:
         return self._path(base, pose, arm), total
 
     def _path(self, base: Array, pose: Array, arm: Array) -> WholeBodyPath:
-        """Return the motion of base and arm, shapes (k, 3), (k, 7) and (k, j), with its times."""
         joints = np.abs(self._displacement(arm[:-1], arm[1:]))
         joints /= self.settings.speed * self.robot.max_joint_velocity
         driving = self._time_scale * np.diff(self._times(base))
@@ -301,14 +281,16 @@ def _room(model, joints, table, above):
     return room
 
 
+def _path_lengths(base: Array) -> Array:
+    """Return the length of a path of base poses until each, (k, 3) -> (k,), metres."""
+    x, y, angle = np.abs(np.diff(base, axis=0)).T
+    return np.cumsum([0.0, *(np.maximum(np.hypot(x, y), LATTICE.lever * angle) + 1e-9)])
+
+
 def _smooth(corners: Array, deviation: float, step: float) -> Array:
     """Return base poses at even steps along corners, rounded, shape (m, 3) -> (k, 3)."""
     corners = np.column_stack([corners[:, :2], np.unwrap(corners[:, 2])])
-    steps = np.diff(corners, axis=0)
-    length = (
-        np.maximum(np.hypot(steps[:, 0], steps[:, 1]), LATTICE.lever * np.abs(steps[:, 2])) + 1e-9
-    )
-    s = np.concatenate([[0.0], np.cumsum(length)])
+    s = _path_lengths(corners)
     count = max(int(s[-1] / step), 8) + 1
     even = np.linspace(0.0, s[-1], count)
     path = np.stack([np.interp(even, s, column) for column in corners.T], axis=1)

@@ -193,7 +193,6 @@ def _coordinates(node, ny):
 
 @inner
 def _write_base(node, origin, ny, out):
-    """Write the base pose of a node, shape (3,)."""
     heading, x, y = _coordinates(node, ny)
     out[0], out[1] = origin[0] + LATTICE.cell * x, origin[1] + LATTICE.cell * y
     out[2] = _TURN * heading

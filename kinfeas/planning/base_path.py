@@ -15,8 +15,7 @@ from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.robots.robot import joint_displacement
 
-_ROUNDING = 1e-6
-"""Seconds by which a motion time may be below that of a node."""
+_ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
 
 
 @dataclass(frozen=True)
@@ -47,25 +46,19 @@ class BasePathSettings:
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
 
 
+SETTINGS = BasePathSettings()
+
+
 @dataclass(frozen=True)
 class BasePath:
-    """A path of base and arm along an EE path.
+    """A path of base and arm along an EE path."""
 
-    Attributes:
-        ee: World poses of the EE, shape (k, 7).
-        step: Motion time from one to the next, seconds.
-        begin: Motion time of the first one, seconds.
-        seconds: Motion times for which the path has a robot, shape (m,).
-        robot: x, y and unwrapped yaw of the base, then arm joints, shape (m, 3 + j).
-        time_scale: Fraction of its speed at which the EE moves until each of these times, (m,).
-    """
-
-    ee: Array
-    step: float
-    begin: float
-    seconds: Array
-    robot: Array
-    time_scale: Array
+    ee: Array  # world poses of the EE, shape (k, 7)
+    step: float  # motion time from one to the next, seconds
+    begin: float  # motion time of the first one, seconds
+    seconds: Array  # motion times for which the path has a robot, shape (m,)
+    robot: Array  # x, y and unwrapped yaw of the base, then arm joints, shape (m, 3 + j)
+    time_scale: Array  # fraction of its speed at which the EE moves until each of these times, (m,)
 
     def ee_at(self, seconds: float) -> Array:
         """Return the EE pose nearest to a motion time, shape (7,)."""
@@ -84,21 +77,13 @@ class BasePath:
 
 @dataclass(frozen=True)
 class _Beam:
-    """Robots with their EE at one pose.
+    """Robots with their EE at one pose."""
 
-    Attributes:
-        base: World poses of the base, shape (m, 7).
-        joints: Arm joints, shape (m, j).
-        command: Base commands that led here, shape (m, a).
-        cost: Cost of the path, shape (m,).
-        parent: Number of the robot of the beam before, shape (m,).
-    """
-
-    base: Array
-    joints: Array
-    command: Array
-    cost: Array
-    parent: NDArray[np.intp]
+    base: Array  # world poses of the base, shape (m, 7)
+    joints: Array  # arm joints, shape (m, j)
+    command: Array  # base commands that led here, shape (m, a)
+    cost: Array  # cost of the path, shape (m,)
+    parent: NDArray[np.intp]  # number of the robot of the beam before, shape (m,)
 
     def of(self, rows: NDArray[np.intp]) -> "_Beam":
         return _Beam(*(values[rows] for values in vars(self).values()))
@@ -111,14 +96,12 @@ class BasePathPlanner:
     arm within the joint velocity limits, and the best robot of each cell goes on.
     """
 
-    def __init__(self, solver: IkSolver, settings: BasePathSettings | None = None) -> None:
-        """Search with the kinematics of a solver."""
+    def __init__(self, solver: IkSolver) -> None:
         self.robot = robot = solver.robot
-        self.settings = settings = settings or BasePathSettings()
         self.solver = IkSolver(robot, replace(solver.options, restarts=0))
         limits = [robot.base.max_velocity, robot.base.max_rotation]
-        fastest = np.array([settings.velocity, settings.rotation])
-        fastest = np.minimum(fastest / limits, settings.base_fraction)
+        fastest = np.array([SETTINGS.velocity, SETTINGS.rotation])
+        fastest = np.minimum(fastest / limits, SETTINGS.base_fraction)
         self._fastest = np.repeat(fastest, [command_size(robot.base) - 1, 1])
         lower, upper = robot.finite_joint_limits
         self._middle, self._half = (lower + upper) / 2.0, np.maximum((upper - lower) / 2.0, 1e-9)
@@ -146,13 +129,12 @@ class BasePathPlanner:
             time_scale: Fraction of its speed at which the EE moves at most.
             solids: In the world, one row.
         """
-        settings = self.settings
-        solids = None if solids is None else _near(solids, ee, settings.solids)
+        solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
         rng, rest = np.random.default_rng(0), np.zeros((1, len(self._fastest)))
         start = base_pose[np.newaxis], joints[np.newaxis], rest
         beams = [_Beam(*start, np.zeros(1), np.zeros(1, dtype=np.intp))]
-        nodes, scales = _nodes(ee, settings), np.ones(len(ee))
-        retries = list(settings.backtracking)
+        nodes, scales = _nodes(ee), np.ones(len(ee))
+        retries = list(SETTINGS.backtracking)
         while len(beams) < len(nodes):
             k = len(beams)
             seconds = np.diff(nodes[: k + 1]) * step / scales[nodes[:k]] / time_scale
@@ -163,7 +145,7 @@ class BasePathPlanner:
             elif retries:
                 first = max(k - 1 - retries.pop(0), 0)
                 slow = np.arange(nodes[first], nodes[k])
-                scales[slow] = settings.slow
+                scales[slow] = SETTINGS.slow
                 nodes, beams = np.union1d(nodes, slow), beams[: first + 1]
             else:
                 return None
@@ -182,22 +164,20 @@ class BasePathPlanner:
         rng: np.random.Generator,
         solids: Solids | None,
     ) -> _Beam:
-        """Return the best robots with their EE at the next pose."""
-        settings = self.settings
         command = self._commands(beam, target, seconds, rng)
         parent = np.arange(len(beam.cost)).repeat(command.shape[1])
         before, command = beam.of(parent), command.reshape(len(parent), -1)
-        cost = settings.memory * before.cost
-        cost += settings.effort_cost * np.square(command).sum(axis=1)
-        cost += settings.change_cost * np.square(command - before.command).sum(axis=1)
+        cost = SETTINGS.memory * before.cost
+        cost += SETTINGS.effort_cost * np.square(command).sum(axis=1)
+        cost += SETTINGS.change_cost * np.square(command - before.command).sum(axis=1)
         base = self._driven(before, command, seconds)
         tried = _Beam(base, before.joints, command, cost, parent)
-        tried = tried.of(_cheapest(self._cells(tried, target), cost, settings.cell_robots))
+        tried = tried.of(_cheapest(self._cells(tried, target), cost, SETTINGS.cell_robots))
         arm = self._reached(tried.joints, target, tried.base, seconds, solids)
         joints, rows = arm.joint_positions, np.flatnonzero(arm.feasible)
         off = np.where(self._bounded, np.abs(joints - self._middle) / self._half, 0.0)
-        beyond = np.maximum(off - settings.centred, 0.0).max(axis=1)
-        cost = tried.cost + settings.limit_cost * np.square(beyond)
+        beyond = np.maximum(off - SETTINGS.centred, 0.0).max(axis=1)
+        cost = tried.cost + SETTINGS.limit_cost * np.square(beyond)
         best = self._best(replace(tried, joints=joints, cost=cost).of(rows), target)
         return best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
 
@@ -214,7 +194,7 @@ class BasePathPlanner:
         arm = self.solver.solve(
             relative(np.broadcast_to(target, base.shape), base),
             joints,
-            self.settings.arm_fraction * seconds * self.robot.max_joint_velocity,
+            SETTINGS.arm_fraction * seconds * self.robot.max_joint_velocity,
             allow_reconfiguration=False,
             solids=None if among is None else in_base(among, base),
         )
@@ -249,8 +229,7 @@ class BasePathPlanner:
 
         The first is the last one, some are random, the others near the velocity of the EE.
         """
-        settings = self.settings
-        tries = min(settings.commands // len(beam.cost), settings.robot_commands)
+        tries = min(SETTINGS.commands // len(beam.cost), SETTINGS.robot_commands)
         shape = len(beam.cost), tries, len(self._fastest)
         command = rng.uniform(-self._fastest, self._fastest, shape)
         command[:, 0] = beam.command
@@ -258,22 +237,21 @@ class BasePathPlanner:
         velocity = (target - ee)[:, :2] / seconds
         toward = action_toward(self.robot.base, beam.base, velocity, seconds)[:, np.newaxis]
         near = tries // 2
-        noise = settings.noise * rng.random((len(beam.cost), tries - near, 1))
+        noise = SETTINGS.noise * rng.random((len(beam.cost), tries - near, 1))
         command[:, near:] = np.clip(toward + noise * command[:, near:], -1.0, 1.0)
         return command
 
     def _best(self, beam: _Beam, target: Array) -> _Beam:
         """Return the best robots of different cells, at most as many as the beam has."""
         elbow = beam.joints[:, self._elbow] - self._middle[self._elbow]
-        bent = elbow / self._half[self._elbow] * self.settings.elbows / 2.0
+        bent = elbow / self._half[self._elbow] * SETTINGS.elbows / 2.0
         cells = np.column_stack([self._cells(beam, target), np.floor(bent)])
         best = beam.of(_cheapest(cells, beam.cost, 1))
-        return best.of(np.argsort(best.cost, kind="stable")[: self.settings.beam])
+        return best.of(np.argsort(best.cost, kind="stable")[: SETTINGS.beam])
 
     def _cells(self, beam: _Beam, target: Array) -> Array:
-        """Return the numbers of the cells of base position and heading, shape (m, 3)."""
-        away = (beam.base[:, :2] - target[:2]) / self.settings.cell
-        return np.floor(np.column_stack([away, yaw(beam.base) / self.settings.heading]))
+        away = (beam.base[:, :2] - target[:2]) / SETTINGS.cell
+        return np.floor(np.column_stack([away, yaw(beam.base) / SETTINGS.heading]))
 
 
 def _cheapest(cells: Array, cost: Array, most: int) -> NDArray[np.intp]:
@@ -291,10 +269,10 @@ def _near(solids: Solids, ee: Array, reach: float) -> Solids | None:
     return solids.only(np.flatnonzero(near)) if near.any() else None
 
 
-def _nodes(ee: Array, settings: BasePathSettings) -> NDArray[np.intp]:
+def _nodes(ee: Array) -> NDArray[np.intp]:
     """Return the numbers of poses at about even distances, the first and the last among them."""
     metres, radians = distance(ee[:-1], ee[1:])
-    length = np.cumsum(np.maximum(metres / settings.metres, radians / settings.radians))
+    length = np.cumsum(np.maximum(metres / SETTINGS.metres, radians / SETTINGS.radians))
     even = np.linspace(0.0, length[-1], max(math.ceil(length[-1]), 1) + 1)[1:-1]
     return np.unique([0, *np.searchsorted(length, even) + 1, len(ee) - 1])
 

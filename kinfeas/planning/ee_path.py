@@ -130,23 +130,14 @@ def _assess(points, fraction, prisms, settings):
 
 
 class _Grid(NamedTuple):
-    """Grid of x, y and height around a motion.
+    """Grid of x, y and height around a motion."""
 
-    Attributes:
-        prisms: The solids, shape (k, `PRISM`).
-        origin: Position of the first node, shape (3,), metres.
-        cell: Side of a cell, metres.
-        level: Distance of heights, metres.
-        free: Which nodes are free, shape (x, y, heights).
-        cost: Cost of a metre at each cell, shape (x, y).
-    """
-
-    prisms: Array
-    origin: Array
-    cell: float
-    level: float
-    free: NDArray[np.bool_]
-    cost: Array
+    prisms: Array  # the solids, shape (k, `PRISM`)
+    origin: Array  # position of the first node, shape (3,), metres
+    cell: float  # side of a cell, metres
+    level: float  # distance of heights, metres
+    free: NDArray[np.bool_]  # which nodes are free, shape (x, y, heights)
+    cost: Array  # cost of a metre at each cell, shape (x, y)
 
 
 @kernel
@@ -185,7 +176,6 @@ def _cheapest_path(start, goal, prisms, settings):
 
 @kernel
 def _make_grid(start, goal, prisms, settings):
-    """Return the grid around a motion, with its free nodes and costs."""
     origin = np.minimum(start, goal) - settings.border
     width, depth = np.abs(start[:2] - goal[:2]) + 2.0 * settings.border
     cell = max(settings.cell, max(width, depth) / (settings.most_cells - 2))
@@ -207,7 +197,6 @@ def _make_grid(start, goal, prisms, settings):
 
 @inner
 def _write_node(node, grid, out):
-    """Write the position of a node, shape (3,)."""
     _, ny, nz = grid.free.shape
     out[0] = grid.origin[0] + node // (ny * nz) * grid.cell
     out[1] = grid.origin[1] + node // nz % ny * grid.cell

@@ -10,28 +10,18 @@ from kinfeas.core.solid_kernels import PRISM, horizontal_gap, is_empty, vertical
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.kernels import inner, kernel, square
 
-UNSEEN, CLOSED = -1, -2
-"""Values of `Frontier.slot` of nodes that are not open."""
+UNSEEN, CLOSED = -1, -2  # values of `Frontier.slot` of nodes that are not open
 
 
 class Frontier(NamedTuple):
-    """Nodes of a search: the open ones are a binary heap by priority, then number.
+    """Nodes of a search: the open ones are a binary heap by priority, then number."""
 
-    Attributes:
-        cost: Least cost of each node so far, shape (n,); without a value if it is unseen.
-        parent: Node before it on its path, shape (n,), likewise.
-        priority: Cost of the path through it, shape (n,), likewise.
-        slot: Index of each node in the heap, shape (n,), or `UNSEEN` or `CLOSED`.
-        heap: Open nodes, shape (n,).
-        size: Number of open nodes, shape (1,).
-    """
-
-    cost: Array
-    parent: NDArray[np.int32]
-    priority: Array
-    slot: NDArray[np.int32]
-    heap: NDArray[np.int32]
-    size: NDArray[np.int32]
+    cost: Array  # least cost of each node so far, shape (n,); without a value if it is unseen
+    parent: NDArray[np.int32]  # node before it on its path, shape (n,), likewise
+    priority: Array  # cost of the path through it, shape (n,), likewise
+    slot: NDArray[np.int32]  # index of each node in the heap, shape (n,), or `UNSEEN` or `CLOSED`
+    heap: NDArray[np.int32]  # open nodes, shape (n,)
+    size: NDArray[np.int32]  # number of open nodes, shape (1,)
 
 
 @kernel

@@ -20,19 +20,15 @@ from kinfeas.kinematics.solids import base_collides, in_base
 from kinfeas.planning.base_lattice import driving_costs
 from kinfeas.robots.robot import Robot
 
-STAGES = (4, 16, 64, 256, 1024)
-"""Base poses tried around a goal by the end of each stage."""
-
-LIMITS = {
+STAGES = (4, 16, 64, 256, 1024)  # base poses tried around a goal by the end of each stage
+LIMITS = {  # reasons for which a goal is out of reach
     "height": "above or below the heights of the EE",
     "orientation": "no arm configuration has this height and tilt",
     "self-collision": "arm configurations touch the robot",
     "solids": "solids are in the way of base or arm",
 }
-"""Reasons for which a goal is out of reach."""
 
-_LIFTED = (256,)
-"""Base poses that are tried without a limit."""
+_LIFTED = (256,)  # base poses that are tried without a limit
 
 
 @dataclass(frozen=True)
@@ -53,17 +49,12 @@ _SETTINGS = PlacementSettings()
 class Reachability:
     """Reached goals.
 
-    Attributes:
-        reached: Whether a base pose was found for each goal, shape (n,).
-        share: Share of reached goals with its Wilson interval.
-        convergence: Share reached by the end of each stage.
-        limits: For each sub-goal the numbers of goals out of reach, by `LIMITS`; empty if they were
-            not determined.
+    `limits` are the numbers of goals out of reach for each sub-goal, by `LIMITS`, or empty.
     """
 
-    reached: NDArray[np.bool_]
-    share: Proportion
-    convergence: tuple[float, ...]
+    reached: NDArray[np.bool_]  # whether a base pose was found for each goal, shape (n,)
+    share: Proportion  # share of reached goals with its Wilson interval
+    convergence: tuple[float, ...]  # share reached by the end of each stage
     limits: tuple[dict[str, int], ...] = ()
 
 
@@ -183,7 +174,8 @@ class Postures:
         sine = product[:, 0, 1] - product[:, 1, 0]
         tilt = 3.0 - np.hypot(cosine, sine) - product[:, 2, 2]
         cost = (self.ee_pose[:, 2] - goal[2]) ** 2 + ROTATION_WEIGHT**2 * tilt
-        best = _smallest(cost, last)[first:]
+        best = np.argpartition(cost, last)[:last] if last < len(cost) else np.arange(len(cost))
+        best = best[np.argsort(cost[best])][first:]
         heading, ee = np.arctan2(sine[best], cosine[best]), self.ee_pose[best]
         cosine, sine = np.cos(heading), np.sin(heading)
         x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
@@ -244,11 +236,3 @@ def connected(
     region = labels[cells[:, 0], cells[:, 1]]
     reached: NDArray[np.bool_] = (region[1:] == region[0]) & (region[0] > 0)
     return reached
-
-
-def _smallest(values: Array, count: int) -> NDArray[np.intp]:
-    """Return the indices of the smallest values, (n,), in ascending order, at most `count`."""
-    near = np.arange(len(values))
-    if count < len(values):
-        near = np.argpartition(values, count)[:count]
-    return near[np.argsort(values[near])]

@@ -12,8 +12,7 @@ from kinfeas.core.pose_kernels import write_reached, write_twist
 kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
 inner = njit(cache=True, error_model="numpy", fastmath=False, nogil=True, **UNCOUNTED)
 
-POINTS = WAYPOINTS
-"""Control points of a path."""
+POINTS = WAYPOINTS  # control points of a path
 
 
 @inner

@@ -17,11 +17,8 @@ from kinfeas.core.spatial import Array
 from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance, Reach
 from kinfeas.robots.urdf import Joint, Urdf
 
-_ROUNDING = 1.001
-"""Factor on the velocity limits, so that a motion at the limit is no joint jump."""
-
-_DIGITS = 9
-"""Decimals in the fingerprint: nanometres and nanoradians, far above rounding errors."""
+_ROUNDING = 1.001  # factor on the velocity limits, so that a motion at the limit is no joint jump
+_DIGITS = 9  # decimals in the fingerprint: nanometres and nanoradians, far above rounding errors
 
 
 @dataclass(frozen=True)
@@ -46,50 +43,26 @@ class ArmJoint:
 class Robot:
     """A robot. The arrays that its properties return are read-only.
 
-    Attributes:
-        name: Short name.
-        folder: Folder of its files: recipes, ROS topics, trained policies.
-        urdf_path: File that physics engines load.
-        urdf: Links and joints of that file.
-        ee_frame: Link that motions move and IK places.
-        tool_tip: Position of the tool tip in the EE frame, shape (3,), metres.
-        gripper_rotation: Quaternion xyzw, shape (4,), from the common gripper convention (x is the
-            approach, y the finger axis) to the EE frame: R_world_ee = R_world_gripper * it.
-        base: Drive and limits of the base.
-        arm: Joints that IK moves, from the root to the EE.
-        fixed_joints: Positions of all other joints, except those that mimic an arm joint.
-        home: Named configurations of the arm, each of shape (j,); one is named `home`.
-        reach: Heights of EE goals.
-        pose_tolerance: Pose error that still counts as feasible; None for exact IK.
-        ignored_collisions: Pairs of links that may touch, besides adjacent ones.
-        gripper: Finger joints and their positions; None without a gripper.
-        counterbalanced: Arm joints whose gravity load is carried by springs.
-        max_gravity_load: Largest gravity torque of a posture, as a fraction of each arm joint's
-            effort limit; None if any posture can be held.
+    In the common gripper convention x is the approach and y the finger axis.
     """
 
-    name: str
-    folder: Path
-    urdf_path: Path
-    urdf: Urdf
-    ee_frame: str
-    tool_tip: Array
-    gripper_rotation: Array
-    base: Base
-    arm: tuple[ArmJoint, ...]
-    fixed_joints: dict[str, float]
-    home: dict[str, Array]
-    reach: Reach
-    pose_tolerance: PoseTolerance | None
-    ignored_collisions: frozenset[frozenset[str]]
-    gripper: Gripper | None
-    counterbalanced: frozenset[str]
-    max_gravity_load: float | None
-
-    @cached_property
-    def torso(self) -> int | None:
-        """Index of the arm joint that lifts the rest of the arm; None without one."""
-        return 0 if self.urdf.joints[self.arm[0].name].kind == "prismatic" else None
+    name: str  # short name
+    folder: Path  # folder of its files: recipes, ROS topics, trained policies
+    urdf_path: Path  # file that physics engines load
+    urdf: Urdf  # links and joints of that file
+    ee_frame: str  # link that motions move and IK places
+    tool_tip: Array  # position of the tool tip in the EE frame, shape (3,), metres
+    gripper_rotation: Array  # quaternion xyzw, shape (4,): R_world_ee = R_world_gripper * it
+    base: Base  # drive and limits of the base
+    arm: tuple[ArmJoint, ...]  # joints that IK moves, from the root to the EE
+    fixed_joints: dict[str, float]  # positions of other joints but those that mimic the arm's
+    home: dict[str, Array]  # configurations of the arm, (j,), one of them `home`
+    reach: Reach  # heights of EE goals
+    pose_tolerance: PoseTolerance | None  # error that counts as feasible; None for exact IK
+    ignored_collisions: frozenset[frozenset[str]]  # links that may touch, not only adjacent ones
+    gripper: Gripper | None  # finger joints and their positions; None without a gripper
+    counterbalanced: frozenset[str]  # arm joints whose gravity load is carried by springs
+    max_gravity_load: float | None  # fraction of the effort limits; None for no limit
 
     @cached_property
     def continuous(self) -> NDArray[np.bool_]:

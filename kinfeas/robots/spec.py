@@ -13,8 +13,7 @@ from kinfeas.core.errors import check_name
 
 Drive = Literal["omnidirectional", "differential"]
 
-MAX_JOINT_VELOCITY = 1000.0
-"""rad/s or m/s; larger numbers in a URDF stand for no limit."""
+MAX_JOINT_VELOCITY = 1000.0  # rad/s or m/s; larger numbers in a URDF stand for no limit
 
 Velocity = Annotated[float, Interval(gt=0.0, le=100.0)]
 JointVelocity = Annotated[float, Interval(gt=0.0, le=MAX_JOINT_VELOCITY)]
@@ -85,7 +84,6 @@ class Gripper:
     effort: Effort
 
     def __post_init__(self) -> None:
-        """Check that the fingers differ and move."""
         if self.fingers[0] == self.fingers[1]:
             raise ValueError("'fingers' must name two joints")
         if not all(self._strokes):
@@ -122,7 +120,6 @@ class Reach:
     high: Metres
 
     def __post_init__(self) -> None:
-        """Check that the heights ascend."""
         if not self.low < self.high:
             raise ValueError("'low' must be less than 'high'")
 
@@ -177,7 +174,6 @@ class RobotSpec:
     max_gravity_load: GravityLoad | None = None
 
     def __post_init__(self) -> None:
-        """Check everything that does not need the URDF."""
         check_name(self.name)
         if not self.arm:
             raise ValueError("'arm' must name at least one joint")

@@ -16,17 +16,11 @@ JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A primitive of a link's collision geometry.
+    """A primitive of a link's collision geometry."""
 
-    Attributes:
-        kind: Kind of primitive.
-        size: Box: full x, y and z; cylinder: radius and length along z; sphere: radius. Metres.
-        pose: Pose of its centre in the link's frame, shape (7,).
-    """
-
-    kind: ShapeKind
-    size: tuple[float, ...]
-    pose: Array
+    kind: ShapeKind  # kind of primitive
+    size: tuple[float, ...]  # box: x, y and z; cylinder: radius, length; sphere: radius; metres
+    pose: Array  # pose of its centre in the link's frame, shape (7,)
 
     def reach(self, direction: Array) -> float:
         """Return the largest coordinate along `direction`, a unit vector (3,), metres."""
@@ -66,35 +60,22 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint; positions are radians, or metres if it is prismatic.
-
-    Attributes:
-        origin: Pose of the child in the parent's frame at position 0, shape (7,).
-        axis: Unit vector in the joint's frame.
-        lower: Hard lower limit; -inf for a continuous joint, 0 for a fixed one.
-        upper: Hard upper limit; inf for a continuous joint, 0 for a fixed one.
-        soft_lower: Lower limit of the safety controller, by default the hard one.
-        soft_upper: Upper limit of the safety controller, by default the hard one.
-        velocity: Velocity limit, per second; inf for a continuous joint without a limit.
-        effort: Effort limit, N or N m; inf where none is given.
-        damping: N s/m or N m s/rad.
-        friction: N or N m.
-    """
+    """A joint; positions are radians, or metres if it is prismatic."""
 
     name: str
     kind: JointKind
     parent: str
     child: str
-    origin: Array
-    axis: tuple[float, float, float]
-    lower: float
-    upper: float
-    soft_lower: float
-    soft_upper: float
-    velocity: float
-    effort: float
-    damping: float
-    friction: float
+    origin: Array  # pose of the child in the parent's frame at position 0, shape (7,)
+    axis: tuple[float, float, float]  # unit vector in the joint's frame
+    lower: float  # hard lower limit; -inf for a continuous joint, 0 for a fixed one
+    upper: float  # hard upper limit; inf for a continuous joint, 0 for a fixed one
+    soft_lower: float  # lower limit of the safety controller, by default the hard one
+    soft_upper: float  # upper limit of the safety controller, by default the hard one
+    velocity: float  # velocity limit, per second; inf for a continuous joint without a limit
+    effort: float  # effort limit, N or N m; inf where none is given
+    damping: float  # N s/m or N m s/rad
+    friction: float  # N or N m
     mimic: Mimic | None
 
     @property

@@ -18,9 +18,7 @@ from kinfeas.robots.urdf import Joint, JointKind, Link, Mimic, Shape, Urdf, desc
 MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 """Attributes of <inertia>, and their row and column."""
 
-SLACK = 1e-6
-"""Share of a principal moment that counts as rounding."""
-
+SLACK = 1e-6  # share of a principal moment that counts as rounding
 _MAX_MASS, _MAX_MOMENT = 1e5, 1e7  # kg and kg m^2
 
 _BASE_JOINTS = ("planar", "floating")
@@ -129,7 +127,6 @@ def _link(name: str, element: Element) -> Link:
 
 
 def _mass(link: Element) -> tuple[float, Array]:
-    """Return the mass of a link and its centre, shape (3,)."""
     inertial = link.child("inertial")
     if inertial is None:
         return 0.0, np.zeros(3)

@@ -21,11 +21,9 @@ from kinfeas.scenes.scene import Scene, furniture_solids, read_scene
 from kinfeas.tasks.clutter import all_reachable, with_clutter
 from kinfeas.tasks.task import Subgoal, random_arm
 
-Length = Metres | tuple[Metres, Metres]
-"""Metres, or the ends of a range to draw from uniformly."""
+Length = Metres | tuple[Metres, Metres]  # metres, or the ends of a range to draw from uniformly
 
-Angle = Radians | tuple[Radians, Radians]
-"""Radians, or the ends of a range to draw from uniformly."""
+Angle = Radians | tuple[Radians, Radians]  # radians, or the ends of a range to draw from uniformly
 
 _ROUNDS = 200
 
@@ -43,7 +41,6 @@ class Place:
     rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check that the ranges ascend."""
         for name, numbers in (("position", self.position), ("rpy", self.rpy)):
             for number in numbers:
                 if isinstance(number, tuple):
@@ -132,7 +129,6 @@ class SuccessCondition:
     reached: bool = False
 
     def __post_init__(self) -> None:
-        """Check that there is one condition."""
         if (self.parent is None) == (self.joint is None):
             raise ValueError("one of 'parent' and 'joint' must be given, and not both")
 
@@ -176,7 +172,6 @@ class ChainTask:
     clutter: Annotated[int, Interval(ge=0, le=MOST_SOLIDS)] | None = None
 
     def __post_init__(self) -> None:
-        """Check the name, the scene, and the places of sub-goals and objects."""
         check_name(self.name)
         if not self.subgoals:
             raise ValueError("'subgoals' must have at least one entry")
@@ -270,7 +265,6 @@ class ChainTask:
         return self._moved(self.scene, places)
 
     def _handle_poses(self, places: Mapping[str, Array]) -> dict[str, Array]:
-        """Return the world poses, shape (7,), of the handles that are places of sub-goals."""
         names = {subgoal.place for subgoal in self.subgoals} - places.keys()
         if self.scene is None or not names:
             return {}

@@ -15,46 +15,26 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import base_collides, collides
 from kinfeas.planning.placement import connected, footprint
 
-SMALLEST = 0.2
-"""Smallest length and width of a solid, metres."""
-
-_WALL, _LOW, _TABLE = 2.0, (0.05, 0.35), (0.5, 0.9)
-"""Heights of solids, metres."""
-
-_REACH = (0.4, 0.9)
-"""Distances from a goal at which the base needs room, metres."""
-
-_CLEARANCE = 0.7
-"""Radius of free discs around base and EE at the start, and around goals, metres."""
+SMALLEST = 0.2  # smallest length and width of a solid, metres
+_WALL, _LOW, _TABLE = 2.0, (0.05, 0.35), (0.5, 0.9)  # heights of solids, metres
+_REACH = (0.4, 0.9)  # distances from a goal at which the base needs room, metres
+_CLEARANCE = 0.7  # radius of free discs around base and EE at the start, and around goals, metres
 
 
 @dataclass(frozen=True)
 class Clutter:
-    """Random solids on a square grid, with Gaussian jitter and random yaw.
+    """Random solids on a square grid, with Gaussian jitter and random yaw."""
 
-    Attributes:
-        extent: Side of the square of solids, metres.
-        spacing: Distance of the grid, metres.
-        jitter: Standard deviation from the grid, metres.
-        footprint: Largest length and width of a solid, metres; the smallest are 0.2 m.
-        walls: Share of solids as high as the robot; half of the others is as low as a step, the
-            other half as high as a table.
-        cylinders: Share of cylinders, whose diameter is the width.
-        speed: Smallest and largest speed of the solids, m/s.
-        span: Smallest and largest way after which moving solids turn back, metres.
-    """
-
-    extent: Distance = 8.0
-    spacing: Distance = 1.25
-    jitter: NotNegative = 0.3
-    footprint: tuple[Distance, Distance] = (0.8, 0.6)
-    walls: Share = 1.0 / 3.0
-    cylinders: Share = 0.2
-    speed: tuple[Distance, Distance] = (0.0, 0.0)
-    span: tuple[Distance, Distance] = (2.0, 3.0)
+    extent: Distance = 8.0  # side of the square of solids, metres
+    spacing: Distance = 1.25  # distance of the grid, metres
+    jitter: NotNegative = 0.3  # standard deviation from the grid, metres
+    footprint: tuple[Distance, Distance] = (0.8, 0.6)  # largest sides, metres; the smallest are 0.2
+    walls: Share = 1.0 / 3.0  # fraction as high as the robot; the others are low, or high as tables
+    cylinders: Share = 0.2  # fraction of cylinders, whose diameter is the width
+    speed: tuple[Distance, Distance] = (0.0, 0.0)  # smallest and largest speed of the solids, m/s
+    span: tuple[Distance, Distance] = (2.0, 3.0)  # distances after which moving solids turn, metres
 
     def __post_init__(self) -> None:
-        """Check that the ranges ascend."""
         for name in ("speed", "span"):
             check_ascending(name, getattr(self, name))
 

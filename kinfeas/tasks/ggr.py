@@ -19,31 +19,22 @@ from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
 class GoalReaching:
     """Reach a random EE pose from a random arm configuration.
 
-    The base begins at the origin with a random heading; the goal lies at a random bearing.
-
-    Attributes:
-        name: Task name.
-        motion: Generator of the EE motion.
-        distance: Smallest and largest planar distance of the goal from the base, metres.
-        heights: Smallest and largest height of the goal, metres; by default the robot's reach, or
-            with `restrict_start` its comfortable part.
-        restrict_start: Whether the EE also starts within the goal heights.
-        start: `free` draws arm configurations without self-collision; `any` also allows
-            self-collision at the goal heights and, even with `restrict_start`, other heights
-            without self-collision, as the paper's program does for `ggr_restricted`.
-        orientation: `rpy` draws roll, pitch and yaw uniformly, `so3` uniform rotations.
+    The base begins at the origin with a random heading; the goal lies at a random bearing, with
+    uniformly random roll, pitch and yaw. Heights are by default those of the robot's reach, or of
+    its comfortable part with `restrict_start`. Of `start`, `free` draws arm configurations without
+    self-collision; `any` also allows self-collision at the goal heights and, even with
+    `restrict_start`, other heights without self-collision, as the paper's program does for
+    `ggr_restricted`.
     """
 
-    name: str = "ggr"
-    motion: MotionSpec = field(default_factory=MotionSpec)
-    distance: tuple[Distance, Distance] = (1.0, 5.0)
-    heights: tuple[Metres, Metres] | None = None
-    restrict_start: bool = False
+    name: str = "ggr"  # task name
+    motion: MotionSpec = field(default_factory=MotionSpec)  # of the EE
+    distance: tuple[Distance, Distance] = (1.0, 5.0)  # planar, of the goal from the base, metres
+    heights: tuple[Metres, Metres] | None = None  # of the goal, metres
+    restrict_start: bool = False  # whether the EE also starts within the goal heights
     start: Literal["free", "any"] = "free"
-    orientation: Literal["rpy", "so3"] = "rpy"
 
     def __post_init__(self) -> None:
-        """Check the name, and that the ranges ascend."""
         check_name(self.name)
         for name, bounds in (("distance", self.distance), ("heights", self.heights)):
             if bounds is not None:
@@ -60,7 +51,7 @@ class GoalReaching:
         heading, bearing = rng.uniform(-np.pi, np.pi, 2)
         distance, height = rng.uniform(*self.distance), rng.uniform(low, high)
         goal = np.array([distance * np.cos(bearing), distance * np.sin(bearing), height])
-        target = make_pose(goal, self._orientation(rng))
+        target = make_pose(goal, Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, 3)))
 
         def within(ee: Array) -> np.ndarray:
             return (ee[:, 2] >= low) & (ee[:, 2] <= high)
@@ -76,11 +67,6 @@ class GoalReaching:
             return self.heights
         reach = solver.robot.reach
         return reach.comfortable if self.restrict_start else (reach.low, reach.high)
-
-    def _orientation(self, rng: np.random.Generator) -> Rotation:
-        if self.orientation == "so3":
-            return Rotation.random(rng=rng)
-        return Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, 3))
 
 
 def ggr(**parameters: object) -> GoalReaching:

@@ -28,28 +28,21 @@ class ReachingAmongSolids(GoalReaching, Clutter):
     The grid of solids is around the middle between start and goal. Those that would touch the robot
     at its start, or the goal, are left out, and goals without room for the base are drawn again.
     The `places` nearest solids remain. Other attributes are those of `Clutter`.
-
-    Attributes:
-        places: Largest number of solids.
-        start_clearance: Radius of free discs around the base and the EE at the start, metres.
-        goal_clearance: Radius of a sphere around the EE at the goal that stays free, metres.
-        empty: Share of episodes without any solid.
     """
 
     name: str = "ggr_obstacles"
     motion: MotionSpec = field(default_factory=lambda: MotionSpec("whole_body"))
     distance: tuple[Distance, Distance] = (0.5, 8.0)
-    places: Count = MOST_SOLIDS
+    places: Count = MOST_SOLIDS  # largest number of solids
     extent: Distance = 14.0
     spacing: Distance = 1.75
     jitter: NotNegative = 0.4375
     footprint: tuple[Distance, Distance] = (1.5, 1.0)
-    start_clearance: Distance = 0.7
-    goal_clearance: Distance = 0.25
-    empty: Share = 0.0
+    start_clearance: Distance = 0.7  # free radius around base and EE at first, metres
+    goal_clearance: Distance = 0.25  # free radius around the EE at the goal, metres
+    empty: Share = 0.0  # fraction of episodes without any solid
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         GoalReaching.__post_init__(self)
         Clutter.__post_init__(self)
         if self.places > MOST_SOLIDS or not 0.5 <= self.spacing <= self.extent <= 100.0:

@@ -19,11 +19,8 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
 
-_GRID = 0.1
-"""Seconds between the poses of a path."""
-
-_MARGIN = 0.1
-"""Distance in metres from the limits of height at which targets slow down toward them."""
+_GRID = 0.1  # seconds between the poses of a path
+_MARGIN = 0.1  # distance in metres from the limits of height at which targets slow down toward them
 
 
 @dataclass(frozen=True)
@@ -34,37 +31,22 @@ class Stream:
     the heights. `chunks` sends poses of a smooth path in advance, as a learned model: each chunk
     is off by an offset of its own, so that the target jumps. `carried` sends poses of an object
     that is carried along a curve at constant speed.
-
-    Attributes:
-        name: Task name.
-        kind: What sends the messages.
-        seconds: Duration of an episode.
-        rate: Lowest and highest rate of messages, Hz.
-        delay: Lowest and highest delay of a message, seconds.
-        loss: Largest share of lost messages.
-        speed: Standard deviation of velocities by axis, m/s; for `carried` the largest speed.
-        angular_speed: The same of angular velocities, rad/s.
-        correlation_time: Time constant of the velocities, seconds.
-        offset: Lowest and highest length of a chunk's offset, metres.
-        rules: Limits of targets.
-        motion: Motion generator.
     """
 
-    name: str
-    kind: Literal["joystick", "chunks", "carried"]
-    seconds: PositiveSeconds = 60.0
-    rate: tuple[Positive, Positive] = (5.0, 30.0)
-    delay: tuple[Seconds, Seconds] = (0.0, 0.05)
-    loss: Share = 0.2
-    speed: Positive = 0.05
-    angular_speed: Positive = 0.1
-    correlation_time: PositiveSeconds = 2.0
-    offset: tuple[Seconds, Seconds] = (0.02, 0.1)
-    rules: TargetRules = field(default_factory=lambda: TargetRules(timeout=0.5))
-    motion: MotionSpec = field(default_factory=lambda: MotionSpec("servo"))
+    name: str  # task name
+    kind: Literal["joystick", "chunks", "carried"]  # what sends the messages
+    seconds: PositiveSeconds = 60.0  # duration of an episode
+    rate: tuple[Positive, Positive] = (5.0, 30.0)  # lowest and highest rate of messages, Hz
+    delay: tuple[Seconds, Seconds] = (0.0, 0.05)  # lowest and highest delay of a message, seconds
+    loss: Share = 0.2  # largest share of lost messages
+    speed: Positive = 0.05  # deviation of velocities by axis, m/s; for `carried` the largest speed
+    angular_speed: Positive = 0.1  # the same of angular velocities, rad/s
+    correlation_time: PositiveSeconds = 2.0  # time constant of the velocities, seconds
+    offset: tuple[Seconds, Seconds] = (0.02, 0.1)  # range of lengths of a chunk's offset, metres
+    rules: TargetRules = field(default_factory=lambda: TargetRules(timeout=0.5))  # limits
+    motion: MotionSpec = field(default_factory=lambda: MotionSpec("servo"))  # generator
 
     def __post_init__(self) -> None:
-        """Check that the ranges ascend."""
         for name in ("rate", "delay", "offset"):
             check_ascending(name, getattr(self, name))
 
@@ -101,6 +83,7 @@ class SimulatedStream:
         self.task, self._heights = task, heights
         self._chunk = 16 if task.kind == "chunks" else 2
         self.inbox, self.asked = (TargetInbox(task.rules, self._chunk) for _ in range(2))
+        self._inboxes = {"inbox": self.inbox, "asked": self.asked}
         self._seeds = np.empty(0, dtype=np.uint64)
         self._read = np.empty(0, dtype=np.intp)
         self._begun = np.empty((0, 7))
@@ -111,8 +94,8 @@ class SimulatedStream:
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
         everyone = len(rows) == len(desired)
         begun = desired[rows]
-        for one in (self.inbox, self.asked):
-            one.start(begun, None if everyone else rows)
+        for inbox in self._inboxes.values():
+            inbox.start(begun, None if everyone else rows)
         drawn = self._draw(seeds, begun)
         if everyone:
             self._seeds, self._read, self._begun = seeds, np.zeros(len(rows), dtype=np.intp), begun
@@ -135,8 +118,8 @@ class SimulatedStream:
             self._deliver(sent, now[sent], desired[sent])
             self._read[sent] += 1
         self.inbox.wait(rows, progress.time_scale[rows], desired[rows])
-        for one in (self.inbox, self.asked):
-            one.advance(rows, now[rows], dt, progress.motion_seconds)
+        for inbox in self._inboxes.values():
+            inbox.advance(rows, now[rows], dt, progress.motion_seconds)
         return self.inbox.target
 
     @property
@@ -152,9 +135,8 @@ class SimulatedStream:
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
         own = {"seeds": self._seeds.copy(), "read": self._read.copy(), "begun": self._begun.copy()}
-        for name in ("inbox", "asked"):
-            state = getattr(self, name).snapshot()
-            own |= {f"{name}.{key}": values for key, values in state.items()}
+        for name, inbox in self._inboxes.items():
+            own |= {f"{name}.{key}": values for key, values in inbox.snapshot().items()}
         return own
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
@@ -162,19 +144,20 @@ class SimulatedStream:
         self._seeds, self._read = snapshot["seeds"].copy(), snapshot["read"].copy()
         self._begun = snapshot["begun"].copy()
         self._drawn = self._draw(self._seeds, self._begun)
-        for name in ("inbox", "asked"):
-            given = {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
-            getattr(self, name).restore(given)
+        for name, inbox in self._inboxes.items():
+            inbox.restore(
+                {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
+            )
 
     def _draw(self, seeds: NDArray[np.uint64], begun: Array) -> dict[str, Array]:
         """Return messages of episodes: times (m, k), and twists (m, k, 6) or path and offsets."""
-        drawn = [self._draw_one(np.random.default_rng(seed)) for seed in seeds]
-        stacked = {key: np.stack([one[key] for one in drawn]) for key in drawn[0]}
+        drawn = [self._draw_episode(np.random.default_rng(seed)) for seed in seeds]
+        stacked = {key: np.stack([episode[key] for episode in drawn]) for key in drawn[0]}
         if self.task.kind != "joystick":
             stacked["path"] = self._path(begun, stacked.pop("twists"))
         return stacked
 
-    def _draw_one(self, rng: np.random.Generator) -> dict[str, Array]:
+    def _draw_episode(self, rng: np.random.Generator) -> dict[str, Array]:
         task = self.task
         rate, loss = rng.uniform(*task.rate), rng.uniform(0.0, task.loss)
         count = int(task.seconds * task.rate[1]) + 1
@@ -230,23 +213,21 @@ class SimulatedStream:
         sent = drawn["sent"][rows, read]
         if self.task.kind == "joystick":
             twists = self._walled(drawn["twists"][rows, read], desired[:, 2])
-            self._put("put_twists", rows, now, sent, twists)
+            for inbox in self._inboxes.values():
+                inbox.put_twists(rows, now, sent, twists)
             return
         path = drawn["path"]
         if self.task.kind == "carried":
-            step = np.clip(np.rint(sent / _GRID).astype(np.intp), 0, path.shape[1] - 1)
-            poses = path[rows, step][:, np.newaxis]
-            self._put("put_poses", rows, now, sent, sent[:, np.newaxis], poses)
-            return
-        first = np.ceil(sent / _GRID).astype(np.intp)
-        steps = first[:, np.newaxis] + np.arange(self._chunk)
-        poses = path[rows[:, np.newaxis], np.clip(steps, 0, path.shape[1] - 1)].copy()
-        poses[..., :3] += drawn["offset"][rows, read][:, np.newaxis]
-        self._put("put_poses", rows, now, sent, _GRID * steps.astype(np.float64), poses)
-
-    def _put(self, method: str, *message: NDArray[Any]) -> None:
-        for one in (self.inbox, self.asked):
-            getattr(one, method)(*message)
+            steps, times = np.rint(sent / _GRID).astype(np.intp)[:, np.newaxis], sent[:, np.newaxis]
+        else:
+            first = np.ceil(sent / _GRID).astype(np.intp)
+            steps = first[:, np.newaxis] + np.arange(self._chunk)
+            times = _GRID * steps.astype(np.float64)
+        poses = path[rows[:, np.newaxis], np.clip(steps, 0, path.shape[1] - 1)]
+        if self.task.kind == "chunks":
+            poses[..., :3] += drawn["offset"][rows, read][:, np.newaxis]
+        for inbox in self._inboxes.values():
+            inbox.put_poses(rows, now, sent, times, poses)
 
 
 def joystick(**parameters: object) -> Stream:
@@ -266,5 +247,5 @@ def carried(**parameters: object) -> Stream:
 
 
 def _stream(kind: str, defaults: Mapping[str, object], parameters: Mapping[str, object]) -> Stream:
-    given = {"name": kind, "kind": kind, **defaults, **parameters}
-    return config.from_mapping(Stream, given, kind)
+    values = {"name": kind, "kind": kind, **defaults, **parameters}
+    return config.from_mapping(Stream, values, kind)

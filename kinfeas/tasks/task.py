@@ -1,7 +1,7 @@
 """The task protocol, sub-goals, and random starts of episodes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -19,12 +19,9 @@ from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import Array, compose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkSolver, spread_configurations
-from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
-from kinfeas.robots.robot import Robot
+from kinfeas.kinematics.ik import IkSolver
 
 _DRAWS, _ROUNDS = 16, 100
-_SPREAD, _NEARLY_ALWAYS = 256, 0.9
 
 
 @dataclass(frozen=True)
@@ -224,19 +221,5 @@ def random_arm(
     raise KinfeasError(
         f"robot {robot.name!r}: {_DRAWS * _ROUNDS} draws have no arm configuration without "
         "self-collision and with the EE in the task's range; check joint limits, ignored "
-        f"collisions, heights and max_gravity_load{_culprits(robot)}"
+        "collisions, heights and max_gravity_load"
     )
-
-
-def _culprits(robot: Robot) -> str:
-    """Return the end of an error: two links that nearly always collide, if there are any."""
-    spread, pairs = spread_configurations(robot, _SPREAD), checked_links(robot)
-    every = frozenset(map(frozenset, pairs)) | robot.ignored_collisions
-    for a, b in pairs:
-        model = build_collision_model(
-            replace(robot, ignored_collisions=every - {frozenset((a, b))})
-        )
-        touching = float(np.mean(self_collides(model, spread)))
-        if touching > _NEARLY_ALWAYS:
-            return f"; the links {a!r} and {b!r} touch in {touching:.0%} of all configurations"
-    return ""

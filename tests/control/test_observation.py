@@ -6,7 +6,6 @@ from kinfeas.control.observation import (
     HORIZON,
     OBSERVATION,
     ObservedState,
-    check_terms,
     describe_action,
     describe_observation,
     observe,
@@ -14,7 +13,6 @@ from kinfeas.control.observation import (
     size,
     surroundings,
 )
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import compose, integrate, make_pose, planar_pose, relative, rotation
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import spread_configurations
@@ -82,5 +80,3 @@ def test_scales_and_descriptions_have_the_size_of_observations(robot):
     assert surroundings(robot, (*OBSERVATION, "planned_base")) == [n, n + 1, n + 2]
     action = describe_action(robot)
     assert action.scale == (robot.base.max_velocity,) * 2 + (robot.base.max_rotation,)
-    with pytest.raises(KinfeasError, match=r"file: observation .*'lidar'"):
-        check_terms(["lidar"], "file: observation")

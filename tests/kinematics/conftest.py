@@ -53,24 +53,20 @@ class Pinocchio:
         """Return the EE's Jacobian by the arm's variables, shape (6, v)."""
         self.place(joint_positions)
         axes = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        whole = pinocchio.computeFrameJacobian(self.model, self.data, self.q, self.frame, axes)
-        result = np.zeros((6, len(self.robot.arm)))
-        for joint in self.robot.urdf.joints.values():
-            if joint.moves:
-                column = whole[:, self.model.joints[self.model.getJointId(joint.name)].idx_v]
-                result += np.outer(column, self.drive(joint.name)[1])
-        return result
+        return self.by_variables(
+            pinocchio.computeFrameJacobian(self.model, self.data, self.q, self.frame, axes)
+        )
 
     def gravity_torques(self, joint_positions: Array) -> Array:
         """Return the generalized gravity forces of the arm's variables, shape (v,)."""
         self.place(joint_positions)
-        whole = pinocchio.computeGeneralizedGravity(self.model, self.data, self.q)
-        result = np.zeros(len(self.robot.arm))
-        for joint in self.robot.urdf.joints.values():
-            if joint.moves:
-                force = whole[self.model.joints[self.model.getJointId(joint.name)].idx_v]
-                result += force * self.drive(joint.name)[1]
-        return result
+        return self.by_variables(pinocchio.computeGeneralizedGravity(self.model, self.data, self.q))
+
+    def by_variables(self, derivatives: Array) -> Array:
+        """Return derivatives by the arm's variables, (..., v), from those by all joints."""
+        moving = [joint.name for joint in self.robot.urdf.joints.values() if joint.moves]
+        columns = [self.model.joints[self.model.getJointId(name)].idx_v for name in moving]
+        return derivatives[..., columns] @ np.array([self.drive(name)[1] for name in moving])
 
     def drive(self, name: str) -> tuple[float, Array]:
         """Return a joint's position at zero variables and its derivatives by them, shape (v,)."""

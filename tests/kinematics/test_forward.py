@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import kinfeas
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import rotation, twist_between
+from kinfeas.core.spatial import rotation
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.kernels import write_matrix, write_pose
 from kinfeas.robots.loading import load_robot
@@ -31,20 +31,10 @@ def test_poses_and_jacobians_are_those_of_pinocchio(name, odd_robot):
     assert ee_pose[:, 6].min() >= 0.0
 
 
-def test_the_jacobian_is_the_derivative_of_the_pose(odd_robot):
-    chain, joints, step = build_chain(odd_robot), draw(odd_robot, 50, seed=1), 1e-6
-    columns = []
-    for shift in step * np.eye(joints.shape[1]):
-        ends = forward(chain, joints - shift), forward(chain, joints + shift)
-        columns.append(twist_between(*ends, 2.0 * step))
-    np.testing.assert_allclose(jacobian(chain, joints), np.stack(columns, -1), rtol=0.0, atol=1e-8)
-
-
-@pytest.mark.parametrize("shape", [(1, 3), (), (4, 0), (2, 3, 99)])
 @pytest.mark.parametrize("function", [forward, jacobian])
-def test_another_number_of_joints_is_an_error(odd_robot, function, shape):
+def test_another_number_of_joints_is_an_error(odd_robot, function):
     with pytest.raises(KinfeasError, match="joint positions"):
-        function(build_chain(odd_robot), np.zeros(shape))
+        function(build_chain(odd_robot), np.zeros((2, 99)))
 
 
 def test_poses_and_matrices_are_converted_back():
@@ -65,10 +55,8 @@ def test_no_kernel_has_powers():
     for path in Path(kinfeas.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             decorators = getattr(node, "decorator_list", [])
-            names = {
-                one.id for whole in decorators for one in ast.walk(whole) if type(one) is ast.Name
-            }
+            names = {n.id for whole in decorators for n in ast.walk(whole) if type(n) is ast.Name}
             if names & {"kernel", "inlined", "compiled", "njit"}:
                 found += 1
-                assert not any(isinstance(one, ast.Pow) for one in ast.walk(node)), node.name
+                assert not any(isinstance(part, ast.Pow) for part in ast.walk(node)), node.name
     assert found > 30

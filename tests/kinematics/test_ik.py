@@ -164,24 +164,6 @@ def test_arms_go_to_their_guide_within_the_joint_step(tiago):
     np.testing.assert_array_equal(none.joint_positions, alone.joint_positions)
 
 
-def test_a_held_torso_stays_where_the_seed_has_it(tiago):
-    joints = draw_free(tiago, 1000)
-    targets, seed = forward(tiago.chain, joints), shuffled(joints)
-    seed[:, 0] = joints[:, 0]
-    held = tiago.solve(targets, seed, hold_torso=True)
-    solved = held.feasible
-    assert solved.mean() >= 0.99
-    np.testing.assert_array_equal(held.joint_positions[:, 0], joints[:, 0])
-    check_solutions(tiago, held.joint_positions[solved])
-    metres, radians = distance(forward(tiago.chain, held.joint_positions[solved]), targets[solved])
-    assert np.all((metres <= METRES) & (radians <= RADIANS))
-    seed[:, 0] = tiago.robot.joint_limits[1][0] + 0.1
-    beyond = tiago.solve(targets, seed, hold_torso=True)
-    check_solutions(tiago, beyond.joint_positions[beyond.feasible])
-    with pytest.raises(KinfeasError, match="no torso"):
-        IkSolver(load_robot("pr2")).solve(targets[:, :7], seed[:, :7], hold_torso=True)
-
-
 def tremble(solver, joints):
     """Return the joint positions after 40 steps of an EE that trembles by a millimetre."""
     home, rng = forward(solver.chain, joints), np.random.default_rng(3)
@@ -229,11 +211,8 @@ def test_an_ee_at_rest_leaves_the_arm_at_rest_and_seeds_may_be_beyond_the_limits
     check_solutions(tiago, beyond.joint_positions[beyond.feasible])
 
 
-@pytest.mark.parametrize("hold", [False, True])
-def test_arms_beyond_a_limit_stay_within_the_step_and_come_back(robot, hold):
+def test_arms_beyond_a_limit_stay_within_the_step_and_come_back(robot):
     """A joint may be measured up to 0.05 beyond a limit; it must neither jump back nor go on."""
-    if hold and robot.torso is None:
-        return
     solver, rng = IkSolver(robot), np.random.default_rng(7)
     lower, upper = robot.joint_limits
     step, inner = 0.02 * robot.max_joint_velocity, draw_free(solver, 400)
@@ -245,22 +224,17 @@ def test_arms_beyond_a_limit_stay_within_the_step_and_come_back(robot, hold):
     seeds = seeds[~self_collides(solver.collision, seeds)]
     low, high = np.minimum(lower, seeds), np.maximum(upper, seeds)
     ends = np.clip(seeds + rng.uniform(-0.5, 0.5, seeds.shape) * step, low, high)
-    if hold:
-        ends[:, robot.torso] = seeds[:, robot.torso]
     targets = forward(solver.chain, ends)
     for allowed in (False, True):
-        found = solver.solve(targets, seeds, step, allow_reconfiguration=allowed, hold_torso=hold)
+        found = solver.solve(targets, seeds, step, allow_reconfiguration=allowed)
         assert found.feasible.mean() > 0.97
         joints = found.joint_positions
         assert np.all((joints >= low) & (joints <= high))
         near = (displacement(robot, seeds, joints) <= step * (1.0 + 1e-9)).all(axis=1)
         assert near.all() if not allowed else near.mean() > 0.97
         # What is no nearby solution is within the limits.
-        assert hold or np.all((joints >= lower) & (joints <= upper) | near[:, np.newaxis])
-        if hold:
-            np.testing.assert_array_equal(joints[:, robot.torso], seeds[:, robot.torso])
-    at_rest = solver.solve(forward(solver.chain, seeds), seeds, step, hold_torso=hold)
-    assert at_rest.feasible.all()
+        assert np.all((joints >= lower) & (joints <= upper) | near[:, np.newaxis])
+    assert solver.solve(forward(solver.chain, seeds), seeds, step).feasible.all()
 
 
 def test_targets_out_of_reach_or_not_finite_keep_the_seed(tiago):

@@ -9,8 +9,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import MARGIN, build_collision_model, self_collides
 from kinfeas.kinematics.solids import base_collides, collides, in_base
-from kinfeas.robots.loading import load_robot
-from tests.kinematics.conftest import Among, Pinocchio, draw, draw_bases, draw_solids
+from tests.kinematics.conftest import Among, draw, draw_bases, draw_solids
 
 
 def check(robot, judge, count):
@@ -28,13 +27,6 @@ def check(robot, judge, count):
 
 def test_free_configurations_are_free_for_fcl(robot, judge):
     check(robot, judge, 700)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "count"), [("pr2", 20_000), ("tiago", 40_000), ("hsr", 40_000)])
-def test_many_free_configurations_are_free_for_fcl(name, count):
-    robot = load_robot(name)
-    check(robot, Pinocchio(robot), count)
 
 
 def test_gaps_are_those_of_clamped_points():
@@ -126,10 +118,3 @@ def test_arms_keep_the_clearance_unless_they_may_be_reconfigured(robot, judge):
     assert free.min() > 0.0
     assert free.min() < clearance < np.median(free)
     assert len(strict) < len(free)
-
-
-def test_solids_need_a_row_for_each_arm(hsr):
-    solver, joints = IkSolver(hsr), np.tile(hsr.home["home"], (4, 1))
-    around = in_base(Solids.empty(1, 1), planar_pose(*np.zeros((3, 4))))
-    with pytest.raises(KinfeasError, match="4 rows"):
-        solver.solve(forward(solver.chain, joints), joints, solids=around)

@@ -15,11 +15,8 @@ LEVER = 0.05
 """Radius in metres by which rotations are compared with translations. It is small, so that a base
 turns aside before it leaves the path of its arm."""
 
-_RESTORE = 0.5
-"""Seconds in which a base restores most of a distance that is too small."""
-
-_SLACK = 1e-6
-"""Velocity in m/s by which rounding may exceed a limit."""
+_RESTORE = 0.5  # seconds in which a base restores most of a distance that is too small
+_SLACK = 1e-6  # velocity in m/s by which rounding may exceed a limit
 
 _ROUNDS = 100
 """Half-spaces at most that are taken up, some of them again; most points take fewer than five."""
@@ -27,36 +24,25 @@ _ROUNDS = 100
 _FRACTIONS = (1.0, 0.5, 0.0)
 """Fractions of negative offsets that are tried, until there is a point in all half-spaces."""
 
-_PARALLEL = 1e-9
-"""Squared sine of the angle to others below which a normal depends on them."""
+_PARALLEL = 1e-9  # squared sine of the angle to others below which a normal depends on them
 
 
 @dataclass(frozen=True)
 class VelocityConstraints:
-    """Linear constraints on base velocities u of n robots: `normal @ u <= limit`.
+    """Linear constraints on base velocities u of n robots: `normal @ u <= limit`."""
 
-    Attributes:
-        full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `LEVER`.
-        normal: Share of each velocity that approaches each of k obstacles, shape (n, k, a).
-        limit: Allowed approach velocities, shape (n, k), m/s; inf without obstacle, negative where
-            the base must move away.
-    """
-
-    full: Array
-    normal: Array
-    limit: Array
+    full: Array  # velocity of a full command, shape (a,), m/s; rotation at `LEVER`
+    normal: Array  # fraction of each velocity that approaches k obstacles, (n, k, a)
+    limit: Array  # velocities, (n, k), m/s; inf without obstacle, negative to move away
 
     def of(self, rows: NDArray[np.intp]) -> "VelocityConstraints":
         """Return the constraints of some rows."""
         return VelocityConstraints(self.full, self.normal[rows], self.limit[rows])
 
     def hold(self, action: Array) -> Array:
-        """Return the commands nearest to `action` that satisfy the constraints.
+        """Return the commands nearest to `action`, shape (n, t, a), that satisfy the constraints.
 
         Commands that satisfy them stay bit-identical. No row depends on the others.
-
-        Args:
-            action: Base commands, shape (n, t, a): t for each row.
         """
         held = np.array(action, dtype=np.float64, order="C")
         hold(held, self.full, self.normal, self.limit)
@@ -123,21 +109,15 @@ def project(point, normals, offsets, slack):
     """
     if _worst(point, normals, offsets)[1] <= slack:
         return False
-    _bring_inside(point, normals, offsets, slack)
-    return True
-
-
-@kernel
-def _bring_inside(point, normals, offsets, slack):
-    """Move a point (a,) into all half-spaces."""
     start, lowest = point.copy(), min(offsets.min(), 0.0)
     for fraction in _FRACTIONS:
         point[:] = start
         if _move(point, normals, np.maximum(offsets, fraction * lowest), slack):
-            return
+            return True
         if lowest == 0.0:
             break
     point[:] = 0.0
+    return True
 
 
 @kernel

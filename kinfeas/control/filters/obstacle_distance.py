@@ -10,16 +10,12 @@ from kinfeas.control.filters.half_spaces import LEVER, VelocityConstraints, allo
 from kinfeas.control.period import Period
 from kinfeas.core.backend import Backend, ObstacleDistances, ObstacleSensor
 from kinfeas.core.errors import KinfeasError, plugin_note
-from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Base
 
-MIN_DISTANCE = 0.03
-"""Distance that bases keep from obstacles by default, metres."""
-
-_RIM = 0.5
-"""Radius in metres at which a turning base is assumed to have its rim."""
+MIN_DISTANCE = 0.03  # distance that bases keep from obstacles by default, metres
+_RIM = 0.5  # radius in metres at which a turning base is assumed to have its rim
 
 
 class VelocityDamper:
@@ -35,7 +31,8 @@ class VelocityDamper:
     """
 
     def __init__(self, base: Base, dt: float, min_distance: float = MIN_DISTANCE) -> None:
-        self._full = _full_velocity(base)
+        translations = [base.max_velocity] * (command_size(base) - 1)
+        self._full = np.array([*translations, base.max_rotation * LEVER])
         fastest = base.max_velocity + base.max_rotation * _RIM
         braking = min(base.max_acceleration, base.max_rotation_acceleration * _RIM)
         # Obstacles further away do not limit the base.
@@ -96,9 +93,3 @@ class ObstacleFilter:
             constraints = self._damper.constraints(self._sensor, len(period.command))
         command = constraints.hold(period.command[:, np.newaxis])[:, 0]
         return replace(period, command=command, velocity_constraints=constraints)
-
-
-def _full_velocity(base: Base) -> Array:
-    """Return the velocities of a full command, shape (a,), m/s."""
-    translations = command_size(base) - 1
-    return np.array([*[base.max_velocity] * translations, base.max_rotation * LEVER])

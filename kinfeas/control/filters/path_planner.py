@@ -21,8 +21,7 @@ _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.1, 0.7
 """Deviations of EE, base and arm from a path beyond which it is planned anew, metres and radians or
 metres."""
 
-_REPLAN_SECONDS = 2.0
-"""Control time until a motion may be planned anew; it doubles with each plan."""
+_REPLAN_SECONDS = 2.0  # control time until a motion may be planned anew; it doubles with each plan
 
 _GAIN, _STEER, _MOVING = 3.0, 3.0, 0.05
 """Feedback of the base's deviation, 1/s; angle by which a differential base steers towards its path
@@ -106,7 +105,6 @@ class PathPlanner:
         )
 
     def _plan(self, rows: Rows, period: Period) -> None:
-        """Plan the motions of rows from now on."""
         motions = period.motions
         subgoal, wait = motions.subgoal[rows], 2.0 * self._wait[rows]
         self._wait[rows] = np.where(self._subgoal[rows] == subgoal, wait, _REPLAN_SECONDS)
@@ -120,7 +118,6 @@ class PathPlanner:
             self._search = self._executor.submit(self._searched, rows, copied)
 
     def _searched(self, rows: Rows, period: Period) -> dict[int, BasePath]:
-        """Return the paths that are found for rows, shape (m,), from a period on."""
         paths, motions, solids = {}, period.motions, period.solids
         for row, ee in zip(rows.tolist(), motions.to_the_end(rows), strict=True):
             path = self._planner.plan(
@@ -137,7 +134,6 @@ class PathPlanner:
         return paths
 
     def _due(self, period: Period) -> Rows:
-        """Return the rows that need a path now."""
         motions = period.motions
         due: NDArray[np.bool_] = self._subgoal != motions.subgoal
         rows = np.array([row for row in self._paths if not due[row]], dtype=np.intp)
