@@ -72,7 +72,7 @@ class RosBackend(LinkBackend):
 
     @classmethod
     def robot_link(cls, robot: Robot, topics: str | None = None) -> RobotLink:
-        """Return the robot's end, for a simulated robot; arguments as in `Hosted`."""
+        """Return the robot's end, for a simulated robot; arguments as in `RobotLink`."""
         return RosRobotLink(read_topics(robot, cls.version, topics), make_bus(cls.version))
 
 
@@ -265,8 +265,8 @@ class RosRobotLink:
         """Raise Fault if the connection is broken."""
         self._bus.check()
 
-    def report(self, base: BaseReading, joints: JointReading) -> None:
-        """Publish a measurement."""
+    def report(self, base: BaseReading, joints: JointReading, ranges: Array | None) -> None:
+        """Publish a measurement; the low band as a laser, the high one as a costmap."""
         now = time.time() if base.stamp is None else base.stamp
         stamp = self._bus.messages.Time.from_sec(now)
         self._odometry.publish(self._odometry_of(base, stamp))
@@ -278,11 +278,11 @@ class RosRobotLink:
             self._transform(_ODOM, frame, base, stamp),
         ]
         self._tf.publish(message)
+        if ranges is not None:
+            self._report_scan(base, ranges, stamp)
 
-    def report_scan(self, base: BaseReading, ranges: Array) -> None:
-        """Publish the low band as a laser in the base frame, the high one as a costmap."""
+    def _report_scan(self, base: BaseReading, ranges: Array, stamp: Any) -> None:
         messages, topics = self._bus.messages, self._topics
-        stamp = messages.Time.from_sec(time.time() if base.stamp is None else base.stamp)
         if topics.scan is not None:
             scan = ros_messages.laser_scan(messages, ranges[0])
             scan.header.stamp, scan.header.frame_id = stamp, topics.base.frame

@@ -14,7 +14,6 @@ from kinfeas.core.spatial import IDENTITY, UNIT, Array, compose, relative
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.link.measurements import DRIFT, TransportDelay
 from kinfeas.sim2real.link.scans import ANGLES, CostmapReading, LaserReading
-from kinfeas.sim2real.ros.bus import Messages
 from kinfeas.sim2real.ros.topics import CostmapTopic, GripperTopics, ScanTopic
 
 _DEEPEST = 32  # frames from the base to the world; more of them are a cycle
@@ -25,7 +24,7 @@ def fill_twist(message: Any, velocity: Array) -> None:
     message.linear.x, message.linear.y, message.angular.z = velocity.tolist()
 
 
-def drive_command(messages: Messages, velocity: Array, stamp: float | None) -> Any:
+def drive_command(messages: Any, velocity: Array, stamp: float | None) -> Any:
     """Return a geometry_msgs/Twist, or a TwistStamped for a `stamp` in seconds.
 
     The velocity is forward, left and rotation, shape (3,), m/s and rad/s.
@@ -46,7 +45,7 @@ def velocity(message: Any) -> Array:
     return np.array([twist.linear.x, twist.linear.y, twist.angular.z])
 
 
-def trajectory(messages: Messages, positions: Mapping[str, float], seconds: float) -> Any:
+def trajectory(messages: Any, positions: Mapping[str, float], seconds: float) -> Any:
     """Return a trajectory_msgs/JointTrajectory that starts now and ends at rest after `seconds`."""
     point = messages.JointTrajectoryPoint()
     point.positions, point.velocities = list(positions.values()), [0.0] * len(positions)
@@ -101,7 +100,7 @@ def from_laser_scan(topic: ScanTopic, base_frame: str, message: Any) -> LaserRea
     )
 
 
-def laser_scan(messages: Messages, ranges: Array) -> Any:
+def laser_scan(messages: Any, ranges: Array) -> Any:
     """Return a sensor_msgs/LaserScan of the beams of a scan, shape (b,)."""
     message = messages.LaserScan()
     message.angle_min, message.angle_max = float(ANGLES[0]), float(ANGLES[-1])
@@ -128,7 +127,7 @@ def from_costmap(topic: CostmapTopic, frame: Array, message: Any) -> CostmapRead
     return CostmapReading(cells.reshape(shape), resolution, origin, topic.occupied, stamp)
 
 
-def occupancy_grid(messages: Messages, costmap: CostmapReading) -> Any:
+def occupancy_grid(messages: Any, costmap: CostmapReading) -> Any:
     """Return a nav_msgs/OccupancyGrid of a costmap along the axes of its frame."""
     message = messages.OccupancyGrid()
     info, origin = message.info, message.info.origin
@@ -139,12 +138,12 @@ def occupancy_grid(messages: Messages, costmap: CostmapReading) -> Any:
     return message
 
 
-def gripper_type(messages: Messages, gripper: GripperTopics) -> Any:
+def gripper_type(messages: Any, gripper: GripperTopics) -> Any:
     """Return the message class of a gripper."""
     return messages.Pr2GripperCommand if gripper.kind == "pr2" else messages.JointTrajectory
 
 
-def gripper_command(messages: Messages, gripper: GripperTopics, grip: Grip) -> Any:
+def gripper_command(messages: Any, gripper: GripperTopics, grip: Grip) -> Any:
     """Return the message that closes or opens a gripper."""
     positions = gripper.positions(grip)
     if gripper.kind == "trajectory":

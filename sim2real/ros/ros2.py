@@ -9,6 +9,7 @@ names, fields and defaults of ROS 2.
 import logging
 import math
 import os
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -36,7 +37,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from kinfeas.core.errors import Fault, KinfeasError
-from kinfeas.sim2real.ros.bus import Messages, Publisher
+from kinfeas.sim2real.ros.bus import Publisher
 
 _DOMAINS = 232  # the last domain with free ports on Linux
 _BLOCKING_MS = 5  # time that a command may wait for its place in the sender's queue
@@ -64,10 +65,10 @@ class Ros2Bus:
         messages: Message classes.
     """
 
-    messages: Messages
+    messages: Any
 
     def __init__(self) -> None:
-        self.messages = ros2_message_classes()
+        self.messages = sys.modules[__name__]
         self._participant: Any = None
         self._publishers: list[_Ros2Publisher] = []
         self._readers: list[tuple[Any, Any, Callable[[Any], None]]] = []
@@ -181,25 +182,6 @@ def _domain() -> int:
 def _local_only() -> bool:
     only = os.environ.get("ROS_LOCALHOST_ONLY") == "1"
     return only or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
-
-
-def ros2_message_classes() -> Messages:
-    """Return the message classes of ROS 2."""
-    return Messages(
-        Twist=Twist,
-        TwistStamped=TwistStamped,
-        PoseStamped=PoseStamped,
-        Odometry=Odometry,
-        JointState=JointState,
-        JointTrajectory=JointTrajectory,
-        JointTrajectoryPoint=JointTrajectoryPoint,
-        TFMessage=TFMessage,
-        TransformStamped=TransformStamped,
-        Time=Time,
-        Duration=Duration,
-        LaserScan=LaserScan,
-        OccupancyGrid=OccupancyGrid,
-    )
 
 
 def _message(name: str, methods: dict[str, Any] | None = None, /, **members: Any) -> Any:

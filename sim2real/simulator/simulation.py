@@ -22,12 +22,10 @@ from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.link import (
     BaseReading,
-    Hosted,
     JointPath,
     JointReading,
     Orders,
     RobotLink,
-    ScanRobotLink,
 )
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.task import Task
@@ -160,10 +158,10 @@ class SimulatedRobot:
         base = BaseReading(x, y, float(yaw(state.base_pose)[0]), velocity, stamp)
         return base, JointReading({**self._robot.fixed_joints, **joints}, velocities, stamp)
 
-    def scan(self) -> Array | None:
-        """Return the ranges around the robot, as in `ScanRobotLink`; None if it has no scan."""
-        scanner = self._backend.scanner
-        return None if scanner is None else scanner.scan().ranges[0]
+    def scan(self) -> Array:
+        """Return the ranges around the robot, as in `RobotLink`."""
+        ranges: Array = self._backend.scan().ranges[0]
+        return ranges
 
     def _drive(self, velocity: Array) -> None:
         with self._lock:
@@ -198,11 +196,7 @@ def simulate(
         on_ready()
         while clock.monotonic() < end:
             base, joints = robot.measure()
-            link.report(base, joints)
-            if periods % scan_periods == 0 and isinstance(link, ScanRobotLink):
-                ranges = robot.scan()
-                if ranges is not None:
-                    link.report_scan(base, ranges)
+            link.report(base, joints, None if periods % scan_periods else robot.scan())
             periods += 1
             late = round(rate.wait() * config.rate)
             for _ in range(min(max(late, 1), _CATCH_UP)):
@@ -224,11 +218,12 @@ def simulate(
 
 
 def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLink:
-    """Return the robot's end of the transport of a backend; `topics` as in `Hosted`."""
+    """Return the robot's end of the transport of a backend; arguments as in `RobotLink`."""
     kind = registry.load("kinfeas.backends", backend)
-    if not isinstance(kind, Hosted):
+    if not hasattr(kind, "robot_link"):
         raise KinfeasError(f"backend {backend!r} has no transport for a simulated robot")
-    return kind.robot_link(robot, topics)
+    link: RobotLink = kind.robot_link(robot, topics)
+    return link
 
 
 def spawn(

@@ -7,7 +7,7 @@ import pytest
 
 from kinfeas.core.backend import RealTimeBackend
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.link import BaseReading, Hosted, Orders
+from kinfeas.sim2real.link import BaseReading, Orders
 from tests.sim2real.doubles import joints_at, wait
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "udp_backend.py"
@@ -33,12 +33,11 @@ def test_carries_measurements_commands_and_stops(udp):
     theirs, ours = udp.UdpBackend.robot_link(robot), udp.UdpBackend(robot, seconds=0.25)
     assert isinstance(ours, RealTimeBackend)
     assert ours.stop_call() is not None
-    assert isinstance(udp.UdpBackend, Hosted)
     theirs.open(Orders(*(orders[name].append for name in ("drive", "move", "grip"))))
     ours.link.open(ours._inbox.readings())
     ours._opened = True
     base = BaseReading(1.0, 2.0, np.pi / 2, np.array([0.1, 0.0, 0.2]), stamp=5.0)
-    theirs.report(base, joints_at(robot))
+    theirs.report(base, joints_at(robot), None)
     wait(lambda: not any(ours._inbox.missing()))
     state = ours.read()
     np.testing.assert_allclose(state.base_pose[0, :2], [1.0, 2.0])

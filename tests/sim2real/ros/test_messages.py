@@ -13,7 +13,6 @@ from kinfeas.sim2real.link.scans import CostmapReading, laser_ranges
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros import ros2
 from kinfeas.sim2real.ros.ros1 import ros1_message_classes
-from kinfeas.sim2real.ros.ros2 import ros2_message_classes
 from kinfeas.sim2real.ros.topics import CostmapTopic, GripperTopics, ScanTopic, read_topics
 from tests.sim2real.ros_processes import needs_ros1
 
@@ -29,7 +28,7 @@ def version(request):
 
 @pytest.fixture
 def messages(version):
-    return ros1_message_classes() if version == 1 else ros2_message_classes()
+    return ros1_message_classes() if version == 1 else ros2
 
 
 def named(kind):
