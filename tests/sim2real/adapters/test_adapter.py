@@ -27,7 +27,7 @@ NOTHING = {
     "scan_noise": {"deviation": 0, "lost": 0, "seconds": 0},
     "command_latency": {"seconds": 0},
     "sensor_latency": {"seconds": 0},
-    "dropped_commands": {"share": 0},
+    "dropped_commands": {"probability": 0},
     "actuator_lag": {"base": 0, "arm": 0},
     "acceleration_limit": {"linear": 1e9, "angular": 1e9},
     "velocity_clamp": {"linear": 1e9, "angular": 1e9, "joints": 1e9},
@@ -139,7 +139,7 @@ def test_ranges_are_drawn_for_each_episode(rig):
 
 @pytest.mark.parametrize(("name", "key", "value"), [
     *(("base_noise", "linear", value) for value in ("much", [1], -1, np.nan, [2, 1])),
-    ("dropped_commands", "share", 1.1),
+    ("dropped_commands", "probability", 1.1),
     ("acceleration_limit", "linear", 0),
     ("velocity_clamp", "joints", 0),
     ("joint_limit_clamp", "margin", 1.0),

@@ -87,7 +87,7 @@ def test_a_late_reading_never_shows_an_older_robot(rig):
 
 
 def test_after_a_lost_command_the_last_one_is_active(rig, drive):
-    lossy = rig(DroppedCommands, n=30, share=0.3)
+    lossy = rig(DroppedCommands, n=30, probability=0.3)
     twists = drive(200, n=30)
     lossy.run(twists)
     came = np.all(lossy.passed == twists, axis=2)
