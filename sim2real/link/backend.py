@@ -43,11 +43,11 @@ class LinkBackend(RealTimeBackend):
         drift: Drift = DRIFT,
         clock: Clock | None = None,
     ) -> None:
-        """Prepare a backend; the first `reset` connects.
+        """Prepare a backend; the first `reset` connects, and `close` closes the link.
 
         Args:
             robot: Robot model.
-            link: Transport, which `close` closes.
+            link: Transport.
             names: The robot's own names of arm joints, where its URDF has others.
             seconds: Duration of the motion to each arm target; longer if a joint needs longer.
             timeout: Seconds that `reset` waits for the first measurements.
@@ -187,7 +187,6 @@ class LinkBackend(RealTimeBackend):
         self.link.move(dict(zip(names, self._target.tolist(), strict=True)), seconds)
 
     def _missing(self) -> str:
-        """Return which measurement or receiver is missing."""
         base, joints = self._inbox.missing()
         within = f"within {self._timeout:g} s; {_CHECK}"
         if base:

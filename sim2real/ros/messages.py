@@ -195,10 +195,8 @@ class TfTree:
         """Take a tf2_msgs/TFMessage; `static` transforms do not age."""
         now = self._now()
         for transform in message.transforms:
-            child, parent = (
-                transform.child_frame_id.lstrip("/"),
-                transform.header.frame_id.lstrip("/"),
-            )
+            child = transform.child_frame_id.lstrip("/")
+            parent = transform.header.frame_id.lstrip("/")
             p, q = transform.transform.translation, transform.transform.rotation
             pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
             stamp = transform.header.stamp.to_sec()
@@ -217,10 +215,10 @@ class TfTree:
 
     def pose(self, frame: str) -> Array | None:
         """Return the world pose of a frame above the base, shape (7,); None if one is missing."""
-        world, other = self._base_in(self._world), self._base_in(frame.lstrip("/"))
-        if world is None or other is None:
+        in_world, in_frame = self._base_in(self._world), self._base_in(frame.lstrip("/"))
+        if in_world is None or in_frame is None:
             return None
-        return compose(world[0], relative(IDENTITY, other[0]))
+        return compose(in_world[0], relative(IDENTITY, in_frame[0]))
 
     def _base_in(self, world: str) -> tuple[Array, float, float | None] | None:
         """Return the pose of the base in a frame, when its oldest transform was sent, and stamp."""

@@ -107,7 +107,7 @@ class _Ros1Publisher:
 
 
 def _shut_down() -> bool:
-    """Return whether the node was told to shut down, or has done so."""
+    """Return whether the node was shut down, or will be."""
     return bool(ros("rospy").core.is_shutdown_requested())
 
 

@@ -97,11 +97,9 @@ class Ros2Bus:
         """Return a sender of the newest message."""
         blocking = Policy.Reliability.Reliable(duration(milliseconds=_BLOCKING_MS))
         qos = _qos(topic, blocking, Policy.History.KeepLast(1))
-        made = _Ros2Publisher(
-            topic, DataWriter(self._participant, self._topic(topic, kind), qos=qos)
-        )
-        self._publishers.append(made)
-        return made
+        writer = DataWriter(self._participant, self._topic(topic, kind), qos=qos)
+        self._publishers.append(_Ros2Publisher(topic, writer))
+        return self._publishers[-1]
 
     def subscribe(
         self, topic: str, kind: Any, take: Callable[[Any], None], *, every: bool = False

@@ -30,8 +30,7 @@ from kinfeas.sim2real.deploy import runtime
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
-from kinfeas.sim2real.deploy.runtime import Code, Setup, deploy
-from kinfeas.sim2real.deploy.signals import Signals
+from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
 from kinfeas.sim2real.link.rate import Rate
 from kinfeas.tasks.task import MotionSpec
 
