@@ -17,8 +17,7 @@ from kinfeas.core import registry
 from kinfeas.core.errors import PLUGIN_ERRORS, describe, plugin_note
 from kinfeas.sim2real.deploy.config import ServoConfig
 from kinfeas.sim2real.deploy.runtime import Code
-from kinfeas.sim2real.servo import TargetSource
-from kinfeas.sim2real.servo.controller import ServoTask, TargetController
+from kinfeas.sim2real.servo.controller import ServoTask, TargetController, TargetSource
 from kinfeas.tasks.task import MotionSpec
 
 GROUP = "kinfeas.target_sources"

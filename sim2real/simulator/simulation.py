@@ -20,13 +20,7 @@ from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import furniture_solids, read_scene
-from kinfeas.sim2real.link import (
-    BaseReading,
-    JointPath,
-    JointReading,
-    Orders,
-    RobotLink,
-)
+from kinfeas.sim2real.link import BaseReading, JointPath, JointReading, Orders, RobotLink
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.task import Task
 
@@ -78,9 +72,9 @@ class JointSetpoints:
     """
 
     def __init__(self, positions: Mapping[str, float]) -> None:
-        rest = {name: np.array([at, at]) for name, at in positions.items()}
         self._paths = {
-            name: CubicHermiteSpline([0.0, 1.0], at, np.zeros(2)) for name, at in rest.items()
+            name: CubicHermiteSpline([0.0, 1.0], np.array([at, at]), np.zeros(2))
+            for name, at in positions.items()
         }
 
     def follow(self, path: JointPath, time: float) -> None:
@@ -100,7 +94,6 @@ class JointSetpoints:
 
 
 def _within(path: CubicHermiteSpline, time: float) -> float:
-    """Return the nearest time of a path."""
     return float(np.clip(time, path.x[0], path.x[-1]))
 
 
@@ -117,8 +110,7 @@ class SimulatedRobot:
         """Start at rest in `state` of a world; the clocks are the system's by default."""
         self.base_commands = self.joint_commands = self.timeouts = 0
         self.config, self.clock = config, clock or Clock()
-        self._backend, self._state = backend, state
-        self._robot = backend.robot
+        self._backend, self._state, self._robot = backend, state, backend.robot
         self._arm = [joint.name for joint in self._robot.arm]
         arm = dict(zip(self._arm, state.joint_positions[0].tolist(), strict=True))
         self._setpoints = JointSetpoints(arm)
@@ -143,17 +135,15 @@ class SimulatedRobot:
         if grip is not None:
             self._backend.grip(grip, np.array([0]))
         joints = np.array([[targets[name] for name in self._arm]])
-        pose = self._state.base_pose
-        twist = world_twist(self._robot.base, pose, velocity[np.newaxis], dt)
+        twist = world_twist(self._robot.base, self._state.base_pose, velocity[np.newaxis], dt)
         self._state = self._backend.step(twist, joints, dt)
 
     def measure(self) -> tuple[BaseReading, JointReading]:
         """Return the measurements of base and joints; raise KinfeasError if the world is gone."""
         joints, velocities = self._backend.joint_motion()
         stamp, state = self.clock.wall(), self._state
-        twist = state.base_twist
-        assert twist is not None
-        velocity = base_velocity(self._robot.base, state.base_pose, twist, 0.0)[0]
+        assert state.base_twist is not None
+        velocity = base_velocity(self._robot.base, state.base_pose, state.base_twist, 0.0)[0]
         x, y = state.base_pose[0, :2].tolist()
         base = BaseReading(x, y, float(yaw(state.base_pose)[0]), velocity, stamp)
         return base, JointReading({**self._robot.fixed_joints, **joints}, velocities, stamp)
@@ -240,10 +230,10 @@ def spawn(
     The robot starts as in an episode of the task, which `rng` draws, or without a task at the
     origin of a scene, by default an empty floor; an object there raises KinfeasError.
     """
-    around = read_scene(scene) if scene is not None else None
+    room = read_scene(scene) if scene is not None else None
     engine = engine or default_engine()
     parameters = evaluation_world(engine, robot.folder).backend_parameters
-    backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=around)
+    backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=room)
     if not isinstance(backend, PhysicsBackend):
         raise KinfeasError(f"backend {engine!r} has no physics")
     if task is not None:
@@ -253,12 +243,13 @@ def spawn(
         backend.place_solids(start.solids, np.array([0]))
         return backend, state
     state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
-    if around is not None and (touched := backend.touched()):
+    if room is None:
+        return backend, state
+    if touched := backend.touched():
         backend.close()
         names = ", ".join(map(repr, touched))
-        raise KinfeasError(f"scene {around.name}: the robot would touch {names}")
-    if around is not None:  # scans see it
-        furniture = furniture_solids(around)
-        backend.furniture = furniture.places
-        backend.place_solids(furniture, np.array([0]))
+        raise KinfeasError(f"scene {room.name}: the robot would touch {names}")
+    furniture = furniture_solids(room)  # for scans
+    backend.furniture = furniture.places
+    backend.place_solids(furniture, np.array([0]))
     return backend, state

@@ -13,10 +13,9 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings
 from kinfeas.sim2real.link.scans import LaserReading, costmap_ranges, laser_ranges
 from kinfeas.sim2real.ros import bus as ros_bus
-from kinfeas.sim2real.ros import ros2
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import stop_base
-from kinfeas.sim2real.ros.ros2 import Ros2Bus
+from kinfeas.sim2real.ros.ros2 import MESSAGES, Ros2Bus
 from kinfeas.sim2real.ros.topics import read_topics
 from tests.sim2real.doubles import wait
 from tests.sim2real.ros_processes import own_domain
@@ -135,10 +134,10 @@ def test_scans_arrive_in_the_world_of_the_base(ends):
 def test_late_subscribers_get_static_transforms():
     sender, late, heard = Ros2Bus(), Ros2Bus(), []
     sender.open("early")
-    edge = ros2.TransformStamped(ros2.Header(frame_id="map"), "odom")
-    sender.publisher("/tf_static", ros2.TFMessage).publish(ros2.TFMessage([edge]))
+    edge = MESSAGES.TransformStamped(MESSAGES.Header(frame_id="map"), "odom")
+    sender.publisher("/tf_static", MESSAGES.TFMessage).publish(MESSAGES.TFMessage([edge]))
     late.open("late")
-    late.subscribe("/tf_static", ros2.TFMessage, heard.append, every=True)
+    late.subscribe("/tf_static", MESSAGES.TFMessage, heard.append, every=True)
     wait(lambda: heard)
     assert heard[0].transforms[0].child_frame_id == "odom"
     np.testing.assert_array_equal(heard[0].transforms[0].transform.rotation.w, spatial.IDENTITY[6])
@@ -178,7 +177,7 @@ def test_the_call_of_the_watchdog_stops_the_base(ends):
 @pytest.fixture
 def bus():
     """A bus that keeps its messages, with one subscriber."""
-    made = Mock(messages=ros2)
+    made = Mock(messages=MESSAGES)
     made.publisher.return_value.listeners.return_value = 1
     return made
 
