@@ -26,10 +26,8 @@ def draw(seed, places=8):
     rng, solids = np.random.default_rng(seed), Solids.empty(1, places)
     base = (*rng.uniform(-3.0, 3.0, 2), rng.uniform(-np.pi, np.pi))
     way, angle = rng.uniform(1.0, 4.0, places), rng.uniform(-np.pi, np.pi, places)
-    solids.pose[0, :, 0], solids.pose[0, :, 1] = (
-        base[0] + way * np.cos(angle),
-        base[1] + way * np.sin(angle),
-    )
+    solids.pose[0, :, 0] = base[0] + way * np.cos(angle)
+    solids.pose[0, :, 1] = base[1] + way * np.sin(angle)
     solids.pose[0, :, 2] = rng.uniform(-np.pi, np.pi, places)
     solids.cylinder[0] = rng.random(places) < 0.5
     solids.size[0, :, :2] = rng.uniform(0.1, 0.5, (places, 2))
@@ -110,19 +108,14 @@ def test_a_costmap_has_the_ranges_of_its_solids_to_within_a_cell(seed):
     solids, pose, base = draw(seed)
     rng = np.random.default_rng(seed)
     turn, edge = rng.uniform(-np.pi, np.pi), 8.0
-    cosine, sine = np.cos(turn), np.sin(turn)
-    corner = -0.5 * edge + rng.uniform(-0.5, 0.5, 2)
-    origin = (
-        base[0] + cosine * corner[0] - sine * corner[1],
-        base[1] + sine * corner[0] + cosine * corner[1],
-        turn,
-    )
-    u, v = np.meshgrid(*[(np.arange(round(edge / CELL)) + 0.5) * CELL] * 2)
-    points = np.stack(
-        [origin[0] + cosine * u - sine * v, origin[1] + sine * u + cosine * v, 0.1 + 0.0 * u], -1
-    )
-    occupied = solids.gaps(points.reshape(1, -1, 3))[0].min(axis=2).reshape(u.shape) <= 0.0
-    costmap = CostmapReading(np.where(occupied, 100, 0).astype(np.int8), CELL, origin)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    origin = np.array(base[:2]) + rotation @ (-0.5 * edge + rng.uniform(-0.5, 0.5, 2))
+    cells = np.stack(np.meshgrid(*[(np.arange(round(edge / CELL)) + 0.5) * CELL] * 2), -1)
+    points = np.full((*cells.shape[:2], 3), 0.1)
+    points[..., :2] = origin + cells @ rotation.T
+    occupied = solids.gaps(points.reshape(1, -1, 3))[0].min(axis=2).reshape(cells.shape[:2]) <= 0.0
+    values = np.where(occupied, 100, 0).astype(np.int8)
+    costmap = CostmapReading(values, CELL, (*origin.tolist(), turn))
     ranges = costmap_ranges(costmap, base)
     corner_gap, step = CELL / np.sqrt(2.0), CELL / 2.0
     assert np.all(ranges >= seen(grown(solids, corner_gap), pose) - 1e-9)
