@@ -29,70 +29,52 @@ def messages(version):
     return ros1_message_classes() if version == 1 else ROS2
 
 
-def named(kind):
-    """Return what ROS calls a message: `std_msgs/msg/Header`."""
-    return kind.__idl_typename__.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
-
-
-def filled(kind, rng):
-    message = kind()
-    for one in dataclasses.fields(kind):
-        value = getattr(message, one.name)
-        if dataclasses.is_dataclass(value):
-            new = filled(type(value), rng)
-        elif isinstance(value, str):
-            new = "x" * int(rng.integers(1, 9))
-        elif isinstance(value, int):
-            new = int(rng.integers(2**31))
-        elif isinstance(value, float):
-            new = float(np.float32(rng.normal()))
-        else:
-            new = [_entry(one.name, rng) for _ in range(len(value) or 3)]
-        setattr(message, one.name, new)
-    return message
-
-
-def _entry(name, rng):
-    inner = {
-        "points": ROS2.JointTrajectoryPoint, "transforms": ROS2.TransformStamped
-    }  # fmt: skip
-    if name in inner:
-        return filled(inner[name], rng)
-    if name in ("name", "joint_names"):
-        return f"joint{rng.integers(100)}"
-    return int(rng.integers(-1, 101)) if name == "data" else float(np.float32(rng.normal()))
+def filled(kind, name, rng):
+    """Return a message, or the value of one of its fields, with random numbers."""
+    if dataclasses.is_dataclass(kind):
+        values = {
+            field.name: filled(type(getattr(kind(), field.name)), field.name, rng)
+            for field in dataclasses.fields(kind)
+        }
+        return kind(**values)
+    if kind is list:
+        items = {"points": ROS2.JointTrajectoryPoint, "transforms": ROS2.TransformStamped}
+        items |= {"name": str, "joint_names": str, "data": int}
+        count = 36 if name == "covariance" else 3
+        return [filled(items.get(name, float), "", rng) for _ in range(count)]
+    if kind is float:
+        return float(np.float32(rng.normal()))
+    return kind(rng.integers(100))
 
 
 def plain(value):
     """Return a message as plain lists, field by field."""
     if dataclasses.is_dataclass(value):
-        names = [one.name for one in dataclasses.fields(value) if one.name != "__msgtype__"]
+        names = [field.name for field in dataclasses.fields(value) if field.name != "__msgtype__"]
         return [plain(getattr(value, name)) for name in names]
-    return [plain(one) for one in value] if isinstance(value, list | np.ndarray) else value
+    return [plain(item) for item in value] if isinstance(value, list | np.ndarray) else value
 
 
-@pytest.mark.parametrize("kind", vars(ROS2).values(), ids=named)
+@pytest.mark.parametrize("kind", vars(ROS2).values())
 def test_messages_of_ros_2_have_the_bytes_of_another_implementation(kind):
-    fields = [name for name, _ in REFERENCE.get_msgdef(named(kind)).fields]
-    assert [one.name for one in dataclasses.fields(kind)] == fields
+    package, _, _, short = kind.__idl_typename__.split("::")
+    name = f"{package}/msg/{short.removesuffix('_')}"
+    fields = [field for field, _ in REFERENCE.get_msgdef(name).fields]
+    assert [field.name for field in dataclasses.fields(kind)] == fields
     rng = np.random.default_rng(5)
-    for message in (kind(), *(filled(kind, rng) for _ in range(5))):
+    for message in (kind(), *(filled(kind, "", rng) for _ in range(5))):
         data = message.serialize(use_version_2=False)
-        theirs = REFERENCE.deserialize_cdr(data, named(kind))
-        assert plain(theirs) == plain(message)
+        reference = REFERENCE.deserialize_cdr(data, name)
+        assert plain(reference) == plain(message)
         # Some senders fill up the last word, some do not.
-        again = bytes(REFERENCE.serialize_cdr(theirs, named(kind)))
+        again = bytes(REFERENCE.serialize_cdr(reference, name))
         assert again.rstrip(b"\0") == data.rstrip(b"\0")
         assert plain(kind.deserialize(again)) == plain(message)
-
-
-@pytest.mark.parametrize("kind", [ROS2.Time, ROS2.Duration])
-@pytest.mark.parametrize("seconds", [0.0, 0.25, 1.9999999999, 1.7e9 + 0.125, -0.25, -3.0])
-def test_seconds_survive_a_round_trip(kind, seconds):
-    made = kind.from_sec(seconds)
-    assert isinstance(made, kind)
-    assert 0 <= made.nanosec < 10**9
-    assert made.to_sec() == pytest.approx(seconds, abs=1e-9)
+    if package == "builtin_interfaces":
+        for seconds in (0.0, 1.9999999999, 1.7e9 + 0.125, -0.25, -3.0):
+            made = kind.from_sec(seconds)
+            assert 0 <= made.nanosec < 10**9
+            assert made.to_sec() == pytest.approx(seconds, abs=1e-9)
 
 
 @pytest.mark.parametrize("stamp", [None, 12.5])
@@ -233,13 +215,12 @@ TOPICS = """
 base: {command: /cmd, odometry: /odom}
 joints:
   measured: /joint_states
+  names: {arm_lift_joint: lift}
   controllers:
   - {command: /arm, joints: [%s]}
 """
-
-
 HSR = load_robot("hsr")
-ARM = [joint.name for joint in HSR.arm]
+ARM = ["lift", *(joint.name for joint in HSR.arm[1:])]
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -249,36 +230,23 @@ def test_every_shipped_robot_has_its_names(robot, version):
     assert topics.gripper.open > topics.gripper.closed
     for topic in (topics.base.command, topics.base.odometry, topics.joints.measured):
         assert topic.startswith("/")
-    joints = [name for one in topics.joints.controllers for name in one.joints]
+    joints = [name for controller in topics.joints.controllers for name in controller.joints]
     assert joints == [joint.name for joint in robot.arm]
 
 
-def test_a_file_may_have_other_joint_names(tmp_path):
-    path = tmp_path / "mine.yaml"
-    names = "  names: {arm_lift_joint: lift}\n"
-    path.write_text(TOPICS % ", ".join(["lift", *ARM[1:]]) + names)
-    topics = read_topics(HSR, 2, str(path))
-    assert (topics.base.command, topics.gripper) == ("/cmd", None)
-    assert topics.joints.controllers[0].joints[0] == "lift"
-
-
-@pytest.mark.parametrize(
-    ("joints", "named"),
-    [(ARM[:-1], ARM[-1]), ([*ARM, "head_pan_joint"], "head_pan"), ([*ARM, ARM[0]], ARM[0])],
-)
-def test_controllers_must_have_each_joint_of_the_arm_once(tmp_path, joints, named):
-    path = tmp_path / "mine.yaml"
-    path.write_text(TOPICS % ", ".join(joints))
-    with pytest.raises(KinfeasError, match=f"mine.yaml: 'joints.controllers'.*{named}"):
-        read_topics(HSR, 1, str(path))
-
-
-@pytest.mark.parametrize(("gripper", "named"), [
-    ("kind: trajectory, open: 1", "joints"), ("kind: trajectory, joints: [hand]", "open"),
-    ("kind: trajectory, joints: [hand], open: [1, 2]", "open"),
+@pytest.mark.parametrize(("joints", "gripper", "named"), [
+    (ARM[:-1], "", f"mine.yaml: 'joints.controllers'.*{ARM[-1]}"),
+    ([*ARM, "head_pan_joint"], "", "'joints.controllers'.*head_pan"),
+    ([*ARM, ARM[0]], "", f"'joints.controllers'.*{ARM[0]}"),
+    (ARM, "kind: trajectory, open: 1", "gripper.*joints"),
+    (ARM, "kind: trajectory, joints: [hand]", "gripper.*open"),
+    (ARM, "kind: trajectory, joints: [hand], open: [1, 2]", "gripper.*open"),
 ])  # fmt: skip
-def test_grippers_need_joints_and_an_open_position(tmp_path, gripper, named):
+def test_invalid_topics_are_errors_with_their_keys(tmp_path, joints, gripper, named):
     path = tmp_path / "mine.yaml"
-    path.write_text(TOPICS % ", ".join(ARM) + f"gripper: {{command: /hand, {gripper}}}")
-    with pytest.raises(KinfeasError, match=f"gripper.*{named}"):
+    path.write_text(TOPICS % ", ".join(ARM))
+    assert read_topics(HSR, 2, str(path)).joints.controllers[0].joints == tuple(ARM)
+    extra = f"gripper: {{command: /hand, {gripper}}}" if gripper else ""
+    path.write_text(TOPICS % ", ".join(joints) + extra)
+    with pytest.raises(KinfeasError, match=named):
         read_topics(HSR, 2, str(path))
