@@ -180,11 +180,7 @@ class TfTree:
     """The newest transforms of TF: a replacement of tf2 for the pose of one frame in another."""
 
     def __init__(
-        self,
-        world: str,
-        base: str,
-        drift: float = DRIFT,
-        now: Callable[[], float] = time.monotonic,
+        self, world: str, base: str, drift: float = DRIFT, now: Callable[[], float] = time.monotonic
     ) -> None:
         """Start without transforms; `world` and `base` are names of frames."""
         self._world, self._base, self._now = world.lstrip("/"), base.lstrip("/"), now

@@ -44,16 +44,6 @@ class _Message(NamedTuple):
     frame: str = ""
 
 
-@dataclass
-class _Ignored:
-    """Messages that were all ignored: times of the first and last, s, and the counts before."""
-
-    since: float
-    counts: dict[str, int]
-    last: float = -math.inf
-    reported: bool = False
-
-
 class TargetController:
     """Targets of one EE: a `TargetStream` of the loop, and a filter that stops the base.
 
@@ -68,7 +58,6 @@ class TargetController:
         pose: World pose of the EE that is desired now, shape (7,), once `running`.
         base_pose: World pose of the base, shape (7,), likewise.
         running: Whether the loop reads the messages.
-        longest_ignored: Longest time for which all messages were ignored, seconds.
     """
 
     def __init__(
@@ -82,13 +71,13 @@ class TargetController:
         """Take chunks of at most `max_poses` poses, at the seconds of a `clock`."""
         self.robot, self.rules, self._clock = robot, rules or TargetRules(), clock
         self.pose = self.base_pose = spatial.IDENTITY
-        self.running, self.longest_ignored = False, 0.0
+        self.running = False
         self._inbox = TargetInbox(self.rules, max(2, max_poses))
         self._queue: deque[_Message] = deque(maxlen=_QUEUE)
         self._lock = threading.Lock()
         self._sender = SenderClock(self.rules.timeout)
         self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
-        self._ignored: _Ignored | None = None
+        self._ignored: tuple[float, float, dict[str, int]] | None = None  # since, until, before
         self._failure = ""
 
     def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
@@ -123,8 +112,8 @@ class TargetController:
         return counts | self._others
 
     def statistics(self) -> dict[str, object]:
-        """Return the counts, and the longest time for which all messages were ignored."""
-        return {"messages": self.counts, "longest_ignored": self.longest_ignored}
+        """Return the counts for the results of a run."""
+        return {"messages": self.counts}
 
     def fail(self, reason: str) -> None:
         """Let the next period raise Fault with a reason, from any thread."""
@@ -191,22 +180,18 @@ class TargetController:
             self._queue.append(message)
 
     def _watch(self, before: dict[str, int], now: float) -> None:
-        """Report messages that are ignored for long; they were counted as `before` until now."""
-        counts, ignored = self.counts, self._ignored
-        if counts["accepted"] > before["accepted"]:
-            if ignored is not None and ignored.reported:
-                _log.warning("messages are accepted again, after %.1f s", now - ignored.since)
+        """Warn once of messages that are all ignored for long; they were counted as `before`."""
+        if self.counts["accepted"] > before["accepted"]:
             self._ignored = None
             return
-        if ignored is None or now - ignored.last > _LONG:
-            ignored = self._ignored = _Ignored(now, before)
-        ignored.last, seconds = now, now - ignored.since
-        self.longest_ignored = max(self.longest_ignored, seconds)
-        if seconds >= _LONG and not ignored.reported:
-            ignored.reported = True
-            new = {rule: n - ignored.counts[rule] for rule, n in counts.items()}
+        since, last, counts = self._ignored or (now, now, before)
+        if now - last > _LONG:
+            since, counts = now, before
+        self._ignored = since, now, counts
+        if last - since < _LONG <= now - since:
+            new = {rule: n - counts[rule] for rule, n in self.counts.items()}
             why = ", ".join(f"{n} {rule}" for rule, n in new.items() if n)
-            _log.warning("all messages are ignored, for %.1f s: %s", seconds, why)
+            _log.warning("all messages are ignored, for %.1f s: %s", now - since, why)
 
     def _read(self, message: _Message, now: Array) -> None:
         values, times, stamp = message.values, message.times, message.stamp
