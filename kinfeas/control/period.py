@@ -1,38 +1,19 @@
 """One control period of n robots: a value from the motions, through the filters, to the arms."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.motion import Rows, State
+from kinfeas.control.filters.half_spaces import VelocityConstraints
+from kinfeas.control.sequence import MotionSequence, MotionStep
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative
 from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import in_base
-
-if TYPE_CHECKING:
-    from kinfeas.control.filters.obstacle_distance import VelocityConstraints
-    from kinfeas.control.sequence import MotionSequence
-
-
-@dataclass(frozen=True)
-class MotionStep:
-    """Next step of the motions of n EEs.
-
-    Attributes:
-        desired: Desired world poses of the EE after the step, shape (n, 7).
-        preview: The same after `HORIZON` seconds at the step's twist, shape (n, 7).
-        states: State of each generator after the step.
-        seconds: Motion time of the step, shape (n,).
-    """
-
-    desired: Array
-    preview: Array
-    states: list[State]
-    seconds: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,9 +78,9 @@ class Period(KinematicInputs):
     command: Array
     step: MotionStep
     time_scale: Array
-    motions: "MotionSequence"
+    motions: MotionSequence
     paused: NDArray[np.bool_] | None = None
-    velocity_constraints: "VelocityConstraints | None" = None
+    velocity_constraints: VelocityConstraints | None = None
     move: Move | None = None
 
     @property

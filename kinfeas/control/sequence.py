@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from kinfeas.control.ee_motions import EeMotions, Motions
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.period import MotionStep
 from kinfeas.control.surroundings import Surroundings
 from kinfeas.control.targets import Progress, TargetStream
 from kinfeas.control.whole_body_motion import WholeBodyMotions
@@ -20,12 +19,30 @@ from kinfeas.core import spatial
 from kinfeas.core.backend import Gripper, RobotState
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.metrics import GOAL_RADIANS
-from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.motion import Rows, State, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+
+
+@dataclass(frozen=True)
+class MotionStep:
+    """Next step of the motions of n EEs.
+
+    Attributes:
+        desired: Desired world poses of the EE after the step, shape (n, 7).
+        preview: The same after `HORIZON` seconds at the step's twist, shape (n, 7).
+        states: State of each generator after the step.
+        seconds: Motion time of the step, shape (n,).
+    """
+
+    desired: Array
+    preview: Array
+    states: list[State]
+    seconds: Array
+
 
 _PATHS = "waypoints"
 _ROWS = (

@@ -1,11 +1,14 @@
-"""Kernels of the obstacle filter: half-spaces of base velocities, and projection into them."""
+"""Half-spaces of base velocities, which the obstacle filter allows, and projection into them."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.pose_kernels import clipped
+from kinfeas.core.spatial import Array
 from kinfeas.kinematics.kernels import inlined, kernel, square
 
 LEVER = 0.05
@@ -26,6 +29,38 @@ _FRACTIONS = (1.0, 0.5, 0.0)
 
 _PARALLEL = 1e-9
 """Squared sine of the angle to others below which a normal depends on them."""
+
+
+@dataclass(frozen=True)
+class VelocityConstraints:
+    """Linear constraints on base velocities u of n robots: `normal @ u <= limit`.
+
+    Attributes:
+        full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `LEVER`.
+        normal: Share of each velocity that approaches each of k obstacles, shape (n, k, a).
+        limit: Allowed approach velocities, shape (n, k), m/s; inf without obstacle, negative where
+            the base must move away.
+    """
+
+    full: Array
+    normal: Array
+    limit: Array
+
+    def of(self, rows: NDArray[np.intp]) -> "VelocityConstraints":
+        """Return the constraints of some rows."""
+        return VelocityConstraints(self.full, self.normal[rows], self.limit[rows])
+
+    def hold(self, action: Array) -> Array:
+        """Return the commands nearest to `action` that satisfy the constraints.
+
+        Commands that satisfy them stay bit-identical. No row depends on the others.
+
+        Args:
+            action: Base commands, shape (n, t, a): t for each row.
+        """
+        held = np.array(action, dtype=np.float64, order="C")
+        hold(held, self.full, self.normal, self.limit)
+        return held
 
 
 @compiled(["void(f8[:,:], f8[:,:], f8[:], f8[:,:])"], "(k,p),(k,p),(a)->(k,a)")

@@ -1,13 +1,12 @@
 """The obstacle filter: base commands that keep a distance from obstacles."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
-from kinfeas.control.filters.half_spaces import LEVER, allowed, approach, hold
+from kinfeas.control.filters.half_spaces import LEVER, VelocityConstraints, allowed, approach
 from kinfeas.control.period import Period
 from kinfeas.core.backend import Backend, ObstacleDistances, ObstacleSensor
 from kinfeas.core.errors import KinfeasError, plugin_note
@@ -21,38 +20,6 @@ MIN_DISTANCE = 0.03
 
 _RIM = 0.5
 """Radius in metres at which a turning base is assumed to have its rim."""
-
-
-@dataclass(frozen=True)
-class VelocityConstraints:
-    """Linear constraints on base velocities u of n robots: `normal @ u <= limit`.
-
-    Attributes:
-        full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `LEVER`.
-        normal: Share of each velocity that approaches each of k obstacles, shape (n, k, a).
-        limit: Allowed approach velocities, shape (n, k), m/s; inf without obstacle, negative where
-            the base must move away.
-    """
-
-    full: Array
-    normal: Array
-    limit: Array
-
-    def of(self, rows: NDArray[np.intp]) -> "VelocityConstraints":
-        """Return the constraints of some rows."""
-        return VelocityConstraints(self.full, self.normal[rows], self.limit[rows])
-
-    def hold(self, action: Array) -> Array:
-        """Return the commands nearest to `action` that satisfy the constraints.
-
-        Commands that satisfy them stay bit-identical. No row depends on the others.
-
-        Args:
-            action: Base commands, shape (n, t, a): t for each row.
-        """
-        held = np.array(action, dtype=np.float64, order="C")
-        hold(held, self.full, self.normal, self.limit)
-        return held
 
 
 class VelocityDamper:

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.control.filters.obstacle_distance import VelocityConstraints, VelocityDamper
+from kinfeas.control.filters.half_spaces import VelocityConstraints
+from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require

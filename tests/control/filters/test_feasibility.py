@@ -5,7 +5,8 @@ import pytest
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.period import MotionStep, Period
+from kinfeas.control.period import Period
+from kinfeas.control.sequence import MotionStep
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.envs.episodes import run_episodes
