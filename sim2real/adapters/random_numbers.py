@@ -60,5 +60,4 @@ def uniform(seeds, steps, width):
 
 def per_episode(seeds: Seeds, width: int) -> Array:
     """Return numbers in (0, 1], shape (n, width), that are constant during an episode."""
-    numbers: Array = uniform(seeds + np.uint64(_EPISODE), np.zeros_like(seeds), width)
-    return numbers
+    return uniform(seeds + np.uint64(_EPISODE), np.zeros_like(seeds), width)

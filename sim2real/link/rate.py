@@ -125,8 +125,8 @@ class Rate:
         """Return the statistics so far; zeros without a period."""
         if not self._count:
             return Timing(0, 0.0, 0.0, 0.0, 0)
-        p50, p99 = _percentiles(self._periods)
-        work = _percentiles(self._work) if self._work else ()
+        p50, p99 = np.percentile(self._periods, (50.0, 99.0)).tolist()
+        work = np.percentile(self._work, (50.0, 99.0)).tolist() if self._work else ()
         return Timing(self._count, p50, p99, self._longest, self._misses, *work)
 
     def _measure(self, now: float) -> float:
@@ -134,11 +134,6 @@ class Rate:
         self._periods.append(period)
         self._count, self._longest = self._count + 1, max(self._longest, period)
         return period
-
-
-def _percentiles(times: deque[float]) -> tuple[float, float]:
-    p50, p99 = np.percentile(times, (50.0, 99.0)).tolist()
-    return p50, p99
 
 
 def peak_memory_mb() -> float:

@@ -102,8 +102,7 @@ class _Ros1Publisher:
             raise Fault(_SHUT_DOWN if _shut_down() else str(error)) from error
 
     def listeners(self) -> int:
-        count: int = self._publisher.get_num_connections()
-        return count
+        return self._publisher.get_num_connections()
 
 
 def _shut_down() -> bool:

@@ -189,8 +189,7 @@ def _from_sec(kind: Any, seconds: float) -> Any:
 
 
 def _to_sec(message: Any) -> float:
-    seconds: float = message.sec + message.nanosec / _NANO
-    return seconds
+    return message.sec + message.nanosec / _NANO
 
 
 def _message_classes() -> SimpleNamespace:

@@ -150,8 +150,7 @@ class SimulatedRobot:
 
     def scan(self) -> Array:
         """Return the ranges around the robot, as in `RobotLink`."""
-        ranges: Array = self._backend.scan().ranges[0]
-        return ranges
+        return self._backend.scan().ranges[0]
 
     def _drive(self, velocity: Array) -> None:
         with self._lock:
@@ -212,8 +211,7 @@ def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLi
     kind = registry.load("kinfeas.backends", backend)
     if not hasattr(kind, "robot_link"):
         raise KinfeasError(f"backend {backend!r} has no transport for a simulated robot")
-    link: RobotLink = kind.robot_link(robot, topics)
-    return link
+    return kind.robot_link(robot, topics)
 
 
 def spawn(

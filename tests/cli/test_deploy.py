@@ -11,8 +11,8 @@ from kinfeas.config.recipes import ENGINES
 from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
+from tests.builders import wait
 from tests.cli.test_main import HEAVY, kinfeas_process
-from tests.sim2real.doubles import wait
 
 OWN_ROBOT = Path(__file__).parents[2] / "examples" / "own_robot"
 HSR = ("--robot", "hsr", "--no-real-time")

@@ -18,7 +18,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros import ros1
 from kinfeas.sim2real.ros.topics import read_topics
-from tests.sim2real.doubles import TIMEOUT, wait
+from tests.builders import TIMEOUT, wait
 
 
 def _ros1_is_there() -> bool:

@@ -9,7 +9,7 @@ from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
-from tests.sim2real.doubles import wait
+from tests.builders import wait
 from tests.sim2real.ros_processes import LIMIT, SEND, Ros1, Ros2, needs_ros1
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,8 @@ import pytest
 from kinfeas.core.backend import RealTimeBackend
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, Orders
-from tests.sim2real.doubles import joints_at, wait
+from tests.builders import wait
+from tests.sim2real.doubles import joints_at
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "udp_backend.py"
 

@@ -9,7 +9,7 @@ import pytest
 from kinfeas.core.backend import StopCall
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.deploy.watchdog import REPEATS, Watchdog
-from tests.sim2real.doubles import wait
+from tests.builders import wait
 
 pytestmark = pytest.mark.slow
 

@@ -17,7 +17,7 @@ from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import stop_base
 from kinfeas.sim2real.ros.ros2 import MESSAGES, Ros2Bus
 from kinfeas.sim2real.ros.topics import read_topics
-from tests.sim2real.doubles import wait
+from tests.builders import wait
 from tests.sim2real.ros_processes import own_domain
 
 TOPICS = """
