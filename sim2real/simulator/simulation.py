@@ -30,21 +30,6 @@ _LINGER = 2.0  # s that a robot continues without its bus
 
 
 @dataclass(frozen=True)
-class SimulationConfig:
-    """Settings of a simulated robot.
-
-    Attributes:
-        rate: Simulation steps and measurements per second, Hz.
-        command_timeout: Seconds without a command after which the base stops.
-        seconds: Duration; unlimited if None.
-    """
-
-    rate: float = 100.0
-    command_timeout: float = 0.25
-    seconds: float | None = None
-
-
-@dataclass(frozen=True)
 class SimulationResult:
     """Statistics of a simulated robot.
 
@@ -104,12 +89,15 @@ class SimulatedRobot:
         self,
         backend: PhysicsBackend,
         state: RobotState,
-        config: SimulationConfig,
+        command_timeout: float = 0.25,
         clock: Clock | None = None,
     ) -> None:
-        """Start at rest in `state` of a world; the clocks are the system's by default."""
+        """Start at rest in `state` of a world; the clocks are the system's by default.
+
+        After `command_timeout` seconds without a command the base stops.
+        """
         self.base_commands = self.joint_commands = self.timeouts = 0
-        self.config, self.clock = config, clock or Clock()
+        self._timeout, self.clock = command_timeout, clock or Clock()
         self._backend, self._state, self._robot = backend, state, backend.robot
         self._arm = [joint.name for joint in self._robot.arm]
         arm = dict(zip(self._arm, state.joint_positions[0].tolist(), strict=True))
@@ -126,7 +114,7 @@ class SimulatedRobot:
         """Execute the orders for `dt` seconds."""
         now = self.clock.monotonic()
         with self._lock:
-            if now - self._commanded > self.config.command_timeout:
+            if now - self._commanded > self._timeout:
                 self.timeouts += bool(self._velocity.any())
                 self._velocity = np.zeros(3)
             velocity, grip, self._grip = self._velocity, self._grip, None
@@ -168,26 +156,30 @@ class SimulatedRobot:
 
 
 def simulate(
-    robot: SimulatedRobot, link: RobotLink, on_ready: Callable[[], None]
+    robot: SimulatedRobot,
+    link: RobotLink,
+    on_ready: Callable[[], None],
+    frequency: float = 100.0,
+    seconds: float = math.inf,
 ) -> SimulationResult:
-    """Run a simulated robot for its duration or until Ctrl-C; return the statistics.
+    """Run a simulated robot for `seconds` or until Ctrl-C; return the statistics.
 
+    Each second has `frequency` simulation steps and measurements.
     The link is opened and closed; `on_ready` is called once it receives commands. If the bus breaks
     the robot continues for 2 s, so that deployments can detect it, and an error is raised.
     """
     link.open(robot.orders())
-    config, clock = robot.config, robot.clock
-    dt, start = 1.0 / config.rate, clock.monotonic()
-    rate, broken = Rate(dt, clock), None
-    end = math.inf if config.seconds is None else start + config.seconds
-    periods, scan_periods = 0, max(1, round(config.rate / _SCAN_RATE))
+    clock, dt = robot.clock, 1.0 / frequency
+    start, rate, broken = clock.monotonic(), Rate(dt, clock), None
+    end = start + seconds
+    periods, scan_periods = 0, max(1, round(frequency / _SCAN_RATE))
     try:
         on_ready()
         while clock.monotonic() < end:
             base, joints = robot.measure()
             link.report(base, joints, None if periods % scan_periods else robot.scan())
             periods += 1
-            late = round(rate.wait() * config.rate)
+            late = round(rate.wait() * frequency)
             for _ in range(min(max(late, 1), _CATCH_UP)):
                 robot.step(dt)
             if broken is None:
@@ -201,9 +193,8 @@ def simulate(
         link.close()
     if broken is not None:
         raise broken
-    timing, seconds = rate.timing(), clock.monotonic() - start
-    counts = robot.base_commands, robot.joint_commands, robot.timeouts
-    return SimulationResult(seconds, *counts, timing.p99, timing.longest)
+    timing, counts = rate.timing(), (robot.base_commands, robot.joint_commands, robot.timeouts)
+    return SimulationResult(clock.monotonic() - start, *counts, timing.p99, timing.longest)
 
 
 def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLink:

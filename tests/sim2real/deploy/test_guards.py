@@ -307,8 +307,7 @@ class Hiding(Adapter):
 
 @pytest.mark.filterwarnings("ignore:invalid value")
 @pytest.mark.parametrize(
-    ("kind", "named"),
-    [(Slow, "0.3 s old"), (Keeping, "has not passed"), (Hiding, "base command")],
+    ("kind", "named"), [(Slow, "0.3 s old"), (Keeping, "has not passed"), (Hiding, "base command")]
 )
 def test_no_adapter_makes_a_command_late_drops_it_or_hides_a_fault(monkeypatch, kind, named):
     monkeypatch.setattr(registry, "_REGISTERED", [])

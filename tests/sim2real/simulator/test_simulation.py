@@ -7,13 +7,7 @@ from kinfeas.config.recipes import ENGINES
 from kinfeas.core.backend import SCAN_RANGE
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
-from kinfeas.sim2real.simulator.simulation import (
-    JointSetpoints,
-    SimulatedRobot,
-    SimulationConfig,
-    simulate,
-    spawn,
-)
+from kinfeas.sim2real.simulator.simulation import JointSetpoints, SimulatedRobot, simulate, spawn
 from kinfeas.tasks.loading import load_task
 
 TICK = 0.01
@@ -55,7 +49,7 @@ def player(world, time):
     """A robot at home, at the origin."""
     backend, state = world
     backend.reset(state.base_pose, state.joint_positions)
-    return SimulatedRobot(backend, state, SimulationConfig(command_timeout=5.0), time.clock)
+    return SimulatedRobot(backend, state, 5.0, time.clock)
 
 
 def advance(player, time, steps):
@@ -101,8 +95,8 @@ def test_joints_and_grippers_follow_their_commands_and_are_reported_by_name(play
 
 def test_runs_in_real_time(world, time):
     link, ready, start = Mock(), Mock(), time.monotonic
-    robot = SimulatedRobot(*world, SimulationConfig(rate=50.0, seconds=0.5), time.clock)
-    result = simulate(robot, link, ready)
+    robot = SimulatedRobot(*world, clock=time.clock)
+    result = simulate(robot, link, ready, 50.0, 0.5)
     assert time.monotonic - start == pytest.approx(0.5, abs=0.03)
     assert result.seconds == pytest.approx(0.5, abs=0.03)
     ready.assert_called_once()
@@ -117,6 +111,6 @@ def test_runs_in_real_time(world, time):
 @pytest.mark.parametrize("around", [{"task": load_task("ggr_obstacles", {})}, {"scene": "room"}])
 def test_solids_of_the_task_and_furniture_are_in_its_scan(time, around):
     backend, state = spawn(load_robot("hsr"), **around)
-    robot = SimulatedRobot(backend, state, SimulationConfig(), time.clock)
+    robot = SimulatedRobot(backend, state, clock=time.clock)
     assert np.any(robot.scan() < SCAN_RANGE)
     backend.close()
