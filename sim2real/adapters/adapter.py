@@ -191,7 +191,8 @@ class Adapter(BackendWrapper):
 
     def _draw(self) -> None:
         """Draw the parameters of all episodes; those of running episodes do not change."""
-        fractions = random_numbers.per_episode(self._seeds + self._salt, len(self.ranges))
+        seeds, steps = self._seeds + self._salt + random_numbers.EPISODE, np.zeros_like(self._seeds)
+        fractions = random_numbers.uniform(seeds, steps, len(self.ranges))
         for (name, (low, high)), fraction in zip(self.ranges.items(), fractions.T, strict=True):
             self._values[name] = low + (high - low) * fraction[:, np.newaxis]
 

@@ -19,12 +19,12 @@ def udp():
     """The example as a module, on ports that are free."""
     module = types.ModuleType("udp")
     exec(compile(EXAMPLE.read_text(), str(EXAMPLE), "exec"), module.__dict__)
-    free = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    for one in free:
-        one.bind(("127.0.0.1", 0))
-    module.OURS, module.ROBOTS = (one.getsockname() for one in free)
-    for one in free:
-        one.close()
+    ports = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    for port in ports:
+        port.bind(("127.0.0.1", 0))
+    module.OURS, module.ROBOTS = (port.getsockname() for port in ports)
+    for port in ports:
+        port.close()
     return module
 
 

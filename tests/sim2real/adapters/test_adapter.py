@@ -74,11 +74,11 @@ def flat(state):
 def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
     spec = PluginSpec(name, NOTHING[name])
     adapter, plain = with_adapters(AnalyticBackend(), [spec], pr2), AnalyticBackend()
-    first = [flat(on_reset(one, pr2, [3, 4, 5])) for one in (adapter, plain)]
-    found, expected = (go(one, pr2, [3, 4, 5], 6) for one in (adapter, plain))
+    first = [flat(on_reset(world, pr2, [3, 4, 5])) for world in (adapter, plain)]
+    measured, expected = (go(world, pr2, [3, 4, 5], 6) for world in (adapter, plain))
     # Where an EE is measured by itself, it comes after the rest.
     np.testing.assert_array_equal(first[0][:, : first[1].shape[1]], first[1])
-    np.testing.assert_array_equal(found[..., : expected.shape[-1]], expected)
+    np.testing.assert_array_equal(measured[..., : expected.shape[-1]], expected)
 
 
 @pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])

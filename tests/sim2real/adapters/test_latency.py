@@ -19,12 +19,12 @@ def test_whole_periods_delay_by_as_many_steps_to_the_bit(rig, drive, seconds, dt
     np.testing.assert_array_equal(late.passed[:k], 0.0)
     np.testing.assert_array_equal(late.sent[:k, 0], np.broadcast_to(late.joints, (k, 7)))
     late = rig(SensorLatency, seconds=seconds)
-    seen = late.run(twists, dt, sent)
-    for now, before in zip(seen[k:], seen, strict=False):
+    states = late.run(twists, dt, sent)
+    for now, before in zip(states[k:], states, strict=False):
         np.testing.assert_array_equal(now.base_pose, before.true_state.base_pose)
         np.testing.assert_array_equal(now.joint_positions, before.true_state.joint_positions)
         assert now.age == pytest.approx(seconds)
-    for now in seen[:k]:
+    for now in states[:k]:
         np.testing.assert_array_equal(now.base_pose, late.first.base_pose)
         np.testing.assert_array_equal(now.joint_positions, late.joints)
 
@@ -68,13 +68,15 @@ def test_between_two_measurements_it_is_interpolated(rig):
 def test_a_late_reading_never_shows_an_older_robot(rig):
     late = rig(SensorLatency, n=40, seconds=0.02, jitter=0.2)
     ahead = np.tile([1.0, 0, 0, 0, 0, 0], (60, 1))
-    seen = late.run(ahead, 0.05)
-    x = np.stack([state.base_pose[:, 0] for state in seen])
+    states = late.run(ahead, 0.05)
+    x = np.stack([state.base_pose[:, 0] for state in states])
     assert np.diff(x, axis=0).min() >= 0.0
-    age = np.stack([state.age for state in seen])[10:]
+    age = np.stack([state.age for state in states])[10:]
     assert age.min() >= 0.02
     assert 0.1 < age.max() <= 0.22 + 0.05
-    behind = np.stack([(state.true_state.base_pose - state.base_pose)[:, 0] for state in seen])[10:]
+    behind = np.stack([(state.true_state.base_pose - state.base_pose)[:, 0] for state in states])[
+        10:
+    ]
     np.testing.assert_allclose(behind, age, atol=1e-9)
 
 

@@ -26,9 +26,9 @@ def test_accelerations_are_never_exceeded(rig, drive, dt, jerks):
     acceleration = rates(limited.passed, dt)
     jerk = rates(acceleration, dt)
     for part, name in PARTS:
-        found = np.linalg.norm(acceleration[..., part], axis=-1)
-        assert found.max() <= LIMITS[name] * (1.0 + 1e-9)
-        assert found.max() > 0.9 * LIMITS[name]
+        norms = np.linalg.norm(acceleration[..., part], axis=-1)
+        assert norms.max() <= LIMITS[name] * (1.0 + 1e-9)
+        assert norms.max() > 0.9 * LIMITS[name]
         if jerks:
             assert np.linalg.norm(jerk[..., part], axis=-1).max() <= JERKS[f"{name}_jerk"] * 1.001
 
@@ -73,9 +73,9 @@ def test_step_responses_are_exponential_at_any_rate(rig, dt, time):
     lagging = rig(ActuatorLag, base=time, arm=0.5 * time)
     steps = round(2.0 / dt)
     targets = np.full((steps, 1, 7), 0.5)
-    seen = lagging.run(np.tile([1.0, 0, 0, 0, 0, 0], (steps, 1)), dt, targets)
+    states = lagging.run(np.tile([1.0, 0, 0, 0, 0, 0], (steps, 1)), dt, targets)
     t = dt * np.arange(1, steps + 1)
     arm = 0.5 * (1.0 - np.exp(-t / (0.5 * time)))
     np.testing.assert_allclose(lagging.sent[:, 0, 0], arm, atol=1e-12)
-    x = np.array([state.base_pose[0, 0] for state in seen])
+    x = np.array([state.base_pose[0, 0] for state in states])
     np.testing.assert_allclose(x, t - time * (1.0 - np.exp(-t / time)), atol=1e-12)

@@ -27,11 +27,11 @@ def test_base_noise_is_added_to_the_planar_velocity(rig, drive):
 
 def test_joint_noise_keeps_the_true_state(rig):
     noisy = rig(JointNoise, n=500, deviation=0.01)
-    seen = noisy.run(np.zeros((4, 6)))
-    found = np.stack([state.joint_positions for state in [noisy.first, *seen]])
-    assert found.std() == pytest.approx(0.01, rel=0.05)
-    assert len(np.unique(found)) == found.size
-    for state in seen:
+    states = noisy.run(np.zeros((4, 6)))
+    values = np.stack([state.joint_positions for state in [noisy.first, *states]])
+    assert values.std() == pytest.approx(0.01, rel=0.05)
+    assert len(np.unique(values)) == values.size
+    for state in states:
         np.testing.assert_array_equal(state.true_state.joint_positions, noisy.joints)
         assert state.base_pose is state.true_state.base_pose
     np.testing.assert_array_equal(noisy.sent, 0.0)
@@ -40,9 +40,9 @@ def test_joint_noise_keeps_the_true_state(rig):
 def test_ee_noise(rig, pr2):
     noisy = rig(EeNoise, n=2000, linear=0.01, angular=0.05)
     exact = forward(build_chain(pr2), noisy.joints)
-    found = noisy.first.ee_in_base
-    assert (found - exact)[:, :3].std(axis=0) == pytest.approx(np.full(3, 0.01), rel=0.07)
-    turns = Rotation.from_quat(found[:, 3:]) * Rotation.from_quat(exact[:, 3:]).inv()
+    values = noisy.first.ee_in_base
+    assert (values - exact)[:, :3].std(axis=0) == pytest.approx(np.full(3, 0.01), rel=0.07)
+    turns = Rotation.from_quat(values[:, 3:]) * Rotation.from_quat(exact[:, 3:]).inv()
     assert turns.as_rotvec().std(axis=0) == pytest.approx(np.full(3, 0.05), rel=0.07)
     assert noisy.first.joint_positions is noisy.first.true_state.joint_positions
     assert noisy.first.true_state.ee_in_base is None
@@ -64,25 +64,25 @@ def test_drift_grows_with_the_root_of_time_and_rotates_commands(rig, drive, dt):
     moving = rig(Localisation, n=1500, **(STILL | {"drift": 0.01, "turn_drift": 0.02}))
     np.testing.assert_array_equal(errors([moving.first]), 0.0)
     twists = drive(round(4.0 / dt), n=1500)
-    found = errors(moving.run(twists, dt))
+    values = errors(moving.run(twists, dt))
     direction, passed = (
         np.arctan2(sent[1:, :, 1], sent[1:, :, 0]) for sent in (twists, moving.passed)
     )
-    rotated = np.angle(np.exp(1j * (direction - passed - found[:-1, :, 2])))
+    rotated = np.angle(np.exp(1j * (direction - passed - values[:-1, :, 2])))
     np.testing.assert_allclose(rotated, 0.0, atol=1e-9)
     np.testing.assert_array_equal(moving.passed[..., 2:], twists[..., 2:])
     expected = np.array([0.01, 0.01, 0.02])
-    assert found[round(1.0 / dt) - 1].std(axis=0) == pytest.approx(expected, rel=0.08)
-    assert found[-1].std(axis=0) == pytest.approx(2.0 * expected, rel=0.08)
+    assert values[round(1.0 / dt) - 1].std(axis=0) == pytest.approx(expected, rel=0.08)
+    assert values[-1].std(axis=0) == pytest.approx(2.0 * expected, rel=0.08)
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.1])
 def test_jumps_come_at_their_rate_and_lead_to_errors_of_their_size(rig, dt):
     jumpy = rig(Localisation, n=1000, **(STILL | {"rate": 0.5, "jump": 0.05, "turn_jump": 0.1}))
-    found = errors(jumpy.run(np.zeros((round(6.0 / dt), 6)), dt))
-    jumps = np.any(np.diff(found, axis=0) != 0.0, axis=2)
+    values = errors(jumpy.run(np.zeros((round(6.0 / dt), 6)), dt))
+    jumps = np.any(np.diff(values, axis=0) != 0.0, axis=2)
     assert jumps.mean() / dt == pytest.approx(0.5, rel=0.06)
-    jump = found[-1][np.any(found[-1] != 0.0, axis=1)]
+    jump = values[-1][np.any(values[-1] != 0.0, axis=1)]
     assert jump.std(axis=0) == pytest.approx(np.array([0.05, 0.05, 0.1]), rel=0.08)
 
 
@@ -127,10 +127,10 @@ def draw_rows(draw, n, first=0, step=0, width=4):
 
 @pytest.mark.parametrize(("draw", "law"), [(normal, "norm"), (uniform, "uniform")])
 def test_draws_follow_their_law_in_each_column(draw, law):
-    found = draw_rows(draw, 20_000, width=12)
-    for column in found.T:
+    values = draw_rows(draw, 20_000, width=12)
+    for column in values.T:
         assert kstest(column, law).pvalue > 1e-3
-    correlations = np.corrcoef(found.T) - np.eye(12)
+    correlations = np.corrcoef(values.T) - np.eye(12)
     assert np.abs(correlations).max() < 5.0 / np.sqrt(20_000)
 
 

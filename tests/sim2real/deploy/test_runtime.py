@@ -190,7 +190,7 @@ def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
     assert robot.closed
     # The same with a policy that misses four deadlines of five.
     slow = Drive()
-    act, slow.act = slow.act, lambda seen: (time.passes(5 * DT), act(seen))[1]
+    act, slow.act = slow.act, lambda observation: (time.passes(5 * DT), act(observation))[1]
     outcome, record = run(RealTimeRobot(time), slow, seconds=0.5)
     assert outcome.code is Code.TIME_OVER
     assert outcome.seconds == pytest.approx(0.5, abs=0.1)
@@ -199,7 +199,7 @@ def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
 @pytest.mark.parametrize("real", [False, True])
 def test_a_long_start_does_not_age_the_first_command(run, time, monkeypatch, real):
     start = Loop.start
-    monkeypatch.setattr(Loop, "start", lambda *given: (start(*given), time.passes(5.0)))
+    monkeypatch.setattr(Loop, "start", lambda *arguments: (start(*arguments), time.passes(5.0)))
     backend = RealTimeRobot(time) if real else AnalyticBackend()
     outcome, record = run(backend, Drive(), seconds=0.4)
     assert (outcome.code, outcome.timing.misses) == (Code.TIME_OVER, 0)

@@ -14,11 +14,11 @@ ARM = [joint.name for joint in PR2.arm]
 
 def ages(delays, offset=0.0, rate=1.0, every=0.02, drift=DRIFT):
     """Return the estimated ages of messages at their arrival, after the given delays."""
-    delay, found = TransportDelay(drift), []
+    delay, estimates = TransportDelay(drift), []
     for number, late in enumerate(delays):
         sent = 100.0 + every * number
-        found.append(sent + late - delay.sent(offset + rate * sent, sent + late))
-    return np.array(found)
+        estimates.append(sent + late - delay.sent(offset + rate * sent, sent + late))
+    return np.array(estimates)
 
 
 @given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=30), st.sampled_from([-1e5, 0.0, 1.7e9]))

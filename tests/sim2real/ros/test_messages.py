@@ -83,9 +83,9 @@ def test_commands_survive_a_round_trip(messages, version, stamp):
     np.testing.assert_array_equal(ros_messages.velocity(command), [0.1, -0.2, 0.3])
     if stamp is not None:
         assert command.header.stamp.to_sec() == stamp
-    way = ros_messages.path(ros_messages.trajectory(messages, {"a": 0.5, "b": -1.0}, 0.25))
-    assert (way.joints, way.times.tolist()) == (("a", "b"), [0.25])
-    np.testing.assert_array_equal(way.positions, [[0.5, -1.0]])
+    path = ros_messages.path(ros_messages.trajectory(messages, {"a": 0.5, "b": -1.0}, 0.25))
+    assert (path.joints, path.times.tolist()) == (("a", "b"), [0.25])
+    np.testing.assert_array_equal(path.positions, [[0.5, -1.0]])
     mirrored = GripperTopics("/hand", "trajectory", (0.04, -0.04), joints=("l", "r"))
     for gripper in (read_topics(load_robot("hsr"), version).gripper, mirrored):
         for grip in ("open", "close"):
@@ -96,14 +96,14 @@ def test_commands_survive_a_round_trip(messages, version, stamp):
 
 
 def test_an_invalid_trajectory_is_none(messages):
-    def way(**positions):
+    def path(**positions):
         return ros_messages.trajectory(messages, positions, 0.25)
 
-    empty, short, twice = way(a=0.5), way(a=0.5, b=1.0), way(a=0.5)
+    empty, short, twice = path(a=0.5), path(a=0.5, b=1.0), path(a=0.5)
     empty.points = []
     short.points[0].positions = [1.0]
     twice.points = twice.points * 2
-    for message in (empty, short, twice, way(a=np.nan)):
+    for message in (empty, short, twice, path(a=np.nan)):
         assert ros_messages.path(message) is None
 
 

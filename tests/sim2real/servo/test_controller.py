@@ -71,8 +71,8 @@ def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee(solver):
         controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], frame=frame)
         step(clock, loop)
     forward = spatial.rotation(ee).as_matrix()[:, 0]
-    way = loop.desired[0, :3] - ee[:3]
-    np.testing.assert_allclose(way / np.linalg.norm(way), forward, atol=1e-6)
+    displacement = loop.desired[0, :3] - ee[:3]
+    np.testing.assert_allclose(displacement / np.linalg.norm(displacement), forward, atol=1e-6)
     above = spatial.IDENTITY + np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
     aim = spatial.compose(loop.desired[0], above)
     for _ in range(2):
@@ -124,16 +124,16 @@ def test_time_scaling_waits_at_the_end_of_the_reach(solver):
     scales = []
     for _ in range(400):
         controller.set_twist([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
-        found = step(clock, loop)
-        assert found.feasible[0]
-        assert not found.joint_jump[0]
-        scales.append(found.time_scale[0])
+        outcome = step(clock, loop)
+        assert outcome.feasible[0]
+        assert not outcome.joint_jump[0]
+        scales.append(outcome.time_scale[0])
     assert scales[0] == 1.0
     assert scales[-1] == 0.0
     controller.set_twist([0.0, 0.0, -0.2, 0.0, 0.0, 0.0])
     for _ in range(4):
-        found = step(clock, loop)
-    assert found.time_scale[0] == 1.0
+        outcome = step(clock, loop)
+    assert outcome.time_scale[0] == 1.0
 
 
 UP = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
