@@ -30,7 +30,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     out: Annotated[Path, option("Folder of the robot, for robot.yaml and robot.urdf.")],
     name: Annotated[str | None, option("Name of the robot.  [default: that of the folder]")] = None,
     drive: Annotated[
-        Literal["differential", "omnidirectional"] | None,
+        Literal["omnidirectional", "differential"] | None,
         option("Drive of the base.  [default: by its wheels, else differential]"),
     ] = None,
     ee: Annotated[
