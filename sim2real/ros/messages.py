@@ -29,14 +29,11 @@ def drive_command(messages: Any, velocity: Array, stamp: float | None) -> Any:
 
     The velocity is forward, left and rotation, shape (3,), m/s and rad/s.
     """
-    if stamp is None:
-        message = messages.Twist()
-        fill_twist(message, velocity)
-        return message
-    stamped = messages.TwistStamped()
-    stamped.header.stamp = messages.Time.from_sec(stamp)
-    fill_twist(stamped.twist, velocity)
-    return stamped
+    message = messages.Twist() if stamp is None else messages.TwistStamped()
+    if stamp is not None:
+        message.header.stamp = messages.Time.from_sec(stamp)
+    fill_twist(message if stamp is None else message.twist, velocity)
+    return message
 
 
 def velocity(message: Any) -> Array:
@@ -68,9 +65,8 @@ def path(message: Any) -> JointPath | None:
 
 def from_odometry(message: Any) -> BaseReading:
     """Return the measurement of a nav_msgs/Odometry."""
-    p, q = message.pose.pose.position, message.pose.pose.orientation
-    x, y, heading = planar(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
-    stamp = message.header.stamp.to_sec() or None
+    pose, stamp = message.pose.pose, message.header.stamp.to_sec() or None
+    x, y, heading = planar(_pose(pose.position, pose.orientation))
     return BaseReading(x, y, heading, velocity(message.twist), stamp)
 
 
@@ -116,8 +112,7 @@ def from_costmap(topic: CostmapTopic, frame: Array, message: Any) -> CostmapRead
     `frame` is the world pose of the frame of its header, shape (7,).
     """
     info = message.info
-    p, q = info.origin.position, info.origin.orientation
-    origin = planar(compose(frame, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])))
+    origin = planar(compose(frame, _pose(info.origin.position, info.origin.orientation)))
     cells = np.array(message.data, dtype=np.int8)
     shape, resolution = (info.height, info.width), float(info.resolution)
     valid = np.isfinite([*origin, resolution]).all() and resolution > 0.0
@@ -168,6 +163,10 @@ def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
     return "close" if nearer else "open"
 
 
+def _pose(p: Any, q: Any) -> Array:
+    return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+
+
 def planar(pose: Array) -> tuple[float, float, float]:
     """Return x, y and heading of a pose, shape (7,); NaN without a unit quaternion."""
     x, y, _, qx, qy, qz, qw = pose.tolist()
@@ -193,8 +192,7 @@ class TfTree:
         for transform in message.transforms:
             child = transform.child_frame_id.lstrip("/")
             parent = transform.header.frame_id.lstrip("/")
-            p, q = transform.transform.translation, transform.transform.rotation
-            pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+            pose = _pose(transform.transform.translation, transform.transform.rotation)
             stamp = transform.header.stamp.to_sec()
             sent = math.inf if static else now
             if stamp and not static:
