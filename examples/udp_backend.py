@@ -94,7 +94,7 @@ class UdpRobotLink:
     def check(self):
         pass
 
-    def report(self, base, joints):
+    def report(self, base, joints, ranges):  # without a scanner
         pose = [base.x, base.y, base.yaw, *base.velocity.tolist()]
         self.port.send(base=pose, joints=dict(joints.positions), stamp=base.stamp)
 

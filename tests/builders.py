@@ -1,5 +1,6 @@
 """Poses, random numbers and comparisons that many tests share."""
 
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +9,17 @@ from kinfeas.control import observation
 from kinfeas.core.spatial import canonical, distance, planar_pose
 from kinfeas.kinematics import drive
 from kinfeas.policies.network import Network
+
+TIMEOUT = 300.0
+"""Seconds that a busy machine may take to start a process and to compile its kernels."""
+
+
+def wait(condition):
+    """Wait until a condition holds; fail after `TIMEOUT`."""
+    end = time.monotonic() + TIMEOUT
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.02)
 
 
 def assert_near(poses, expected, metres, radians):

@@ -35,8 +35,7 @@ from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Code, Outcome, Setup, TaskWithObjects
 from kinfeas.sim2real.deploy.runtime import deploy as run
-from kinfeas.sim2real.servo import TargetSource
-from kinfeas.sim2real.servo.controller import ServoTask, TargetController
+from kinfeas.sim2real.servo.controller import ServoTask, TargetController, TargetSource
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, Task
 

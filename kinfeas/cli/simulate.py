@@ -44,15 +44,15 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     drawn_by = load_task(task) if task is not None else None
     rng = episode_rng(seed, episode)
     room, state = simulation.spawn(model, drawn_by, scene, rng=rng, engine=world, gui=gui)
-    config = simulation.SimulationConfig(rate, command_timeout, seconds)
-    player = simulation.SimulatedRobot(room, state, config)
+    player = simulation.SimulatedRobot(room, state, command_timeout)
 
     def ready() -> None:
         x, y = state.base_pose[0, :2]
         typer.echo(f"{model.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
 
     try:
-        played = simulation.simulate(player, link, ready)
+        duration = float("inf") if seconds is None else seconds
+        played = simulation.simulate(player, link, ready, rate, duration)
     finally:
         room.close()
     write_json(asdict(played), json)

@@ -1,8 +1,8 @@
 """The base class of adapters."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
@@ -23,25 +23,14 @@ Memory = dict[str, NDArray[Any]]
 Number = float | tuple[float, float]
 """A number, or a range [low, high] from which each episode draws its number uniformly."""
 
-_LIMIT = 10_000.0  # seconds, metres or radians
+_ALLOWED = Interval(ge=0.0, le=10_000.0)  # seconds, metres or radians
 
 
-@dataclass(frozen=True)
-class Range:
-    """The closed interval from `low` to `high`."""
+class Range(NamedTuple):
+    """A closed interval."""
 
     low: float
     high: float
-
-
-def read_range(name: str, value: Number, within: Interval) -> Range:
-    """Return the range of a parameter; KinfeasError if it does not ascend `within` the interval."""
-    low, high = value if isinstance(value, tuple) else (value, value)
-    if low > high:
-        raise KinfeasError(f"{name} must be a number or an ascending range, not {value!r}")
-    for end in (low, high):
-        convert(Annotated[float, within], end, "parameters", name)
-    return Range(low, high)
 
 
 class Adapter(BackendWrapper):
@@ -64,9 +53,7 @@ class Adapter(BackendWrapper):
         memory: Arrays with leading axis n, by name; replaced and never written into.
     """
 
-    stream: ClassVar[str | None] = None
-    """Name of the random stream; the class by default."""
-
+    stream: ClassVar[str | None] = None  # of random numbers; the name of the class by default
     needs: ClassVar[str] = ""
     """Ability of `Backend` that the adapter cannot do without; empty for none."""
 
@@ -77,26 +64,22 @@ class Adapter(BackendWrapper):
         numbers: Mapping[str, Number] | None = None,
         within: Interval | None = None,
     ) -> None:
-        """Wrap a backend.
-
-        Args:
-            backend: The wrapped backend.
-            robot: The robot.
-            numbers: Parameters by name: a number, or a range to draw each episode's number from.
-            within: Interval of allowed numbers; [0, 10,000] by default.
-        """
+        """Wrap a backend with parameters `within` an interval, [0, 10,000] by default."""
         super().__init__(backend)
-        self.robot, self.memory = robot, Memory()
-        self.continuous = robot.continuous
-        allowed = within or Interval(ge=0.0, le=_LIMIT)
-        self.ranges: dict[str, Range] = {
-            name: read_range(name, value, allowed) for name, value in (numbers or {}).items()
-        }
+        self.robot, self.continuous, self.memory = robot, robot.continuous, Memory()
+        self.ranges: dict[str, Range] = {}
+        for name, value in (numbers or {}).items():
+            ends = Range(*(value if isinstance(value, tuple) else (value, value)))
+            if ends.low > ends.high:
+                raise KinfeasError(f"{name} must be a number or an ascending range, not {value!r}")
+            for end in ends:
+                convert(Annotated[float, within or _ALLOWED], end, "parameters", name)
+            self.ranges[name] = ends
         number, inner = 0, backend
         while isinstance(inner, BackendWrapper):
             number, inner = number + (type(inner) is type(self)), inner.backend
-        name = type(self).__name__ if self.stream is None else self.stream
-        self._salt = random_numbers.salt(name, number)
+        stream = type(self).__name__ if self.stream is None else self.stream
+        self._salt = random_numbers.salt(stream, number)
         self._prefix = f"{type(self).__name__}.{number}."
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
@@ -163,9 +146,9 @@ class Adapter(BackendWrapper):
             }
         self._unchecked = True
         with plugin_note(self._subject):
-            seen = self.modify_state(state)
-        check_state(seen, n, joints, f"{self._subject}: modify_state")
-        return seen
+            measurement = self.modify_state(state)
+        check_state(measurement, n, joints, f"{self._subject}: modify_state")
+        return measurement
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Send the changed command and return the changed state; shapes as in `Backend`."""
@@ -203,19 +186,15 @@ class Adapter(BackendWrapper):
 
     def _fit(self, n: int) -> None:
         """Resize seeds and steps to n rows; the seed of a new row is 0."""
-        kept = min(n, len(self._seeds))
-        seeds, steps = (np.zeros(n, dtype=np.uint64) for _ in "ab")
-        seeds[:kept], steps[:kept] = self._seeds[:kept], self._steps[:kept]
-        self._seeds, self._steps = seeds, steps
+        new = max(0, n - len(self._seeds))
+        self._seeds, self._steps = (np.pad(a[:n], (0, new)) for a in (self._seeds, self._steps))
 
     def _draw(self) -> None:
         """Draw the parameters of all episodes; those of running episodes do not change."""
-        shares = random_numbers.per_episode(self._seeds + self._salt, len(self.ranges))
-        each = zip(self.ranges.items(), shares.T, strict=True)
-        self._values = {
-            name: one.low + (one.high - one.low) * share[:, np.newaxis]
-            for (name, one), share in each
-        }
+        seeds, steps = self._seeds + self._salt + random_numbers.EPISODE, np.zeros_like(self._seeds)
+        fractions = random_numbers.uniform(seeds, steps, len(self.ranges))
+        for (name, (low, high)), fraction in zip(self.ranges.items(), fractions.T, strict=True):
+            self._values[name] = low + (high - low) * fraction[:, np.newaxis]
 
     def joints(self, positions: Array) -> Array:
         """Return joint positions, shape (..., j), with continuous ones in (-pi, pi]."""

@@ -41,7 +41,7 @@ class DomainRandomisation(Adapter):
         """Reset the backend and change the dynamics of the new episodes."""
         state = super().reset(base_pose, joint_positions, env_ids)
         rows = np.arange(len(base_pose)) if env_ids is None else env_ids
-        mass, friction, motor_gain = (self.number(one)[rows, 0] for one in self.ranges)
+        mass, friction, motor_gain = (self.number(name)[rows, 0] for name in self.ranges)
         assert self.dynamics is not None
         self.dynamics.scale_dynamics(mass, friction, motor_gain, rows)
         return state

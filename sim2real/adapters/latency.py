@@ -60,11 +60,12 @@ class CommandLatency(Adapter):
         twists = pushed(self.memory["twists"], twist, slots)
         joints = pushed(self.memory["targets"], targets, slots)
         self.remember(clock=now + dt, arrivals=arrivals, twists=twists, targets=joints)
-        shares = active_shares(arrivals, now, dt)
+        steps = np.round((arrivals - now[:, np.newaxis]) / dt / _PERIOD_TOLERANCE)
+        weights = durations(np.clip(steps * _PERIOD_TOLERANCE, 0.0, 1.0))
         straight = np.zeros(6, dtype=np.bool_)
         # A copy, because numba compiles kernels again for read-only arrays.
-        active = self.joints(mixed(joints, shares, self.continuous.copy()))
-        return mixed(twists, shares, straight), active
+        active = self.joints(mixed(joints, weights, self.continuous.copy()))
+        return mixed(twists, weights, straight), active
 
 
 class SensorLatency(Adapter):
@@ -107,39 +108,36 @@ class SensorLatency(Adapter):
 
     def modify_state(self, state: RobotState) -> RobotState:
         """Return the delayed state with its age."""
-        index, share = bracket(self.memory["times"], self.memory["shown"])
-        delayed = {
-            name: self._between(name, self.memory[name], index, share)
-            for name in _MEASURED
-            if name in self.memory
-        }
+        index, fraction = bracket(self.memory["times"], self.memory["shown"])
+        names = [name for name in _MEASURED if name in self.memory]
+        delayed = {name: self._between(name, index, fraction) for name in names}
         age = self.memory["clock"] - self.memory["shown"]
         delayed["age"] = age + delayed["age"] if "age" in delayed else age
         return measured(state, **delayed)
 
-    def _between(self, name: str, buffer: Array, index: NDArray[np.intp], share: Array) -> Array:
-        """Return the values of a buffer, shape (n, s, ...), `share` of the way after `index`."""
-        rows, share = np.arange(len(buffer)), share.reshape(-1, *(1 for _ in buffer.shape[2:]))
+    def _between(self, name: str, index: NDArray[np.intp], fraction: Array) -> Array:
+        buffer, rows = self.memory[name], np.arange(len(index))
+        fraction = fraction.reshape(-1, *(1 for _ in buffer.shape[2:]))
         before = buffer[rows, index]
         after = buffer[rows, np.minimum(index + 1, buffer.shape[1] - 1)]
         if name in _POSES:
-            moved = integrate(before, twist_between(before, after, 1.0) * share, 1.0)
+            moved = integrate(before, twist_between(before, after, 1.0) * fraction, 1.0)
         elif name == _JOINTS:
-            moved = self.joints(before + joint_displacement(self.robot, before, after) * share)
+            moved = self.joints(before + joint_displacement(self.robot, before, after) * fraction)
         else:
-            moved = before + (after - before) * share
-        return np.where(share > 0.0, moved, before)
+            moved = before + (after - before) * fraction
+        return np.where(fraction > 0.0, moved, before)
 
 
 class DroppedCommands(Adapter):
     """Lost commands; the robot continues with the last one that arrived.
 
     Args:
-        share: Probability that a command is lost, 0-1.
+        probability: Probability that a command is lost, 0-1.
     """
 
-    def __init__(self, backend: Backend, robot: Robot, *, share: Number = 0.05) -> None:
-        super().__init__(backend, robot, {"share": share}, Interval(ge=0.0, le=1.0))
+    def __init__(self, backend: Backend, robot: Robot, *, probability: Number = 0.05) -> None:
+        super().__init__(backend, robot, {"probability": probability}, Interval(ge=0.0, le=1.0))
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return the command to rest."""
@@ -148,7 +146,7 @@ class DroppedCommands(Adapter):
 
     def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the command, or the last one that arrived."""
-        lost = self.uniform(1) <= self.number("share")
+        lost = self.uniform(1) <= self.number("probability")
         twist = np.where(lost, self.memory["twist"], twist)
         targets = np.where(lost, self.memory["targets"], targets)
         self.remember(twist=twist, targets=targets)
@@ -156,8 +154,8 @@ class DroppedCommands(Adapter):
 
 
 def _measurements(state: RobotState) -> dict[str, Array]:
-    found = {name: getattr(state, name) for name in _MEASURED}
-    return {name: values for name, values in found.items() if values is not None}
+    values = {name: getattr(state, name) for name in _MEASURED}
+    return {name: array for name, array in values.items() if array is not None}
 
 
 def filled(values: NDArray[Any], slots: int) -> NDArray[Any]:
@@ -175,66 +173,59 @@ def slots_for(seconds: float, dt: float) -> int:
     return int(np.ceil(seconds / dt)) + 2
 
 
-def active_shares(arrivals: Array, now: Array, dt: float) -> Array:
-    """Return the share of the next `dt` seconds during which each command is active, shape (n, s).
-
-    Arrivals are in seconds and in the order of sending, shape (n, s); `now` has shape (n,).
-    """
-    steps = np.round((arrivals - now[:, np.newaxis]) / dt / _PERIOD_TOLERANCE)
-    shares: Array = _active_shares(np.clip(steps * _PERIOD_TOLERANCE, 0.0, 1.0))
-    return shares
-
-
 @njit(cache=True)
-def _active_shares(begins):
-    shares = np.empty_like(begins)
+def durations(begins):
+    """Return how long each command is active, shape (n, s), in periods.
+
+    Commands become active at `begins`, shape (n, s), in the order of sending, 0 to 1.
+    """
+    active = np.empty_like(begins)
     for i in range(len(begins)):
         end = 1.0
         for k in range(begins.shape[1] - 1, -1, -1):
-            shares[i, k] = max(end - begins[i, k], 0.0)
+            active[i, k] = max(end - begins[i, k], 0.0)
             end = min(end, begins[i, k])
-        shares[i, 0] += end  # the command before all of these
-    return shares
+        active[i, 0] += end  # the command before all of these
+    return active
 
 
 @njit(cache=True)
-def mixed(buffer, shares, turning):
-    """Return means of buffers, shape (n, s, w) -> (n, w), weighted by shares, shape (n, s).
+def mixed(buffer, weights, turning):
+    """Return weighted means of buffers, shape (n, s, w) -> (n, w), for weights of shape (n, s).
 
     A weight of 1 returns its command bit for bit. `turning`, shape (w,), marks continuous joints.
     """
     means = np.empty((len(buffer), buffer.shape[2]))
     for i in range(len(buffer)):
         first = 0
-        while shares[i, first] == 0.0:
+        while weights[i, first] == 0.0:
             first += 1
         for k in range(buffer.shape[2]):
             mean = buffer[i, first, k]
             for j in range(first + 1, buffer.shape[1]):
-                if shares[i, j] > 0.0:
-                    way = buffer[i, j, k] - buffer[i, first, k]
+                if weights[i, j] > 0.0:
+                    change = buffer[i, j, k] - buffer[i, first, k]
                     if turning[k]:
-                        way -= 2.0 * np.pi * np.round(way / (2.0 * np.pi))
-                    mean += shares[i, j] * way
+                        change -= 2.0 * np.pi * np.round(change / (2.0 * np.pi))
+                    mean += weights[i, j] * change
             means[i, k] = mean
     return means
 
 
 @njit(cache=True)
 def bracket(times, moment):
-    """Return the index of the measurement before a moment, and the share of the way to the next.
+    """Return the index of the measurement before a moment, and the fraction towards the next.
 
     Times are in seconds and ascending, shape (n, s), and -inf before an episode; moments and
     results have shape (n,).
     """
-    index, share = np.empty(len(times), dtype=np.intp), np.zeros(len(times))
+    index, fraction = np.empty(len(times), dtype=np.intp), np.zeros(len(times))
     for i in range(len(times)):
         k = times.shape[1] - 1
         while k > 0 and times[i, k] > moment[i] + _TIME_TOLERANCE:
             k -= 1
         index[i] = k
-        if k + 1 < times.shape[1] and times[i, k] > -np.inf:
-            way = (moment[i] - times[i, k]) / (times[i, k + 1] - times[i, k])
-            if moment[i] - times[i, k] > _TIME_TOLERANCE:
-                share[i] = way
-    return index, share
+        late = moment[i] - times[i, k]
+        if k + 1 < times.shape[1] and times[i, k] > -np.inf and late > _TIME_TOLERANCE:
+            fraction[i] = late / (times[i, k + 1] - times[i, k])
+    return index, fraction

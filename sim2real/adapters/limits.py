@@ -34,15 +34,13 @@ class AccelerationLimit(Adapter):
         linear_jerk: Number | None = None,
         angular_jerk: Number | None = None,
     ) -> None:
-        base = robot.base
         limits = {
-            "linear": base.max_acceleration if linear is None else linear,
-            "angular": base.max_rotation_acceleration if angular is None else angular,
-            "linear_jerk": linear_jerk,
-            "angular_jerk": angular_jerk,
+            "linear": robot.base.max_acceleration if linear is None else linear,
+            "angular": robot.base.max_rotation_acceleration if angular is None else angular,
         }
-        given = {name: value for name, value in limits.items() if value is not None}
-        super().__init__(backend, robot, given, _POSITIVE)
+        jerks = {"linear_jerk": linear_jerk, "angular_jerk": angular_jerk}
+        limits |= {name: jerk for name, jerk in jerks.items() if jerk is not None}
+        super().__init__(backend, robot, limits, _POSITIVE)
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return zero velocity and acceleration."""
@@ -52,23 +50,23 @@ class AccelerationLimit(Adapter):
     def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the velocity that the base reaches by the end of the period."""
         velocity, acceleration = self.memory["velocity"], self.memory["acceleration"].copy()
-        wanted = (twist - velocity) / dt
+        target = (twist - velocity) / dt
         for part, name in ((slice(0, 3), "linear"), (slice(3, 6), "angular")):
-            acceleration[:, part] = self._limited(wanted[:, part], acceleration[:, part], name, dt)
+            acceleration[:, part] = self._limited(target[:, part], acceleration[:, part], name, dt)
         # Rounding must not change a command within the limits.
-        reached = np.where(acceleration == wanted, twist, velocity + acceleration * dt)
+        reached = np.where(acceleration == target, twist, velocity + acceleration * dt)
         self.remember(velocity=reached, acceleration=acceleration)
         return reached, targets
 
-    def _limited(self, wanted: Array, before: Array, name: str, dt: float) -> Array:
-        """Return the feasible acceleration nearest to the wanted one, shape (n, 3)."""
+    def _limited(self, target: Array, before: Array, name: str, dt: float) -> Array:
+        """Return the feasible acceleration nearest to the target, shape (n, 3)."""
         largest = self.number(name)
         if f"{name}_jerk" not in self.ranges:
-            return shortened(wanted, largest)
+            return shortened(target, largest)
         jerk = self.number(f"{name}_jerk")
         # Reducing an acceleration a to zero changes the velocity by a^2 / (2 jerk).
-        fading = np.sqrt(2.0 * jerk * length(wanted) * dt)
-        change = shortened(wanted, np.minimum(largest, fading)) - before
+        fading = np.sqrt(2.0 * jerk * length(target) * dt)
+        change = shortened(target, np.minimum(largest, fading)) - before
         full = length(change) <= jerk * dt
         reached = before + np.where(full, change, shortened(change, jerk * dt))
         return shortened(reached, largest)
@@ -82,7 +80,7 @@ class VelocityClamp(Adapter):
     Args:
         linear: Maximum planar velocity, m/s; by default the robot's.
         angular: Maximum turning rate, rad/s; by default the robot's.
-        joints: Share of each joint's maximum velocity, above 0.
+        joints: Fraction of each joint's maximum velocity, above 0.
     """
 
     def __init__(
@@ -111,10 +109,10 @@ class VelocityClamp(Adapter):
         clamped[:, :3] = shortened(twist[:, :3], self.number("linear"))
         clamped[:, 3:] = shortened(twist[:, 3:], self.number("angular"))
         before = self.memory["joints"]
-        way = joint_displacement(self.robot, before, targets)
+        change = joint_displacement(self.robot, before, targets)
         longest = self.robot.max_joint_velocity * self.number("joints") * dt
-        short = self.joints(before + np.clip(way, -longest, longest))
-        joints = np.where(np.abs(way) <= longest, targets, short)
+        clipped = self.joints(before + np.clip(change, -longest, longest))
+        joints = np.where(np.abs(change) <= longest, targets, clipped)
         self.remember(joints=joints)
         return clamped, joints
 
@@ -162,19 +160,17 @@ class ActuatorLag(Adapter):
 
     def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the mean velocity, and the joint positions at the end of the period."""
-        base, left = self._left("base", dt)
+        # The fractions of the step responses that are left after the period, shape (n, 1).
+        base, arm = (
+            np.exp(-dt / np.where(time > 0.0, time, 1.0)) * (time > 0.0)
+            for time in (self.number("base"), self.number("arm"))
+        )
         behind = self.memory["velocity"] - twist
-        mean = twist + behind * (base * (1.0 - left) / dt)
-        _, remaining = self._left("arm", dt)
-        way = joint_displacement(self.robot, targets, self.memory["joints"])
-        joints = self.joints(targets + way * remaining)
-        self.remember(velocity=twist + behind * left, joints=joints)
+        mean = twist + behind * (self.number("base") * (1.0 - base) / dt)
+        remaining = joint_displacement(self.robot, targets, self.memory["joints"]) * arm
+        joints = self.joints(targets + remaining)
+        self.remember(velocity=twist + behind * base, joints=joints)
         return mean, joints
-
-    def _left(self, name: str, dt: float) -> tuple[Array, Array]:
-        """Return a time constant and the share of the step response left after `dt`, (n, 1)."""
-        time = self.number(name)
-        return time, np.exp(-dt / np.where(time > 0.0, time, 1.0)) * (time > 0.0)
 
 
 def length(vector: Array) -> Array:

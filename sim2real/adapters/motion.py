@@ -33,7 +33,7 @@ class TimeScale(Adapter):
     """Slower EE motions than planned; dwells keep their time.
 
     Args:
-        factor: Share of the planned speed, 0.001 to 1; multiplied with others. All episodes of a
+        factor: Fraction of the planned speed, 0.001 to 1; multiplied with others. All episodes of a
             batch have the same time scale, so a range raises an error.
     """
 

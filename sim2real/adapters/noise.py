@@ -149,7 +149,7 @@ class ScanNoise(Adapter):
 
     Args:
         deviation: Standard deviation of a range, m.
-        lost: Share of lost beams, 0-1, drawn for each scan.
+        lost: Fraction of lost beams, 0-1, drawn for each scan.
         seconds: Delay, s, rounded to whole control periods.
     """
 
@@ -200,9 +200,6 @@ class ScanNoise(Adapter):
 
 
 def displaced(pose: Array, by: Array) -> Array:
-    """Return poses, shape (n, 7), moved and rotated `by` m and rad, (n, 6), along world axes.
-
-    A zero displacement returns the pose bit for bit.
-    """
+    """Return poses (n, 7) moved and rotated `by` m and rad (n, 6); bit for bit if all are 0."""
     moved = np.any(by != 0.0, axis=1, keepdims=True)
     return np.where(moved, integrate(pose, by, 1.0), pose)

@@ -8,13 +8,11 @@ import zlib
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from kinfeas.core.spatial import Array
+EPISODE = np.uint64(0x8CB92BA72F3D8DD7)
+"""Offset of seeds for numbers that are constant during an episode."""
 
-Seeds = NDArray[np.uint64]
-
-_UNIFORM, _EPISODE = 0xD1B54A32D192ED03, 0x8CB92BA72F3D8DD7
+_UNIFORM = 0xD1B54A32D192ED03
 _SPREAD, _MASK = 0x9FB21C651E98DF25, 2**64 - 1
 
 
@@ -56,9 +54,3 @@ def uniform(seeds, steps, width):
             counter = steps[i] * np.uint64(width) + np.uint64(k)
             out[i, k] = _hash(seeds[i] + np.uint64(_UNIFORM), counter)
     return out
-
-
-def per_episode(seeds: Seeds, width: int) -> Array:
-    """Return numbers in (0, 1], shape (n, width), that are constant during an episode."""
-    numbers: Array = uniform(seeds + np.uint64(_EPISODE), np.zeros_like(seeds), width)
-    return numbers

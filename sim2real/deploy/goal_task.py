@@ -37,7 +37,7 @@ class GoalTask:
 
     @property
     def subgoals(self) -> tuple[Subgoal, ...]:
-        """The one sub-goal, of the EE frame."""
+        """The sub-goal of the EE frame."""
         return (Subgoal(self.motion),)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
@@ -58,28 +58,23 @@ class GoalTask:
 def make_goal_task(
     position: Sequence[float], orientation: Sequence[float] | None, motion: MotionSpec
 ) -> GoalTask:
-    """Return the task of one goal.
+    """Return the task of one goal: a world position in metres, and an orientation.
 
-    Args:
-        position: World position of the EE, metres.
-        orientation: Roll, pitch and yaw about the world's axes in radians, or a quaternion xyzw;
-            None for the orientation at the start.
-        motion: Specification of the motion generator.
-
-    Raises:
-        KinfeasError: If a number is not finite or too large, or the quaternion has no unit norm.
+    The orientation is roll, pitch and yaw about the world's axes in radians, or a quaternion xyzw;
+    None for that at the start. Raises KinfeasError if a number is not finite or too large, or the
+    quaternion has no unit norm.
     """
     numbers = np.array([*position, *(orientation or ())])
     if not (np.abs(numbers) <= REMOTEST).all():
         raise KinfeasError(f"a goal must have finite numbers of at most {REMOTEST:,.0f} in size")
     if orientation is None:
         return GoalTask(numbers, None, motion)
-    turn = numbers[3:]
-    if len(turn) == 3:
-        turn = Rotation.from_euler("xyz", turn).as_quat()
-    elif abs(float(np.linalg.norm(turn)) - 1.0) > spatial.UNIT:
+    rotation = numbers[3:]
+    if len(rotation) == 3:
+        rotation = Rotation.from_euler("xyz", rotation).as_quat()
+    elif abs(float(np.linalg.norm(rotation)) - 1.0) > spatial.UNIT:
         raise KinfeasError("the goal's quaternion must be of length 1")
-    return GoalTask(numbers[:3], turn / np.linalg.norm(turn), motion)
+    return GoalTask(numbers[:3], rotation / np.linalg.norm(rotation), motion)
 
 
 def begin(
@@ -89,9 +84,9 @@ def begin(
     measured: RobotState | None,
     solids: Solids | None = None,
 ) -> Start:
-    """Return the start of a run, with leading axes of one, at the state of a real robot if any.
+    """Return the start of a run, as a batch of one, at the measured state of a real robot if any.
 
-    `solids` are known, one row; by default those of the task, on a real robot its furniture.
+    `solids`, one row, are by default those of the task; around a real robot, its furniture.
     """
     start = sample_start(task, solver, rng)
     if measured is not None:

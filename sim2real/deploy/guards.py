@@ -14,27 +14,91 @@ from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import with_adapters
-from kinfeas.core.backend import (
-    SCAN_BEAMS,
-    Backend,
-    BackendWrapper,
-    Grip,
-    RobotState,
-    Scan,
-)
+from kinfeas.core import spatial
+from kinfeas.core.backend import SCAN_BEAMS, Backend, BackendWrapper, Grip, RobotState, Scan
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import base_velocity, world_twist
-from kinfeas.robots.robot import Base, Robot
+from kinfeas.robots.robot import Base, Robot, joint_displacement
 from kinfeas.sim2real.deploy.config import Guards
-from kinfeas.sim2real.deploy.guard_kernels import limited_targets, limited_velocity
-from kinfeas.sim2real.deploy.state_monitor import StateMonitor, check_limit
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.sim2real.link.scans import beam
 
 _CREEP = 0.02  # m/s up to which the base may drive into a blind direction
 _ROUNDING = 1e-12  # m, rad and their rates up to which the limits change a command by rounding only
+
+
+class StateMonitor:
+    """Checks one measurement after the other, and the clocks they are dated by."""
+
+    def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
+        self._source = f"backend {type(backend).__name__}"
+        self._robot, self._guards, self._clock = robot, guards, clock
+        self._needs_age = backend.real_time is not None
+        self._start: Array | None = None
+        self._last: Array = np.empty(7)
+        self._times = (math.nan, math.nan)
+
+    def begin(self, state: RobotState) -> None:
+        """Take a measurement as the start of a run; raise Fault if it exceeds a limit."""
+        self._start = None
+        self._times = self._clock.monotonic(), self._clock.wall()
+        self.check(state)
+        self._start = self._last
+
+    def check(self, state: RobotState) -> None:
+        """Raise Fault if a measurement, or the time since the last one, exceeds a limit."""
+        elapsed = self._check_clocks()
+        check_state(state, 1, len(self._robot.arm), self._source)
+        if state.age is not None:
+            self._check_age(state.age)
+        elif self._needs_age:
+            raise Fault(f"{self._source}: a real robot must return the age of its state")
+        self._check_pose(state.base_pose[0], elapsed)
+        self._check_joints(state.joint_positions[0])
+        self._last = state.base_pose[0].copy()
+
+    def _check_clocks(self) -> float:
+        before, self._times = self._times, (self._clock.monotonic(), self._clock.wall())
+        elapsed = self._times[0] - before[0]
+        check_limit("the control period took {} s", elapsed, self._guards.max_period)
+        skew = abs(self._times[1] - before[1] - elapsed)
+        check_limit("the system's clock was set by {} s", skew, self._guards.max_clock_skew)
+        return elapsed
+
+    def _check_age(self, age: Array) -> None:
+        check_limit("the newest measurement is {} s old", age[0], self._guards.max_age)
+        check_limit("a measurement is {} s in the future", -age[0], self._guards.max_clock_skew)
+
+    def _check_pose(self, pose: Array, elapsed: float) -> None:
+        guards, base = self._guards, self._robot.base
+        x, y, _, *quaternion = pose.tolist()
+        if abs(math.hypot(*quaternion) - 1.0) > spatial.UNIT:
+            raise Fault("the orientation of the measured base_pose is not a unit quaternion")
+        tilt = 2.0 * math.hypot(*quaternion[:2])
+        check_limit("the base leans by {} rad", tilt, guards.max_tilt)
+        if self._start is None:
+            return
+        away = math.dist((x, y), self._start[:2].tolist())
+        check_limit("the base is {} m from its start", away, guards.max_distance)
+        metres, radians = map(float, spatial.distance(self._last, pose))
+        jump = "the measured base pose jumped by {} "
+        check_limit(f"{jump}m", metres, guards.pose_jump + base.max_velocity * elapsed)
+        check_limit(f"{jump}rad", radians, guards.heading_jump + base.max_rotation * elapsed)
+
+    def _check_joints(self, joints: Array) -> None:
+        lower, upper = self._robot.joint_limits
+        outside = np.maximum(lower - joints, joints - upper)
+        worst = int(outside.argmax())
+        sentence = f"joint {self._robot.arm[worst].name} is measured {{}} beyond its limits"
+        check_limit(sentence, outside[worst], self._guards.joint_tolerance)
+
+
+def check_limit(sentence: str, value: float, most: float) -> None:
+    """Raise Fault if a value is above a limit, or not a number."""
+    if not value <= most:
+        raise Fault(f"{sentence.format(f'{value:.4g}')}, at most {most:.3g} is allowed")
 
 
 class SafetyFilter(BackendWrapper):
@@ -90,12 +154,14 @@ class SafetyFilter(BackendWrapper):
         check_array(base_twist, (1, 6), "the base command", error=Fault)
         check_array(joint_targets, arm, "the arm command", error=Fault)
         base, pose = self._robot.base, self._state.base_pose
-        wanted = base_velocity(base, pose, base_twist, dt)[0]
+        velocity = base_velocity(base, pose, base_twist, dt)[0]
         # The measured heading is a part of it, and an adapter may hide it from the monitor.
-        check_array(wanted, (3,), "the base command", error=Fault)
+        check_array(velocity, (3,), "the base command", error=Fault)
         if base.drive == "differential":
-            wanted[1] = 0.0
-        velocity = limited_velocity(wanted, self._velocity, self._base_limits, dt)
+            velocity[1] = 0.0
+        speed, rotation, *accelerations = self._base_limits
+        change = _within(velocity, speed, rotation) - self._velocity
+        velocity = self._velocity + _within(change, *(dt * limit for limit in accelerations))
         if self.brake:
             velocity = np.zeros(3)
         twist = _unrounded(world_twist(base, pose, velocity[np.newaxis], dt), base_twist)
@@ -168,16 +234,24 @@ class SafetyFilter(BackendWrapper):
 
     def _arm_targets(self, targets: Array, dt: float) -> Array:
         """Return targets that the arm can reach within `dt`, or where it is to hold, shape (j,)."""
-        before, robot, guards = self.joint_targets[0], self._robot, self._guards
-        joints = self._joint_speed, robot.continuous, *robot.joint_limits
-        measured = self._state.joint_positions[0]
-        after, farthest, lag = limited_targets(targets, before, measured, *joints, dt)
+        robot, guards, before = self._robot, self._guards, self.joint_targets[0]
+        change = joint_displacement(robot, before, targets)
+        behind = joint_displacement(robot, self._state.joint_positions[0], before)
+        lag = np.abs(behind) / self._joint_speed
         self.hold = ""
-        if farthest > guards.joint_jump:
+        if np.abs(change).max() > guards.joint_jump:
             self.hold = "the arm's target is too far away"
         elif not lag.max() <= guards.max_tracking_delay:  # also if the measurement is not a number
             self.hold = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
-        return before if self.hold else _unrounded(after, targets)
+        if self.hold:
+            return before
+        periods = max(1.0, (np.abs(change) / (self._joint_speed * dt)).max())
+        after = before + change / periods
+        after = np.where(robot.continuous, spatial.wrap(after), after)
+        # A joint that starts beyond a limit must not jump to it.
+        lower, upper = robot.joint_limits
+        after = np.clip(after, np.minimum(lower, before), np.maximum(upper, before))
+        return _unrounded(after, targets)
 
 
 class Guarded(BackendWrapper):
@@ -301,17 +375,24 @@ class Guarded(BackendWrapper):
                 self.unclosed = str(error) or repr(error)
 
 
-def _unrounded(limited: Array, wanted: Array) -> Array:
-    """Return limited commands; those within the limits are the wanted ones to the bit."""
-    return np.where(np.abs(limited - wanted) <= _ROUNDING, wanted, limited)
+def _within(velocity: Array, speed: float, rotation: float) -> Array:
+    """Return a velocity of the base, shape (3,), scaled and clipped to limits."""
+    x, y, turn = velocity.tolist()
+    scale = speed / max(math.sqrt(x * x + y * y), speed)
+    return np.array([x * scale, y * scale, min(max(turn, -rotation), rotation)])
 
 
-def _base_limits(base: Base, guards: Guards) -> Array:
-    """Return the limits for `limited_velocity`, shape (4,), never above the robot's own."""
+def _unrounded(limited: Array, command: Array) -> Array:
+    """Return limited commands; those within the limits are the original ones to the bit."""
+    return np.where(np.abs(limited - command) <= _ROUNDING, command, limited)
+
+
+def _base_limits(base: Base, guards: Guards) -> list[float]:
+    """Return the limits of speed, rotation and their accelerations, never above the robot's own."""
     limits = (
         (base.max_velocity, guards.max_linear_velocity),
         (base.max_rotation, guards.max_angular_velocity),
         (base.max_acceleration, guards.acceleration),
         (base.max_rotation_acceleration, guards.rotation_acceleration),
     )
-    return np.array([min(own, own if other is None else other) for own, other in limits])
+    return [min(own, own if guard is None else guard) for own, guard in limits]

@@ -27,28 +27,26 @@ from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.tasks.task import Task, build_subgoals
 
 _WARM_UP_STEPS = 5
-_WARM_UP_WAY = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE to its targets
+_WARM_UP_MOTION = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE to its targets
 _WARM_UP_SOLIDS = Solids.from_table(np.array([[0.0, 3.0, 0, 0.2, 0.2, 0, 1, 0, 0, 0, 0]]))  # a box
 
 
 def preflight(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards) -> str:
     """Return a warning if the EE may outrun the base, or an empty string.
 
-    The loop has not started; `start` has leading axes of one; `rng` is not advanced.
-
-    Raises:
-        KinfeasError: If no base pose is found from which the arm reaches the end of a sub-goal.
+    `start` is a batch of one; `rng` is not advanced. Raises KinfeasError if no base pose is found
+    from which the arm reaches the end of a sub-goal.
     """
     if guards.reach:
         goals = subgoal_ends(loop.solver, loop.sequence.subgoals, start, [deepcopy(rng)])
         _check_reach(loop.solver, goals[0])
     fastest = loop.robot.base.max_velocity
-    share = (guards.max_linear_velocity or fastest) / fastest
-    if share >= loop.execution.time_scale:
+    scale = (guards.max_linear_velocity or fastest) / fastest
+    if scale >= loop.execution.time_scale:
         return ""
     return (
-        f"guards.max_linear_velocity limits the base to {share:.0%} of its velocity, but the EE "
-        f"moves at {loop.execution.time_scale:.0%}: --set time_scale={share:.2g} slows it"
+        f"guards.max_linear_velocity limits the base to {scale:.0%} of its velocity, but the EE "
+        f"moves at {loop.execution.time_scale:.0%}: --set time_scale={scale:.2g} slows it"
     )
 
 
@@ -66,7 +64,7 @@ def warm_up(
     """
     robot, rng = solver.robot, np.random.default_rng(0)
     joints = robot.home["home"][np.newaxis]
-    target = forward(solver.chain, joints) + _WARM_UP_WAY
+    target = forward(solver.chain, joints) + _WARM_UP_MOTION
     targets = np.stack([target] * len(task.subgoals), axis=1)
     analytic = build_backend("analytic", {}, robot=robot)
     kinds = [(spec, registry.load("kinfeas.adapters", spec.name)) for spec in adapters]
@@ -80,21 +78,19 @@ def warm_up(
 
 
 def _check_reach(solver: IkSolver, goals: Array) -> None:
-    """Raise KinfeasError for the first of the goals, shape (n, 7), that the arm cannot reach."""
-    near = replace(
-        solver.options,
-        pose_tolerance=False,
-        position_tolerance=max(solver.options.position_tolerance, GOAL_METRES),
-        rotation_tolerance=max(solver.options.rotation_tolerance, GOAL_RADIANS),
-    )
-    reached = reachable(IkSolver(solver.robot, near), goals).reached
+    options = solver.options
+    options = replace(
+        options, pose_tolerance=False,
+        position_tolerance=max(options.position_tolerance, GOAL_METRES),
+        rotation_tolerance=max(options.rotation_tolerance, GOAL_RADIANS),
+    )  # fmt: skip
+    reached = reachable(IkSolver(solver.robot, options), goals).reached
     if reached.all():
         return
     first = int(np.argmin(reached))
     goal = "the goal" if len(goals) == 1 else f"the end of sub-goal {first + 1} of {len(goals)}"
-    goal_numbers = np.round([*goals[first, :3], *spatial.rpy(goals[first])], 3)
-    numbers = (f"{value + 0.0:g}" for value in goal_numbers)
-    x, y, z, roll, pitch, yaw = numbers
+    numbers = np.round([*goals[first, :3], *spatial.rpy(goals[first])], 3)
+    x, y, z, roll, pitch, yaw = (f"{value + 0.0:g}" for value in numbers)
     raise KinfeasError(
         f"no base pose was found from which the arm reaches {goal}, x {x}, y {y}, z {z} m, roll "
         f"{roll}, pitch {pitch}, yaw {yaw} rad; --set guards.reach=false skips this check"

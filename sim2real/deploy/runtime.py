@@ -9,7 +9,8 @@ from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from types import FrameType
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -30,7 +31,6 @@ from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.preflight import preflight
-from kinfeas.sim2real.deploy.signals import Signals
 from kinfeas.sim2real.deploy.watchdog import Watchdog
 from kinfeas.sim2real.link.rate import Clock, Rate, Timing
 from kinfeas.tasks.task import Task, build_subgoals, target_stream
@@ -64,7 +64,7 @@ class Outcome:
         seconds: Duration.
         failures: Control periods without an IK solution.
         timing: Statistics of the control periods.
-        time_scale: Mean speed of the EE motion, as a share of the planned one.
+        time_scale: Mean speed of the EE motion, relative to the plan.
         unclosed: Why the backend could not be closed; empty if it could.
         task_done: Whether the task's objects are at their goal; None if there are none.
     """
@@ -86,15 +86,12 @@ class TaskWithObjects(Task, Protocol):
 
     def drawn(self) -> tuple[str, dict[str, Array]]:
         """Return the scene and the initial world poses of its objects in the last episode."""
-        ...
 
     def settle(self, joint_positions: Array, dt: float) -> None:
         """Simulate until objects that were put down are at rest."""
-        ...
 
     def done(self) -> bool | None:
         """Return whether the objects are at their goal; None if they have none."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -145,6 +142,37 @@ class Setup:
         return self.backend.real_time is not None
 
 
+class Signals:
+    """A context that notes SIGINT, SIGQUIT, SIGTERM and SIGHUP for a loop, in the main thread.
+
+    SIGHUP is left alone if it is ignored, as by nohup. A second signal raises KeyboardInterrupt.
+
+    Attributes:
+        caught: First signal, or None.
+    """
+
+    def __init__(self) -> None:
+        self.caught: signal.Signals | None = None
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        noted = [signal.SIGINT, signal.SIGQUIT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            noted.append(signal.SIGHUP)
+        self._before = {number: signal.signal(number, self._note) for number in noted}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _: FrameType | None) -> None:
+        if self.caught is None:
+            self.caught = signal.Signals(number)
+        elif number != signal.SIGHUP:  # which a terminal and its shell both send
+            raise KeyboardInterrupt
+
+
 def deploy(setup: Setup, recorder: Recorder) -> Outcome:
     """Run a policy and return the result; raise KinfeasError if the run cannot start.
 
@@ -165,32 +193,21 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
 
 
 class _Run:
-    """State of a run."""
-
-    def __init__(self, setup: Setup, recorder: Recorder, executor: Executor) -> None:
+    def __init__(self, setup: Setup, recorder: Recorder, executor: Executor | None) -> None:
         self.setup, self.recorder = setup, recorder
         self.robot, self.clock = setup.solver.robot, setup.clock
         self.rate = Rate(setup.dt, self.clock, waits=setup.real_time and not setup.live)
         self.guarded = Guarded(
-            setup.backend,
-            self.robot,
-            setup.guards,
-            adapters=setup.adapters,
-            rate=self.rate,
+            setup.backend, self.robot, setup.guards, adapters=setup.adapters, rate=self.rate,
             clock=self.clock,
-        )
+        )  # fmt: skip
+        # Without a clock, planners run in the loop, so that runs are repeatable.
+        executor = executor if setup.real_time or setup.live else None
         self.loop = assemble(
-            setup.solver,
-            build_subgoals(setup.task.subgoals),
-            self.guarded,
-            dt=setup.dt,
-            execution=setup.execution,
-            filters=setup.filters,
-            stream=target_stream(setup.task, setup.solver),
-            policy=setup.policy,
-            # Without a clock, planners run in the loop, so that runs are repeatable.
-            executor=executor if setup.real_time or setup.live else None,
-        )
+            setup.solver, build_subgoals(setup.task.subgoals), self.guarded, dt=setup.dt,
+            execution=setup.execution, filters=setup.filters, policy=setup.policy,
+            stream=target_stream(setup.task, setup.solver), executor=executor,
+        )  # fmt: skip
         self.loop.finds_collisions = False  # nothing here asks for them
         self.rate.prepare = self.prepare
         if setup.backend.real_time is not None:
@@ -200,7 +217,6 @@ class _Run:
         self.time_scale, self.scales, self.began = 1.0, 0.0, 0.0
 
     def watchdog(self) -> Watchdog | nullcontext[None]:
-        """Return the watchdog, if guards and backend have one."""
         backend, seconds = self.setup.backend, self.setup.guards.watchdog
         if seconds is None or backend.real_time is None:
             return nullcontext()
@@ -216,7 +232,6 @@ class _Run:
         return nullcontext()
 
     def start(self) -> None:
-        """Start the loop, with a real robot where it is."""
         setup, rng = self.setup, episode_rng(self.setup.seed, 0)
         start = begin(setup.task, setup.solver, rng, self.guarded.read(), setup.solids)
         scans = SCAN_TERMS & set(self.loop.observer.terms)
@@ -231,7 +246,6 @@ class _Run:
         self.record("start")
 
     def drive(self, watchdog: Watchdog | None, signals: Signals) -> Outcome:
-        """Run until something ends it, then command the base to zero."""
         reason, done = "stopped by an error", None
         try:
             code, reason = self.run(watchdog, signals)
@@ -254,19 +268,12 @@ class _Run:
                 end = reason if raised is None else f"{type(raised).__name__}: {raised}"
                 self.record(end + TASK_DONE[done])
                 self.write()
-        return Outcome(
-            code,
-            " ".join(reason.split()),
-            self.guarded.unstopped,
-            self.seconds(),
-            self.failures,
-            self.rate.timing(),
-            self.scales / max(self.steps, 1),
-            task_done=done,
-        )
+        scale, timing = self.scales / max(self.steps, 1), self.rate.timing()
+        reason, unstopped = " ".join(reason.split()), self.guarded.unstopped
+        seconds = self.seconds()
+        return Outcome(code, reason, unstopped, seconds, self.failures, timing, scale, "", done)
 
     def run(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
-        """Step until the end; return its code and reason."""
         setup, loop = self.setup, self.loop
         # Half a period, since none ends to the microsecond.
         while self.seconds() + 0.5 * setup.dt < setup.seconds:
@@ -298,34 +305,24 @@ class _Run:
         return Code.TIME_OVER, f"the goal was not reached within {setup.seconds:g} s"
 
     def seconds(self) -> float:
-        """Return the seconds since the start: by the clock, if the world has one."""
         if self.setup.real_time or self.setup.live:
             return self.clock.monotonic() - self.began
         return self.steps * self.setup.dt
 
     def prepare(self) -> None:
-        """Do what needs no new measurement, while the robot moves."""
+        # While the robot moves; a disk may be slow.
         self.write()
         self.loop.prepare()
 
     def write(self) -> None:
-        """Write the last line of the record."""
         moment, self._unwritten = self._unwritten, None
         if moment is not None:
             self.recorder.write(moment)
 
     def record(
-        self,
-        event: str,
-        goal: Array | None = None,
-        subgoal: int | None = None,
-        *,
+        self, event: str, goal: Array | None = None, subgoal: int | None = None, *,
         feasible: bool = True,
-    ) -> None:
-        """Record state and command, with goal and sub-goal of the step that has ended.
-
-        The line is written while the robot moves on, since a disk may be slow.
-        """
+    ) -> None:  # fmt: skip
         self.write()
         loop, commands, state = self.loop, self.guarded.commands, self.guarded.state
         self._unwritten = Moment(

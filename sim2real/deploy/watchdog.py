@@ -131,13 +131,12 @@ def main(order: str) -> None:
 
 
 class _Stop:
-    """The stop of the robot, which never raises, and prints a result that differs from the last."""
+    """Returns whether the base could be commanded to zero, and prints a result that is new."""
 
     def __init__(self, stop: Callable[[], None]) -> None:
         self._stop, self._printed = stop, ""
 
     def __call__(self, why: str) -> bool:
-        """Command the base to zero; return whether that worked."""
         failed = ""
         try:
             self._stop()

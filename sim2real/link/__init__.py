@@ -6,11 +6,10 @@ transports have in common: frames, limits of the arm and ages of measurements.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from kinfeas.core.backend import Grip
 from kinfeas.core.spatial import Array
-from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link.scans import CostmapReading, LaserReading
 
 
@@ -92,6 +91,8 @@ class Orders:
 class Link(Protocol):
     """The deployment's end of a transport. Only `open` may block.
 
+    A link with laser or costmap also has `scan_sources`: the source by type of reading.
+
     Attributes:
         base_source: Source of the base pose for errors, such as `/odom`.
         joint_source: Source of the joint positions.
@@ -102,84 +103,44 @@ class Link(Protocol):
 
     def open(self, readings: Readings) -> None:
         """Connect and pass on what arrives; raise KinfeasError if nothing can be reached."""
-        ...
 
     def waits_for(self) -> str | None:
         """Return a command that has no receiver yet, or None if all have one."""
-        ...
 
     def check(self) -> None:
         """Raise Fault if the connection is broken."""
-        ...
 
     def drive(self, velocity: Array) -> None:
         """Send the velocity in the base frame, shape (3,), m/s and rad/s."""
-        ...
 
     def move(self, positions: Mapping[str, float], seconds: float) -> None:
         """Send joints, by the robot's names, to positions that they reach after `seconds`."""
-        ...
 
     def grip(self, grip: Grip) -> None:
         """Close or open the gripper."""
-        ...
 
     def close(self) -> None:
         """Deliver what was sent and disconnect; it may be called twice."""
-        ...
 
 
-@runtime_checkable
-class ScanLink(Link, Protocol):
-    """A link that may pass on lasers and costmaps.
-
-    Attributes:
-        scan_sources: Source of each kind of reading that will come, such as `/scan`.
-    """
-
-    scan_sources: Mapping[type[LaserReading] | type[CostmapReading], str]
-
-
-@runtime_checkable
 class RobotLink(Protocol):
-    """The robot's end of a transport, for simulated robots."""
+    """The robot's end of a transport, for simulated robots.
+
+    It comes from the method `robot_link(robot, topics)` of the backend's class, where `topics` is
+    the path of the file with the names on the bus, or None for the robot's own.
+    """
 
     def open(self, orders: Orders) -> None:
         """Connect and pass on the commands; raise KinfeasError if nothing can be reached."""
-        ...
 
     def check(self) -> None:
         """Raise Fault if the connection is broken."""
-        ...
 
-    def report(self, base: BaseReading, joints: JointReading) -> None:
-        """Send a measurement."""
-        ...
+    def report(self, base: BaseReading, joints: JointReading, ranges: Array | None) -> None:
+        """Send a measurement, and the ranges around the base if there are new ones.
+
+        Ranges are those of `SCAN_BANDS`, shape (2, `SCAN_BEAMS`), metres.
+        """
 
     def close(self) -> None:
         """Disconnect; it may be called twice."""
-        ...
-
-
-@runtime_checkable
-class ScanRobotLink(RobotLink, Protocol):
-    """A robot's end that sends scans, too."""
-
-    def report_scan(self, base: BaseReading, ranges: Array) -> None:
-        """Send the ranges in `SCAN_BANDS`, shape (2, `SCAN_BEAMS`), measured at a base pose."""
-        ...
-
-
-@runtime_checkable
-class Hosted(Protocol):
-    """A backend class with a robot's end, for the simulated robot of `kinfeas simulate`."""
-
-    @staticmethod
-    def robot_link(robot: Robot, topics: str | None = None) -> RobotLink:
-        """Return the robot's end.
-
-        Args:
-            robot: Simulated robot.
-            topics: Path of the file with the names on the bus; the robot's by default.
-        """
-        ...

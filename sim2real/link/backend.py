@@ -11,7 +11,7 @@ from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import base_velocity
 from kinfeas.robots.robot import Robot, joint_displacement
-from kinfeas.sim2real.link import Link, ScanLink
+from kinfeas.sim2real.link import Link
 from kinfeas.sim2real.link.measurements import DRIFT, Drift, Inbox
 from kinfeas.sim2real.link.rate import Clock, Rate
 
@@ -21,7 +21,7 @@ _CHECK = "is the robot on, its controllers running, and do the names in the topi
 
 
 class LinkBackend(RealTimeBackend):
-    """A robot with a gripper that moves in real time, and with a scan if its link is a `ScanLink`.
+    """A robot with a gripper that moves in real time, and with a scan if its link has sources.
 
     Commands are sent as they are: `kinfeas.sim2real.deploy.guards` limits them and checks their
     age.
@@ -43,11 +43,11 @@ class LinkBackend(RealTimeBackend):
         drift: Drift = DRIFT,
         clock: Clock | None = None,
     ) -> None:
-        """Prepare a backend; the first `reset` connects.
+        """Prepare a backend; the first `reset` connects, and `close` closes the link.
 
         Args:
             robot: Robot model.
-            link: Transport, which `close` closes.
+            link: Transport.
             names: The robot's own names of arm joints, where its URDF has others.
             seconds: Duration of the motion to each arm target; longer if a joint needs longer.
             timeout: Seconds that `reset` waits for the first measurements.
@@ -65,9 +65,8 @@ class LinkBackend(RealTimeBackend):
         self._joint_speed = robot.max_joint_velocity
         self._target: Array | None = None  # of the last command
         self._opened = False
-        if isinstance(link, ScanLink):
-            self._scan_sources = link.scan_sources
-            self.scanner = self
+        self._scan_sources = getattr(link, "scan_sources", None)
+        self.scanner = None if self._scan_sources is None else self
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -188,7 +187,6 @@ class LinkBackend(RealTimeBackend):
         self.link.move(dict(zip(names, self._target.tolist(), strict=True)), seconds)
 
     def _missing(self) -> str:
-        """Return which measurement or receiver is missing."""
         base, joints = self._inbox.missing()
         within = f"within {self._timeout:g} s; {_CHECK}"
         if base:

@@ -6,7 +6,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
@@ -90,8 +90,7 @@ class Inbox:
         self._lock = threading.RLock()
         self._base: tuple[BaseReading, float] | None = None
         self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, sent
-        self._laser: tuple[LaserReading, float] | None = None
-        self._costmap: tuple[CostmapReading, float] | None = None
+        self._scans: dict[Any, tuple[Any, float]] = {}  # reading and time of sending, by its type
         self._delays: defaultdict[str, TransportDelay] = defaultdict(partial(TransportDelay, drift))
 
     def readings(self) -> Readings:
@@ -103,7 +102,7 @@ class Inbox:
         with self._lock:
             self._base = self.fault = None
             if scans:
-                self._laser = self._costmap = None
+                self._scans.clear()
             self._joints.clear()
             self._delays.clear()
 
@@ -141,20 +140,21 @@ class Inbox:
         )
 
     def scans(self) -> set[type[LaserReading] | type[CostmapReading]]:
-        """Return the kinds of scans that have arrived."""
+        """Return the types of scans that have arrived."""
         with self._lock:
-            return {type(scan[0]) for scan in (self._laser, self._costmap) if scan is not None}
+            return set(self._scans)
 
     def scan(self) -> Scan:
         """Return the newest scan; a base pose, and a laser or costmap, must have arrived."""
         with self._lock:
             assert self._base is not None
-            base, laser, costmap = self._base[0], self._laser, self._costmap
-        low = None if laser is None else laser_ranges(laser[0])
-        base_position = base.x, base.y, base.yaw
-        high = None if costmap is None else costmap_ranges(costmap[0], base_position)
-        oldest = min(scan[1] for scan in (laser, costmap) if scan is not None)
-        return combined(low, high, self._now() - oldest)
+            base, scans = self._base[0], dict(self._scans)
+        low = high = None
+        if LaserReading in scans:
+            low = laser_ranges(scans[LaserReading][0])
+        if CostmapReading in scans:
+            high = costmap_ranges(scans[CostmapReading][0], (base.x, base.y, base.yaw))
+        return combined(low, high, self._now() - min(sent for _, sent in scans.values()))
 
     def _take_base(self, reading: BaseReading) -> None:
         now = self._now()
@@ -176,13 +176,10 @@ class Inbox:
                     self._fail(f"the measured position of joint {name} is not finite")
 
     def _take_scan(self, reading: LaserReading | CostmapReading) -> None:
-        now = self._now()
+        part, now = "laser" if isinstance(reading, LaserReading) else "costmap", self._now()
         with self._lock:
-            if isinstance(reading, LaserReading):
-                if (sent := self._sent("the laser", reading.stamp, now)) is not None:
-                    self._laser = reading, sent
-            elif (sent := self._sent("the costmap", reading.stamp, now)) is not None:
-                self._costmap = reading, sent
+            if (sent := self._sent(f"the {part}", reading.stamp, now)) is not None:
+                self._scans[type(reading)] = reading, sent
 
     def _fail(self, reason: str) -> None:
         self.fault = self.fault or reason

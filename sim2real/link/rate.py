@@ -4,6 +4,7 @@ import math
 import resource
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,11 +12,8 @@ import numpy as np
 
 from kinfeas.core.errors import KinfeasError
 
-_LATE = 1.5
-"""Control periods after which a period that the robot times itself counts as late."""
-
-_KEPT = 180_000
-"""Number of the last periods that percentiles are of: an hour at 50 Hz, 1.4 MB."""
+_LATE = 1.5  # control periods after which a period that the robot times itself counts as late
+_KEPT = 180_000  # the last periods that percentiles are of: an hour at 50 Hz
 
 
 @dataclass(frozen=True)
@@ -74,8 +72,8 @@ class Rate:
         self.prepare: Callable[[], None] | None = None
         self._preparing = dt / 4.0
         self._deadline = self._last = math.nan
-        self._periods, self._work = _Times(), _Times()
-        self._misses = 0
+        self._periods, self._work = deque[float](maxlen=_KEPT), deque[float](maxlen=_KEPT)
+        self._count, self._misses, self._longest = 0, 0, 0.0
 
     def restart(self) -> None:
         """Begin a period now, and forget the one before."""
@@ -105,7 +103,6 @@ class Rate:
             self._preparing = min(self._clock.monotonic() - began, self.dt / 4.0)
 
     def _sleep(self, end: float) -> float:
-        """Wait for a time of the clock; return the time then."""
         while (now := self._clock.monotonic()) < end:
             self._clock.sleep(end - now)
         return now
@@ -126,32 +123,17 @@ class Rate:
 
     def timing(self) -> Timing:
         """Return the statistics so far; zeros without a period."""
-        periods, work = self._periods, self._work
-        if not periods.count:
+        if not self._count:
             return Timing(0, 0.0, 0.0, 0.0, 0)
-        p50, p99 = periods.percentiles()
-        work_times = work.percentiles() if work.count else ()
-        return Timing(periods.count, p50, p99, periods.longest, self._misses, *work_times)
+        p50, p99 = np.percentile(self._periods, (50.0, 99.0)).tolist()
+        work = np.percentile(self._work, (50.0, 99.0)).tolist() if self._work else ()
+        return Timing(self._count, p50, p99, self._longest, self._misses, *work)
 
     def _measure(self, now: float) -> float:
         period, self._last = now - self._last, now
         self._periods.append(period)
+        self._count, self._longest = self._count + 1, max(self._longest, period)
         return period
-
-
-class _Times:
-    """The last `_KEPT` of a number of times, and the longest of all, seconds."""
-
-    def __init__(self) -> None:
-        self._last, self.count, self.longest = np.empty(_KEPT), 0, 0.0
-
-    def append(self, seconds: float) -> None:
-        self._last[self.count % _KEPT] = seconds
-        self.count, self.longest = self.count + 1, max(self.longest, seconds)
-
-    def percentiles(self) -> tuple[float, float]:
-        p50, p99 = np.percentile(self._last[: self.count], (50.0, 99.0)).tolist()
-        return p50, p99
 
 
 def peak_memory_mb() -> float:

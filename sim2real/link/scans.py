@@ -94,31 +94,25 @@ def costmap_ranges(costmap: CostmapReading, base: tuple[float, float, float]) ->
     """Return the ranges of beams to the first occupied cells, shape (b,).
 
     They are `SCAN_RANGE` without such a cell, also beyond the map. Beams are NaN if most of their
-    way through the map, up to an obstacle, is unknown.
-
-    Args:
-        costmap: Grid in the world.
-        base: x, y and yaw of the base in the world, metres and radians.
+    cells in the map, up to an obstacle, are unknown. `base` is x, y and yaw in the world.
     """
     x, y, yaw = base
     distances = np.arange(0.0, SCAN_RANGE, 0.5 * costmap.resolution)
-    left, up, turn = costmap.origin
-    angles = (yaw - turn) + ANGLES[:, np.newaxis]
-    cosine, sine = np.cos(turn), np.sin(turn)
+    left, up, angle = costmap.origin
+    angles = (yaw - angle) + ANGLES[:, np.newaxis]
+    cosine, sine = np.cos(angle), np.sin(angle)
     u = cosine * (x - left) + sine * (y - up) + distances * np.cos(angles)
     v = cosine * (y - up) - sine * (x - left) + distances * np.sin(angles)
-    columns, rows = (
-        np.floor(coordinate / costmap.resolution).astype(np.intp) for coordinate in (u, v)
-    )
+    columns, rows = np.floor(np.stack([u, v]) / costmap.resolution).astype(np.intp)
     height, width = costmap.cells.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    values = np.where(
-        inside, costmap.cells[rows.clip(0, height - 1), columns.clip(0, width - 1)], 0
-    )
+    cells = costmap.cells[rows.clip(0, height - 1), columns.clip(0, width - 1)]
+    values = np.where(inside, cells, 0)
     before = np.cumsum(values >= costmap.occupied, axis=1) == 0
     reached = np.append(distances, SCAN_RANGE)[before.sum(axis=1)]
-    unknown, mapped = ((before & inside & (values < 0)), (before & inside & (values >= 0)))
-    blind = (unknown.sum(axis=1) > mapped.sum(axis=1)) | ~inside.any(axis=1)
+    unknown = (before & inside & (values < 0)).sum(axis=1)
+    mapped = (before & inside & (values >= 0)).sum(axis=1)
+    blind = (unknown > mapped) | ~inside.any(axis=1)
     return np.where(blind, np.nan, reached)
 
 
@@ -129,8 +123,7 @@ def combined(low: Array | None, high: Array | None, age: float) -> Scan:
     nothing at all, all beams are blind.
     """
     nothing = np.full(SCAN_BEAMS, np.nan)
-    first, second = (nothing if ranges is None else ranges for ranges in (low, high))
-    bands = np.stack([first, second])
+    bands = np.stack([nothing if ranges is None else ranges for ranges in (low, high)])
     bands = np.where(np.isnan(bands), bands[::-1], bands)
     blind = np.isnan(bands[0])
     if low is not None and np.isnan(low).all():
@@ -144,7 +137,7 @@ def costmap_of(
 ) -> CostmapReading:
     """Return a square costmap around a base with the first obstacle of each beam.
 
-    The cells of an obstacle are as deep as two of them and unknown behind.
+    Obstacles are two cells deep, and cells behind them unknown.
 
     Args:
         ranges: Ranges of the beams, shape (b,), metres.

@@ -24,7 +24,6 @@ from kinfeas.sim2real.ros.topics import Topics, read_topics
 _ODOM = "odom"
 _CELL = 0.05  # m, of costmaps of simulated robots
 
-
 FramePose = Callable[[str], Array | None]
 """Returns the world pose of a frame, shape (7,), or None if it is not known."""
 
@@ -52,8 +51,7 @@ class RosBackend(LinkBackend):
 
         Args:
             robot: Robot model.
-            topics: Path of a YAML file with the names; the one in the robot's folder by
-                default.
+            topics: YAML file with the names; by default that in the robot's folder.
             seconds: Minimum time_from_start of an arm target, seconds.
             timeout: Seconds that `reset` waits for the first measurements.
             drift: Fraction by which the robot's clock may be slower than ours: 0.9 for a simulator
@@ -72,7 +70,7 @@ class RosBackend(LinkBackend):
 
     @classmethod
     def robot_link(cls, robot: Robot, topics: str | None = None) -> RobotLink:
-        """Return the robot's end, for a simulated robot; arguments as in `Hosted`."""
+        """Return the robot's end, for a simulated robot; arguments as in `RobotLink`."""
         return RosRobotLink(read_topics(robot, cls.version, topics), make_bus(cls.version))
 
 
@@ -117,15 +115,12 @@ class RosLink:
         self._frame_fault = None
         topics, messages = self._topics, self._bus.messages
         base = messages.TwistStamped if topics.base.stamped else messages.Twist
-        kinds = {topics.base.command: base}
-        kinds |= {
-            controller.command: messages.JointTrajectory for controller in topics.joints.controllers
-        }
+        types = {topics.base.command: base}
+        for controller in topics.joints.controllers:
+            types[controller.command] = messages.JointTrajectory
         if topics.gripper is not None:
-            kinds[topics.gripper.command] = ros_messages.gripper_type(messages, topics.gripper)
-        self._publishers = {
-            topic: self._bus.publisher(topic, kind) for topic, kind in kinds.items()
-        }
+            types[topics.gripper.command] = ros_messages.gripper_type(messages, topics.gripper)
+        self._publishers = {topic: self._bus.publisher(topic, types[topic]) for topic in types}
         take_joints = _passing(ros_messages.from_joint_state, readings.joints)
         self._bus.subscribe(self.joint_source, messages.JointState, take_joints)
         if topics.base.measured_by == "odometry":
@@ -136,12 +131,9 @@ class RosLink:
 
     def waits_for(self) -> str | None:
         """Return the first topic without a subscriber, except the gripper's."""
-        topics = self._topics
-        commands = [
-            topics.base.command,
-            *(controller.command for controller in topics.joints.controllers),
-        ]
-        return next((topic for topic in commands if not self._publishers[topic].listeners()), None)
+        base, joints = self._topics.base, self._topics.joints
+        topics = [base.command, *(controller.command for controller in joints.controllers)]
+        return next((topic for topic in topics if not self._publishers[topic].listeners()), None)
 
     def check(self) -> None:
         """Raise Fault if the connection is broken or the odometry is of another frame."""
@@ -159,9 +151,8 @@ class RosLink:
         """Send each controller its joints."""
         for controller in self._topics.joints.controllers:
             targets = {name: positions[name] for name in controller.joints}
-            self._send(
-                controller.command, ros_messages.trajectory(self._bus.messages, targets, seconds)
-            )
+            message = ros_messages.trajectory(self._bus.messages, targets, seconds)
+            self._send(controller.command, message)
 
     def grip(self, grip: Grip) -> None:
         """Close or open the gripper, if the file names one."""
@@ -199,17 +190,17 @@ class RosLink:
         def take(message: Any) -> None:
             nonlocal world
             world = message.header.frame_id.lstrip("/")
-            theirs = message.child_frame_id.lstrip("/")
-            if theirs not in ("", frame):
+            child = message.child_frame_id.lstrip("/")
+            if child not in ("", frame):
                 self._frame_fault = (
-                    f"{self.base_source} measures frame {theirs}, but the base frame is {frame}"
+                    f"{self.base_source} measures frame {child}, but the base frame is {frame}"
                 )
             readings.base(ros_messages.from_odometry(message))
 
-        def pose_of(other: str) -> Array | None:
-            if world and other.lstrip("/") not in ("", world):
+        def pose_of(map_frame: str) -> Array | None:
+            if world and map_frame.lstrip("/") not in ("", world):
                 self._frame_fault = (
-                    f"the costmap is in frame {other}, but {self.base_source} in {world}"
+                    f"the costmap is in frame {map_frame}, but {self.base_source} in {world}"
                 )
             return IDENTITY if world else None
 
@@ -249,9 +240,7 @@ class RosRobotLink:
             bus.subscribe(controller.command, messages.JointTrajectory, move)
         if (gripper := topics.gripper) is not None:
             kind = ros_messages.gripper_type(messages, gripper)
-            grip = _passing(
-                lambda message: ros_messages.from_gripper(gripper, message), orders.grip
-            )
+            grip = _passing(partial(ros_messages.from_gripper, gripper), orders.grip)
             bus.subscribe(gripper.command, kind, grip)
         self._odometry = bus.publisher(topics.base.odometry, messages.Odometry)
         self._joints = bus.publisher(topics.joints.measured, messages.JointState)
@@ -265,8 +254,8 @@ class RosRobotLink:
         """Raise Fault if the connection is broken."""
         self._bus.check()
 
-    def report(self, base: BaseReading, joints: JointReading) -> None:
-        """Publish a measurement."""
+    def report(self, base: BaseReading, joints: JointReading, ranges: Array | None) -> None:
+        """Publish a measurement; the low band as a laser, the high one as a costmap."""
         now = time.time() if base.stamp is None else base.stamp
         stamp = self._bus.messages.Time.from_sec(now)
         self._odometry.publish(self._odometry_of(base, stamp))
@@ -278,11 +267,11 @@ class RosRobotLink:
             self._transform(_ODOM, frame, base, stamp),
         ]
         self._tf.publish(message)
+        if ranges is not None:
+            self._report_scan(base, ranges, stamp)
 
-    def report_scan(self, base: BaseReading, ranges: Array) -> None:
-        """Publish the low band as a laser in the base frame, the high one as a costmap."""
+    def _report_scan(self, base: BaseReading, ranges: Array, stamp: Any) -> None:
         messages, topics = self._bus.messages, self._topics
-        stamp = messages.Time.from_sec(time.time() if base.stamp is None else base.stamp)
         if topics.scan is not None:
             scan = ros_messages.laser_scan(messages, ranges[0])
             scan.header.stamp, scan.header.frame_id = stamp, topics.base.frame

@@ -5,7 +5,6 @@ The process of the watchdog imports this module; it must import neither numpy no
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 from kinfeas.core.errors import KinfeasError
@@ -16,75 +15,45 @@ Version = Literal[1, 2]
 _SETTLING = 0.05  # s after which a connection that ROS counts carries messages
 
 
-@dataclass(frozen=True)
-class Messages:
-    """Message classes, constructed without arguments; both versions have the same fields.
-
-    `Time` and `Duration` have `from_sec` and `to_sec`. `Pr2GripperCommand` is of ROS 1 only.
-    """
-
-    Twist: Any
-    TwistStamped: Any
-    PoseStamped: Any
-    Odometry: Any
-    JointState: Any
-    JointTrajectory: Any
-    JointTrajectoryPoint: Any
-    TFMessage: Any
-    TransformStamped: Any
-    Time: Any
-    Duration: Any
-    LaserScan: Any
-    OccupancyGrid: Any
-    Pr2GripperCommand: Any = None
-
-
 class Publisher(Protocol):
     """The sender of a topic."""
 
     def publish(self, message: Any) -> None:
         """Send a message without blocking; it replaces one that is not sent yet."""
-        ...
 
     def listeners(self) -> int:
         """Return the number of subscribers."""
-        ...
 
 
 class RosBus(Protocol):
     """A node in this process.
 
     Attributes:
-        messages: Message classes, after `open`.
+        messages: Message classes by their names, after `open`; both versions have the same fields.
+            `Time` and `Duration` have `from_sec` and `to_sec`.
     """
 
-    messages: Messages
+    messages: Any
 
     def open(self, name: str) -> None:
         """Start a node whose name begins with `name`; raise KinfeasError if that fails."""
-        ...
 
     def publisher(self, topic: str, kind: Any) -> Publisher:
         """Return the sender of a topic with messages of the class `kind`."""
-        ...
 
     def subscribe(
         self, topic: str, kind: Any, take: Callable[[Any], None], *, every: bool = False
     ) -> None:
         """Pass messages to `take`, from any thread: `every` one, or the newest."""
-        ...
 
     def check(self) -> None:
         """Raise Fault if the connection is broken."""
-        ...
 
     def check_sending(self) -> None:
         """Raise Fault if messages are not sent any more; called before each of them."""
-        ...
 
     def close(self) -> None:
         """Deliver what was sent and release the topics; it may be called twice."""
-        ...
 
 
 def make_bus(version: Version) -> RosBus:

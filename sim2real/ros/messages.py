@@ -14,7 +14,6 @@ from kinfeas.core.spatial import IDENTITY, UNIT, Array, compose, relative
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.link.measurements import DRIFT, TransportDelay
 from kinfeas.sim2real.link.scans import ANGLES, CostmapReading, LaserReading
-from kinfeas.sim2real.ros.bus import Messages
 from kinfeas.sim2real.ros.topics import CostmapTopic, GripperTopics, ScanTopic
 
 _DEEPEST = 32  # frames from the base to the world; more of them are a cycle
@@ -25,19 +24,16 @@ def fill_twist(message: Any, velocity: Array) -> None:
     message.linear.x, message.linear.y, message.angular.z = velocity.tolist()
 
 
-def drive_command(messages: Messages, velocity: Array, stamp: float | None) -> Any:
+def drive_command(messages: Any, velocity: Array, stamp: float | None) -> Any:
     """Return a geometry_msgs/Twist, or a TwistStamped for a `stamp` in seconds.
 
     The velocity is forward, left and rotation, shape (3,), m/s and rad/s.
     """
-    if stamp is None:
-        message = messages.Twist()
-        fill_twist(message, velocity)
-        return message
-    stamped = messages.TwistStamped()
-    stamped.header.stamp = messages.Time.from_sec(stamp)
-    fill_twist(stamped.twist, velocity)
-    return stamped
+    message = messages.Twist() if stamp is None else messages.TwistStamped()
+    if stamp is not None:
+        message.header.stamp = messages.Time.from_sec(stamp)
+    fill_twist(message if stamp is None else message.twist, velocity)
+    return message
 
 
 def velocity(message: Any) -> Array:
@@ -46,7 +42,7 @@ def velocity(message: Any) -> Array:
     return np.array([twist.linear.x, twist.linear.y, twist.angular.z])
 
 
-def trajectory(messages: Messages, positions: Mapping[str, float], seconds: float) -> Any:
+def trajectory(messages: Any, positions: Mapping[str, float], seconds: float) -> Any:
     """Return a trajectory_msgs/JointTrajectory that starts now and ends at rest after `seconds`."""
     point = messages.JointTrajectoryPoint()
     point.positions, point.velocities = list(positions.values()), [0.0] * len(positions)
@@ -69,9 +65,8 @@ def path(message: Any) -> JointPath | None:
 
 def from_odometry(message: Any) -> BaseReading:
     """Return the measurement of a nav_msgs/Odometry."""
-    p, q = message.pose.pose.position, message.pose.pose.orientation
-    x, y, heading = planar(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
-    stamp = message.header.stamp.to_sec() or None
+    pose, stamp = message.pose.pose, message.header.stamp.to_sec() or None
+    x, y, heading = planar(_pose(pose.position, pose.orientation))
     return BaseReading(x, y, heading, velocity(message.twist), stamp)
 
 
@@ -101,7 +96,7 @@ def from_laser_scan(topic: ScanTopic, base_frame: str, message: Any) -> LaserRea
     )
 
 
-def laser_scan(messages: Messages, ranges: Array) -> Any:
+def laser_scan(messages: Any, ranges: Array) -> Any:
     """Return a sensor_msgs/LaserScan of the beams of a scan, shape (b,)."""
     message = messages.LaserScan()
     message.angle_min, message.angle_max = float(ANGLES[0]), float(ANGLES[-1])
@@ -117,8 +112,7 @@ def from_costmap(topic: CostmapTopic, frame: Array, message: Any) -> CostmapRead
     `frame` is the world pose of the frame of its header, shape (7,).
     """
     info = message.info
-    p, q = info.origin.position, info.origin.orientation
-    origin = planar(compose(frame, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])))
+    origin = planar(compose(frame, _pose(info.origin.position, info.origin.orientation)))
     cells = np.array(message.data, dtype=np.int8)
     shape, resolution = (info.height, info.width), float(info.resolution)
     valid = np.isfinite([*origin, resolution]).all() and resolution > 0.0
@@ -128,7 +122,7 @@ def from_costmap(topic: CostmapTopic, frame: Array, message: Any) -> CostmapRead
     return CostmapReading(cells.reshape(shape), resolution, origin, topic.occupied, stamp)
 
 
-def occupancy_grid(messages: Messages, costmap: CostmapReading) -> Any:
+def occupancy_grid(messages: Any, costmap: CostmapReading) -> Any:
     """Return a nav_msgs/OccupancyGrid of a costmap along the axes of its frame."""
     message = messages.OccupancyGrid()
     info, origin = message.info, message.info.origin
@@ -139,12 +133,12 @@ def occupancy_grid(messages: Messages, costmap: CostmapReading) -> Any:
     return message
 
 
-def gripper_type(messages: Messages, gripper: GripperTopics) -> Any:
+def gripper_type(messages: Any, gripper: GripperTopics) -> Any:
     """Return the message class of a gripper."""
     return messages.Pr2GripperCommand if gripper.kind == "pr2" else messages.JointTrajectory
 
 
-def gripper_command(messages: Messages, gripper: GripperTopics, grip: Grip) -> Any:
+def gripper_command(messages: Any, gripper: GripperTopics, grip: Grip) -> Any:
     """Return the message that closes or opens a gripper."""
     positions = gripper.positions(grip)
     if gripper.kind == "trajectory":
@@ -169,6 +163,10 @@ def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
     return "close" if nearer else "open"
 
 
+def _pose(p: Any, q: Any) -> Array:
+    return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+
+
 def planar(pose: Array) -> tuple[float, float, float]:
     """Return x, y and heading of a pose, shape (7,); NaN without a unit quaternion."""
     x, y, _, qx, qy, qz, qw = pose.tolist()
@@ -181,11 +179,7 @@ class TfTree:
     """The newest transforms of TF: a replacement of tf2 for the pose of one frame in another."""
 
     def __init__(
-        self,
-        world: str,
-        base: str,
-        drift: float = DRIFT,
-        now: Callable[[], float] = time.monotonic,
+        self, world: str, base: str, drift: float = DRIFT, now: Callable[[], float] = time.monotonic
     ) -> None:
         """Start without transforms; `world` and `base` are names of frames."""
         self._world, self._base, self._now = world.lstrip("/"), base.lstrip("/"), now
@@ -196,12 +190,9 @@ class TfTree:
         """Take a tf2_msgs/TFMessage; `static` transforms do not age."""
         now = self._now()
         for transform in message.transforms:
-            child, parent = (
-                transform.child_frame_id.lstrip("/"),
-                transform.header.frame_id.lstrip("/"),
-            )
-            p, q = transform.transform.translation, transform.transform.rotation
-            pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+            child = transform.child_frame_id.lstrip("/")
+            parent = transform.header.frame_id.lstrip("/")
+            pose = _pose(transform.transform.translation, transform.transform.rotation)
             stamp = transform.header.stamp.to_sec()
             sent = math.inf if static else now
             if stamp and not static:
@@ -218,10 +209,10 @@ class TfTree:
 
     def pose(self, frame: str) -> Array | None:
         """Return the world pose of a frame above the base, shape (7,); None if one is missing."""
-        world, other = self._base_in(self._world), self._base_in(frame.lstrip("/"))
-        if world is None or other is None:
+        in_world, in_frame = self._base_in(self._world), self._base_in(frame.lstrip("/"))
+        if in_world is None or in_frame is None:
             return None
-        return compose(world[0], relative(IDENTITY, other[0]))
+        return compose(in_world[0], relative(IDENTITY, in_frame[0]))
 
     def _base_in(self, world: str) -> tuple[Array, float, float | None] | None:
         """Return the pose of the base in a frame, when its oldest transform was sent, and stamp."""

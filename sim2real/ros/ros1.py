@@ -11,17 +11,26 @@ import time
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
 from kinfeas.core.errors import Fault, KinfeasError
-from kinfeas.sim2real.ros.bus import Messages, Publisher
+from kinfeas.sim2real.ros.bus import Publisher
 
 _DEBIAN = "/usr/lib/python3/dist-packages", "/opt/ros/noetic/lib/python3/dist-packages"
 _CONNECT_TIMEOUT = 2.0  # s, for the master
 _FLUSH = 0.05  # s for rospy's writing threads before their connections are closed
 _SHUT_DOWN = "this node was shut down, as rosnode kill does it"
 _LOCAL = {"localhost", "127.0.0.1", "::1"}
+
+_PACKAGES = {
+    **dict.fromkeys(("Twist", "TwistStamped", "PoseStamped", "TransformStamped"), "geometry_msgs"),
+    **dict.fromkeys(("Odometry", "OccupancyGrid"), "nav_msgs"),
+    **dict.fromkeys(("JointState", "LaserScan"), "sensor_msgs"),
+    **dict.fromkeys(("JointTrajectory", "JointTrajectoryPoint"), "trajectory_msgs"),
+    "TFMessage": "tf2_msgs",
+}
 
 _lock = threading.Lock()
 
@@ -33,7 +42,7 @@ class Ros1Bus:
         messages: Message classes, after `open`.
     """
 
-    messages: Messages
+    messages: Any
 
     def __init__(self) -> None:
         self._master: MasterWatch | None = None
@@ -93,36 +102,22 @@ class _Ros1Publisher:
             raise Fault(_SHUT_DOWN if _shut_down() else str(error)) from error
 
     def listeners(self) -> int:
-        count: int = self._publisher.get_num_connections()
-        return count
+        return self._publisher.get_num_connections()
 
 
 def _shut_down() -> bool:
-    """Return whether the node was told to shut down, or has done so."""
+    """Return whether the node was shut down, or will be."""
     return bool(ros("rospy").core.is_shutdown_requested())
 
 
-def ros1_message_classes() -> Messages:
+def ros1_message_classes() -> Any:
     """Return the message classes of ROS 1; raise KinfeasError if one is not installed."""
-    geometry, trajectory, rospy = ros("geometry_msgs.msg"), ros("trajectory_msgs.msg"), ros("rospy")
+    rospy, gripper = ros("rospy"), "pr2_controllers_msgs/Pr2GripperCommand"
     # Debian has no package of PR2's messages.
-    gripper = "pr2_controllers_msgs/Pr2GripperCommand"
     made = ros("genpy.dynamic").generate_dynamic(gripper, "float64 position\nfloat64 max_effort\n")
-    return Messages(
-        Twist=geometry.Twist,
-        TwistStamped=geometry.TwistStamped,
-        PoseStamped=geometry.PoseStamped,
-        Odometry=ros("nav_msgs.msg").Odometry,
-        OccupancyGrid=ros("nav_msgs.msg").OccupancyGrid,
-        JointState=ros("sensor_msgs.msg").JointState,
-        LaserScan=ros("sensor_msgs.msg").LaserScan,
-        JointTrajectory=trajectory.JointTrajectory,
-        JointTrajectoryPoint=trajectory.JointTrajectoryPoint,
-        TFMessage=ros("tf2_msgs.msg").TFMessage,
-        TransformStamped=geometry.TransformStamped,
-        Time=rospy.Time,
-        Duration=rospy.Duration,
-        Pr2GripperCommand=made[gripper],
+    classes = {name: getattr(ros(f"{package}.msg"), name) for name, package in _PACKAGES.items()}
+    return SimpleNamespace(
+        Time=rospy.Time, Duration=rospy.Duration, Pr2GripperCommand=made[gripper], **classes
     )
 
 

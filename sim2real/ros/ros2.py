@@ -2,8 +2,8 @@
 
 On DDS the topic `/joint_states` of ROS 2 is `rt/joint_states`, and its type is
 `sensor_msgs::msg::dds_::JointState_` in the representation XCDR 1
-(https://design.ros2.org/articles/topic_and_service_names.html). The message classes below have the
-names, fields and defaults of ROS 2.
+(https://design.ros2.org/articles/topic_and_service_names.html). `MESSAGES` have the names, fields
+and defaults of ROS 2.
 """
 
 import logging
@@ -12,8 +12,9 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from threading import Thread
-from types import new_class
+from types import SimpleNamespace, new_class
 from typing import Any
 
 from cyclonedds.core import (
@@ -36,7 +37,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from kinfeas.core.errors import Fault, KinfeasError
-from kinfeas.sim2real.ros.bus import Messages, Publisher
+from kinfeas.sim2real.ros.bus import Publisher
 
 _DOMAINS = 232  # the last domain with free ports on Linux
 _BLOCKING_MS = 5  # time that a command may wait for its place in the sender's queue
@@ -64,10 +65,10 @@ class Ros2Bus:
         messages: Message classes.
     """
 
-    messages: Messages
+    messages: Any
 
     def __init__(self) -> None:
-        self.messages = ros2_message_classes()
+        self.messages = MESSAGES
         self._participant: Any = None
         self._publishers: list[_Ros2Publisher] = []
         self._readers: list[tuple[Any, Any, Callable[[Any], None]]] = []
@@ -96,11 +97,9 @@ class Ros2Bus:
         """Return a sender of the newest message."""
         blocking = Policy.Reliability.Reliable(duration(milliseconds=_BLOCKING_MS))
         qos = _qos(topic, blocking, Policy.History.KeepLast(1))
-        made = _Ros2Publisher(
-            topic, DataWriter(self._participant, self._topic(topic, kind), qos=qos)
-        )
-        self._publishers.append(made)
-        return made
+        writer = DataWriter(self._participant, self._topic(topic, kind), qos=qos)
+        self._publishers.append(_Ros2Publisher(topic, writer))
+        return self._publishers[-1]
 
     def subscribe(
         self, topic: str, kind: Any, take: Callable[[Any], None], *, every: bool = False
@@ -183,38 +182,6 @@ def _local_only() -> bool:
     return only or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
 
 
-def ros2_message_classes() -> Messages:
-    """Return the message classes of ROS 2."""
-    return Messages(
-        Twist=Twist,
-        TwistStamped=TwistStamped,
-        PoseStamped=PoseStamped,
-        Odometry=Odometry,
-        JointState=JointState,
-        JointTrajectory=JointTrajectory,
-        JointTrajectoryPoint=JointTrajectoryPoint,
-        TFMessage=TFMessage,
-        TransformStamped=TransformStamped,
-        Time=Time,
-        Duration=Duration,
-        LaserScan=LaserScan,
-        OccupancyGrid=OccupancyGrid,
-    )
-
-
-def _message(name: str, methods: dict[str, Any] | None = None, /, **members: Any) -> Any:
-    """Return the class of a message; fields are messages, or pairs of a type and a factory."""
-    package, short = name.split("/")
-    pairs = {
-        key: types if isinstance(types, tuple) else (types, types) for key, types in members.items()
-    }
-    space: dict[str, Any] = {key: field(default_factory=new) for key, (_, new) in pairs.items()}
-    space["__annotations__"] = {key: kind for key, (kind, _) in pairs.items()}
-    space |= {"__module__": __name__, **(methods or {})}
-    typename = {"typename": f"{package}::msg::dds_::{short}_"}
-    return dataclass(new_class(short, (IdlStruct,), typename, lambda made: made.update(space)))
-
-
 def _from_sec(kind: Any, seconds: float) -> Any:
     whole = math.floor(seconds)
     carry, nanosec = divmod(round((seconds - whole) * _NANO), _NANO)
@@ -222,87 +189,69 @@ def _from_sec(kind: Any, seconds: float) -> Any:
 
 
 def _to_sec(message: Any) -> float:
-    seconds: float = message.sec + message.nanosec / _NANO
-    return seconds
+    return message.sec + message.nanosec / _NANO
 
 
-_STRING, _INT, _UINT, _FLOAT = (str, str), (int32, int), (uint32, int), (float64, float)
-_STRINGS, _FLOATS = (sequence[str], list), (sequence[float64], list)
-_SINGLE, _SINGLES = (float32, float), (sequence[float32], list)
-_COVARIANCE = (array[float64, 36], lambda: [0.0] * 36)
-_SECONDS = {"from_sec": classmethod(_from_sec), "to_sec": _to_sec}
+def _message_classes() -> SimpleNamespace:
+    """Return the classes of `_MESSAGES` by name."""
+    classes: dict[str, Any] = {}
+    for line in _MESSAGES.strip().splitlines():
+        name, *fields = line.split()
+        package, short = name.split("/")
+        space: dict[str, Any] = {"__module__": __name__, "__annotations__": {}}
+        for kind, key in zip(fields[::2], fields[1::2], strict=True):
+            item, _, size = kind.rstrip("]").partition("[")
+            made, new = _PRIMITIVES.get(item) or [classes[item]] * 2
+            if size:
+                made, new = array[made, int(size)], partial(list, [0.0] * int(size))
+            elif kind != item:
+                made, new = sequence[made], list
+            space["__annotations__"][key], space[key] = made, field(default_factory=new)
+        if short == "Quaternion":
+            space["w"] = 1.0
+        if package == "builtin_interfaces":
+            space |= {"from_sec": classmethod(_from_sec), "to_sec": _to_sec}
+        typename = {"typename": f"{package}::msg::dds_::{short}_"}
+        fill = partial(dict.update, **space)  # of the namespace of the class
+        classes[short] = dataclass(new_class(short, (IdlStruct,), typename, fill))
+    return SimpleNamespace(**classes)
 
-Time = _message("builtin_interfaces/Time", _SECONDS, sec=_INT, nanosec=_UINT)
-Duration = _message("builtin_interfaces/Duration", _SECONDS, sec=_INT, nanosec=_UINT)
-Header = _message("std_msgs/Header", stamp=Time, frame_id=_STRING)
-Vector3 = _message("geometry_msgs/Vector3", x=_FLOAT, y=_FLOAT, z=_FLOAT)
-Point = _message("geometry_msgs/Point", x=_FLOAT, y=_FLOAT, z=_FLOAT)
-Quaternion = _message(
-    "geometry_msgs/Quaternion", x=_FLOAT, y=_FLOAT, z=_FLOAT, w=(float64, lambda: 1.0)
-)
-Pose = _message("geometry_msgs/Pose", position=Point, orientation=Quaternion)
-PoseStamped = _message("geometry_msgs/PoseStamped", header=Header, pose=Pose)
-Twist = _message("geometry_msgs/Twist", linear=Vector3, angular=Vector3)
-TwistStamped = _message("geometry_msgs/TwistStamped", header=Header, twist=Twist)
-PoseWithCovariance = _message("geometry_msgs/PoseWithCovariance", pose=Pose, covariance=_COVARIANCE)
-TwistWithCovariance = _message(
-    "geometry_msgs/TwistWithCovariance", twist=Twist, covariance=_COVARIANCE
-)
-Odometry = _message(
-    "nav_msgs/Odometry",
-    header=Header,
-    child_frame_id=_STRING,
-    pose=PoseWithCovariance,
-    twist=TwistWithCovariance,
-)
-JointState = _message(
-    "sensor_msgs/JointState",
-    header=Header,
-    name=_STRINGS,
-    position=_FLOATS,
-    velocity=_FLOATS,
-    effort=_FLOATS,
-)
-JointTrajectoryPoint = _message(
-    "trajectory_msgs/JointTrajectoryPoint",
-    positions=_FLOATS,
-    velocities=_FLOATS,
-    accelerations=_FLOATS,
-    effort=_FLOATS,
-    time_from_start=Duration,
-)
-JointTrajectory = _message(
-    "trajectory_msgs/JointTrajectory",
-    header=Header,
-    joint_names=_STRINGS,
-    points=(sequence[JointTrajectoryPoint], list),
-)
-Transform = _message("geometry_msgs/Transform", translation=Vector3, rotation=Quaternion)
-TransformStamped = _message(
-    "geometry_msgs/TransformStamped", header=Header, child_frame_id=_STRING, transform=Transform
-)
-TFMessage = _message("tf2_msgs/TFMessage", transforms=(sequence[TransformStamped], list))
-LaserScan = _message(
-    "sensor_msgs/LaserScan",
-    header=Header,
-    angle_min=_SINGLE,
-    angle_max=_SINGLE,
-    angle_increment=_SINGLE,
-    time_increment=_SINGLE,
-    scan_time=_SINGLE,
-    range_min=_SINGLE,
-    range_max=_SINGLE,
-    ranges=_SINGLES,
-    intensities=_SINGLES,
-)
-MapMetaData = _message(
-    "nav_msgs/MapMetaData",
-    map_load_time=Time,
-    resolution=_SINGLE,
-    width=_UINT,
-    height=_UINT,
-    origin=Pose,
-)
-OccupancyGrid = _message(
-    "nav_msgs/OccupancyGrid", header=Header, info=MapMetaData, data=(sequence[int8], list)
-)
+
+_PRIMITIVES: dict[str, Any] = {
+    "string": (str, str), "int8": (int8, int), "int32": (int32, int), "uint32": (uint32, int),
+    "float32": (float32, float), "float64": (float64, float),
+}  # fmt: skip
+
+# Names, and types and names of fields, in the notation of ROS.
+_MESSAGES = """
+builtin_interfaces/Time int32 sec uint32 nanosec
+builtin_interfaces/Duration int32 sec uint32 nanosec
+std_msgs/Header Time stamp string frame_id
+geometry_msgs/Vector3 float64 x float64 y float64 z
+geometry_msgs/Point float64 x float64 y float64 z
+geometry_msgs/Quaternion float64 x float64 y float64 z float64 w
+geometry_msgs/Pose Point position Quaternion orientation
+geometry_msgs/PoseStamped Header header Pose pose
+geometry_msgs/Twist Vector3 linear Vector3 angular
+geometry_msgs/TwistStamped Header header Twist twist
+geometry_msgs/PoseWithCovariance Pose pose float64[36] covariance
+geometry_msgs/TwistWithCovariance Twist twist float64[36] covariance
+geometry_msgs/Transform Vector3 translation Quaternion rotation
+geometry_msgs/TransformStamped Header header string child_frame_id Transform transform
+nav_msgs/Odometry Header header string child_frame_id \
+PoseWithCovariance pose TwistWithCovariance twist
+nav_msgs/MapMetaData Time map_load_time float32 resolution uint32 width uint32 height Pose origin
+nav_msgs/OccupancyGrid Header header MapMetaData info int8[] data
+sensor_msgs/JointState Header header string[] name float64[] position float64[] velocity \
+float64[] effort
+sensor_msgs/LaserScan Header header float32 angle_min float32 angle_max float32 angle_increment \
+float32 time_increment float32 scan_time float32 range_min float32 range_max float32[] ranges \
+float32[] intensities
+tf2_msgs/TFMessage TransformStamped[] transforms
+trajectory_msgs/JointTrajectoryPoint float64[] positions float64[] velocities \
+float64[] accelerations float64[] effort Duration time_from_start
+trajectory_msgs/JointTrajectory Header header string[] joint_names JointTrajectoryPoint[] points
+"""
+
+MESSAGES = _message_classes()
+"""Message classes by name."""

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,8 +34,7 @@ _ROW = np.zeros(1, dtype=np.intp)
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, eq=False)
-class _Message:
+class _Message(NamedTuple):
     """Twist (6,) or poses (k, 7) for times (k,), or neither; seconds of the sender and of ours."""
 
     arrival: float
@@ -43,16 +42,6 @@ class _Message:
     values: Array | None
     times: Array | None = None
     frame: str = ""
-
-
-@dataclass
-class _Ignored:
-    """Messages that were all ignored: times of the first and last, s, and the counts before."""
-
-    since: float
-    counts: dict[str, int]
-    last: float = -math.inf
-    reported: bool = False
 
 
 class TargetController:
@@ -69,7 +58,6 @@ class TargetController:
         pose: World pose of the EE that is desired now, shape (7,), once `running`.
         base_pose: World pose of the base, shape (7,), likewise.
         running: Whether the loop reads the messages.
-        longest_ignored: Longest time for which all messages were ignored, seconds.
     """
 
     def __init__(
@@ -80,22 +68,22 @@ class TargetController:
         max_poses: int = 64,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Take chunks of at most `max_poses` poses; `clock` is in seconds."""
+        """Take chunks of at most `max_poses` poses, at the seconds of a `clock`."""
         self.robot, self.rules, self._clock = robot, rules or TargetRules(), clock
-        self.pose, self.running = spatial.IDENTITY, False
+        self.pose = self.base_pose = spatial.IDENTITY
+        self.running = False
         self._inbox = TargetInbox(self.rules, max(2, max_poses))
         self._queue: deque[_Message] = deque(maxlen=_QUEUE)
         self._lock = threading.Lock()
         self._sender = SenderClock(self.rules.timeout)
         self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
-        self._ignored: _Ignored | None = None
+        self._ignored: tuple[float, float, dict[str, int]] | None = None  # since, until, before
         self._failure = ""
-        self.base_pose, self.longest_ignored = spatial.IDENTITY, 0.0
 
     def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
-        """Send the EE to a pose (7,), given in the world, base or EE frame by its name.
+        """Send the EE to a pose (7,) in the world, base or EE frame, by its name.
 
-        `stamp` is the time, in seconds of the sender's clock, at which the pose was made.
+        `stamp` is when the pose was made, in seconds of the sender's clock.
         """
         self._put(pose, stamp, None, frame)
 
@@ -119,17 +107,13 @@ class TargetController:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of messages by what became of them, of `RULES`.
-
-        Besides, `ahead` by their stamps, with an unknown `frame`, or `dropped` since too many came
-        in a control period.
-        """
+        """Number of messages by `RULES`, `ahead`, unknown `frame` or `dropped` for lack of room."""
         counts = dict(zip(RULES, self._inbox.counts.sum(axis=0).tolist(), strict=True))
         return counts | self._others
 
     def statistics(self) -> dict[str, object]:
-        """Return the counts, and the longest time for which all messages were ignored."""
-        return {"messages": self.counts, "longest_ignored": self.longest_ignored}
+        """Return the counts for the results of a run."""
+        return {"messages": self.counts}
 
     def fail(self, reason: str) -> None:
         """Let the next period raise Fault with a reason, from any thread."""
@@ -149,8 +133,7 @@ class TargetController:
             messages = list(self._queue)
             self._queue.clear()
         now = np.array([self._clock()])
-        self.base_pose, self.pose = progress.base_pose[0], progress.desired[0]
-        self.running = True
+        self.base_pose, self.pose, self.running = progress.base_pose[0], progress.desired[0], True
         if messages:
             before = self.counts
             for message in messages:
@@ -197,25 +180,20 @@ class TargetController:
             self._queue.append(message)
 
     def _watch(self, before: dict[str, int], now: float) -> None:
-        """Report messages that are ignored for long; they were counted as `before` until now."""
-        counts, ignored = self.counts, self._ignored
-        if counts["accepted"] > before["accepted"]:
-            if ignored is not None and ignored.reported:
-                _log.warning("messages are accepted again, after %.1f s", now - ignored.since)
+        """Warn once of messages that are all ignored for long; they were counted as `before`."""
+        if self.counts["accepted"] > before["accepted"]:
             self._ignored = None
             return
-        if ignored is None or now - ignored.last > _LONG:
-            ignored = self._ignored = _Ignored(now, before)
-        ignored.last, seconds = now, now - ignored.since
-        self.longest_ignored = max(self.longest_ignored, seconds)
-        if seconds >= _LONG and not ignored.reported:
-            ignored.reported = True
-            new = {rule: n - ignored.counts[rule] for rule, n in counts.items()}
+        since, last, counts = self._ignored or (now, now, before)
+        if now - last > _LONG:
+            since, counts = now, before
+        self._ignored = since, now, counts
+        if last - since < _LONG <= now - since:
+            new = {rule: n - counts[rule] for rule, n in self.counts.items()}
             why = ", ".join(f"{n} {rule}" for rule, n in new.items() if n)
-            _log.warning("all messages are ignored, for %.1f s: %s", seconds, why)
+            _log.warning("all messages are ignored, for %.1f s: %s", now - since, why)
 
     def _read(self, message: _Message, now: Array) -> None:
-        """Put a message into the inbox."""
         values, times, stamp = message.values, message.times, message.stamp
         frame = self._frame(message.frame)
         stamped = stamp is None or math.isfinite(stamp)
@@ -232,9 +210,10 @@ class TargetController:
             return
         sent = np.array([when])
         if times is None and values.shape == (6,):
-            twist = spatial.compose(frame, _point(values[:3]))[:3] - frame[:3]
-            turn = spatial.compose(frame, _point(values[3:]))[:3] - frame[:3]
-            self._inbox.put_twists(_ROW, now, sent, np.concatenate([twist, turn])[np.newaxis])
+            points = np.tile(spatial.IDENTITY, (2, 1))
+            points[:, :3] = values.reshape(2, 3)
+            twist = spatial.compose(np.tile(frame, (2, 1)), points)[:, :3] - frame[:3]
+            self._inbox.put_twists(_ROW, now, sent, twist.reshape(1, 6))
             return
         if times is None and values.shape == (7,):
             values, times = values[np.newaxis], sent
@@ -243,8 +222,8 @@ class TargetController:
         if times is None or times.shape != (len(values),) or values.shape != (len(times), 7):
             self._inbox.reject(_ROW)
             return
-        turn = np.clip(values[:, 3:], -2.0, 2.0)  # no overflow
-        unit = np.abs(np.linalg.norm(turn, axis=1) - 1.0) <= spatial.UNIT
+        quaternions = np.clip(values[:, 3:], -2.0, 2.0)  # no overflow
+        unit = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) <= spatial.UNIT
         if frame is not spatial.IDENTITY and np.isfinite(values).all() and unit.all():
             values = spatial.compose(frame, values)
         self._inbox.put_poses(_ROW, now, sent, times[np.newaxis], values[np.newaxis])
@@ -256,8 +235,14 @@ class TargetController:
         return spatial.IDENTITY if name in WORLD else frames.get(name)
 
 
-def _point(position: Array) -> Array:
-    return np.concatenate([position, spatial.IDENTITY[3:]])
+class TargetSource(Protocol):
+    """Sends targets to a controller, from a thread of its own."""
+
+    def start(self, controller: TargetController) -> None:
+        """Begin to send."""
+
+    def close(self) -> None:
+        """End; it may be called twice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +263,7 @@ class ServoTask:
 
     @property
     def subgoals(self) -> tuple[Subgoal, ...]:
-        """The one sub-goal, of the EE frame."""
+        """The sub-goal of the EE frame."""
         return (Subgoal(self.motion),)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:

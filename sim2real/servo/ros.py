@@ -1,6 +1,6 @@
 """Targets from ROS topics, with the message types of MoveIt Servo."""
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 from kinfeas.sim2real.ros.bus import Version, make_bus
@@ -30,8 +30,8 @@ class RosSource:
         """Subscribe; raise KinfeasError if there is no ROS to connect to."""
         self._bus.open("kinfeas_servo")
         messages, (twist, pose) = self._bus.messages, self._topics
-        self._bus.subscribe(twist, messages.TwistStamped, _passing(_twist, controller.set_twist))
-        self._bus.subscribe(pose, messages.PoseStamped, _passing(_pose, controller.set_target))
+        self._bus.subscribe(twist, messages.TwistStamped, partial(_take_twist, controller))
+        self._bus.subscribe(pose, messages.PoseStamped, partial(_take_pose, controller))
 
     def close(self) -> None:
         """Release the topics."""
@@ -50,21 +50,13 @@ class Ros2Source(RosSource):
     version = 2
 
 
-def _passing(
-    read: Callable[[Any], list[float]], send: Callable[..., None]
-) -> Callable[[Any], None]:
-    def passing(message: Any) -> None:
-        stamp = message.header.stamp.to_sec() or None
-        send(read(message), stamp, message.header.frame_id)
-
-    return passing
+def _take_twist(controller: TargetController, message: Any) -> None:
+    header, linear, angular = message.header, message.twist.linear, message.twist.angular
+    twist = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+    controller.set_twist(twist, header.stamp.to_sec() or None, header.frame_id)
 
 
-def _twist(message: Any) -> list[float]:
-    linear, angular = message.twist.linear, message.twist.angular
-    return [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
-
-
-def _pose(message: Any) -> list[float]:
-    p, q = message.pose.position, message.pose.orientation
-    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+def _take_pose(controller: TargetController, message: Any) -> None:
+    header, p, q = message.header, message.pose.position, message.pose.orientation
+    pose = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+    controller.set_target(pose, header.stamp.to_sec() or None, header.frame_id)

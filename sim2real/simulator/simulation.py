@@ -20,36 +20,13 @@ from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import furniture_solids, read_scene
-from kinfeas.sim2real.link import (
-    BaseReading,
-    Hosted,
-    JointPath,
-    JointReading,
-    Orders,
-    RobotLink,
-    ScanRobotLink,
-)
+from kinfeas.sim2real.link import BaseReading, JointPath, JointReading, Orders, RobotLink
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.task import Task
 
 _CATCH_UP = 10  # simulation steps in one period at most, if the machine is late
 _SCAN_RATE = 10.0  # Hz
 _LINGER = 2.0  # s that a robot continues without its bus
-
-
-@dataclass(frozen=True)
-class SimulationConfig:
-    """Settings of a simulated robot.
-
-    Attributes:
-        rate: Simulation steps and measurements per second, Hz.
-        command_timeout: Seconds without a command after which the base stops.
-        seconds: Duration; unlimited if None.
-    """
-
-    rate: float = 100.0
-    command_timeout: float = 0.25
-    seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -80,9 +57,9 @@ class JointSetpoints:
     """
 
     def __init__(self, positions: Mapping[str, float]) -> None:
-        rest = {name: np.array([at, at]) for name, at in positions.items()}
         self._paths = {
-            name: CubicHermiteSpline([0.0, 1.0], at, np.zeros(2)) for name, at in rest.items()
+            name: CubicHermiteSpline([0.0, 1.0], np.array([at, at]), np.zeros(2))
+            for name, at in positions.items()
         }
 
     def follow(self, path: JointPath, time: float) -> None:
@@ -102,7 +79,6 @@ class JointSetpoints:
 
 
 def _within(path: CubicHermiteSpline, time: float) -> float:
-    """Return the nearest time of a path."""
     return float(np.clip(time, path.x[0], path.x[-1]))
 
 
@@ -113,14 +89,16 @@ class SimulatedRobot:
         self,
         backend: PhysicsBackend,
         state: RobotState,
-        config: SimulationConfig,
+        command_timeout: float = 0.25,
         clock: Clock | None = None,
     ) -> None:
-        """Start at rest in `state` of a world; the clocks are the system's by default."""
+        """Start at rest in `state` of a world; the clocks are the system's by default.
+
+        After `command_timeout` seconds without a command the base stops.
+        """
         self.base_commands = self.joint_commands = self.timeouts = 0
-        self.config, self.clock = config, clock or Clock()
-        self._backend, self._state = backend, state
-        self._robot = backend.robot
+        self._timeout, self.clock = command_timeout, clock or Clock()
+        self._backend, self._state, self._robot = backend, state, backend.robot
         self._arm = [joint.name for joint in self._robot.arm]
         arm = dict(zip(self._arm, state.joint_positions[0].tolist(), strict=True))
         self._setpoints = JointSetpoints(arm)
@@ -136,7 +114,7 @@ class SimulatedRobot:
         """Execute the orders for `dt` seconds."""
         now = self.clock.monotonic()
         with self._lock:
-            if now - self._commanded > self.config.command_timeout:
+            if now - self._commanded > self._timeout:
                 self.timeouts += bool(self._velocity.any())
                 self._velocity = np.zeros(3)
             velocity, grip, self._grip = self._velocity, self._grip, None
@@ -145,25 +123,22 @@ class SimulatedRobot:
         if grip is not None:
             self._backend.grip(grip, np.array([0]))
         joints = np.array([[targets[name] for name in self._arm]])
-        pose = self._state.base_pose
-        twist = world_twist(self._robot.base, pose, velocity[np.newaxis], dt)
+        twist = world_twist(self._robot.base, self._state.base_pose, velocity[np.newaxis], dt)
         self._state = self._backend.step(twist, joints, dt)
 
     def measure(self) -> tuple[BaseReading, JointReading]:
         """Return the measurements of base and joints; raise KinfeasError if the world is gone."""
         joints, velocities = self._backend.joint_motion()
         stamp, state = self.clock.wall(), self._state
-        twist = state.base_twist
-        assert twist is not None
-        velocity = base_velocity(self._robot.base, state.base_pose, twist, 0.0)[0]
+        assert state.base_twist is not None
+        velocity = base_velocity(self._robot.base, state.base_pose, state.base_twist, 0.0)[0]
         x, y = state.base_pose[0, :2].tolist()
         base = BaseReading(x, y, float(yaw(state.base_pose)[0]), velocity, stamp)
         return base, JointReading({**self._robot.fixed_joints, **joints}, velocities, stamp)
 
-    def scan(self) -> Array | None:
-        """Return the ranges around the robot, as in `ScanRobotLink`; None if it has no scan."""
-        scanner = self._backend.scanner
-        return None if scanner is None else scanner.scan().ranges[0]
+    def scan(self) -> Array:
+        """Return the ranges around the robot, as in `RobotLink`."""
+        return self._backend.scan().ranges[0]
 
     def _drive(self, velocity: Array) -> None:
         with self._lock:
@@ -181,30 +156,30 @@ class SimulatedRobot:
 
 
 def simulate(
-    robot: SimulatedRobot, link: RobotLink, on_ready: Callable[[], None]
+    robot: SimulatedRobot,
+    link: RobotLink,
+    on_ready: Callable[[], None],
+    frequency: float = 100.0,
+    seconds: float = math.inf,
 ) -> SimulationResult:
-    """Run a simulated robot for its duration or until Ctrl-C; return the statistics.
+    """Run a simulated robot for `seconds` or until Ctrl-C; return the statistics.
 
+    Each second has `frequency` simulation steps and measurements.
     The link is opened and closed; `on_ready` is called once it receives commands. If the bus breaks
     the robot continues for 2 s, so that deployments can detect it, and an error is raised.
     """
     link.open(robot.orders())
-    config, clock = robot.config, robot.clock
-    dt, start = 1.0 / config.rate, clock.monotonic()
-    rate, broken = Rate(dt, clock), None
-    end = math.inf if config.seconds is None else start + config.seconds
-    periods, scan_periods = 0, max(1, round(config.rate / _SCAN_RATE))
+    clock, dt = robot.clock, 1.0 / frequency
+    start, rate, broken = clock.monotonic(), Rate(dt, clock), None
+    end = start + seconds
+    periods, scan_periods = 0, max(1, round(frequency / _SCAN_RATE))
     try:
         on_ready()
         while clock.monotonic() < end:
             base, joints = robot.measure()
-            link.report(base, joints)
-            if periods % scan_periods == 0 and isinstance(link, ScanRobotLink):
-                ranges = robot.scan()
-                if ranges is not None:
-                    link.report_scan(base, ranges)
+            link.report(base, joints, None if periods % scan_periods else robot.scan())
             periods += 1
-            late = round(rate.wait() * config.rate)
+            late = round(rate.wait() * frequency)
             for _ in range(min(max(late, 1), _CATCH_UP)):
                 robot.step(dt)
             if broken is None:
@@ -218,15 +193,14 @@ def simulate(
         link.close()
     if broken is not None:
         raise broken
-    timing, seconds = rate.timing(), clock.monotonic() - start
-    counts = robot.base_commands, robot.joint_commands, robot.timeouts
-    return SimulationResult(seconds, *counts, timing.p99, timing.longest)
+    timing, counts = rate.timing(), (robot.base_commands, robot.joint_commands, robot.timeouts)
+    return SimulationResult(clock.monotonic() - start, *counts, timing.p99, timing.longest)
 
 
 def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLink:
-    """Return the robot's end of the transport of a backend; `topics` as in `Hosted`."""
+    """Return the robot's end of the transport of a backend; arguments as in `RobotLink`."""
     kind = registry.load("kinfeas.backends", backend)
-    if not isinstance(kind, Hosted):
+    if not hasattr(kind, "robot_link"):
         raise KinfeasError(f"backend {backend!r} has no transport for a simulated robot")
     return kind.robot_link(robot, topics)
 
@@ -245,10 +219,10 @@ def spawn(
     The robot starts as in an episode of the task, which `rng` draws, or without a task at the
     origin of a scene, by default an empty floor; an object there raises KinfeasError.
     """
-    around = read_scene(scene) if scene is not None else None
+    room = read_scene(scene) if scene is not None else None
     engine = engine or default_engine()
     parameters = evaluation_world(engine, robot.folder).backend_parameters
-    backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=around)
+    backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=room)
     if not isinstance(backend, PhysicsBackend):
         raise KinfeasError(f"backend {engine!r} has no physics")
     if task is not None:
@@ -258,12 +232,13 @@ def spawn(
         backend.place_solids(start.solids, np.array([0]))
         return backend, state
     state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
-    if around is not None and (touched := backend.touched()):
+    if room is None:
+        return backend, state
+    if touched := backend.touched():
         backend.close()
         names = ", ".join(map(repr, touched))
-        raise KinfeasError(f"scene {around.name}: the robot would touch {names}")
-    if around is not None:  # scans see it
-        furniture = furniture_solids(around)
-        backend.furniture = furniture.places
-        backend.place_solids(furniture, np.array([0]))
+        raise KinfeasError(f"scene {room.name}: the robot would touch {names}")
+    furniture = furniture_solids(room)  # for scans
+    backend.furniture = furniture.places
+    backend.place_solids(furniture, np.array([0]))
     return backend, state

@@ -13,37 +13,34 @@ class Recorder(AnalyticBackend):
 
     def __init__(self):
         super().__init__()
-        self.twists, self.targets, self.closed = [], [], 0
+        self.twists, self.targets = [], []
 
     def step(self, base_twist, joint_targets, dt):
         self.twists.append(base_twist.copy())
         self.targets.append(joint_targets.copy())
         return super().step(base_twist, joint_targets, dt)
 
-    def close(self):
-        self.closed += 1
-
 
 class Rig:
     """An adapter around a recorder, driven step by step."""
 
-    def __init__(self, adapter, robot, n=1, first_seed=0, start=None, **parameters):
+    def __init__(self, adapter, robot, n=1, first_seed=0, **parameters):
         self.recorder, self.robot = Recorder(), robot
         self.adapter = adapter(self.recorder, robot, **parameters)
         self.n, self.j = n, len(robot.arm)
-        self.joints = np.zeros((n, self.j)) if start is None else start
+        self.joints = np.zeros((n, self.j))
         self.adapter.seed(np.arange(first_seed, first_seed + n, dtype=np.uint64), np.arange(n))
-        base = planar_pose(np.zeros(n), np.zeros(n), np.zeros(n))
-        self.first = self.adapter.reset(base, self.joints)
+        self.first = self.adapter.reset(planar_pose(*np.zeros((3, n))), self.joints)
 
     def run(self, twists, dt=0.1, targets=None):
-        """Return what is seen after each of the twists, (steps, n, 6) or (steps, 6)."""
-        seen = []
+        """Return the states after each of the twists, (steps, n, 6) or (steps, 6)."""
+        states = []
         for i, twist in enumerate(twists):
-            given = self.joints if targets is None else targets[i]
-            twist = np.broadcast_to(twist, (self.n, 6))
-            seen.append(self.adapter.step(twist, np.broadcast_to(given, (self.n, self.j)), dt))
-        return seen
+            joints = np.broadcast_to(
+                self.joints if targets is None else targets[i], (self.n, self.j)
+            )
+            states.append(self.adapter.step(np.broadcast_to(twist, (self.n, 6)), joints, dt))
+        return states
 
     @property
     def passed(self):

@@ -1,6 +1,4 @@
-"""Test doubles: simulated clocks and a link that records commands; waiting for processes."""
-
-import time as clock
+"""Test doubles: simulated clocks and a link that records commands."""
 
 import numpy as np
 
@@ -8,17 +6,6 @@ from kinfeas.core.errors import Fault
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.rate import Clock
-
-TIMEOUT = 300.0
-"""Seconds that a busy machine may take to start a process and to compile its kernels."""
-
-
-def wait(condition):
-    """Wait until a condition holds; fail after `TIMEOUT`."""
-    end = clock.monotonic() + TIMEOUT
-    while not condition():
-        assert clock.monotonic() < end, "timed out"
-        clock.sleep(0.02)
 
 
 class Time:

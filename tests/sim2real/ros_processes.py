@@ -18,7 +18,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros import ros1
 from kinfeas.sim2real.ros.topics import read_topics
-from tests.sim2real.doubles import TIMEOUT, wait
+from tests.builders import TIMEOUT, wait
 
 
 def _ros1_is_there() -> bool:
@@ -42,7 +42,10 @@ needs_ros1 = pytest.mark.skipif(
 LIMIT = 5.0
 """Seconds within which the base must be commanded to zero on a busy machine."""
 
-_BUSY = {"max_age": 1, "max_period": 1, "max_clock_skew": 1, "max_tracking_delay": 5, "watchdog": 1}
+_BUSY = (
+    "guards.max_age=1", "guards.max_period=1", "guards.max_clock_skew=1",
+    "guards.max_tracking_delay=5", "guards.watchdog=1", "backend.timeout=120",
+)  # fmt: skip
 """Guards of deployments: with the defaults, a busy machine ends them before a test does."""
 
 _COMMAND = "from kinfeas.cli.main import main; main()"
@@ -61,7 +64,7 @@ print("listens", flush=True)
 while True:
     time.sleep(1.0)
 """
-_SEND = """
+SEND = """
 import sys, time
 from kinfeas.sim2real.ros.bus import make_bus
 bus = make_bus(int(sys.argv[1]))
@@ -134,16 +137,10 @@ class Bus:
         self._robot.wait_for("is ready")
         return self._robot
 
-    def send(self) -> Process:
-        """Return a process that sends twists of an EE, as MoveIt Servo takes them."""
-        return self.run(_SEND, str(self.version))
-
     def deploy(self, *arguments: str, command: str = "deploy") -> Process:
-        given = [command, "pretrained", "--robot", "pr2", "--backend", f"ros{self.version}"]
-        settings = [f"guards.{key}={value}" for key, value in _BUSY.items()]
-        settings += ["backend.timeout=120"]
-        sets = [word for one in settings for word in ("--set", one)]
-        return self.run(_COMMAND, *given, *arguments, *sets)
+        words = [command, "pretrained", "--robot", "pr2", "--backend", f"ros{self.version}"]
+        settings = (word for setting in _BUSY for word in ("--set", setting))
+        return self.run(_COMMAND, *words, *arguments, *settings)
 
     def heard(self, mark: str) -> np.ndarray:
         """Return what the listener received: rows of time, x, y and rotation."""
@@ -155,11 +152,9 @@ class Bus:
         """Wait until the base is commanded, and seen, to move for a while after `since`."""
 
         def moves() -> bool:
-            seen = (self.heard(mark) for mark in ("command", "moves"))
-            fast = (
-                rows[(rows[:, 0] > since) & (np.abs(rows[:, 1:]).max(1) > 0.02)] for rows in seen
-            )
-            return all(len(rows) > 15 for rows in fast)
+            both = (self.heard(mark) for mark in ("command", "moves"))
+            fast = ((rows[:, 0] > since) & (np.abs(rows[:, 1:]).max(1) > 0.02) for rows in both)
+            return all(rows.sum() > 15 for rows in fast)
 
         deployment.wait(moves)
 
@@ -176,8 +171,8 @@ class Bus:
         return last_moves() - since
 
     def close(self) -> None:
-        for one in self.started:
-            one.kill()
+        for process in self.started:
+            process.kill()
 
 
 class Ros1(Bus):

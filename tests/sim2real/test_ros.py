@@ -9,8 +9,8 @@ from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
-from tests.sim2real.doubles import wait
-from tests.sim2real.ros_processes import LIMIT, Ros1, Ros2, needs_ros1
+from tests.builders import wait
+from tests.sim2real.ros_processes import LIMIT, SEND, Ros1, Ros2, needs_ros1
 
 pytestmark = pytest.mark.slow
 
@@ -25,8 +25,8 @@ def buses(request, tmp_path_factory):
         return made[-1]
 
     yield living
-    for one in made:
-        one.close()
+    for bus in made:
+        bus.close()
 
 
 @pytest.fixture
@@ -67,24 +67,19 @@ def far(bus, record):
     return deployment
 
 
-def test_the_base_stops_when_the_deployment_is_killed(bus, tmp_path):
-    bus.robot()
-    killed = far(bus, tmp_path / "record.csv").kill()
-    assert bus.seconds_to_zero(killed) <= LIMIT
-    assert bus.seconds_to_zero(killed, "moves", 0.01) <= LIMIT
-    assert len(read_record(tmp_path / "record.csv").time) > 10
-
-
-def test_the_base_stops_when_the_deployment_stalls(bus, tmp_path):
+@pytest.mark.parametrize("stall", [False, True])
+def test_the_base_stops_when_the_deployment_is_killed_or_stalls(bus, tmp_path, stall):
     bus.robot()
     deployment = far(bus, tmp_path / "record.csv")
-    stalled = time.monotonic()
-    deployment.process.send_signal(signal.SIGSTOP)
-    assert bus.seconds_to_zero(stalled) <= LIMIT
-    deployment.process.send_signal(signal.SIGCONT)
-    assert deployment.end() == 3
-    assert bus.seconds_to_zero(stalled) <= LIMIT
-    assert read_record(tmp_path / "record.csv").event[-1]
+    stopped = time.monotonic()
+    deployment.process.send_signal(signal.SIGSTOP if stall else signal.SIGKILL)
+    assert bus.seconds_to_zero(stopped) <= LIMIT
+    assert bus.seconds_to_zero(stopped, "moves", 0.01) <= LIMIT
+    if stall:
+        deployment.process.send_signal(signal.SIGCONT)
+        assert bus.seconds_to_zero(stopped) <= LIMIT
+    assert deployment.end() == (3 if stall else -signal.SIGKILL)
+    assert len(read_record(tmp_path / "record.csv").time) > 10
 
 
 def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path):
@@ -101,7 +96,8 @@ def test_servo_stops_within_0_3_s_after_the_last_twist(bus, tmp_path):
     bus.robot()
     source, record = f"ros{bus.version}", tmp_path / "record.csv"
     words = ("--source", source, "--seconds", "600", "--record", str(record))
-    begin, servo, sender = time.monotonic(), bus.deploy(*words, command="servo"), bus.send()
+    begin, servo = time.monotonic(), bus.deploy(*words, command="servo")
+    sender = bus.run(SEND, str(bus.version))
     bus.wait_for_motion(servo, begin)
     ended = sender.kill()
     assert bus.seconds_to_zero(ended) <= 0.3

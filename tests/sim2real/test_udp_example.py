@@ -7,8 +7,9 @@ import pytest
 
 from kinfeas.core.backend import RealTimeBackend
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.link import BaseReading, Hosted, Orders
-from tests.sim2real.doubles import joints_at, wait
+from kinfeas.sim2real.link import BaseReading, Orders
+from tests.builders import wait
+from tests.sim2real.doubles import joints_at
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "udp_backend.py"
 
@@ -18,12 +19,12 @@ def udp():
     """The example as a module, on ports that are free."""
     module = types.ModuleType("udp")
     exec(compile(EXAMPLE.read_text(), str(EXAMPLE), "exec"), module.__dict__)
-    free = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    for one in free:
-        one.bind(("127.0.0.1", 0))
-    module.OURS, module.ROBOTS = (one.getsockname() for one in free)
-    for one in free:
-        one.close()
+    ports = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    for port in ports:
+        port.bind(("127.0.0.1", 0))
+    module.OURS, module.ROBOTS = (port.getsockname() for port in ports)
+    for port in ports:
+        port.close()
     return module
 
 
@@ -33,12 +34,11 @@ def test_carries_measurements_commands_and_stops(udp):
     theirs, ours = udp.UdpBackend.robot_link(robot), udp.UdpBackend(robot, seconds=0.25)
     assert isinstance(ours, RealTimeBackend)
     assert ours.stop_call() is not None
-    assert isinstance(udp.UdpBackend, Hosted)
     theirs.open(Orders(*(orders[name].append for name in ("drive", "move", "grip"))))
     ours.link.open(ours._inbox.readings())
     ours._opened = True
     base = BaseReading(1.0, 2.0, np.pi / 2, np.array([0.1, 0.0, 0.2]), stamp=5.0)
-    theirs.report(base, joints_at(robot))
+    theirs.report(base, joints_at(robot), None)
     wait(lambda: not any(ours._inbox.missing()))
     state = ours.read()
     np.testing.assert_allclose(state.base_pose[0, :2], [1.0, 2.0])

@@ -11,12 +11,11 @@ from kinfeas.core import registry
 from kinfeas.core.backend import ABILITIES
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.adapter import Adapter
-from kinfeas.sim2real.adapters.latency import CommandLatency
-from kinfeas.sim2real.adapters.noise import BaseNoise
+from kinfeas.sim2real.adapters.noise import BaseNoise, JointNoise
 from tests.builders import random_bases
 
 PHYSICS = "domain_randomisation"
-NAMES = sorted({one.name for one in registry.plugins("kinfeas.adapters")} - {PHYSICS})
+NAMES = sorted({plugin.name for plugin in registry.plugins("kinfeas.adapters")} - {PHYSICS})
 HARSH = read_sim2real("harsh").adapters
 
 NOTHING = {
@@ -27,7 +26,7 @@ NOTHING = {
     "scan_noise": {"deviation": 0, "lost": 0, "seconds": 0},
     "command_latency": {"seconds": 0},
     "sensor_latency": {"seconds": 0},
-    "dropped_commands": {"share": 0},
+    "dropped_commands": {"probability": 0},
     "actuator_lag": {"base": 0, "arm": 0},
     "acceleration_limit": {"linear": 1e9, "angular": 1e9},
     "velocity_clamp": {"linear": 1e9, "angular": 1e9, "joints": 1e9},
@@ -36,11 +35,6 @@ NOTHING = {
     "time_scale": {"factor": 1},
 }
 """Parameters of each adapter with which it does nothing."""
-
-
-def built(name, robot, backend=None, **parameters):
-    given = {"backend": backend or AnalyticBackend(), "robot": robot, **parameters}
-    return registry.build("kinfeas.adapters", name, given)
 
 
 def on_reset(backend, robot, seeds, env_ids=None):
@@ -58,16 +52,17 @@ def configuration(robot, seed):
     return rng.uniform(lower, upper)
 
 
-def go(backend, robot, seeds, steps, dt=0.05, first=0):
-    """Return numbers seen after steps whose commands depend on seed and step alone."""
-    seen = []
-    for step in range(first, first + steps):
-        rngs = [np.random.default_rng((seed, 2, step)) for seed in seeds]
+def go(backend, robot, seeds, steps, firsts=0):
+    """Return measurements after steps whose commands depend on seeds and numbers of steps alone."""
+    measured, firsts = [], np.broadcast_to(firsts, len(seeds))
+    for step in range(steps):
+        numbers = list(zip(seeds, (firsts + step).tolist(), strict=True))
+        rngs = [np.random.default_rng((seed, 2, number)) for seed, number in numbers]
         twist = np.zeros((len(seeds), 6))
         twist[:, [0, 1, 5]] = [rng.normal(scale=0.1, size=3) for rng in rngs]
-        targets = np.stack([configuration(robot, seed + 100 * step) for seed in seeds])
-        seen.append(flat(backend.step(twist, targets, dt)))
-    return np.stack(seen)
+        targets = np.stack([configuration(robot, seed + 100 * number) for seed, number in numbers])
+        measured.append(flat(backend.step(twist, targets, 0.05)))
+    return np.stack(measured)
 
 
 def flat(state):
@@ -77,13 +72,13 @@ def flat(state):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
-    adapter, plain = built(name, pr2, **NOTHING[name]), AnalyticBackend()
-    plain.seed = lambda *_: None
-    first = [flat(on_reset(one, pr2, [3, 4, 5])) for one in (adapter, plain)]
-    found, expected = (go(one, pr2, [3, 4, 5], 6) for one in (adapter, plain))
+    spec = PluginSpec(name, NOTHING[name])
+    adapter, plain = with_adapters(AnalyticBackend(), [spec], pr2), AnalyticBackend()
+    first = [flat(on_reset(world, pr2, [3, 4, 5])) for world in (adapter, plain)]
+    measured, expected = (go(world, pr2, [3, 4, 5], 6) for world in (adapter, plain))
     # Where an EE is measured by itself, it comes after the rest.
     np.testing.assert_array_equal(first[0][:, : first[1].shape[1]], first[1])
-    np.testing.assert_array_equal(found[..., : expected.shape[-1]], expected)
+    np.testing.assert_array_equal(measured[..., : expected.shape[-1]], expected)
 
 
 @pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
@@ -94,20 +89,11 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
     state = flat(on_reset(backend, pr2, [8], env_ids=[1]))
     np.testing.assert_array_equal(state[[0, 2]], before[-1][[0, 2]])
     np.testing.assert_array_equal(state[1], flat(on_reset(alone, pr2, [8]))[0])
-    after = []
-    for step in range(9):
-        # Each row goes on at a step of its own.
-        rngs = [np.random.default_rng((seed, 2, step + more)) for seed, more in ((0, 9), (8, 0))]
-        twist = np.zeros((3, 6))
-        twist[:2, [0, 1, 5]] = [rng.normal(scale=0.1, size=3) for rng in rngs]
-        targets = np.stack(
-            [configuration(pr2, 100 * (step + 9)), configuration(pr2, 8 + 100 * step)] * 2
-        )[:3]
-        after.append(flat(backend.step(twist, targets, 0.05)))
-    np.testing.assert_array_equal(np.stack(after)[:, 1], go(alone, pr2, [8], 9)[:, 0])
+    after = go(backend, pr2, [0, 8, 2], 9, [9, 0, 9])
+    np.testing.assert_array_equal(after[:, 1], go(alone, pr2, [8], 9)[:, 0])
     whole = with_adapters(AnalyticBackend(), adapters, pr2)
     on_reset(whole, pr2, [0])
-    np.testing.assert_array_equal(np.stack(after)[:, 0], go(whole, pr2, [0], 18)[9:, 0])
+    np.testing.assert_array_equal(after[:, 0], go(whole, pr2, [0], 18)[9:, 0])
 
 
 @pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
@@ -118,11 +104,11 @@ def test_continues_from_a_snapshot_to_the_bit(adapters, pr2):
     last = go(backend, pr2, [5, 6], 7)[-1]
     saved = backend.snapshot()
     kept = {name: values.copy() for name, values in saved.items()}
-    expected = go(backend, pr2, [5, 6], 7, first=7)
+    expected = go(backend, pr2, [5, 6], 7, 7)
     for name, values in saved.items():
         np.testing.assert_array_equal(values, kept[name])
     np.testing.assert_array_equal(flat(other.restore(saved)), last)
-    np.testing.assert_array_equal(go(other, pr2, [5, 6], 7, first=7), expected)
+    np.testing.assert_array_equal(go(other, pr2, [5, 6], 7, 7), expected)
 
 
 def test_ranges_are_drawn_for_each_episode(rig):
@@ -139,7 +125,7 @@ def test_ranges_are_drawn_for_each_episode(rig):
 
 @pytest.mark.parametrize(("name", "key", "value"), [
     *(("base_noise", "linear", value) for value in ("much", [1], -1, np.nan, [2, 1])),
-    ("dropped_commands", "share", 1.1),
+    ("dropped_commands", "probability", 1.1),
     ("acceleration_limit", "linear", 0),
     ("velocity_clamp", "joints", 0),
     ("joint_limit_clamp", "margin", 1.0),
@@ -153,25 +139,18 @@ def test_invalid_parameters(pr2, name, key, value):
         with_adapters(AnalyticBackend(), [PluginSpec(name, {key: value})], pr2)
 
 
-def test_an_additional_adapter_does_not_change_the_random_numbers_of_others(rig, drive):
-    twists = drive(5, n=3)
-    alone, within = rig(BaseNoise, n=3), rig(BaseNoise, n=3)
-    around = CommandLatency(within.adapter, within.robot, seconds=0.0)
-    around.seed(np.arange(3, dtype=np.uint64), np.arange(3))
-    around.reset(random_bases(3), within.joints)
-    alone.run(twists)
-    for twist in twists:
-        around.step(twist, within.joints, 0.1)
-    np.testing.assert_array_equal(within.passed, alone.passed)
-
-
-def test_two_adapters_of_a_class_have_independent_random_numbers(rig):
-    once = rig(BaseNoise, n=2000, linear=1.0)
-    twice = BaseNoise(once.adapter, once.robot, linear=1.0)
-    twice.seed(np.arange(2000, dtype=np.uint64), np.arange(2000))
-    twice.reset(random_bases(2000), once.joints)
-    twice.step(np.zeros((2000, 6)), once.joints, 0.1)
-    assert np.std(once.passed[0, :, 0]) == pytest.approx(np.sqrt(2.0), rel=0.06)
+@pytest.mark.parametrize(("outer", "deviation"), [(BaseNoise, np.sqrt(2.0)), (JointNoise, 1.0)])
+def test_random_numbers_differ_within_a_class_and_do_not_depend_on_other_classes(
+    rig, outer, deviation
+):
+    alone, within = (rig(BaseNoise, n=2000, linear=1.0) for _ in "ab")
+    around = outer(within.adapter, within.robot, **({"linear": 1.0} if outer is BaseNoise else {}))
+    around.seed(np.arange(2000, dtype=np.uint64), np.arange(2000))
+    around.reset(random_bases(2000), within.joints)
+    around.step(np.zeros((2000, 6)), within.joints, 0.1)
+    alone.run(np.zeros((1, 6)))
+    assert np.std(within.passed[0, :, 0]) == pytest.approx(deviation, rel=0.06)
+    assert np.array_equal(within.passed, alone.passed) is (outer is JointNoise)
 
 
 def test_adapters_have_the_abilities_of_their_backend(pr2):

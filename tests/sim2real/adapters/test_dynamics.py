@@ -1,3 +1,5 @@
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
@@ -45,10 +47,10 @@ def test_masses_and_gains_change_the_motion_of_their_rows_alone(world):
 def test_friction_changes_in_its_row_alone(world):
     swing(world, [(1.0, 1.0, 1.0), (1.0, 0.5, 1.0)], np.arange(2))
     if world.engine == "PyBullet":
-        bodies = [one.body for one in world.sims[:2]]
+        bodies = [simulation.body for simulation in world.sims[:2]]
         plain, slippery = (
-            [one.physics.client.getDynamicsInfo(one.body, k)[1] for k in sorted(one.links.values())]
-            for one in bodies
+            [b.physics.client.getDynamicsInfo(b.body, k)[1] for k in sorted(b.links.values())]
+            for b in bodies
         )
     else:
         plain, slippery = world.sims.batch.expand("geom_friction")[:2]
@@ -56,30 +58,21 @@ def test_friction_changes_in_its_row_alone(world):
 
 
 def test_each_episode_draws_its_own_dynamics(world):
-    drawn, scale = {}, world.scale_dynamics
     adapter = DomainRandomisation(world, world.robot, mass=(0.5, 2.0), motor_gain=0.9)
-
-    def note(mass, friction, motor_gain, rows):
-        drawn.update(zip(rows.tolist(), zip(mass, friction, motor_gain, strict=True), strict=True))
-        scale(mass, friction, motor_gain, rows)
-
-    world.scale_dynamics = note
+    adapter.dynamics = Mock()
     home = world.robot.home["home"]
-    try:
-        adapter.seed(np.array([7, 8, 7], dtype=np.uint64), np.arange(3))
-        adapter.reset(planar_pose(*np.zeros((3, 3))), np.tile(home, (3, 1)))
-        first = dict(drawn)
-        drawn.clear()
-        adapter.seed(np.array([9], dtype=np.uint64), np.array([1]))
-        adapter.reset(planar_pose(*np.zeros((3, 1))), home[np.newaxis], np.array([1]))
-    finally:
-        del world.scale_dynamics
-    assert first[0] == first[2] != first[1]
-    for mass, *others in first.values():
-        assert 0.5 <= mass <= 2.0
-        assert others == [1.0, 0.9]
-    assert list(drawn) == [1]
-    assert drawn[1] != first[1]
+    for seeds, rows in (([7, 8, 7], None), ([9], np.array([1]))):
+        n = len(seeds)
+        adapter.seed(np.array(seeds, dtype=np.uint64), np.arange(n) if rows is None else rows)
+        adapter.reset(planar_pose(*np.zeros((3, n))), np.tile(home, (n, 1)), rows)
+    first, again = (call.args for call in adapter.dynamics.scale_dynamics.call_args_list)
+    for mass, friction, motor_gain, _ in (first, again):
+        assert np.all((mass >= 0.5) & (mass <= 2.0))
+        assert set(friction) == {1.0}
+        assert set(motor_gain) == {0.9}
+    assert first[0][0] == first[0][2] != first[0][1]
+    assert first[0][1] != again[0][0]
+    assert again[3].tolist() == [1]
 
 
 def test_the_analytic_world_has_no_dynamics():

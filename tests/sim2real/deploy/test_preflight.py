@@ -60,14 +60,7 @@ def test_the_tolerance_is_that_of_a_reached_goal():
 
 @pytest.mark.parametrize(
     ("speed", "time_scale", "factor"),
-    [
-        (None, 1.0, None),
-        (0.2, 1.0, None),
-        (0.1, 0.5, None),
-        (0.15, 1.0, 0.75),
-        (0.09, 1.0, 0.45),
-        (0.05, 0.6, 0.25),
-    ],
+    [(None, 1.0, None), (0.1, 0.5, None), (0.15, 1.0, 0.75), (0.05, 0.6, 0.25)],
 )
 def test_warns_of_a_base_that_is_slower_than_the_ee(speed, time_scale, factor):
     guards, far = Guards(max_linear_velocity=speed), goal(4.0, 0.0, 0.8)
@@ -78,12 +71,10 @@ def test_warns_of_a_base_that_is_slower_than_the_ee(speed, time_scale, factor):
 
 @pytest.mark.parametrize("base", [spatial.IDENTITY, spatial.planar_pose(3.0, 1.0, 2.0)])
 def test_begins_where_the_robot_is_with_its_orientation_as_the_goal(base):
-    solver = IkSolver(load_robot("hsr"))
-    joints = solver.robot.home["home"][np.newaxis]
+    joints = HSR.robot.home["home"][np.newaxis]
     real = None if base is spatial.IDENTITY else RobotState(base[np.newaxis], joints)
-    task = make_goal_task((1.0, 2.0, 0.5), None, MotionSpec())
-    start = begin(task, solver, np.random.default_rng(1), real)
-    ee = spatial.compose(base[np.newaxis], forward(solver.chain, joints))
+    start = begin(goal(1.0, 2.0, 0.5), HSR, np.random.default_rng(1), real)
+    ee = spatial.compose(base[np.newaxis], forward(HSR.chain, joints))
     np.testing.assert_array_equal(start.base_pose, [base])
     np.testing.assert_array_equal(start.joint_positions, joints)
     np.testing.assert_allclose(start.target_poses[0, 0], [1.0, 2.0, 0.5, *ee[0, 3:]], atol=1e-12)
@@ -91,38 +82,23 @@ def test_begins_where_the_robot_is_with_its_orientation_as_the_goal(base):
 
 def test_an_orientation_is_given_by_angles_or_a_quaternion():
     half = np.sqrt(0.5)
-    for turn in ((0.0, 0.0, np.pi / 2.0), (0.0, 0.0, half, half)):
-        task = make_goal_task((0.0, 0.0, 1.0), turn, MotionSpec())
-        np.testing.assert_allclose(task.orientation, [0.0, 0.0, half, half], atol=1e-12)
-
-
-@pytest.mark.parametrize(("position", "turn"), [
-    ((np.nan, 0.0, 0.0), None),
-    ((0.0, 0.0, 0.0), (np.inf, 0.0, 0.0)),
-    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)),
-])  # fmt: skip
-def test_invalid_goals_are_errors(position, turn):
-    with pytest.raises(KinfeasError, match="goal"):
-        make_goal_task(position, turn, MotionSpec())
+    for angles in ((0.0, 0.0, np.pi / 2.0), (0.0, 0.0, half, half)):
+        orientation = goal(0.0, 0.0, 1.0, rpy=angles).orientation
+        np.testing.assert_allclose(orientation, [0.0, 0.0, half, half], atol=1e-12)
+    for x, angles in ((np.nan, None), (0.0, (np.inf, 0.0, 0.0)), (0.0, (0.0, 0.0, 0.0, 0.0))):
+        with pytest.raises(KinfeasError, match="goal"):
+            goal(x, 0.0, 0.0, rpy=angles)
 
 
 @pytest.mark.parametrize(("task", "known"), [("ggr_obstacles", 0), ("shelf", 15), ("door", 0)])
 def test_only_furniture_and_given_solids_are_known_around_a_real_robot(task, known):
-    robot = load_robot("hsr")
-    real = RobotState(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
-    drawn = load_task(task, {}), IkSolver(robot), np.random.default_rng(0)
+    real = RobotState(spatial.IDENTITY[np.newaxis], HSR.robot.home["home"][np.newaxis])
+    drawn = load_task(task, {}), HSR, np.random.default_rng(0)
     start = begin(*drawn, real)
     assert (0 if start.solids is None else int(start.solids.filled.sum())) == known
     box = Solids.from_table(np.array([[2.0, 0, 0, 0.2, 0.2, 0, 1, 0, 0, 0, 0]]))
     for measured in (None, real):
         assert begin(*drawn, measured, box).solids.table.tolist() == box.table.tolist()
-
-
-@pytest.fixture
-def rate(time):
-    started = Rate(0.02, time.clock)
-    assert started.wait() == 0.0
-    return started
 
 
 def test_late_awakenings_do_not_add_up(time):
@@ -144,14 +120,17 @@ def test_late_awakenings_do_not_add_up(time):
 @pytest.mark.parametrize(
     ("late", "periods"), [(0.025, [0.025, 0.015, 0.02]), (0.09, [0.09, 0.01, 0.02])]
 )
-def test_a_late_period_is_counted_and_shifts_no_deadline(rate, time, late, periods):
+def test_a_late_period_is_counted_and_shifts_no_deadline(time, late, periods):
+    rate = Rate(0.02, time.clock)
+    assert rate.wait() == 0.0
     time.passes(late)
     np.testing.assert_allclose([rate.wait() for _ in range(3)], periods, atol=1e-9)
     assert rate.timing().misses == 1
 
 
-def test_work_is_prepared_shortly_before_the_end_of_a_period(rate, time):
-    begun = []
+def test_work_is_prepared_shortly_before_the_end_of_a_period(time):
+    rate, begun = Rate(0.02, time.clock), []
+    rate.wait()
 
     def prepare():
         begun.append(time.monotonic - 1000.0)

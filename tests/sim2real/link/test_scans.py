@@ -25,17 +25,15 @@ def draw(seed, places=8):
     """Return solids and the base pose among them, as (x, y, yaw) too."""
     rng, solids = np.random.default_rng(seed), Solids.empty(1, places)
     base = (*rng.uniform(-3.0, 3.0, 2), rng.uniform(-np.pi, np.pi))
-    way, angle = rng.uniform(1.0, 4.0, places), rng.uniform(-np.pi, np.pi, places)
-    solids.pose[0, :, 0], solids.pose[0, :, 1] = (
-        base[0] + way * np.cos(angle),
-        base[1] + way * np.sin(angle),
-    )
+    distance, angle = rng.uniform(1.0, 4.0, places), rng.uniform(-np.pi, np.pi, places)
+    solids.pose[0, :, 0] = base[0] + distance * np.cos(angle)
+    solids.pose[0, :, 1] = base[1] + distance * np.sin(angle)
     solids.pose[0, :, 2] = rng.uniform(-np.pi, np.pi, places)
     solids.cylinder[0] = rng.random(places) < 0.5
     solids.size[0, :, :2] = rng.uniform(0.1, 0.5, (places, 2))
     solids.size[0, :, 1] = np.where(solids.cylinder[0], *solids.size[0, :, :2].T)
     solids.size[0, :, 3] = 1.0
-    return solids, planar_pose(*np.array([[one] for one in base])), base
+    return solids, planar_pose(*np.array([[value] for value in base])), base
 
 
 def grown(solids, by):
@@ -44,20 +42,18 @@ def grown(solids, by):
     return replace(solids, size=size)
 
 
-def seen(solids, pose, beams=SCAN_BEAMS, longest=SCAN_RANGE):
+def scanned(solids, pose, beams=SCAN_BEAMS, longest=SCAN_RANGE):
     return scan(solids, pose, SCAN_BANDS[:1], beams, longest)[0, 0]
 
 
-def laser(solids, pose, mount=(0.0, 0.0, 0.0), share=slice(None), **changes):
-    ranges = seen(solids, compose(pose, planar_pose(*np.array(mount)[:, np.newaxis])), RAYS, 8.0)
-    ranges = np.where(ranges < 8.0, ranges, np.inf)[share]
-    first = -np.pi + 2.0 * np.pi / RAYS * (share.start or 0)
-    given = {"range_min": 0.02, "range_max": 8.0, "mount": mount, **changes}
-    return LaserReading(ranges, first, 2.0 * np.pi / RAYS, **given)
+def laser(solids, pose, mount):
+    ranges = scanned(solids, compose(pose, planar_pose(*np.array(mount)[:, np.newaxis])), RAYS, 8.0)
+    ranges = np.where(ranges < 8.0, ranges, np.inf)
+    return LaserReading(ranges, -np.pi, 2.0 * np.pi / RAYS, 0.02, 8.0, mount)
 
 
 def sector_minima(solids, pose):
-    fine = seen(solids, pose, RAYS)
+    fine = scanned(solids, pose, RAYS)
     each = RAYS // SCAN_BEAMS
     return np.roll(fine, each // 2).reshape(SCAN_BEAMS, each).min(axis=1)
 
@@ -74,7 +70,7 @@ def test_a_laser_at_the_base_measures_the_nearest_point_of_each_sector(seed):
     yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi)
     ranges = laser_ranges(laser(solids, pose, (0.0, 0.0, yaw)))
     assert np.all(ranges >= nearest_around(solids, pose))
-    assert np.all(ranges <= seen(grown(solids, -MARGIN), pose) + MARGIN)
+    assert np.all(ranges <= scanned(grown(solids, -MARGIN), pose) + MARGIN)
     assert np.mean(np.abs(ranges - sector_minima(solids, pose)) < MARGIN) > 0.9
 
 
@@ -86,7 +82,7 @@ def test_a_laser_beside_the_base_finds_surfaces_at_their_place(seed):
     ranges = laser_ranges(laser(solids, pose, mount))
     assert np.all(ranges >= nearest_around(solids, pose))
     # Beams that end at the solid nearest to the laser have no other one before them.
-    expected = seen(solids, pose)
+    expected = scanned(solids, pose)
     assert ranges[np.argmin(expected)] <= expected.min() + 0.1
 
 
@@ -94,12 +90,12 @@ def test_readings_without_return_and_sectors_without_rays():
     ranges = np.array([np.nan, np.inf, 9.0, 0.01, 1.0, -np.inf, np.inf, np.inf])
     angles = {"angle_min": -4 * SECTOR, "angle_increment": SECTOR}
     limits = {"range_min": 0.1, "range_max": 8.0}
-    found = laser_ranges(LaserReading(ranges, **angles, **limits))
+    nearest = laser_ranges(LaserReading(ranges, **angles, **limits))
     middle = SCAN_BEAMS // 2
     np.testing.assert_allclose(
-        found[middle - 4 : middle + 4], [*[SCAN_RANGE] * 4, 1.0, 0.1, SCAN_RANGE, SCAN_RANGE]
+        nearest[middle - 4 : middle + 4], [*[SCAN_RANGE] * 4, 1.0, 0.1, SCAN_RANGE, SCAN_RANGE]
     )
-    assert np.isnan(np.delete(found, range(middle - 4, middle + 4))).all()
+    assert np.isnan(np.delete(nearest, range(middle - 4, middle + 4))).all()
     for dead in (np.nan, 0.0):
         assert np.isnan(laser_ranges(LaserReading(np.full(8, dead), **angles, **limits))).all()
     assert not np.isnan(laser_ranges(LaserReading(np.full(8, np.inf), **angles))[middle])
@@ -110,23 +106,18 @@ def test_a_costmap_has_the_ranges_of_its_solids_to_within_a_cell(seed):
     solids, pose, base = draw(seed)
     rng = np.random.default_rng(seed)
     turn, edge = rng.uniform(-np.pi, np.pi), 8.0
-    cosine, sine = np.cos(turn), np.sin(turn)
-    corner = -0.5 * edge + rng.uniform(-0.5, 0.5, 2)
-    origin = (
-        base[0] + cosine * corner[0] - sine * corner[1],
-        base[1] + sine * corner[0] + cosine * corner[1],
-        turn,
-    )
-    u, v = np.meshgrid(*[(np.arange(round(edge / CELL)) + 0.5) * CELL] * 2)
-    points = np.stack(
-        [origin[0] + cosine * u - sine * v, origin[1] + sine * u + cosine * v, 0.1 + 0.0 * u], -1
-    )
-    occupied = solids.gaps(points.reshape(1, -1, 3))[0].min(axis=2).reshape(u.shape) <= 0.0
-    costmap = CostmapReading(np.where(occupied, 100, 0).astype(np.int8), CELL, origin)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    origin = np.array(base[:2]) + rotation @ (-0.5 * edge + rng.uniform(-0.5, 0.5, 2))
+    cells = np.stack(np.meshgrid(*[(np.arange(round(edge / CELL)) + 0.5) * CELL] * 2), -1)
+    points = np.full((*cells.shape[:2], 3), 0.1)
+    points[..., :2] = origin + cells @ rotation.T
+    occupied = solids.gaps(points.reshape(1, -1, 3))[0].min(axis=2).reshape(cells.shape[:2]) <= 0.0
+    values = np.where(occupied, 100, 0).astype(np.int8)
+    costmap = CostmapReading(values, CELL, (*origin.tolist(), turn))
     ranges = costmap_ranges(costmap, base)
     corner_gap, step = CELL / np.sqrt(2.0), CELL / 2.0
-    assert np.all(ranges >= seen(grown(solids, corner_gap), pose) - 1e-9)
-    longest = seen(grown(solids, -corner_gap - step), pose) + step
+    assert np.all(ranges >= scanned(grown(solids, corner_gap), pose) - 1e-9)
+    longest = scanned(grown(solids, -corner_gap - step), pose) + step
     assert np.all(ranges <= np.minimum(longest, SCAN_RANGE) + 1e-9)
 
 

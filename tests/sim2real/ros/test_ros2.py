@@ -10,14 +10,14 @@ from kinfeas.core import registry, spatial
 from kinfeas.core.backend import SCAN_BEAMS
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.link import BaseReading, Hosted, JointReading, Orders, Readings
+from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings
 from kinfeas.sim2real.link.scans import LaserReading, costmap_ranges, laser_ranges
 from kinfeas.sim2real.ros import bus as ros_bus
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import stop_base
-from kinfeas.sim2real.ros.ros2 import Ros2Bus, ros2_message_classes
+from kinfeas.sim2real.ros.ros2 import MESSAGES, Ros2Bus
 from kinfeas.sim2real.ros.topics import read_topics
-from tests.sim2real.doubles import wait
+from tests.builders import wait
 from tests.sim2real.ros_processes import own_domain
 
 TOPICS = """
@@ -64,83 +64,65 @@ def _into(handed, name):
     return lambda value: handed.setdefault(name, []).append(value)
 
 
-def test_commands_arrive(ends):
-    ours, _, _, ordered = ends
+def test_commands_and_measurements_arrive(ends):
+    ours, theirs, measured, ordered = ends
     wait(lambda: ours.waits_for() is None)
-    wait(lambda: ours._publishers["/gripper/joint_trajectory"].listeners())
-    ours.check()
     arm = [joint.name for joint in load_robot("tiago").arm]
     positions = dict(zip(arm, np.linspace(0.1, 0.8, 8).tolist(), strict=True))
+    base = BaseReading(1.5, -2.0, 0.75, np.array([0.1, 0.0, -0.2]), 1e9 + 0.5)
+    joints = JointReading({"torso_lift_joint": 0.25, "arm_1_joint": 1.5}, {"arm_1_joint": 0.5})
+    ranges = np.full((2, SCAN_BEAMS), [[1.0], [2.0]])
 
     def arrived():  # what is sent before the readers know the writers is lost
+        ours.check()
         ours.drive(np.array([0.1, -0.2, 0.3]))
         ours.move(positions, 0.25)
         ours.grip("close")
-        joints = {name for way in ordered.get("move", []) for name in way.joints}
-        return joints == positions.keys() and {"drive", "grip"} <= ordered.keys()
+        theirs.report(base, joints, ranges)
+        theirs.check()
+        time.sleep(0.02)
+        moved = {name for path in ordered.get("move", []) for name in path.joints}
+        scans = {type(reading) for reading in measured.get("scan", [])}
+        commands = moved == positions.keys() and {"drive", "grip"} <= ordered.keys()
+        return (
+            commands and scans == ours.scan_sources.keys() and {"base", "joints"} <= measured.keys()
+        )
 
     wait(arrived)
     np.testing.assert_array_equal(ordered["drive"][-1], [0.1, -0.2, 0.3])
     assert set(ordered["grip"]) == {"close"}
     moved = {}
-    for way in ordered["move"]:
-        np.testing.assert_array_equal(way.times, [0.25])
-        moved |= dict(zip(way.joints, way.positions[0].tolist(), strict=True))
+    for path in ordered["move"]:
+        np.testing.assert_array_equal(path.times, [0.25])
+        moved |= dict(zip(path.joints, path.positions[0].tolist(), strict=True))
     assert moved == positions
-
-
-def test_measurements_arrive(ends):
-    ours, theirs, measured, _ = ends
-    base = BaseReading(1.5, -2.0, 0.75, np.array([0.1, 0.0, -0.2]), 1e9 + 0.5)
-    joints = JointReading({"torso_lift_joint": 0.25, "arm_1_joint": 1.5}, {"arm_1_joint": 0.5})
-
-    def arrived():
-        theirs.report(base, joints)
-        theirs.check()
-        time.sleep(0.02)
-        return {"base", "joints"} <= measured.keys()
-
-    wait(arrived)
-    place, seen = measured["base"][-1], measured["joints"][-1]
-    np.testing.assert_allclose([place.x, place.y, place.yaw], [1.5, -2.0, 0.75], atol=1e-12)
-    assert place.stamp == base.stamp
+    pose, reading = measured["base"][-1], measured["joints"][-1]
+    np.testing.assert_allclose([pose.x, pose.y, pose.yaw], [1.5, -2.0, 0.75], atol=1e-12)
+    assert pose.stamp == base.stamp
     if not ours.base_source.startswith("/tf"):
-        np.testing.assert_array_equal(place.velocity, base.velocity)
-    assert dict(seen.positions) == dict(joints.positions)
-    assert dict(seen.velocities) == {"torso_lift_joint": 0.0, "arm_1_joint": 0.5}
-
-
-def test_scans_arrive_in_the_world_of_the_base(ends):
-    ours, theirs, measured, _ = ends
-    base = BaseReading(1.5, -2.0, 0.75, stamp=1e9 + 0.5)
-    ranges = np.full((2, SCAN_BEAMS), [[1.0], [2.0]])
-
-    def arrived():
-        theirs.report(base, JointReading({}))
-        theirs.report_scan(base, ranges)
-        ours.check()
-        time.sleep(0.02)
-        return {type(one) for one in measured.get("scan", [])} == ours.scan_sources.keys()
-
-    wait(arrived)
-    for one in measured["scan"]:
-        assert one.stamp == base.stamp
-        if isinstance(one, LaserReading):
-            np.testing.assert_allclose(laser_ranges(one), 1.0)
+        np.testing.assert_array_equal(pose.velocity, base.velocity)
+    assert dict(reading.positions) == dict(joints.positions)
+    assert dict(reading.velocities) == {"torso_lift_joint": 0.0, "arm_1_joint": 0.5}
+    for scan in measured["scan"]:
+        assert scan.stamp == base.stamp
+        if isinstance(scan, LaserReading):
+            np.testing.assert_allclose(laser_ranges(scan), 1.0)
         else:
-            found = costmap_ranges(one, (base.x, base.y, base.yaw))
-            np.testing.assert_allclose(found, 2.0, atol=0.05)
+            costmap = costmap_ranges(scan, (base.x, base.y, base.yaw))
+            np.testing.assert_allclose(costmap, 2.0, atol=0.05)
+    # The call of the watchdog stops the base.
+    stop = stop_base(2, "/cmd_vel", stamped=ours._topics.base.stamped)
+    ours.close()
+    wait(lambda: stop() or not np.any(ordered["drive"][-1]))
 
 
 def test_late_subscribers_get_static_transforms():
-    from kinfeas.sim2real.ros import ros2 as messages
-
     sender, late, heard = Ros2Bus(), Ros2Bus(), []
     sender.open("early")
-    edge = messages.TransformStamped(messages.Header(frame_id="map"), "odom")
-    sender.publisher("/tf_static", messages.TFMessage).publish(messages.TFMessage([edge]))
+    edge = MESSAGES.TransformStamped(MESSAGES.Header(frame_id="map"), "odom")
+    sender.publisher("/tf_static", MESSAGES.TFMessage).publish(MESSAGES.TFMessage([edge]))
     late.open("late")
-    late.subscribe("/tf_static", messages.TFMessage, heard.append, every=True)
+    late.subscribe("/tf_static", MESSAGES.TFMessage, heard.append, every=True)
     wait(lambda: heard)
     assert heard[0].transforms[0].child_frame_id == "odom"
     np.testing.assert_array_equal(heard[0].transforms[0].transform.rotation.w, spatial.IDENTITY[6])
@@ -168,19 +150,10 @@ def test_messages_are_handled_in_a_thread_of_the_bus_that_outlives_errors(caplog
     assert not {"sender", "receiver"} & {thread.name for thread in threading.enumerate()}
 
 
-def test_the_call_of_the_watchdog_stops_the_base(ends):
-    ours, _, _, ordered = ends
-    wait(lambda: ours.waits_for() is None)
-    wait(lambda: ours.drive(np.array([0.1, 0.0, 0.0])) or ordered.get("drive"))
-    stop = stop_base(2, "/cmd_vel", stamped=ours._topics.base.stamped)
-    ours.close()
-    wait(lambda: stop() or not np.any(ordered["drive"][-1]))
-
-
 @pytest.fixture
 def bus():
     """A bus that keeps its messages, with one subscriber."""
-    made = Mock(messages=ros2_message_classes())
+    made = Mock(messages=MESSAGES)
     made.publisher.return_value.listeners.return_value = 1
     return made
 
@@ -221,7 +194,6 @@ def test_a_robot_that_is_not_there_is_an_error():
     robot = load_robot("hsr")
     backend = registry.build("kinfeas.backends", "ros2", {"robot": robot, "timeout": 0.2})
     assert backend.stop_call() is not None
-    assert isinstance(type(backend), Hosted)
     with pytest.raises(KinfeasError, match=backend.topics.base.odometry):
         backend.reset(None, None)
     backend.close()

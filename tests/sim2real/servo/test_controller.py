@@ -34,7 +34,7 @@ def begin(solver, **rules):
     )  # fmt: skip
     start = ServoTask(controller).sample(solver, np.random.default_rng(0))
     arrays = (start.base_pose, start.joint_positions, start.target_poses)
-    loop.start(Start(*(one[np.newaxis] for one in arrays)), [np.random.default_rng(0)])
+    loop.start(Start(*(array[np.newaxis] for array in arrays)), [np.random.default_rng(0)])
     return controller, clock, loop
 
 
@@ -71,8 +71,8 @@ def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee(solver):
         controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], frame=frame)
         step(clock, loop)
     forward = spatial.rotation(ee).as_matrix()[:, 0]
-    way = loop.desired[0, :3] - ee[:3]
-    np.testing.assert_allclose(way / np.linalg.norm(way), forward, atol=1e-6)
+    displacement = loop.desired[0, :3] - ee[:3]
+    np.testing.assert_allclose(displacement / np.linalg.norm(displacement), forward, atol=1e-6)
     above = spatial.IDENTITY + np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
     aim = spatial.compose(loop.desired[0], above)
     for _ in range(2):
@@ -88,6 +88,7 @@ def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee(solver):
 MALFORMED = [
     None, "up", [], [1.0], [[1.0] * 6] * 2, {"x": 1}, object(), [1.0] * 8, ["a"] * 6, 10**400,
     [math.nan] * 6, [math.inf] * 7, [0.0] * 7, [1e300] * 7, np.zeros((0, 7)),
+    [0.0] * 6 + [5.0], [spatial.IDENTITY] * 65,
 ]  # fmt: skip
 
 
@@ -98,17 +99,17 @@ def test_malformed_messages_from_many_threads_have_no_effect(solver):
     def send():
         for value in MALFORMED:
             controller.set_twist(value)
-            controller.set_target(value, stamp=math.nan)
+            controller.set_target(value, frame=solver.robot.base.frame)
             controller.set_target(spatial.IDENTITY, frame="nowhere")
             controller.set_target(spatial.IDENTITY, stamp="soon")
-            controller.set_chunk(value, [0.0, 1.0])
+            controller.set_chunk(value, np.arange(65) / 65.0)
             controller.set_chunk([spatial.IDENTITY] * 2, value)
 
     threads = [threading.Thread(target=send) for _ in range(2)]
-    for one in threads:
-        one.start()
-    for one in threads:
-        one.join()
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
     for _ in range(5):
         step(clock, loop)
     np.testing.assert_array_equal(loop.desired, begun)
@@ -117,32 +118,22 @@ def test_malformed_messages_from_many_threads_have_no_effect(solver):
     assert controller.counts["frame"] == 2 * len(MALFORMED)
 
 
-def test_chunks_without_poses_or_with_too_many_and_long_quaternions_are_invalid(solver):
-    controller, clock, loop = begin(solver)
-    controller.set_chunk(np.zeros((0, 7)), [])
-    controller.set_chunk([loop.desired[0]] * 65, np.arange(65) / 65.0)
-    for frame in ("world", solver.robot.base.frame):
-        controller.set_target(5.0 * spatial.IDENTITY, frame=frame)
-    step(clock, loop)
-    assert controller.counts["invalid"] == 4
-
-
 def test_time_scaling_waits_at_the_end_of_the_reach(solver):
     """An arm that is led out of its reach, while the base may not move, stops without a failure."""
     controller, clock, loop = begin(solver)
     scales = []
     for _ in range(400):
         controller.set_twist([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
-        found = step(clock, loop)
-        assert found.feasible[0]
-        assert not found.joint_jump[0]
-        scales.append(found.time_scale[0])
+        outcome = step(clock, loop)
+        assert outcome.feasible[0]
+        assert not outcome.joint_jump[0]
+        scales.append(outcome.time_scale[0])
     assert scales[0] == 1.0
     assert scales[-1] == 0.0
     controller.set_twist([0.0, 0.0, -0.2, 0.0, 0.0, 0.0])
     for _ in range(4):
-        found = step(clock, loop)
-    assert found.time_scale[0] == 1.0
+        outcome = step(clock, loop)
+    assert outcome.time_scale[0] == 1.0
 
 
 UP = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
@@ -168,21 +159,14 @@ def test_messages_are_counted_by_the_reason_why_they_are_ignored(solver):
     assert sum(counts.values()) == 1009
 
 
-def test_messages_that_are_ignored_for_long_are_reported_until_they_are_accepted(solver, caplog):
+def test_messages_that_are_ignored_for_long_are_reported_once(solver, caplog):
     controller, clock, loop = begin(solver)
     for count, behind in ((10, 0.0), (200, 0.3), (10, 0.0)):
         for _ in range(count):
             controller.set_twist(UP, stamp=clock.monotonic - behind)
             step(clock, loop)
-    assert controller.longest_ignored == pytest.approx(200 * DT, abs=2 * DT)
-    ignored, accepted = (record.getMessage() for record in caplog.records)
-    assert "late" in ignored
-    assert "accepted again" in accepted
-
-
-def test_a_failure_ends_the_run(solver):
-    controller, clock, loop = begin(solver)
-    step(clock, loop)
+    (record,) = caplog.records
+    assert "late" in record.getMessage()
     controller.fail("the tracker is gone")
     with pytest.raises(Fault, match="the tracker is gone"):
         step(clock, loop)
