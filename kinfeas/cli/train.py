@@ -89,7 +89,7 @@ def training_progress(folder: Path) -> Iterator["OnTraining"]:
 
     try:
         with progress() as on_progress:
-            yield lambda now: on_progress(describe(now), now.share)
+            yield lambda now: on_progress(describe(now), now.fraction)
     except KeyboardInterrupt:
         resume = shlex.join(["kinfeas", "train", "--resume", str(folder)])
         begun = (folder / SETTINGS).is_file()
