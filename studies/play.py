@@ -45,12 +45,13 @@ def first_picture(browser: Browser, out: Path) -> tuple[float, float]:
 
 def frame_rates(browser: Browser, out: Path, seconds: float = 10.0) -> tuple[float, float]:
     """Return frames per second, of the robot and of the browser, while the target is dragged."""
-    from kinfeas.viz.live import Choice
+    from kinfeas.viz.choice import Choice
     from kinfeas.viz.play import PlayPage
     from kinfeas.viz.server import serving
 
     with serving("kinfeas play") as server:
         page = PlayPage(server, Choice("pr2"), out.parent)
+        page.start()
         thread = threading.Thread(target=page.run, args=(seconds + 30.0,), daemon=True)
         thread.start()
         browser.call("Page.navigate", url=f"http://127.0.0.1:{server.get_port()}")

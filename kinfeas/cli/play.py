@@ -29,12 +29,12 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas play --robot pr2 --backend mujoco
     """
     require("viser", "fcl")
+    from kinfeas.viz.choice import Choice
     from kinfeas.viz.server import serving
 
     with serving("kinfeas play", host, port) as server:
         typer.echo(server.url)  # browsers load while the rest is imported
         from kinfeas.api.load import filter_names, robot_of
-        from kinfeas.viz.live import Choice
         from kinfeas.viz.play import play as run
 
         names = filter_names(filters)

@@ -1,6 +1,6 @@
 """A simulated robot that follows live targets step by step, for pages and programs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,43 +13,15 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, stacked
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim2real.deploy.config import ServoConfig
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.tasks.task import MotionSpec, build_subgoals
-
-DT = 0.02
-"""Control period, seconds."""
-
-NONE = "none"
-"""Choice of no second policy and of no scene."""
+from kinfeas.viz.choice import DT, Choice
 
 _NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
 _UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What the page shows.
-
-    Attributes:
-        robot: Robot by name or path.
-        policy: Policy by name or path.
-        second_policy: Policy of a second robot with the same target, or `none`.
-        generator: Motion generator; `servo` follows the handle, others start at its release.
-        filters: Names of the command filters, in order.
-        backend: Backend by name.
-        scene: Scene by name or path, or `none`.
-    """
-
-    robot: str
-    policy: str = "pretrained"
-    second_policy: str = NONE
-    generator: str = "servo"
-    filters: tuple[str, ...] = ("time_scaling",)
-    backend: str = "analytic"
-    scene: str = "room"
 
 
 class Episode:
@@ -60,6 +32,8 @@ class Episode:
         backend: World of the robot.
         controller: Takes the targets; its clock is the simulated time.
         feasible: Whether IK found the last desired pose.
+        deviation: Distance of the EE from it, metres.
+        joint_speeds: Joint speeds of the last step as shares of their limits, shape (j,).
     """
 
     def __init__(self, choice: Choice, policy: str, robot: Robot, scene: Scene | None) -> None:
@@ -118,7 +92,8 @@ class Episode:
         start: Start = stacked([self._task.sample(self._solver, rng)])
         self.loop.start(start, [rng])
         self._goal = self.ee_pose
-        self.feasible = True
+        self.feasible, self.deviation = True, 0.0
+        self.joint_speeds = np.zeros(len(self._solver.robot.arm))
 
     def step(self, target: Array, *, held: bool = False) -> None:
         """Advance by `DT` toward a target (7,); other generators than `servo` wait while `held`."""
@@ -128,11 +103,15 @@ class Episode:
         metres, radians = spatial.distance(self.loop.desired[0], self._goal)
         if metres > _NEAR[0] or radians > _NEAR[1]:  # otherwise the base comes to rest
             self.controller.set_target(self._goal)
+        before = self.joint_positions.copy()
         outcome = self.loop.step()
         if begins:
             self.loop.sequence.begin_again(np.zeros(1, dtype=np.intp))
         self._steps += 1
-        self.feasible = bool(outcome.feasible[0])
+        self.feasible, self.deviation = bool(outcome.feasible[0]), float(outcome.deviation[0])
+        robot = self._solver.robot
+        way = np.abs(joint_displacement(robot, before, self.joint_positions))
+        self.joint_speeds = way / DT / robot.max_joint_velocity
 
     def close(self) -> None:
         """End the simulation."""

@@ -7,12 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from kinfeas.control.execution import tool_pose
 from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
@@ -21,17 +20,22 @@ from kinfeas.io.files import writing
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
-from kinfeas.viz.live import DT, NONE, Choice, Episode
+from kinfeas.viz.choice import DT, NONE, Choice
 from kinfeas.viz.pages import DrawnRobot, draw_floor, draw_scene, place, rgb
 from kinfeas.viz.shapes import corners, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
 
+if TYPE_CHECKING:
+    from kinfeas.viz.live import Episode
+
 _STEPS_PER_FRAME = 2
-_FRAMES_PER_REPORT = 6
-_TRAIL = 500  # frames that paths show
+_FRAMES_PER_PLOT = 6
+_TRAIL = 500  # frames that paths and plots show
 _SECOND = "#e3d5c0", GOAL  # colours of the second robot
 _BESIDE = np.array([0.0, 1.6, 0.0])  # m, where the second robot is drawn
 _HELP = "**Drag the arrows and rings at the gripper**: base and arm follow."
+_NO_PLOTS = "<style>@media (max-width: 36em) {.uplot-container {display: none}}</style>"
+"""Hides plots where the controls lie below the picture, as on phones."""
 _LOW = 0.5  # m, height of the parts that make the footprint of a base
 
 
@@ -65,7 +69,7 @@ class _Shown:
     """A robot in the page with its paths and footprint, all below the node `root`."""
 
     def __init__(
-        self, server: Any, name: str, robot: Robot, policy: str, episode: Episode, second: bool
+        self, server: Any, name: str, robot: Robot, policy: str, episode: "Episode", second: bool
     ) -> None:
         colours = _SECOND if second else (BODY, ARM)
         self._episode, self._failures, self._name = episode, 0, f"{robot.name}, {policy}"
@@ -85,6 +89,9 @@ class _Shown:
             rgb(colours[1] if second else BASE), thickness=3.0, thickness_units="screen",
         )  # fmt: skip
         server.scene.add_label(f"{name}/footprint/label", self._name)
+        self.times: deque[float] = deque(maxlen=_TRAIL)
+        self.deviations: deque[float] = deque(maxlen=_TRAIL)
+        self.speeds: deque[Array] = deque(maxlen=_TRAIL)
         self._failed = False
 
     def note(self) -> None:
@@ -111,6 +118,9 @@ class _Shown:
         self._desired.add(episode.loop.desired[0], failed=self._failed)
         self._ee.add(episode.ee_pose)
         self._failed = False
+        self.times.append(episode.seconds)
+        self.deviations.append(1e3 * episode.deviation)
+        self.speeds.append(1e2 * episode.joint_speeds)
 
     def draw_paths(self) -> None:
         """Show the paths up to now."""
@@ -128,15 +138,15 @@ class PlayPage:
     """
 
     def __init__(self, server: Any, choice: Choice, folder: Path) -> None:
-        """Draw robot and scene of a choice; demonstrations are written to `folder`.
+        """Draw robot and scene of a choice; `start` adds what moves them.
 
-        Raises:
-            KinfeasError: If a part of the choice cannot be built.
+        Demonstrations are written to `folder`.
         """
         self.server, self.choice, self._folder = server, choice, folder
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._episodes: list[Episode] = []
         self._shown: list[_Shown] = []
+        self._plots: list[Any] = []
         self._samples: list[tuple[float, Array, Array]] | None = None
         self._recording = False
         self._held, self._paused, self.frames = False, False, 0
@@ -148,6 +158,8 @@ class PlayPage:
         server.on_client_connect(_make_room)
         self._robot = load_robot(choice.robot)
         self._scene = self._draw_scene(choice.scene)
+        self._first = DrawnRobot(server, "/first", self._robot)
+        self._first.move(spatial.IDENTITY, self._robot.home["home"])
         self.handle = server.scene.add_transform_controls("/target", scale=0.35, depth_test=False)
         self.handle.visible = False
 
@@ -156,12 +168,16 @@ class PlayPage:
             self._held = event.phase != "end"
 
         self._add_controls()
-        self._build(choice)
 
     @property
     def target(self) -> Array:
         """World pose of the handle, shape (7,)."""
         return np.concatenate([self.handle.position, np.roll(self.handle.wxyz, -1)])
+
+    def start(self) -> None:
+        """Build the episodes of the choice; raise KinfeasError if that is impossible."""
+        self._build(self.choice)
+        self._first.remove()
 
     def run(self, seconds: float = np.inf) -> None:
         """Run in real time; slower where the computer is too slow."""
@@ -187,8 +203,8 @@ class PlayPage:
         with self.server.atomic():
             for drawn in self._shown:
                 drawn.draw(target)
-            if self.frames % _FRAMES_PER_REPORT == 0:
-                self._report()
+            if self.frames % _FRAMES_PER_PLOT == 0:
+                self._draw_plots()
         self.frames += 1
 
     def close(self) -> None:
@@ -238,6 +254,8 @@ class PlayPage:
         return Demonstration(time, ee, base, np.repeat(ee[-1:], len(ee), axis=0))
 
     def _sample(self) -> None:
+        from kinfeas.control.execution import tool_pose
+
         if self._recording and self._samples is not None:
             episode = self._episodes[0]
             tool = spatial.compose(episode.ee_pose, tool_pose(self._robot))
@@ -245,6 +263,7 @@ class PlayPage:
 
     def _add_controls(self) -> None:
         gui, choice = self.server.gui, self.choice
+        gui.add_html(_NO_PLOTS)
         gui.add_markdown(_HELP)
         self._status, self._message = gui.add_markdown("Loading."), gui.add_markdown("")
         pause = gui.add_button("Pause")
@@ -292,6 +311,8 @@ class PlayPage:
 
     def _build(self, choice: Choice) -> None:
         """Save the recording and replace the episodes; keep all if new ones cannot be built."""
+        from kinfeas.viz.live import Episode  # after the first picture
+
         if self._episodes and choice == self.choice:
             return
         fresh: list[Episode] = []
@@ -338,7 +359,7 @@ class PlayPage:
         self.handle.visible = True
         for drawn in self._shown:
             drawn.draw(pose)
-        self._report()
+        self._add_plots()
 
     def _arrange(self) -> None:
         for drawn in self._shown[1:]:
@@ -350,9 +371,36 @@ class PlayPage:
         floor = draw_floor(self.server, size, 0.5)
         return [floor] if scene is None else [floor, *draw_scene(self.server, scene)]
 
-    def _report(self) -> None:
+    def _add_plots(self) -> None:
+        for plot in self._plots:
+            plot.remove()
+        policies = (self.choice.policy, self.choice.second_policy)
+        deviations = zip(policies, (EE, GOAL), self._shown, strict=False)
+        joints = [(joint.name, ARM) for joint in self._robot.arm]
+        self._plots = [
+            self._add_plot("Deviation, mm", [(name, colour) for name, colour, _ in deviations]),
+            self._add_plot("Joint speeds, % of limits", joints),
+        ]
+        self._draw_plots()
+
+    def _add_plot(self, title: str, lines: list[tuple[str, str]]) -> Any:
+        hue = len(lines) if len(lines) > 2 else 0
+        series = [
+            {"label": name, "stroke": f"hsl({360 * n // hue}, 60%, 45%)" if hue else colour}
+            for n, (name, colour) in enumerate(lines)
+        ]
+        return self.server.gui.add_uplot(
+            (np.zeros(1), *np.zeros((len(lines), 1))), ({}, *series), title=title, aspect=2.0,
+            scales={"x": {"time": False}}, legend={"show": not hue}, padding=(12, 8, 0, 0),
+        )  # fmt: skip
+
+    def _draw_plots(self) -> None:
+        first = self._shown[0]
         for drawn in self._shown:
             drawn.draw_paths()
+        times = np.array(first.times)
+        self._plots[0].data = (times, *(np.array(drawn.deviations) for drawn in self._shown))
+        self._plots[1].data = (times, *np.ascontiguousarray(np.array(first.speeds).T))
         status = "\n\n".join(drawn.report() for drawn in self._shown)
         if status != self._status.content:
             self._status.content = status
@@ -384,6 +432,7 @@ def play(server: Any, choice: Choice, folder: Path) -> None:
     """Fill a page and run it until Ctrl-C; raise KinfeasError if its choice cannot be built."""
     page = PlayPage(server, choice, folder)
     try:
+        page.start()
         page.run()
     finally:
         page.close()

@@ -12,7 +12,7 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance
 from kinfeas.io.demonstrations import read_demonstration
-from kinfeas.viz.live import Choice
+from kinfeas.viz.choice import Choice
 
 pytest.importorskip("viser")
 
@@ -115,6 +115,7 @@ def make_page(server, tmp_path):
     def make(**changes):
         choice = Choice("pr2", **{"scene": "none", **changes})
         pages.append(PlayPage(server, choice, tmp_path / "demonstrations"))
+        pages[-1].start()
         return pages[-1]
 
     yield make

@@ -11,7 +11,8 @@ from kinfeas.core import spatial
 from kinfeas.io.lerobot import BASE, EE, TWIST
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
-from kinfeas.viz.live import DT, NONE, Choice, Episode
+from kinfeas.viz.choice import DT, NONE, Choice
+from kinfeas.viz.live import Episode
 
 
 @RobotConfig.register_subclass("kinfeas")
