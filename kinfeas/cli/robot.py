@@ -49,7 +49,8 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas robot import fetch.urdf --out robots/fetch --picture fetch.png
     """
     from kinfeas.core.errors import check_name
-    from kinfeas.importer.draft import draft_robot, warnings
+    from kinfeas.importer.draft import draft_robot
+    from kinfeas.importer.text import warnings
     from kinfeas.io.files import write_file, writing
 
     called = out.resolve().name if name is None else name
@@ -75,7 +76,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     summary = _summary(draft)
     write_json(summary, json)
     print_facts(f"robot {called}", summary)
-    for warning in warnings(draft.guesses, draft.free):
+    for warning in (*draft.guesses.doubts, *warnings(draft.spec, draft.guesses, draft.free)):
         typer.echo(f"warning: {warning}", err=True)
     quoted = shlex.quote(str(out if os.sep in str(out) else Path(out)))
     typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
@@ -103,6 +104,8 @@ def _summary(draft: "Draft") -> dict[str, object]:
     return {
         **to_mapping(draft.spec),
         "free_of_self_collision": draft.free,
+        "overloaded": dict(guesses.overloads),
+        "overloaded_at_home": list(guesses.overloaded_at_home),
         "heights_m": draft.heights.at.tolist(),
         "reachable": draft.heights.fraction.tolist(),
         "root_above_floor_m": guesses.lifted,

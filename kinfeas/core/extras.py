@@ -17,6 +17,7 @@ EXTRAS = {
     "qp": ("pinocchio", "pink", "qpsolvers", "daqp"),
     "ray": ("ray",),
     "sweep": ("optuna",),
+    "wandb": ("wandb",),
     "lerobot": ("pyarrow",),
 }
 """Names under which the packages of each extra are imported."""

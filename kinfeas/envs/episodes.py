@@ -5,8 +5,9 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 
@@ -25,6 +26,9 @@ of ended episodes cost time until the last one ends; no result depends on these 
 
 COLLISION_GAP = 0.5
 """Seconds without contact after which the next contact with a body is another collision."""
+
+_ROUND = 2
+"""Episodes of a process in a round of an evaluation with a time limit."""
 
 Watch = Callable[[World, Transition, Rows, Rows], None]
 """Called after each step with the world, the transition, the live rows and their episodes."""
@@ -91,13 +95,42 @@ def evaluate_episodes(
     rounds = math.ceil(len(episodes) / (processes * _BATCHES * _batch(world)))
     world.close()
     size = math.ceil(len(episodes) / (processes * rounds))
-    ranges = [episodes[at : at + size] for at in range(0, len(episodes), size)]
+    shares = [episodes[at : at + size] for at in range(0, len(episodes), size)]
     parts = []
-    with worker_pool(min(processes, len(ranges))) as pool:
-        for part in pool.map(partial(_run_part, build, policy), ranges):
+    with worker_pool(min(processes, len(shares))) as pool:
+        for part in pool.map(partial(_run_part, build, policy), shares):
             parts.append(part)
             if on_done is not None:
                 on_done(len(part.reached))
+    return join(parts)
+
+
+def evaluate_within(  # noqa: PLR0913, PLR0917 - an evaluation and its limits
+    seconds: float,
+    pool: Executor,
+    processes: int,
+    build: Callable[[], World],
+    policy: Policy,
+    episodes: range,
+    on_done: OnDone | None = None,
+) -> EpisodeRecords:
+    """Return the records of the first episodes of a range, as many as fit into `seconds`.
+
+    They run in rounds of a few episodes in each process of the pool; the first round always does.
+    """
+    end, parts, at, size = time.monotonic() + seconds, list[EpisodeRecords](), 0, _ROUND * processes
+    while at < len(episodes):
+        begun = time.monotonic()
+        shares = [
+            episodes[i : i + _ROUND] for i in range(at, min(at + size, len(episodes)), _ROUND)
+        ]
+        for part in pool.map(partial(_run_part, build, policy), shares):
+            parts.append(part)
+            if on_done is not None:
+                on_done(len(part.reached))
+        at, now = at + size, time.monotonic()
+        if now + (now - begun) > end:
+            break
     return join(parts)
 
 
@@ -173,6 +206,8 @@ def _batch(world: World) -> int:
 
 
 class _Tally:
+    """Sums over the steps of each episode."""
+
     def __init__(self, world: World, first: int, episodes: int) -> None:
         self.world, self.first, self.last = world, first, len(world.task.subgoals) - 1
         self.reached = np.zeros(episodes, dtype=np.bool_)

@@ -86,6 +86,20 @@ def _on_hand(urdf: Urdf, hand: str) -> list[Joint]:
     ]
 
 
+def ends_of_arms(urdf: Urdf, source: str) -> frozenset[str]:
+    """Return the links whose shapes decide where the hands of several arms are; none for one arm.
+
+    Errors as of `find_arm`, which needs the shapes.
+    """
+    hands = _hands(urdf, source)
+    if len(set(hands.values())) == 1:
+        return frozenset()
+    lasts = [urdf.joints[name] for name in hands]
+    return frozenset[str]().union(
+        *(urdf.below(last.name) | urdf.rigid[last.parent] for last in lasts)
+    )
+
+
 def _find_hand(urdf: Urdf, source: str) -> str:
     hands = list(dict.fromkeys(_hands(urdf, source).values()))
     if len(hands) > 1:
@@ -213,6 +227,7 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
 def _finger_positions(
     urdf: Urdf, arm: Arm, fingers: tuple[Joint, ...]
 ) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the positions of the joints that move the fingers, closed and open."""
     if not fingers:
         return {}, {}
     leaders = list({urdf.followed(finger)[0].name: None for finger in fingers})
@@ -237,6 +252,7 @@ def _finger_positions(
 def _gripper(
     urdf: Urdf, arm: Arm, closed: dict[str, float], opened: dict[str, float]
 ) -> Gripper | str:
+    """Return the gripper, or why there is none."""
     names = [finger.name for finger in arm.fingers]
     if len(names) != 2:
         more = [finger.name for finger in _on_hand(urdf, arm.hand) if finger.name not in names]
@@ -267,6 +283,7 @@ def _gripper(
 
 
 def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> Array:
+    """Return the mean position of a finger's shapes, or its own, in the hand's frame, (3,)."""
     shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, poses)
     if not shapes:
         return relative(poses[finger.child], poses[arm.hand])[:3]
@@ -293,6 +310,7 @@ def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:
 
 
 def _farthest(shapes: list[Shape], wrist: Array) -> Array:
+    """Return the middle of the shape that is farthest from the wrist, shape (3,)."""
     return max(
         (shape.pose[:3] for shape in shapes),
         key=lambda middle: np.linalg.norm(middle - wrist),
@@ -301,6 +319,7 @@ def _farthest(shapes: list[Shape], wrist: Array) -> Array:
 
 
 def _closing(urdf: Urdf, arm: Arm, x: Array) -> Array:
+    """Return the direction in which a single jaw closes, shape (3,); 0 without a jaw."""
     for jaw in arm.fingers:
         poses = urdf.link_poses({})
         axis = rotation(relative(poses[jaw.child], poses[arm.hand])).apply(jaw.axis)
@@ -309,6 +328,7 @@ def _closing(urdf: Urdf, arm: Arm, x: Array) -> Array:
 
 
 def _nearest_axis(direction: Array) -> Array:
+    """Return the signed axis of the frame that is nearest to a direction, shape (3,)."""
     axis = np.zeros(3)
     largest = int(np.argmax(np.abs(direction)))
     axis[largest] = 1.0 if direction[largest] >= 0.0 else -1.0

@@ -1,6 +1,6 @@
 """URDFs of primitives: links and joints of a vendor's URDF with its meshes replaced."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,9 +34,6 @@ MAX_MESH_BYTES = 200_000_000
 MAX_SHAPES = 32
 """Shapes of a link; more are replaced by primitives around all of them."""
 
-MOST_LINKS = 2000
-"""Links of a robot at most: all pairs of them are checked for contact."""
-
 _DIGITS = 4  # decimals of lengths and angles
 _THINNEST = 10.0**-_DIGITS  # m
 MARGIN = 5e-4  # m, by which primitives are too large on each side; more than rounding takes away
@@ -61,6 +58,7 @@ def boxed_urdf(
     base: str | None = None,
     on_link: Callable[[str], None] | None = None,
     robot: Element | None = None,
+    fitted: Collection[str] | None = None,
     originals: dict[str, list[Part]] | None = None,
 ) -> str:
     """Return the text of a URDF without meshes; its visual and collision shapes are the same.
@@ -74,9 +72,10 @@ def boxed_urdf(
             behind joints that move bare frames on the floor, as simulators add.
         on_link: Called with the name of each link that is done.
         robot: Content in place of that of the file.
+        fitted: Links that get shapes; all by default.
         originals: Receives the parts of links that primitives replace, in the links' frames.
     """
-    robot = read_description(path) if robot is None else robot
+    robot = read_robot_element(path) if robot is None else robot
     urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
     kept = carried(urdf, _first_body(urdf, links) if base is None else base, str(path))
@@ -85,7 +84,9 @@ def boxed_urdf(
     for name in filter(kept.__contains__, links):
         link = Element(links[name].xml, f"{path}: link {name!r}")
         kind = "collision" if urdf.rigid[name] & colliding else "visual"
-        parts = list(_parts(link, kind, path.absolute().parent))
+        parts = []
+        if fitted is None or name in fitted:
+            parts = list(_parts(link, kind, path.absolute().parent))
         shapes = [shape for _, primitives in parts for shape in primitives]
         if originals is not None and (
             len(shapes) > MAX_SHAPES or not all(isinstance(part, Shape) for part, _ in parts)
@@ -111,34 +112,11 @@ def _text(robot: Any) -> str:
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def read_description(
-    path: Path, *, meshes: bool = True, mesh_paths: Mapping[str, str] | None = None
-) -> Element:
-    """Return the element <robot> of a URDF, without its meshes unless `meshes`.
-
-    `mesh_paths` has beginnings of mesh addresses, and their replacements.
-    """
+def read_robot_element(path: Path) -> Element:
+    """Return the element <robot> of a URDF."""
     robot = read_robot_xml(path)
     if any("xacro}" in element.tag for element in robot.xml.iter()):
         raise robot.error("this is xacro; convert it first: xacro FILE > FILE.urdf")
-    links = robot.xml.findall("link")
-    if len(links) > MOST_LINKS:
-        raise KinfeasError(f"{path}: {len(links)} links; at most {MOST_LINKS} are supported")
-    unused = set(mesh_paths or {})
-    for link in links:
-        for shape in [*link.findall("visual"), *link.findall("collision")]:
-            mesh = shape.find("geometry/mesh")
-            if mesh is None:
-                continue
-            address = mesh.get("filename", "")
-            for old, new in (mesh_paths or {}).items():
-                if address.startswith(old):
-                    unused.discard(old)
-                    mesh.set("filename", new + address.removeprefix(old))
-            if not meshes:
-                link.remove(shape)
-    if unused:
-        raise KinfeasError(f"{path}: no address of a mesh begins with {min(unused)!r}")
     return robot
 
 
@@ -168,6 +146,7 @@ def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
 
 
 def _parts(link: Element, tag: str, folder: Path) -> Iterable[tuple[Part, list[Shape]]]:
+    """Yield each part of a link and the primitives that replace it."""
     for element in link.children(tag):
         if own := read_shapes(element):
             for shape in own:
@@ -301,6 +280,7 @@ def _cut(triangles: Array, whole: Shape, cuts: int) -> list[Shape]:
 
 
 def _halves(triangles: Array, whole: Shape, axis: int) -> list[Array]:
+    """Return the mesh on either side of its middle plane across an axis of `whole`."""
     from trimesh.intersections import slice_faces_plane
 
     normal = rotation(whole.pose).as_matrix()[:, axis]
@@ -315,6 +295,7 @@ def _halves(triangles: Array, whole: Shape, axis: int) -> list[Array]:
 
 
 def _smallest(points: Array) -> Shape:
+    """Return the smallest box, cylinder or sphere around `points`, shape (n, 3)."""
     from trimesh.bounds import oriented_bounds
 
     corners = _hull(points)
@@ -328,6 +309,7 @@ def _smallest(points: Array) -> Shape:
 
 
 def _around(corners: Array, kind: ShapeKind, pose: Array) -> Shape:
+    """Return the primitive at `pose` that encloses `corners`, with the margin."""
     inner = np.abs(rotation(pose).inv().apply(corners - pose[:3]))
     x, y, z = (inner.max(axis=0) + MARGIN).tolist()
     size: tuple[float, ...] = (2.0 * x, 2.0 * y, 2.0 * z)

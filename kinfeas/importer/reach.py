@@ -7,6 +7,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
@@ -14,6 +15,7 @@ from kinfeas.core.extras import require
 from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, rotation
 from kinfeas.importer.boxed import Part
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
+from kinfeas.kinematics.gravity import build_gravity_model, overloaded
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
@@ -30,6 +32,12 @@ OFTEN, ALWAYS = 1.0 / 3.0, 0.95
 
 _NEAR = 2
 """Revolute joints between near neighbours at most: primitives around their meshes overlap."""
+
+LOAD = 0.7
+"""Largest gravity torque as a fraction of the effort limit; motors also accelerate the arm."""
+
+_HELD = 0.02
+"""Fraction of configurations that can be held below which effort limits are placeholders."""
 
 RELEVANT = 0.01
 """Fraction of configurations from which on a false contact matters."""
@@ -122,6 +130,7 @@ def _allowed(robot: Robot, first: str, second: str) -> float:
 
 
 def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
+    """Return whether prismatic joints have parallel axes, as the parts of a telescope have."""
     poses = urdf.link_poses({})
     along = [rotation(poses[joint.child]).apply(joint.axis) for joint in slides]
     return all(abs(float(along[0] @ axis)) > _PARALLEL for axis in along)
@@ -176,6 +185,7 @@ def only_fitted(
 
 
 def _touch(first: tuple[Any, Array], second: tuple[Any, Array], i: int) -> bool:
+    """Return whether two solids for FCL touch at their poses number `i`."""
     import fcl
 
     for solid, poses in (first, second):
@@ -184,6 +194,7 @@ def _touch(first: tuple[Any, Array], second: tuple[Any, Array], i: int) -> bool:
 
 
 def _solid(part: Part) -> tuple[Any, Array]:
+    """Return a part for FCL and its pose in the frame of its link, shape (7,)."""
     import fcl
 
     if isinstance(part, Shape):
@@ -207,16 +218,52 @@ def free_fraction(robot: Robot) -> float:
     return float(1.0 - self_collides(build_collision_model(robot), sampled(robot)).mean())
 
 
+def overload_fractions(robot: Robot) -> dict[str, float]:
+    """Return the joints whose effort limit gravity exceeds in some configurations.
+
+    The values are the fractions of configurations, 0-1.
+    """
+    fractions = _overloaded(robot, sampled(robot)).mean(axis=0).tolist()
+    return {
+        joint.name: fraction
+        for joint, fraction in zip(robot.arm, fractions, strict=True)
+        if fraction
+    }
+
+
+def overloads_at(robot: Robot, joints: Array) -> tuple[str, ...]:
+    """Return the joints whose effort limit gravity exceeds in a configuration (j,)."""
+    beyond = _overloaded(robot, joints)
+    return tuple(joint.name for joint, over in zip(robot.arm, beyond, strict=True) if over)
+
+
+def _overloaded(robot: Robot, joints: Array) -> NDArray[np.bool_]:
+    return overloaded(build_gravity_model(replace(robot, max_gravity_load=1.0)), joints)
+
+
+def limited(robot: Robot) -> Robot:
+    """Return the robot with a `max_gravity_load`, unless it can hold hardly any configuration."""
+    held = replace(robot, max_gravity_load=LOAD)
+    return held if _admissible(held, sampled(held)).mean() >= _HELD else robot
+
+
+def _admissible(robot: Robot, joints: Array) -> NDArray[np.bool_]:
+    """Return which configurations (n, j) are free of self-collision and can be held, shape (n,)."""
+    beyond = overloaded(build_gravity_model(robot), joints).any(axis=1)
+    return ~(self_collides(build_collision_model(robot), joints) | beyond)
+
+
 def comfortable(robot: Robot) -> Array:
     """Return the configuration with the highest dexterity, shape (j,).
 
-    The candidates are free of self-collision, with the hand in front of the base at medium height.
+    The candidates are free of self-collision and can be held, with the hand in front of the base at
+    medium height.
     Dexterity is the least singular value of the Jacobian, without those that are always zero, less
     near joint limits (Yoshikawa 1985; Tsai 1986).
     """
     lower, upper = robot.finite_joint_limits
     joints = np.clip(spread_configurations(robot, _CONFIGURATIONS).round(2), lower, upper)
-    free = joints[~self_collides(build_collision_model(robot), joints)]
+    free = joints[_admissible(robot, joints)]
     if not len(free):
         raise KinfeasError(f"{robot.name}: self-collision in all of {len(joints)} configurations")
     ee = forward(build_chain(robot), free)[:, :3]

@@ -7,33 +7,26 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.numpy import load_file, save_file
+from safetensors.torch import load_file, save_file
 
 from kinfeas.io.files import reading
 from kinfeas.training.fast_sac import FastSAC, Replay
 from kinfeas.training.run import loading, read_state, write_state
 
 _TENSORS = "state.safetensors"
+_MOTION = "world.motion."  # prefix of the states of motions
+_UNSIGNED = ".unsigned"  # suffix of unsigned numbers stored as signed
 
-Arrays = dict[str, NDArray[Any]]
+Tensors = dict[str, torch.Tensor]
 
 
 def save_learner(
     folder: Path, learner: FastSAC, world: Mapping[str, NDArray[Any]], state: dict[str, Any]
 ) -> None:
     """Write a learner, a snapshot of its environments and the entries of `state` into a folder."""
+    tensors = _tensors(learner, world)
+    save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
     buffer = _buffer(learner)
-    tensors = {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
-    tensors["random"] = torch.get_rng_state()
-    if (entropy := _learned_entropy(learner)) is not None:
-        tensors["log_ent_coef"] = entropy
-    for name, optimizer in _optimizers(learner).items():
-        for index, slots in optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
-    arrays: Arrays = {f"world.{key}": values for key, values in world.items()}
-    arrays |= {key: values.numpy() for key, values in tensors.items()}
-    arrays["buffer"] = buffer.rows[: buffer.size()]
-    save_file({key: np.array(a, order="C") for key, a in arrays.items()}, folder / _TENSORS)
     about = {
         "updates": learner._n_updates,
         "buffer": {"position": buffer.pos, "full": buffer.full},
@@ -42,30 +35,86 @@ def save_learner(
     write_state(folder, about)
 
 
-def load_learner(folder: Path, learner: FastSAC) -> Arrays:
+def load_learner(
+    folder: Path, learner: FastSAC, world: Mapping[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
     """Restore a fresh learner from a checkpoint and return the snapshot of the environments.
 
-    The random state of torch, from which learners draw, is restored as well.
+    The random state of torch, from which learners draw, is restored as well. `world` is a fresh
+    snapshot, which the saved one must resemble.
     """
     about = read_state(folder)
     with loading(folder):
         with reading(folder / _TENSORS):
-            arrays = load_file(folder / _TENSORS)
+            tensors = load_file(folder / _TENSORS)
         buffer = _buffer(learner)
         buffer.pos, buffer.full = int(about["buffer"]["position"]), bool(about["buffer"]["full"])
-        buffer.rows[: buffer.size()] = arrays["buffer"]
-        learner.policy.load_state_dict(_tensors("policy.", arrays))
+        if not 0 <= buffer.pos < buffer.buffer_size:
+            raise ValueError(f"the position of its replay buffer is {buffer.pos}")
+        _check_layout(tensors, _tensors(learner, world) | _optimizer_slots(learner, tensors))
+        learner.policy.load_state_dict(_below("policy.", tensors))
         if (entropy := _learned_entropy(learner)) is not None:
-            entropy.copy_(torch.from_numpy(arrays["log_ent_coef"]))
+            entropy.copy_(tensors["log_ent_coef"])
         for name, optimizer in _optimizers(learner).items():
-            state: dict[int, dict[str, torch.Tensor]] = {}
-            for key, values in _tensors(f"optimizer.{name}.", arrays).items():
-                index, slot = key.split(".")
-                state.setdefault(int(index), {})[slot] = values
-            optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+            _load_optimizer(optimizer, _below(f"optimizer.{name}.", tensors))
+        buffer.rows[: buffer.size()] = tensors["buffer"].numpy()
         learner._n_updates = int(about["updates"])
-        torch.set_rng_state(torch.from_numpy(arrays["random"]))
-        return _below("world.", arrays)
+        torch.set_rng_state(tensors["random"])
+        return _world_arrays(tensors)
+
+
+def _tensors(learner: FastSAC, world: Mapping[str, NDArray[Any]]) -> Tensors:
+    """Return the tensors of a checkpoint."""
+    tensors = _world_tensors(world) | {"random": torch.get_rng_state()}
+    tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
+    if (entropy := _learned_entropy(learner)) is not None:
+        tensors["log_ent_coef"] = entropy
+    for name, optimizer in _optimizers(learner).items():
+        for index, slots in optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
+    buffer = _buffer(learner)
+    tensors["buffer"] = torch.from_numpy(buffer.rows[: buffer.size()])
+    return tensors
+
+
+def _check_layout(tensors: Tensors, expected: Tensors) -> None:
+    """Raise ValueError unless names, types and shapes agree.
+
+    Motions that have not begun have no state yet, and delay buffers grow along axis 1.
+    """
+    rows = {len(expected[key]) for key in ("world.steps",) if key in expected}
+    for key in sorted(tensors.keys() | expected.keys()):
+        values, like = tensors.get(key), expected.get(key)
+        if like is None and values is not None and key.startswith(_MOTION):
+            if {*values.shape[:1]} == rows:
+                continue
+        elif values is not None and like is not None and values.dtype == like.dtype:
+            shape = list(values.shape)
+            if key.startswith("world.") and like.shape[1:2] == (1,) and len(shape) > 1:
+                shape[1] = 1
+            if shape == list(like.shape):
+                continue
+        raise ValueError(f"{key} is missing, unknown or of another type or shape")
+
+
+def _optimizer_slots(learner: FastSAC, tensors: Tensors) -> Tensors:
+    """Return the state of Adam like that in `tensors`; what has not learned has none."""
+    slots: Tensors = {}
+    for name, optimizer in _optimizers(learner).items():
+        prefix = f"optimizer.{name}."
+        if _below(prefix, tensors):
+            for index, values in enumerate(optimizer.param_groups[0]["params"]):
+                likes = {"step": torch.zeros(()), "exp_avg": values, "exp_avg_sq": values}
+                slots |= {f"{prefix}{index}.{slot}": like for slot, like in likes.items()}
+    return slots
+
+
+def _load_optimizer(optimizer: torch.optim.Optimizer, tensors: Tensors) -> None:
+    state: dict[int, Tensors] = {}
+    for key, values in tensors.items():
+        index, slot = key.split(".")
+        state.setdefault(int(index), {})[slot] = values
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 
 
 def _learned_entropy(learner: FastSAC) -> torch.Tensor | None:
@@ -87,9 +136,25 @@ def _buffer(learner: FastSAC) -> Replay:
     return learner.replay_buffer
 
 
-def _below(prefix: str, arrays: Arrays) -> Arrays:
-    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+def _below(prefix: str, tensors: Tensors) -> Tensors:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
 
 
-def _tensors(prefix: str, arrays: Arrays) -> dict[str, torch.Tensor]:
-    return {key: torch.from_numpy(values) for key, values in _below(prefix, arrays).items()}
+def _world_tensors(world: Mapping[str, NDArray[Any]]) -> Tensors:
+    """Return the snapshot with unsigned numbers viewed as signed: torch saves no others."""
+    tensors = {}
+    for key, values in world.items():
+        unsigned = values.dtype == np.uint64
+        viewed = values.view(np.int64) if unsigned else values
+        # A copy, since several entries may share memory.
+        tensors[f"world.{key}{_UNSIGNED if unsigned else ''}"] = torch.from_numpy(np.array(viewed))
+    return tensors
+
+
+def _world_arrays(tensors: Tensors) -> dict[str, NDArray[Any]]:
+    world = {}
+    for key, tensor in _below("world.", tensors).items():
+        unsigned = key.endswith(_UNSIGNED)
+        values = tensor.numpy()
+        world[key.removesuffix(_UNSIGNED)] = values.view(np.uint64) if unsigned else values
+    return world

@@ -65,11 +65,14 @@ class ScheduleConfig:
 
     Attributes:
         steps: Environment steps in all; null for no limit.
-        minutes: Wall-clock time of training without evaluations; null for no limit. At least one of
-            the two is set, and the run ends at whichever comes first.
+        minutes: Wall-clock time of training; null for no limit. With physics it includes start and
+            evaluations, in the analytic world it does not. At least one of the two is set, and the
+            run ends at whichever comes first.
         evaluations: Number of evaluations, spread evenly over the run; the last one ends it.
-        evaluation_episodes: Episodes of each evaluation.
-        final_episodes: Fresh episodes on which the best policy is evaluated at the end.
+        evaluation_episodes: Episodes of each evaluation. With physics and `minutes`, evaluations
+            have fewer episodes, or are left out, where they would take more than a quarter of it.
+        final_episodes: Fresh episodes on which the best policy is evaluated at the end; fewer, as
+            above.
         checkpoint_seconds: Time between checkpoints to resume from.
     """
 
@@ -104,6 +107,7 @@ class TrainConfig:
         world: Control period, limits of an episode, adapters, reward and IK.
         evaluation_adapters: Adapters of the evaluations, which select and measure the best policy,
             in place of those of `world`, which may be there for exploration only.
+        trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` is an extra.
         init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
             `learner.net_arch`; terms that it lacks have no effect at first.
         learner: Hyperparameters.
@@ -120,6 +124,7 @@ class TrainConfig:
     observation: tuple[str, ...] = OBSERVATION
     world: WorldConfig = field(default_factory=WorldConfig)
     evaluation_adapters: tuple[PluginSpec, ...] = ()
+    trackers: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

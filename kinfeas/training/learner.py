@@ -150,4 +150,5 @@ def take_network(
 
 
 def _layers(learner: SAC) -> list[nn.Linear]:
+    """Return the layers that lead to the deterministic action, in order."""
     return [*linear_layers(learner.actor.latent_pi), *linear_layers(learner.actor.mu)]

@@ -1,14 +1,16 @@
-"""Logs of a training run: `metrics.csv` and TensorBoard."""
+"""Logs of a training run: `metrics.csv`, and trackers such as TensorBoard."""
 
 import csv
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from kinfeas import __version__, config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 from kinfeas.io.files import reading, writing
 from kinfeas.training.config import TrainConfig
 
@@ -29,14 +31,81 @@ COLUMNS = (
 """Columns of `metrics.csv`, in order."""
 
 
+class Tracker(Protocol):
+    """Shows figures of a run; made of its folder, its settings and the steps it resumes from."""
+
+    def log(self, figures: Mapping[str, float], steps: int) -> None:
+        """Add figures by name."""
+
+    def close(self) -> None:
+        """End the run."""
+
+
+class TensorBoard:
+    """Event files in `tensorboard` in the folder of the run."""
+
+    def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._folder = out / "tensorboard"
+        with writing(self._folder):
+            self._board = SummaryWriter(str(self._folder), purge_step=steps + 1, flush_secs=10)
+            for name, value in _about(settings).items():
+                self._board.add_text(name, value, steps)
+
+    def log(self, figures: Mapping[str, float], steps: int) -> None:
+        """Add figures by name."""
+        with writing(self._folder):  # its thread passes on its errors
+            for key, value in figures.items():
+                self._board.add_scalar(key, value, steps)
+
+    def close(self) -> None:
+        """End the run."""
+        with writing(self._folder):
+            self._board.close()
+
+
+class Wandb:
+    """A run of Weights & Biases; its environment variables apply, such as WANDB_MODE."""
+
+    def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
+        import wandb
+
+        self._run = wandb.init(
+            project="kinfeas",
+            name=str(out),
+            id=_identity(out),
+            resume="allow",
+            dir=out,
+            config={**config.to_mapping(settings), "version": __version__},
+        )
+
+    def log(self, figures: Mapping[str, float], steps: int) -> None:
+        """Add figures by name."""
+        self._run.log(dict(figures), step=steps)
+
+    def close(self) -> None:
+        """End the run."""
+        self._run.finish()
+
+
+TRACKERS: dict[str, Callable[[Path, TrainConfig, int], Tracker]] = {
+    "tensorboard": TensorBoard,
+    "wandb": Wandb,
+}
+
+
+def check_trackers(settings: TrainConfig) -> None:
+    """Check that the libraries of a run's trackers are installed."""
+    require(*settings.trackers)
+
+
 class Logs:
     """The logs of a run, open for writing; a context manager."""
 
     def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
         """Open them in the folder of a run that resumes from `steps`; later rows are dropped."""
-        from torch.utils.tensorboard import SummaryWriter
-
-        self.path, self._folder = out / "metrics.csv", out / "tensorboard"
+        self.path = out / "metrics.csv"
         with writing(self.path):
             rows = _rows_up_to(steps, self.path)
             # Replaced rather than overwritten, so that a kill here loses nothing.
@@ -48,11 +117,7 @@ class Logs:
             fresh.replace(self.path)
             self._file = self.path.open("a", newline="", encoding="utf-8")
         self._table = _table(self._file)
-        recipe = strict_yaml.to_text(config.to_mapping(settings))
-        with writing(self._folder):
-            self._board = SummaryWriter(str(self._folder), purge_step=steps + 1, flush_secs=10)
-            for name, text in {"version": __version__, "recipe": recipe}.items():
-                self._board.add_text(name, text, steps)
+        self.trackers = [TRACKERS[name](out, settings, steps) for name in settings.trackers]
 
     def __enter__(self) -> "Logs":
         return self
@@ -60,21 +125,30 @@ class Logs:
     def __exit__(self, *_: object) -> None:
         with suppress(OSError):  # a full disk; `write` has raised for it
             self._file.close()
-        with writing(self._folder):
-            self._board.close()
+        for tracker in self.trackers:
+            tracker.close()
 
     def write(self, row: dict[str, float]) -> None:
-        """Write one row of metrics."""
+        """Write one row of figures."""
         with writing(self.path):
             self._table.writerow(row)
             self._file.flush()
         self.track({key: row[key] for key in row if key != "steps"}, int(row["steps"]))
 
-    def track(self, metrics: Mapping[str, float], steps: int) -> None:
-        """Add metrics to TensorBoard alone."""
-        with writing(self._folder):  # its thread passes on its errors
-            for key, value in metrics.items():
-                self._board.add_scalar(key, value, steps)
+    def track(self, figures: Mapping[str, float], steps: int) -> None:
+        """Show figures that are not in `metrics.csv`."""
+        for tracker in self.trackers:
+            tracker.log(figures, steps)
+
+
+def _about(settings: TrainConfig) -> dict[str, str]:
+    """Return the version and the recipe of a run as texts."""
+    return {"version": __version__, "recipe": strict_yaml.to_text(config.to_mapping(settings))}
+
+
+def _identity(out: Path) -> str:
+    """Return a name of the run in a folder, the same when it resumes."""
+    return f"{out.name}-{hashlib.sha256(str(out.absolute()).encode()).hexdigest()[:10]}"
 
 
 def _table(file: Any) -> "csv.DictWriter[str]":

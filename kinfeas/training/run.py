@@ -1,11 +1,12 @@
 """A run's folder, settings and progress, read without torch."""
 
 import json
+import math
 import shlex
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Annotated, Any
@@ -19,7 +20,8 @@ from kinfeas import config as configuration
 from kinfeas.config import Settings
 from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import find_folder, read_json, writing
+from kinfeas.io.files import find_folder, read_file, writing
+from kinfeas.io.files import MAX_JSON_BYTES
 from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policies
 from kinfeas.policies.network import Network, read_network
@@ -28,6 +30,9 @@ from kinfeas.training.config import TrainConfig
 
 SETTINGS = "config.yaml"
 """File with the settings of a run, the first that it writes."""
+
+EVALUATIONS = 0.25
+"""Share of `schedule.minutes` for evaluations with physics."""
 
 _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
@@ -44,14 +49,17 @@ class Progress:
     Attributes:
         steps: Environment steps so far.
         seconds: Wall-clock time of training so far, over all parts of the run.
+        other_seconds: Wall-clock time of start and evaluations, where `schedule.minutes` has it.
         fraction: Fraction of the run that is done, 0-1.
-        best: Score of the best checkpoint, the mean of success and of the fraction of episodes in
+        best: Score of the best checkpoint, the mean of success and of the share of episodes in
             which the EE was never more than 5 cm off, 0-1; -1 before the first one.
         evaluations: Number of evaluations.
         recent: Whether each of the last training episodes was without a failure.
         evaluating: Episodes done and episodes in all of the evaluation that runs now.
+        updates: Gradient steps in this process.
         parts: Wall-clock seconds of parts in this process: `step`, of which `update` of the
             networks and `waiting` for the environments; `evaluation` and `checkpoint`.
+        cpu: CPU seconds of the steps: `learner` and, in the analytic world, `environment`.
     """
 
     steps: int = 0
@@ -61,26 +69,32 @@ class Progress:
     evaluations: int = 0
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
     evaluating: tuple[int, int] | None = None
+    updates: int = 0
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    cpu: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    other_seconds: float = 0.0
 
     @property
     def success(self) -> float:
-        """Fraction of recent training episodes without a failure; NaN before the first end."""
+        """Share of recent training episodes without a failure, NaN before the first has ended."""
         return float(np.mean(self.recent)) if self.recent else float("nan")
 
     def saved(self) -> dict[str, object]:
         """Return the fields of a checkpoint."""
-        names = ("steps", "seconds", "best", "evaluations")
+        names = ("steps", "seconds", "best", "evaluations", "other_seconds")
         return {**{name: getattr(self, name) for name in names}, "recent": list(self.recent)}
 
 
 @dataclass(frozen=True)
 class _Saved:
+    """Fields of a checkpoint."""
+
     steps: _Tally
     seconds: NotNegative
     best: Annotated[float, Interval(ge=-1.0, le=1.0)]
     evaluations: _Tally
     recent: tuple[bool, ...]
+    other_seconds: NotNegative = 0.0
 
 
 def check_new(out: Path) -> None:
@@ -139,14 +153,21 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
     """Return the progress of a run by its last checkpoint."""
     state = read_state(last)
     with loading(last):
-        before = state["config"]
-        for key, value in json.loads(json.dumps(identity(config))).items():
-            if before.get(key) != value:
+        # Keys that did not exist when the checkpoint was written have their defaults.
+        before = identity(configuration.from_mapping(TrainConfig, state["config"], str(last)))
+        for key, value in identity(config).items():
+            if before[key] != value:
                 raise KinfeasError(
-                    f"{last}: a checkpoint of another run: its {key} is {before.get(key)}, "
+                    f"{last}: a checkpoint of another run: its {key} is {before[key]}, "
                     f"but {last.parents[1] / SETTINGS} has {value}"
                 )
-        saved = configuration.from_mapping(_Saved, state["progress"], str(last / _STATE))
+        saved_entries = state["progress"]
+        entries = {
+            entry.name: saved_entries[entry.name]
+            for entry in fields(_Saved)
+            if entry.name in saved_entries
+        }
+        saved = configuration.from_mapping(_Saved, entries, str(last / _STATE))
     progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
     # The schedule may have been made longer.
     progress.fraction = fraction_done(config, progress)
@@ -154,13 +175,27 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
     return progress
 
 
+def evaluation_seconds(config: TrainConfig, episodes: int) -> float:
+    """Return the time limit of an evaluation of so many episodes; infinity where there is none.
+
+    With physics, `schedule.minutes` includes start and evaluations.
+    """
+    schedule = config.schedule
+    if schedule.minutes is None or config.world.backend == "analytic":
+        return math.inf
+    planned = schedule.evaluations * schedule.evaluation_episodes + schedule.final_episodes
+    return EVALUATIONS * 60.0 * schedule.minutes * episodes / planned
+
+
 def fraction_done(config: TrainConfig, progress: Progress) -> float:
-    """Return the fraction of a run's steps, or of its time if that is more, 0-1."""
+    """Return the share of a run's steps, or of its time if that is more, 0-1."""
     fractions, schedule = [0.0], config.schedule
     if schedule.steps is not None:
         fractions.append(progress.steps / schedule.steps)
     if schedule.minutes is not None:
-        fractions.append(progress.seconds / (60.0 * schedule.minutes))
+        last = evaluation_seconds(config, schedule.evaluation_episodes + schedule.final_episodes)
+        limit = 60.0 * schedule.minutes - (last if last < math.inf else 0.0)
+        fractions.append((progress.seconds + progress.other_seconds) / limit)
     return min(1.0, max(fractions))
 
 
@@ -170,9 +205,9 @@ def evaluations_due(config: TrainConfig, progress: Progress) -> int:
 
 
 def identity(config: TrainConfig) -> dict[str, object]:
-    """Return the settings that must not change when a run is resumed: all but the schedule."""
+    """Return the settings that must not change when a run is resumed: not schedule and trackers."""
     mapping = configuration.to_mapping(config)
-    return {key: mapping[key] for key in mapping if key != "schedule"}
+    return {key: mapping[key] for key in mapping if key not in ("schedule", "trackers")}
 
 
 def with_initial_policy(config: TrainConfig) -> TrainConfig:
@@ -210,10 +245,11 @@ def write_state(folder: Path, entries: Mapping[str, Any]) -> None:
 
 def read_state(folder: Path) -> dict[str, Any]:
     """Return the entries that `write_state` wrote, and the format."""
-    about: dict[str, Any] = read_json(folder / _STATE)
-    if about.get("format") != _FORMAT:
-        raise KinfeasError(f"{folder}: format {about.get('format')}, not {_FORMAT}")
-    return about
+    with loading(folder):
+        about: dict[str, Any] = json.loads(read_file(folder / _STATE, MAX_JSON_BYTES))
+        if about["format"] != _FORMAT:
+            raise ValueError(f"its format is {about['format']}, not {_FORMAT}")
+        return about
 
 
 @contextmanager
@@ -223,6 +259,8 @@ def loading(folder: Path) -> Iterator[None]:
         yield
     except KinfeasError:
         raise
+    except FileNotFoundError as error:
+        raise KinfeasError(f"{folder}: no checkpoint to resume: a file is missing") from error
     except _BROKEN as error:
         reason = " ".join(str(error).split())[:200]
         raise KinfeasError(

@@ -5,8 +5,10 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from kinfeas.config import Settings
 from kinfeas.control.observation import surroundings
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import summarize
+from kinfeas.envs.episodes import worker_pool
 from kinfeas.io.files import alone, find_folder, write_folder, writing
 from kinfeas.io.policy_metadata import read_trained
 from kinfeas.policies.network import Network, copy_network, read_network, write_network
@@ -33,19 +36,20 @@ from kinfeas.training.learner import (
     take_network,
     without_denormals,
 )
-from kinfeas.training.logs import LEARNER, Logs
+from kinfeas.training.logs import LEARNER, Logs, check_trackers
 from kinfeas.training.run import (
     SETTINGS,
     Progress,
     check_begun,
     check_new,
+    evaluation_seconds,
     evaluations_due,
-    fraction_done,
     identity,
     initial_policy,
     loading,
     read_progress,
     read_settings,
+    fraction_done,
     with_initial_policy,
 )
 from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv
@@ -107,8 +111,13 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
 
 
 class _Run:
+    """One training run in its folder."""
+
     def __init__(self, config: TrainConfig, out: Path) -> None:
+        self.begun = time.monotonic()
+        check_trackers(config)
         self.config, self.out = config, out
+        self.limited = evaluation_seconds(config, 1) < math.inf
         self.env: EpisodesVecEnv = (
             WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)
             if config.processes == 1
@@ -142,14 +151,20 @@ class _Run:
         with loading(last):
             read_network(last, self.env.robot)
             self.env.reset()
-            self.observation = self.env.restore(load_learner(last, self.learner))
+            snapshot = load_learner(last, self.learner, self.env.snapshot())
+            self.observation = self.env.restore(snapshot)
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""
-        with Logs(self.out, self.config, self.progress.steps) as logs, without_denormals():
+        self.begun -= self.progress.seconds + self.progress.other_seconds
+        with (
+            Logs(self.out, self.config, self.progress.steps) as logs,
+            without_denormals(),
+            worker_pool(self.config.processes) if self.limited else nullcontext() as pool,
+        ):
             try:
-                self._loop(logs, report)
-                self._evaluate_best(logs, report)
+                self._loop(logs, pool, report)
+                self._evaluate_best(logs, pool, report)
             except KeyboardInterrupt:
                 if self.observation is not None:
                     self._save()
@@ -158,10 +173,10 @@ class _Run:
                 self.env.close()
         return self.progress
 
-    def _loop(self, logs: Logs, report: Report | None) -> None:
+    def _loop(self, logs: Logs, pool: Executor | None, report: Report | None) -> None:
         if self.observation is None:
             self._first()
-        evaluator = periodic_evaluator(self.config)
+        evaluator = partial(periodic_evaluator(self.config), pool=pool)
         start = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
         while True:
@@ -169,17 +184,23 @@ class _Run:
             if evaluations_due(self.config, self.progress) > self.progress.evaluations:
                 with self._timed("evaluation"):
                     self._evaluate(evaluator, logs, report)
+                self._clock()
                 self._save()
                 # Evaluations do not count as training time.
                 start = time.monotonic() - self.progress.seconds
                 saved = self.progress.seconds
+                continue  # an evaluation that counts may have ended the run
             if self.progress.fraction >= 1.0:
                 break
             with uninterrupted():
+                own, all_threads = time.thread_time(), time.process_time()
                 with self._timed("step"):
                     self._step()
+                own, all_threads = time.thread_time() - own, time.process_time() - all_threads
+                self.progress.cpu["learner"] += own
+                self.progress.cpu["environment"] += all_threads - own
                 self.progress.seconds = now = time.monotonic() - start
-                self.progress.fraction = fraction_done(self.config, self.progress)
+                self._clock()
             if now - saved >= self.config.schedule.checkpoint_seconds:
                 self._save()
                 saved = now
@@ -191,7 +212,15 @@ class _Run:
         if report is not None:
             report(self.progress)
 
+    def _clock(self) -> None:
+        """Bring the share up to date, with start and evaluations where they count."""
+        if self.limited:
+            now = time.monotonic() - self.begun
+            self.progress.other_seconds = max(now - self.progress.seconds, 0.0)
+        self.progress.fraction = fraction_done(self.config, self.progress)
+
     def _first(self) -> None:
+        """Begin the first episodes, and write what a run needs to be resumed."""
         self.observation = self.env.reset()
         self._compile()
         if self.config.init is not None:
@@ -206,6 +235,7 @@ class _Run:
         self.observation = self.env.restore(snapshot)
 
     def _step(self) -> None:
+        """Step all environments once, and learn from the replay buffer."""
         config, learner, progress = self.config.learner, self.learner, self.progress
         assert self.observation is not None
         filling = progress.steps < max(config.learning_starts, self.config.num_envs)
@@ -214,6 +244,7 @@ class _Run:
         # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:
+            progress.updates += config.gradient_steps
             frozen = self.config.init is not None and (
                 progress.steps < config.learning_starts + config.critic_steps
             )
@@ -237,11 +268,16 @@ class _Run:
         self._losses()
         schedule, due = self.config.schedule, evaluations_due(self.config, self.progress)
         network = network_of(self.learner, self.env)
-        if self._is_evaluated(network):
+        left = due * evaluation_seconds(self.config, schedule.evaluation_episodes)
+        left -= self.progress.parts["evaluation"]
+        late = self.progress.best >= 0.0 and left <= 0.0 and self.progress.fraction < 1.0
+        if late or self._is_evaluated(network):
             self.progress.evaluations = due
             logs.write(self._row())
             return
-        figures = self._measure(evaluator, network, schedule.evaluation_episodes, report)
+        if self.limited and self.progress.fraction >= 1.0:
+            left = self._left() - evaluation_seconds(self.config, schedule.final_episodes)
+        figures = self._measure(evaluator, network, schedule.evaluation_episodes, left, report)
         self.evaluated_at = self.progress.steps
         with uninterrupted():
             self.progress.evaluations = due
@@ -264,11 +300,17 @@ class _Run:
         best = read_network(self.out, self.env.robot)
         return self.evaluated_at == self.progress.steps or network.equals(best)
 
+    def _left(self) -> float:
+        """Return the seconds to the end of a run whose `minutes` include evaluations."""
+        assert self.config.schedule.minutes is not None
+        return 60.0 * self.config.schedule.minutes - (time.monotonic() - self.begun)
+
     def _measure(
         self,
         evaluator: PeriodicEvaluator,
         network: Network,
         episodes: int,
+        seconds: float,
         report: Report | None,
     ) -> dict[str, int | float]:
         """Return the metrics of episodes, and report how many have ended about once a second."""
@@ -282,17 +324,21 @@ class _Run:
                 reported = time.monotonic()
 
         count(0)
-        metrics: Mapping[str, Any] = summarize(evaluator(network, episodes, count))
+        metrics: Mapping[str, Any] = summarize(evaluator(network, episodes, count, seconds))
         # Not all backends measure all of them.
         return {key: value for key, value in metrics.items() if value is not None}
 
-    def _evaluate_best(self, logs: Logs, report: Report | None) -> None:
+    def _evaluate_best(self, logs: Logs, pool: Executor | None, report: Report | None) -> None:
+        """Evaluate the best policy on episodes that did not select it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:
             return
-        evaluator = periodic_evaluator(self.config, FRESH_SEED)
-        figures = self._measure(evaluator, network, self.config.schedule.final_episodes, report)
+        evaluator = partial(periodic_evaluator(self.config, FRESH_SEED), pool=pool)
+        left = self._left() if self.limited else math.inf
+        episodes = self.config.schedule.final_episodes
+        figures = self._measure(evaluator, network, episodes, left, report)
+        self._clock()
         updated = replace(trained, fresh_evaluation=figures)
         copy_network(best, updated, self.out / "checkpoints" / "best")
         fresh = {f"fresh/{key}": float(value) for key, value in figures.items()}
@@ -304,6 +350,7 @@ class _Run:
         return row | self._losses()
 
     def _losses(self) -> dict[str, float]:
+        """Return the figures that the learner logged last."""
         values = self.learner.logger.name_to_value
         losses = {key: float(values[key]) for key in LEARNER if key in values}
         check_losses(losses, self.config.learner)

@@ -23,8 +23,8 @@ from kinfeas.robots.robot import Robot
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.worlds import begin_batch, call_batch
 
-STRIDE = 10**9
-"""Episode numbers of each process: process i runs episodes `STRIDE * i`, `STRIDE * i + 1`, ..."""
+SHARE = 10**9
+"""Episode numbers of each process: process i runs episodes `SHARE * i`, `SHARE * i + 1`, ..."""
 
 
 class EpisodesVecEnv(VecEnv):
@@ -129,6 +129,7 @@ class EpisodesVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def _begin(self, method: str, *arguments: Sequence[Any]) -> None:
+        """Let each worker call a method of its batch, with its own arguments."""
         with workers_alive(len(self._workers)):
             self._coming = [
                 worker.submit(self._call, method, *inputs)
@@ -193,7 +194,7 @@ class ProcessVecEnv(EpisodesVecEnv):
         parts = np.array_split(np.arange(config.num_envs), config.processes)
         context = multiprocessing.get_context("spawn")
         self._pools = [
-            ProcessPoolExecutor(1, context, begin_batch, (config, len(part), STRIDE * i))
+            ProcessPoolExecutor(1, context, begin_batch, (config, len(part), SHARE * i))
             for i, part in enumerate(parts)
         ]
         sizes = [len(part) for part in parts]

@@ -1,7 +1,9 @@
 """Worlds of a training run: for learning, and for the evaluation of its policies; without torch."""
 
+import math
 import signal
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from operator import methodcaller
@@ -9,7 +11,7 @@ from typing import Any
 
 from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.envs.batch import Batch
-from kinfeas.envs.episodes import OnDone, begin_worker, evaluate_episodes
+from kinfeas.envs.episodes import OnDone, begin_worker, evaluate_episodes, evaluate_within
 from kinfeas.envs.world import World, evaluation_world
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
@@ -25,7 +27,7 @@ FRESH_SEED = 2_000_003
 TRAINING = (1,)
 """Stream of training episodes; evaluations of any seed use other episodes."""
 
-PeriodicEvaluator = Callable[[Network, int, OnDone | None], EpisodeRecords]
+PeriodicEvaluator = Callable[..., EpisodeRecords]
 """Returns the records of a number of episodes, always the same ones; see `periodic_evaluator`."""
 
 
@@ -42,8 +44,8 @@ def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> Pe
     """Return the evaluation of policies in the world of a run, with its `evaluation_adapters`.
 
     IK searches at least as hard as by default, and episodes end as in `evaluation_world`. Their
-    seed is that of training plus `offset`. The evaluation takes the policy, the number of episodes
-    and a function for those that have ended.
+    seed is that of training plus `offset`. The evaluation takes the policy, the number of episodes,
+    a function for those that have ended, and a time limit with the pool for it.
     """
     world = replace(
         config.world,
@@ -53,10 +55,20 @@ def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> Pe
     )
     robot, task = load_robot(config.robot), load_task(config.task, config.task_parameters)
 
-    build = partial(World, robot, task, world, config.seed + offset)
-    return lambda network, episodes, on_done: evaluate_episodes(
-        build, network, range(episodes), config.processes, on_done
-    )
+    def evaluated(
+        network: Network,
+        episodes: int,
+        on_done: OnDone | None = None,
+        seconds: float = math.inf,
+        pool: Executor | None = None,
+    ) -> EpisodeRecords:
+        build = partial(World, robot, task, world, config.seed + offset)
+        if pool is None:
+            return evaluate_episodes(build, network, range(episodes), config.processes, on_done)
+        limits = seconds, pool, config.processes
+        return evaluate_within(*limits, build, network, range(episodes), on_done)
+
+    return evaluated
 
 
 _worker: tuple[TrainConfig, int, int] | Batch  # of a worker process

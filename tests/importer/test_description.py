@@ -2,8 +2,8 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm
-from kinfeas.importer.boxed import read_description
-from kinfeas.importer.draft import doubts, draft_robot, find_drive
+from kinfeas.importer.description import doubts, find_drive, read_description
+from kinfeas.importer.draft import draft_robot
 from kinfeas.robots.urdf_file import parse_urdf
 
 
@@ -78,7 +78,7 @@ def test_meshes_are_left_out_or_found_elsewhere(changed):
         read_description(path, mesh_paths={"package://doll_": "/elsewhere"})
 
 
-def test_several_arms_are_an_error(changed):
+def test_several_arms_are_an_error_before_meshes_are_read(changed):
     elbow = (
         "</robot>",
         (
@@ -93,8 +93,11 @@ def test_several_arms_are_an_error(changed):
         ),
     )
     fingers = [(f'name="{name}" type="prismatic"', f'name="{name}" type="fixed"') for name in "lr"]
-    path = changed(elbow, *fingers)
+    base = '<box size="0.5 0.4 0.4"/>', '<mesh filename="missing.stl"/>'
+    path = changed(elbow, base, *fingers)
     with pytest.raises(KinfeasError, match=r"several arms: .*--ee palm or c"):
         draft_robot(path, "dolly")
     with pytest.raises(KinfeasError, match="'plam'"):
         draft_robot(path, "dolly", hand="plam")
+    with pytest.raises(KinfeasError, match=r"missing\.stl"):
+        draft_robot(path, "dolly", hand="c")

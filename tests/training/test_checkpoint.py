@@ -4,7 +4,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
-from safetensors.numpy import load_file, save_file
+from safetensors.torch import load_file, save_file
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
@@ -43,7 +43,7 @@ class Toy:
         save_learner(folder, self.learner, self.env.snapshot(), state or {})
 
     def load(self, folder):
-        self.seen = self.env.restore(load_learner(folder, self.learner))
+        self.seen = self.env.restore(load_learner(folder, self.learner, self.env.snapshot()))
 
 
 @pytest.fixture
@@ -75,28 +75,52 @@ def test_resumes_to_the_bit(tiny, tmp_path, settings, steps):
     expected, found = (load_file(tmp_path / n / "state.safetensors") for n in ("expected", "found"))
     assert expected.keys() == found.keys()
     for key, values in expected.items():
-        np.testing.assert_array_equal(values, found[key], err_msg=key)
+        assert torch.equal(values, found[key]), key
     texts = [(tmp_path / n / "state.json").read_text() for n in ("expected", "found")]
     assert texts[0] == texts[1]
 
 
-def test_missing_tensors_and_another_format_raise(saved):
+FORMS = {
+    "missing": lambda values: None,
+    "shorter": lambda values: values.flatten()[: values.numel() - 1],
+    "a number for all": lambda values: values.flatten()[:1],
+    "another type": lambda values: values.to(torch.int8),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_tensors_of_another_form_raise(saved, form):
     folder, other = saved
     tensors = load_file(folder / "state.safetensors")
-    for key in ("buffer", "random", "log_ent_coef", "policy.actor.mu.bias"):
-        left = {name: values for name, values in tensors.items() if name != key}
-        save_file(left, folder / "state.safetensors")
+    for key in sorted(tensors):
+        changed, values = dict(tensors), FORMS[form](tensors[key])
+        del changed[key]
+        if values is not None:
+            if (values.shape, values.dtype) == (tensors[key].shape, tensors[key].dtype):
+                continue
+            changed[key] = values.contiguous()
+        save_file(changed, folder / "state.safetensors")
         with pytest.raises(KinfeasError, match=f"{folder}: "):
-            other.load(folder)
+            load_learner(folder, other.learner, other.env.snapshot())
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("format", 7), ("buffer", {"position": 5, "full": False}),
+    ],
+)  # fmt: skip
+def test_foreign_numbers_raise(saved, key, value):
+    folder, other = saved
     path = folder / "state.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "format": 7}))
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
     with pytest.raises(KinfeasError, match=f"{folder}: "):
         other.load(folder)
 
 
 def test_the_end_of_time_is_no_terminal_state(whole):
     """SB3 multiplies `dones` by `1 - timeouts`."""
-    rows = load_file(whole / "checkpoints" / "last" / "state.safetensors")["buffer"]
+    rows = load_file(whole / "checkpoints" / "last" / "state.safetensors")["buffer"].numpy()
     dones, timeouts = rows[..., -2], rows[..., -1]
     assert 0 < timeouts.sum() <= dones.sum()
     assert (dones >= timeouts).all()

@@ -17,10 +17,10 @@ from kinfeas.training.run import (
     check_new,
     evaluations_due,
     finished,
-    fraction_done,
     identity,
     read_progress,
     read_state,
+    fraction_done,
     write_state,
 )
 
@@ -50,21 +50,21 @@ def test_a_run_is_not_written_over_and_suggests_to_resume_it(tmp_path):
             check_begun(tmp_path / name)
 
 
-@pytest.mark.parametrize(("schedule", "fraction"), [
+@pytest.mark.parametrize(("schedule", "share"), [
     ({"steps": 2000, "minutes": None}, 0.2),
     ({"steps": None, "minutes": 2}, 0.25),
     ({"steps": 2000, "minutes": 2}, 0.25),
     ({"steps": 2000, "minutes": 20}, 0.2),
     ({"steps": 300, "minutes": 20}, 1.0),
 ])  # fmt: skip
-def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, fraction):
-    assert fraction_done(tiny({"schedule": schedule}), Progress(400, 30.0)) == fraction
+def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
+    assert fraction_done(tiny({"schedule": schedule}), Progress(400, 30.0)) == share
 
 
 @pytest.mark.parametrize(("init", "first"), [(None, 0), ("pretrained", 1)])
 def test_an_initial_policy_is_evaluated_as_well(tiny, init, first):
     settings = tiny({"init": init, "schedule.evaluations": 4})
-    due = [evaluations_due(settings, Progress(fraction=part)) for part in (0.0, 0.24, 0.5, 1.0)]
+    due = [evaluations_due(settings, Progress(share=share)) for share in (0.0, 0.24, 0.5, 1.0)]
     assert due == [first, first, first + 2, first + 4]
 
 

@@ -10,7 +10,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import resume, train
-from kinfeas.training.vec_env import STRIDE, ProcessVecEnv, WorldVecEnv
+from kinfeas.training.vec_env import SHARE, ProcessVecEnv, WorldVecEnv
 from kinfeas.training.worlds import training_world
 
 NOISY = WorldConfig(max_seconds=1.2, max_failures=3, adapters=(PluginSpec("base_noise"),))
@@ -141,8 +141,8 @@ def test_processes_hold_batches_that_restart_and_a_killed_one_raises():
     assert not np.array_equal(infos[0]["terminal_observation"], after[0])
     assert rewards.dtype == np.float32
     # The processes hold two rows and one, which have begun two episodes each.
-    np.testing.assert_array_equal(env.snapshot()["next_episode"], np.arange(2) * STRIDE + [4, 2])
-    again = env.restore({"next_episode": np.arange(2) * STRIDE})
+    np.testing.assert_array_equal(env.snapshot()["next_episode"], np.arange(2) * SHARE + [4, 2])
+    again = env.restore({"next_episode": np.arange(2) * SHARE})
     np.testing.assert_array_equal(again, seen)
     assert_equal(run(env, 7), first)
 

@@ -1,0 +1,131 @@
+"""Reading of a vendor's URDF beyond arm and hand: mesh options, drive of the base, doubts."""
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, rotation
+from kinfeas.importer.arm import Arm
+from kinfeas.importer.boxed import read_robot_element
+from kinfeas.robots.elements import Element
+from kinfeas.robots.spec import Drive
+from kinfeas.robots.urdf import Joint, Urdf
+
+MOST_LINKS = 2000
+"""Links of a robot at most: all pairs of them are checked for contact."""
+
+_OMNIDIRECTIONAL = re.compile(r"mecanum|omni|swerve|holonomic", re.IGNORECASE)
+_CASTER = re.compile(r"cast[eo]r", re.IGNORECASE)
+_UPRIGHT, _LEVEL, _PARALLEL = 0.9, 0.2, 0.98  # cosines of angles, to the vertical or between axes
+_LONGEST = 5.0  # m; longer links are more likely in other units
+_LISTED = 5  # names in a message at most
+
+
+def read_description(
+    path: Path, *, meshes: bool = True, mesh_paths: Mapping[str, str] | None = None
+) -> Element:
+    """Return the element <robot> of a URDF, without its meshes unless `meshes`.
+
+    `mesh_paths` has beginnings of mesh addresses, and their replacements.
+    """
+    robot = read_robot_element(path)
+    links = robot.xml.findall("link")
+    if len(links) > MOST_LINKS:
+        raise KinfeasError(f"{path}: {len(links)} links; at most {MOST_LINKS} are supported")
+    unused = set(mesh_paths or {})
+    for link in links:
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            mesh = shape.find("geometry/mesh")
+            if mesh is None:
+                continue
+            address = mesh.get("filename", "")
+            for old, new in (mesh_paths or {}).items():
+                if address.startswith(old):
+                    unused.discard(old)
+                    mesh.set("filename", new + address.removeprefix(old))
+            if not meshes:
+                link.remove(shape)
+    if unused:
+        raise KinfeasError(f"{path}: no address of a mesh begins with {min(unused)!r}")
+    return robot
+
+
+def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
+    """Return the drive of a base and what it was read from: names and axes of its wheels.
+
+    Without wheels it is differential, a guess.
+    """
+    base = set(urdf.links) - urdf.below(arm.joints[0].name)
+    joints = [joint for joint in urdf.joints.values() if joint.child in base]
+    names = [*sorted(base), *(joint.name for joint in joints)]
+    if named := [name for name in names if _OMNIDIRECTIONAL.search(name)]:
+        return "omnidirectional", f"the name {named[0]}"
+    axes = {joint.name: _axis(urdf, joint) for joint in joints if joint.moves}
+    wheels = [
+        wheel
+        for wheel in joints
+        if wheel.kind == "continuous" and abs(axes[wheel.name][2]) < _LEVEL
+    ]
+    if driven := [wheel for wheel in wheels if not _CASTER.search(wheel.name + wheel.child)]:
+        wheels = driven  # the others follow
+    steering = {wheel.name: _steering(urdf, wheel, axes) for wheel in wheels}
+    fixed = [wheel for wheel in wheels if steering[wheel.name] is None]
+    listed = _listed(wheel.name for wheel in wheels)
+    if not wheels:
+        return "differential", "a guess: no wheel has a joint"
+    if not fixed:
+        return "omnidirectional", f"wheels steered by {_listed(filter(None, steering.values()))}"
+    parallel = [abs(axes[fixed[0].name] @ axes[wheel.name]) > _PARALLEL for wheel in fixed]
+    if not all(parallel):
+        return "omnidirectional", f"wheels in several directions: {listed}"
+    if len(wheels) == 2:
+        return "differential", f"two driven wheels: {listed}"
+    return "differential", f"a guess: {len(wheels)} wheels, perhaps mecanum or steered: {listed}"
+
+
+def _axis(urdf: Urdf, joint: Joint) -> Array:
+    axis: Array = rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)
+    return axis
+
+
+def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None:
+    """Return the upright joint that turns a wheel, None without one."""
+    above = (
+        joint.name
+        for joint in urdf.path_to(wheel.parent)
+        if joint.kind in ("revolute", "continuous")
+    )
+    return next((name for name in above if abs(axes[name][2]) > _UPRIGHT), None)
+
+
+def doubts(urdf: Urdf) -> tuple[str, ...]:
+    """Return warnings about a URDF whose lengths or masses are probably wrong."""
+    warnings = []
+    sizes = {
+        name: max((max(shape.size) for shape in link.shapes), default=0.0)
+        for name, link in urdf.links.items()
+    }
+    if large := [name for name, size in sizes.items() if size > _LONGEST]:
+        warnings.append(
+            f"{_listed(large)} up to {max(sizes.values()):.0f} m long: if meshes are in "
+            'millimetres, <mesh> needs scale="0.001 0.001 0.001"'
+        )
+    bodies = dict.fromkeys(urdf.rigid.values())
+    light = [
+        next(name for name in urdf.links if name in body and urdf.links[name].shapes)
+        for body in bodies
+        if not any(urdf.links[name].mass for name in body)
+        and any(urdf.links[name].shapes for name in body)
+    ]
+    if light:
+        warnings.append(
+            f"{_listed(light)} without mass: --world pybullet and mujoco need an <inertial>"
+        )
+    return tuple(warnings)
+
+
+def _listed(names: Iterable[str]) -> str:
+    every = list(dict.fromkeys(names))
+    more = f" and {len(every) - _LISTED} more" if len(every) > _LISTED else ""
+    return ", ".join(every[:_LISTED]) + more
