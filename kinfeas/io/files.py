@@ -11,11 +11,13 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from kinfeas.core.errors import KinfeasError
+
+if TYPE_CHECKING:  # commands start faster without
+    import numpy as np
+    from numpy.typing import NDArray
 
 MAX_JSON_BYTES = 1_000_000
 
@@ -53,7 +55,7 @@ def read_file(path: Path, max_bytes: int) -> bytes:
 
 def read_csv(
     path: Path, columns: Sequence[str], optional: Collection[str] = ()
-) -> dict[str, NDArray[np.float64]]:
+) -> "dict[str, NDArray[np.float64]]":
     """Return columns of a CSV file by name, NaN where a row has no entry.
 
     The `optional` ones may be missing, others are ignored.
@@ -61,6 +63,8 @@ def read_csv(
     Raises:
         KinfeasError: If the file cannot be read, a column is missing or an entry is no number.
     """
+    import numpy as np
+
     try:
         with reading(path), path.open(newline="", encoding="utf-8-sig") as file:
             table = csv.DictReader(file, skipinitialspace=True, strict=True)

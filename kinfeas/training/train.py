@@ -44,12 +44,12 @@ from kinfeas.training.run import (
     check_new,
     evaluation_seconds,
     evaluations_due,
+    fraction_done,
     identity,
     initial_policy,
     loading,
     read_progress,
     read_settings,
-    fraction_done,
     with_initial_policy,
 )
 from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv

@@ -62,6 +62,7 @@ def test_jobs_with_other_results_have_other_files():
 
 def test_a_policy_trained_anew_is_evaluated_anew(tmp_path):
     (tmp_path / WEIGHTS).write_bytes(b"one")
+    (tmp_path / "policy.json").write_text("{}")
     run = Run(tmp_path, "hsr", 0, "ggr")
 
     before, after = [], []

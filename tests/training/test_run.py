@@ -17,10 +17,10 @@ from kinfeas.training.run import (
     check_new,
     evaluations_due,
     finished,
+    fraction_done,
     identity,
     read_progress,
     read_state,
-    fraction_done,
     write_state,
 )
 
@@ -64,7 +64,7 @@ def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
 @pytest.mark.parametrize(("init", "first"), [(None, 0), ("pretrained", 1)])
 def test_an_initial_policy_is_evaluated_as_well(tiny, init, first):
     settings = tiny({"init": init, "schedule.evaluations": 4})
-    due = [evaluations_due(settings, Progress(share=share)) for share in (0.0, 0.24, 0.5, 1.0)]
+    due = [evaluations_due(settings, Progress(fraction=share)) for share in (0.0, 0.24, 0.5, 1.0)]
     assert due == [first, first, first + 2, first + 4]
 
 

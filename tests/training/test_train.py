@@ -25,8 +25,7 @@ from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.run import finished
 from kinfeas.training.train import resume, train
-from tests.builders import contents
-from tests.sim2real.doubles import wait
+from tests.builders import contents, wait
 
 # Slowed down, so that it cannot end before it is killed; no figure depends on it.
 TRAIN = """
