@@ -20,8 +20,9 @@ from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import base_velocity, world_twist
-from kinfeas.robots.robot import Base, Robot, joint_displacement
+from kinfeas.robots.robot import Base, Robot
 from kinfeas.sim2real.deploy.config import Guards
+from kinfeas.sim2real.deploy.guard_kernels import limited_targets
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.sim2real.link.scans import beam
 
@@ -235,23 +236,15 @@ class SafetyFilter(BackendWrapper):
     def _arm_targets(self, targets: Array, dt: float) -> Array:
         """Return targets that the arm can reach within `dt`, or where it is to hold, shape (j,)."""
         robot, guards, before = self._robot, self._guards, self.joint_targets[0]
-        change = joint_displacement(robot, before, targets)
-        behind = joint_displacement(robot, self._state.joint_positions[0], before)
-        lag = np.abs(behind) / self._joint_speed
+        limits = self._joint_speed, robot.continuous, *robot.joint_limits
+        measured = self._state.joint_positions[0]
+        after, farthest, lag = limited_targets(targets, before, measured, *limits, dt)
         self.hold = ""
-        if np.abs(change).max() > guards.joint_jump:
+        if farthest > guards.joint_jump:
             self.hold = "the arm's target is too far away"
         elif not lag.max() <= guards.max_tracking_delay:  # also if the measurement is not a number
             self.hold = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
-        if self.hold:
-            return before
-        periods = max(1.0, (np.abs(change) / (self._joint_speed * dt)).max())
-        after = before + change / periods
-        after = np.where(robot.continuous, spatial.wrap(after), after)
-        # A joint that starts beyond a limit must not jump to it.
-        lower, upper = robot.joint_limits
-        after = np.clip(after, np.minimum(lower, before), np.maximum(upper, before))
-        return _unrounded(after, targets)
+        return before if self.hold else _unrounded(after, targets)
 
 
 class Guarded(BackendWrapper):
