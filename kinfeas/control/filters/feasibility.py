@@ -1,6 +1,5 @@
 """The feasibility filter: base commands that the arm can follow."""
 
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -53,7 +52,7 @@ class FeasibilityFilter:
             self._replace(period, command, free)
             retried = self._step(command[failed], period.of(failed))
             move = replaced(move, failed, retried, command)
-        return replace(period, command=move.command, move=move)
+        return period.changed(command=move.command, move=move)
 
     def _replace(self, period: Period, command: Array, rows: Rows) -> Rows:
         """Put the nearest feasible candidates into some rows of the commands, shape (n, a).

@@ -1,6 +1,5 @@
 """The obstacle filter: base commands that keep a distance from obstacles."""
 
-from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -92,4 +91,4 @@ class ObstacleFilter:
         with self._note:
             constraints = self._damper.constraints(self._sensor, len(period.command))
         command = constraints.hold(period.command[:, np.newaxis])[:, 0]
-        return replace(period, command=command, velocity_constraints=constraints)
+        return period.changed(command=command, velocity_constraints=constraints)

@@ -1,7 +1,6 @@
 """The path planner: base and arm follow a path that is planned for the whole EE motion."""
 
 from concurrent.futures import Executor, Future
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,8 +97,7 @@ class PathPlanner:
         guide = np.full_like(period.joints, np.nan) if guide is None else guide
         base, base_pose = self._robot.base, period.base_pose[rows]
         along = follow(base, base_pose, now[:, :3], then[:, :3], self._dt)
-        return replace(
-            period,
+        return period.changed(
             command=with_rows(period.command, rows, along),
             posture_guide=with_rows(guide, rows, then[:, 3:]),
         )
@@ -111,7 +109,7 @@ class PathPlanner:
         self._subgoal[rows] = subgoal
         self._again_at[rows] = motions.periods[rows] + np.ceil(self._wait[rows] / self._dt)
         self._paths = {row: path for row, path in self._paths.items() if row not in rows}
-        copied = replace(period, motions=motions.copied())
+        copied = period.changed(motions=motions.copied())
         if self._executor is None:
             self._paths |= self._searched(rows, copied)
         else:

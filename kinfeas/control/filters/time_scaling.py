@@ -1,7 +1,5 @@
 """Time scaling: the EE slows down or waits where no base command lets the arm follow."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from kinfeas.config.quantities import NotNegative
@@ -39,7 +37,7 @@ class TimeScalingFilter(FeasibilityFilter):
         if period.paused is not None:
             failed = failed[~period.paused[failed]]
         if not failed.size:
-            return replace(period, move=move)
+            return period.changed(move=move)
         planned, command = period.time_scale, period.command.copy()
         scale, left = planned.copy(), self._replace(period, command, failed)
         for fraction in _FRACTIONS:
@@ -51,4 +49,4 @@ class TimeScalingFilter(FeasibilityFilter):
             left = self._replace(period, command, slow)
         command[left] = 0.0
         retried = self._step(command[failed], period.of(failed), allow_reconfiguration=False)
-        return replace(period, command=command, move=replaced(move, failed, retried, command))
+        return period.changed(command=command, move=replaced(move, failed, retried, command))
