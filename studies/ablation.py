@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
+from kinfeas.cli.options import read_settings
+from kinfeas.config import Settings
 from kinfeas.config.recipes import load_section
-from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import train
 
 
-def curve(robot: str, settings: list[str]) -> tuple[list[float], float, float]:
+def curve(robot: str, settings: Settings) -> tuple[list[float], float, float]:
     """Return success at each evaluation, 0-1, and ms of a step: updates, waiting."""
-    name = load_robot(robot).name
-    config = load_section(TrainConfig, "train", name, [f"robot={robot}", *settings])
+    config = load_section(TrainConfig, "train", robot, {"robot": robot, **settings})
     with tempfile.TemporaryDirectory() as folder:
         done = train(config, Path(folder) / "run")
         with (Path(folder) / "run" / "metrics.csv").open(newline="", encoding="utf-8") as file:
@@ -45,17 +45,17 @@ def main() -> None:
     parser.add_argument("--evaluations", type=int, default=6)
     parser.add_argument("--episodes", type=int, default=256)
     chosen = parser.parse_args()
-    schedule = [
-        f"schedule.steps={chosen.steps}",
-        "schedule.minutes=null",
-        f"schedule.evaluations={chosen.evaluations}",
-        f"schedule.evaluation_episodes={chosen.episodes}",
-        "schedule.final_episodes=1",
-        "schedule.checkpoint_seconds=86400",
-    ]
+    schedule = {
+        "schedule.steps": chosen.steps,
+        "schedule.minutes": None,
+        "schedule.evaluations": chosen.evaluations,
+        "schedule.evaluation_episodes": chosen.episodes,
+        "schedule.final_episodes": 1,
+        "schedule.checkpoint_seconds": 86400,
+    }
     for variant in [*([] if chosen.only else [""]), *chosen.variant]:
-        settings = [*schedule, *filter(None, variant.split(","))]
-        runs = [curve(chosen.robot, [*settings, f"seed={seed}"]) for seed in range(chosen.seeds)]
+        settings = schedule | read_settings(list(filter(None, variant.split(","))))
+        runs = [curve(chosen.robot, {**settings, "seed": seed}) for seed in range(chosen.seeds)]
         means = np.mean([success for success, *_ in runs], axis=0)
         update, waiting = np.mean([costs for _, *costs in runs], axis=0)
         shares = " ".join(f"{100.0 * value:5.1f}" for value in means)

@@ -23,17 +23,19 @@ SEEDS = range(8)
 
 def trainings(folder: Path, steps: int) -> list[Job]:
     """Return trainings of PR2 with a seed each."""
-    plan = {"steps": steps, "minutes": "null", "evaluations": 1, "final_episodes": 64}
-    changes = [f"schedule.{key}={value}" for key, value in plan.items()]
-    settings = [load_section(TrainConfig, "train", "pr2", [*changes, f"seed={i}"]) for i in SEEDS]
-    return [training_job(one, folder / f"pr2-{one.seed}") for one in settings]
+    schedule = {"steps": steps, "minutes": None, "evaluations": 1, "final_episodes": 64}
+    recipes = [
+        load_section(TrainConfig, "train", "pr2", {"schedule": schedule, "seed": seed})
+        for seed in SEEDS
+    ]
+    return [training_job(recipe, folder / f"pr2-{recipe.seed}") for recipe in recipes]
 
 
 def evaluations(folder: Path, episodes: int) -> list[Job]:
     """Return the evaluations of the packaged policies."""
-    changes = ["policies=pretrained", f"episodes={episodes}"]
-    benchmark = read_benchmark("benchmark/quick", changes)
-    return [one.job(folder) for one in plan_evaluations(benchmark, [])]
+    settings = {"policies": "pretrained", "episodes": episodes}
+    benchmark = read_benchmark("benchmark/quick", settings)
+    return [case.job(folder) for case in plan_evaluations(benchmark, [])]
 
 
 def seconds(plan: Callable[[Path, int], Sequence[Job]], size: int, name: str, count: int) -> float:

@@ -109,8 +109,7 @@ def levels(robot: str, goals: int = 500) -> dict[str, float]:
 
 def recipe_of(robot: str, settings: Settings) -> TrainConfig:
     """Return the training recipe of a robot, changed by settings such as `seed`."""
-    name = load_robot(robot).name
-    return load_section(TrainConfig, "train", name, {"robot": robot, **settings})
+    return load_section(TrainConfig, "train", robot, {"robot": robot, **settings})
 
 
 def _train(
