@@ -124,7 +124,7 @@ PHYSICAL = {
 }
 
 
-def physical(settings):
+def physical(settings=None):
     return config.from_mapping(TrainConfig, PHYSICAL, "physical", settings)
 
 
