@@ -56,11 +56,8 @@ class Motion:
     def __init__(self, **values):
         self.values = {"start": STATE, "goal_pose": POSES, "base_pose": POSES}
         self.values |= {"twist": (ZERO, STATE), "ahead": np.stack([POSES, POSES], axis=1), **values}
-
-    def __getattr__(self, name):
-        if name not in CALLS:
-            raise AttributeError(name)
-        return lambda *arguments: self.values[name]
+        for name in CALLS:
+            setattr(self, name, lambda *_, name=name: self.values[name])
 
 
 def call(motion, *methods):
