@@ -32,7 +32,7 @@ from kinfeas.core.spatial import (
     wrap,
     yaw,
 )
-from kinfeas.io.demonstrations import Demonstration
+from kinfeas.io.demonstrations import Demonstration, unit_hint
 from kinfeas.plugins.imitation import (
     LONGEST,
     SHORTEST,
@@ -115,7 +115,7 @@ def fit(
     if not SHORTEST <= duration <= LONGEST:
         raise KinfeasError(
             f"the demonstrations take {duration:g} s, where {SHORTEST:g} to {LONGEST:g} s are "
-            f"allowed"
+            f"allowed{unit_hint(demonstrations[0].time)}"
         )
     goals = np.stack([path.ee_pose[-1] for path in paths])
     mean_orientation = rotation(np.concatenate([path.ee_pose for path in paths])).mean()

@@ -162,6 +162,9 @@ class Loop:
         for command_filter, note in zip(self.filters, self._notes, strict=True):
             with note:
                 period = command_filter(period)
+            if not isinstance(period, Period):
+                kind = type(period).__name__
+                raise KinfeasError(f"{note.plugin} must return a Period, not a {kind}")
             check_array(period.command, self.previous_command.shape, note.plugin)
             period = period.commanded(period.command)
         self.previous_command = period.command

@@ -91,6 +91,16 @@ def columns(pose: str | None = None) -> list[str]:
     return [f"{pose.removesuffix('_pose')}_{axis}" for axis in _AXES]
 
 
+def unit_hint(time: Array) -> str:
+    """Return the end of an error on times (t,) that are too long: the unit that they may have."""
+    step = float(np.median(np.diff(time)))
+    # A sample every millisecond to every second.
+    for unit, factor in (("nanoseconds", "1e9"), ("microseconds", "1e6"), ("milliseconds", "1e3")):
+        if 1e-3 <= step / float(factor) < 1.0:
+            return f"; are these {unit}? Divide them by {factor} for seconds"
+    return ""
+
+
 def check_samples(path: Path, time: Array, poses: dict[str, Array]) -> None:
     """Raise KinfeasError on the first invalid sample of poses (t, 7) at ascending times (t,)."""
 
@@ -101,7 +111,10 @@ def check_samples(path: Path, time: Array, poses: dict[str, Array]) -> None:
     if len(time) < 2:
         raise KinfeasError(f"{path}: has {len(time)} samples, at least 2 are needed")
     require(np.diff(time, prepend=-np.inf) > 0.0, "time does not ascend")
-    require(time - time[0] <= LONGEST, f"time is more than {LONGEST:g} s after the first")
+    require(
+        time - time[0] <= LONGEST,
+        f"time is more than {LONGEST:g} s after the first{unit_hint(time)}",
+    )
     for name, pose in poses.items():
         near = np.all(np.abs(pose) <= REMOTEST, axis=1)
         require(near, f"{name} is not finite or beyond {REMOTEST:,.0f} m")

@@ -355,6 +355,12 @@ def test_wrong_commands_of_a_filter_are_errors(solver, change, word):
         rest(loop)
 
 
+def test_filters_return_a_period(solver):
+    loop = make_loop(solver, 2, filters=[lambda period: period.command])
+    with pytest.raises(KinfeasError, match=r"command filter function.*Period.*ndarray"):
+        rest(loop)
+
+
 def test_exceptions_of_filters_and_policies_name_them(solver):
     class Broken(Counter):
         def __call__(self, period):
