@@ -189,7 +189,7 @@ class TargetInbox:
 
         Args:
             rows: Rows of m motions.
-            time_scale: Share of the period that each carried out, shape (m,).
+            time_scale: Fraction of the period that each carried out, shape (m,).
             desired: World poses of the motions now, shape (m, 7), where targets continue if none
                 of the period was carried out.
         """

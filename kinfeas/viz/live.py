@@ -33,7 +33,7 @@ class Episode:
         controller: Takes the targets; its clock is the simulated time.
         feasible: Whether IK found the last desired pose.
         deviation: Distance of the EE from it, metres.
-        joint_speeds: Joint speeds of the last step as shares of their limits, shape (j,).
+        joint_speeds: Joint speeds of the last step as fractions of their limits, shape (j,).
     """
 
     def __init__(self, choice: Choice, policy: str, robot: Robot, scene: Scene | None) -> None:
@@ -110,8 +110,8 @@ class Episode:
         self._steps += 1
         self.feasible, self.deviation = bool(outcome.feasible[0]), float(outcome.deviation[0])
         robot = self._solver.robot
-        way = np.abs(joint_displacement(robot, before, self.joint_positions))
-        self.joint_speeds = way / DT / robot.max_joint_velocity
+        moved = np.abs(joint_displacement(robot, before, self.joint_positions))
+        self.joint_speeds = moved / DT / robot.max_joint_velocity
 
     def close(self) -> None:
         """End the simulation."""
