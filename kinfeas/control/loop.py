@@ -161,12 +161,12 @@ class Loop:
         period = self._period()
         for command_filter, note in zip(self.filters, self._notes, strict=True):
             with note:
-                period = command_filter(period)
-            if not isinstance(period, Period):
-                kind = type(period).__name__
+                changed: object = command_filter(period)
+            if not isinstance(changed, Period):
+                kind = type(changed).__name__
                 raise KinfeasError(f"{note.plugin} must return a Period, not a {kind}")
-            check_array(period.command, self.previous_command.shape, note.plugin)
-            period = period.commanded(period.command)
+            check_array(changed.command, self.previous_command.shape, note.plugin)
+            period = changed.commanded(changed.command)
         self.previous_command = period.command
         sequence.move(period.step, period.paused)
         move = self._arm(period)
