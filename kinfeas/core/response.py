@@ -1,0 +1,51 @@
+"""The response of a robot: how late, and how fast, it carries out its commands."""
+
+from dataclasses import dataclass, fields, replace
+
+from kinfeas.config.quantities import Positive, Seconds
+
+
+@dataclass(frozen=True)
+class ResponseModel:
+    """Delays and limits of a robot between commands and measurements; none by default.
+
+    A command arrives after its latency, the base's velocity approaches it within the limits, and
+    base and arm follow with a first-order lag.
+
+    Attributes:
+        command_latency: Seconds until a command takes effect.
+        sensor_latency: Age of a measurement, seconds, where it is not measured itself.
+        base_lag: Time constant of the base's velocity, seconds.
+        arm_lag: Time constant of the joint positions, seconds.
+        acceleration: Limit of the base's planar acceleration, m/s^2; None for none.
+        rotation_acceleration: The same of its rotation, rad/s^2.
+        jerk: Limit of the base's planar jerk, m/s^3; None for none.
+        rotation_jerk: The same of its rotation, rad/s^3.
+    """
+
+    command_latency: Seconds = 0.0
+    sensor_latency: Seconds = 0.0
+    base_lag: Seconds = 0.0
+    arm_lag: Seconds = 0.0
+    acceleration: Positive | None = None
+    rotation_acceleration: Positive | None = None
+    jerk: Positive | None = None
+    rotation_jerk: Positive | None = None
+
+    @property
+    def immediate(self) -> bool:
+        """Whether commands are carried out at once and exactly."""
+        return self == ResponseModel()
+
+    def within(self, outer: "ResponseModel") -> "ResponseModel":
+        """Return the response of this robot behind further delays: times add, limits tighten."""
+        merged: dict[str, float | None] = {}
+        for name in (field.name for field in fields(self)):
+            inner_value, outer_value = getattr(self, name), getattr(outer, name)
+            if inner_value is None or outer_value is None:
+                merged[name] = outer_value if inner_value is None else inner_value
+            elif name.endswith(("latency", "lag")):
+                merged[name] = inner_value + outer_value
+            else:
+                merged[name] = min(inner_value, outer_value)
+        return replace(self, **merged)
