@@ -110,7 +110,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     on_start()
-    return _recorded(setup, str(robot), str(policy), backend, record)
+    return recorded(setup, str(robot), str(policy), backend, record)
 
 
 def servo(  # noqa: PLR0913 - options of the command
@@ -159,7 +159,7 @@ def servo(  # noqa: PLR0913 - options of the command
         try:
             with plugin_note(name):
                 targets.start(controller)
-            done = _recorded(setup, str(robot), str(policy), backend, record)
+            done = recorded(setup, str(robot), str(policy), backend, record)
         finally:
             try:
                 targets.close()
@@ -172,15 +172,22 @@ def servo(  # noqa: PLR0913 - options of the command
     return replace(done, outcome=outcome, targets=controller.statistics())
 
 
-def _recorded(
-    setup: Setup, robot: str, policy: str, backend: str, record: Name | None
+def recorded(  # noqa: PLR0913 - the parts of a header
+    setup: Setup,
+    robot: str,
+    policy: str,
+    backend: str,
+    record: Name | None,
+    *,
+    adapters: tuple[PluginSpec, ...] = (),
 ) -> Deployment:
+    """Run and record a setup; `adapters` are those of the robot itself, within the guards."""
     joints = tuple(joint.name for joint in setup.solver.robot.arm)
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     motions = [subgoal.motion for subgoal in setup.task.subgoals]
     about = About(
         from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
-        seed=setup.seed, adapters=setup.adapters,
+        seed=setup.seed, adapters=(*adapters, *setup.adapters),
         filters=getattr(setup.execution, "filters", ()),
         generators=tuple(PluginSpec(motion.generator, motion.parameters) for motion in motions),
         guards={k: None if v == inf else v for k, v in asdict(setup.guards).items()},

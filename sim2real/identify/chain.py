@@ -1,0 +1,154 @@
+"""The chain between commands and measurements of a robot, as the adapters have it.
+
+Commands are late, lost, limited in acceleration and jerk, and lag; see `kinfeas.sim2real.adapters`.
+The chain here is that of one robot, its delays are means, and its parameters may vary freely.
+"""
+
+import numpy as np
+from numba import njit
+
+from kinfeas.core.spatial import Array
+
+_OFFSETS = (np.arange(32) + 0.5) / 32.0
+"""Fractions of a period at which the active command is looked up."""
+
+_NARROW = 0.125  # periods of jitter at least, so that weights change smoothly with the latency
+_LOST = 16  # commands lost in a row that are counted
+
+
+def delay_weights(latency: float, jitter: float, lost: float, dt: float) -> Array:
+    """Return the mean weight of each command in a period, shape (k,), that of the newest first.
+
+    Args:
+        latency: Minimum delay of a command, seconds.
+        jitter: Width of the uniform distribution of additional delays, seconds.
+        lost: Probability that a command is lost.
+        dt: Control period, seconds.
+    """
+    width = max(jitter, _NARROW * dt)
+    first = latency + 0.5 * (jitter - width)
+    count = int(np.ceil(max(first + width, 0.0) / dt)) + 2
+    ages = (_OFFSETS[:, np.newaxis] + np.arange(count)) * dt
+    arrived = np.clip((ages - first) / width, 0.0, 1.0)
+    earlier = np.cumprod(1.0 - arrived, axis=1)
+    active = arrived * np.concatenate([np.ones((len(ages), 1)), earlier[:, :-1]], axis=1)
+    weights: Array = active.mean(axis=0)
+    return np.convolve(weights, (1.0 - lost) * lost ** np.arange(_LOST)) if lost > 0.0 else weights
+
+
+def mean_delay(weights: Array, dt: float) -> float:
+    """Return the mean delay of weights from `delay_weights`, seconds, of a command in its period."""
+    return float(weights @ np.arange(len(weights))) * dt
+
+
+@njit(cache=True)
+def delayed(commands, weights):
+    """Return the mean active commands, (n, w), of commands (n, w); the first one was sent before."""
+    active = np.zeros_like(commands)
+    for i in range(len(commands)):
+        for k in range(len(weights)):
+            sent = max(i - k, 0)
+            for axis in range(commands.shape[1]):
+                active[i, axis] += weights[k] * commands[sent, axis]
+    return active
+
+
+@njit(cache=True)
+def moved_base(commands, dt, lag, acceleration, jerk):
+    """Return mean velocities by period, shape (n, 3), of active planar velocities, (n, 3).
+
+    `acceleration` and `jerk` are the limits of translation and rotation, shape (2,); `lag` is in
+    seconds.
+    """
+    means = np.empty_like(commands)
+    reached, rate, behind = np.zeros(3), np.zeros(3), np.zeros(3)
+    left = np.exp(-dt / lag) if lag > 0.0 else 0.0
+    mean = lag * (1.0 - left) / dt
+    wanted, change = np.empty(3), np.empty(3)
+    for i in range(len(commands)):
+        for part in range(2):
+            low, high = (0, 2) if part == 0 else (2, 3)
+            length = 0.0
+            for k in range(low, high):
+                wanted[k] = (commands[i, k] - reached[k]) / dt
+                length += wanted[k] ** 2
+            length = np.sqrt(length)
+            most = min(acceleration[part], np.sqrt(2.0 * jerk[part] * length * dt))
+            factor = most / length if length > most else 1.0
+            size = 0.0
+            for k in range(low, high):
+                change[k] = wanted[k] * factor - rate[k]
+                size += change[k] ** 2
+            size = np.sqrt(size)
+            factor = jerk[part] * dt / size if size > jerk[part] * dt else 1.0
+            size = 0.0
+            for k in range(low, high):
+                rate[k] += change[k] * factor
+                size += rate[k] ** 2
+            size = np.sqrt(size)
+            factor = acceleration[part] / size if size > acceleration[part] else 1.0
+            for k in range(low, high):
+                rate[k] *= factor
+                reached[k] += rate[k] * dt
+        for k in range(3):
+            off = behind[k] - reached[k]
+            means[i, k] = reached[k] + off * mean
+            behind[k] = reached[k] + off * left
+    return means
+
+
+@njit(cache=True)
+def moved_arm(targets, dt, lag):
+    """Return joint positions at the ends of periods, (n, j), of active targets, shape (n, j)."""
+    positions = np.empty_like(targets)
+    left = np.exp(-dt / lag) if lag > 0.0 else 0.0
+    for i in range(len(targets)):
+        for k in range(targets.shape[1]):
+            before = positions[i - 1, k] if i > 0 else targets[0, k]
+            positions[i, k] = targets[i, k] + (before - targets[i, k]) * left
+    return positions
+
+
+@njit(cache=True)
+def drawn_delays(n, dt, latency, jitter, lost, seed):
+    """Return how the active command of each period is mixed: of `slots` commands, shape (n, slots).
+
+    One draw of the delays whose mean `delay_weights` returns; the newest command comes first.
+    """
+    np.random.seed(seed)
+    slots = int(np.ceil((latency + jitter) / dt)) + 2
+    mixed = np.zeros((n, slots))
+    arrivals = np.empty(n)
+    for i in range(n):
+        arrivals[i] = i + (latency + jitter * np.random.random()) / dt
+        end = 1.0
+        for k in range(slots):
+            sent = i - k
+            begin = min(max(arrivals[sent] - i, 0.0), 1.0) if sent >= 0 else 0.0
+            mixed[i, k] = max(end - begin, 0.0)
+            end = min(end, begin)
+    kept = np.ones(n, dtype=np.bool_)
+    for i in range(n):
+        kept[i] = np.random.random() > lost
+    return mixed, kept
+
+
+@njit(cache=True)
+def drawn_arm(targets, dt, lag, mixed, kept):
+    """Return joint positions at the ends of periods for one draw of the delays, shape (n, j)."""
+    positions = np.empty_like(targets)
+    left = np.exp(-dt / lag) if lag > 0.0 else 0.0
+    active = targets[0].copy()
+    before = targets[0].copy()
+    for i in range(len(targets)):
+        if kept[i]:
+            for axis in range(targets.shape[1]):
+                value = 0.0
+                for k in range(mixed.shape[1]):
+                    if mixed[i, k] > 0.0:
+                        value += mixed[i, k] * targets[max(i - k, 0), axis]
+                active[axis] = value
+        for axis in range(targets.shape[1]):
+            before[axis] = active[axis] + (before[axis] - active[axis]) * left
+            positions[i, axis] = before[axis]
+    return positions

@@ -1,0 +1,138 @@
+"""What a robot was commanded and what it measured, on one clock."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, yaw
+from kinfeas.io.run_log import Record
+from kinfeas.robots.robot import Robot
+
+_SHORTEST = 5.0  # s of a record that is worth a fit
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Commands in equal control periods from time zero, and measurements with their times.
+
+    Attributes:
+        source: File, for errors.
+        dt: Control period, seconds.
+        twists: Commanded planar velocity in world axes by period, shape (n, 3), m/s and rad/s.
+        targets: Commanded joint positions by period, shape (n, j), continuous joints unwrapped.
+        base_times: Times of the base poses, ascending, shape (b,), seconds.
+        base: Position and unwrapped heading, shape (b, 3), metres and radians.
+        joint_times: Times of the joint positions, ascending, shape (m,), seconds.
+        joints: Joint positions, shape (m, j), continuous joints unwrapped.
+        ages: Ages on arrival, shape (a,), seconds; empty if unknown.
+    """
+
+    source: str
+    dt: float
+    twists: Array
+    targets: Array
+    base_times: Array
+    base: Array
+    joint_times: Array
+    joints: Array
+    ages: Array
+
+    @property
+    def seconds(self) -> float:
+        """Duration."""
+        return len(self.twists) * self.dt
+
+
+def log_of(record: Record, robot: Robot, source: str) -> Log:
+    """Return the log of a run; raise KinfeasError if it is of another robot or too short."""
+    names = tuple(joint.name for joint in robot.arm)
+    if record.about.joints != names:
+        raise KinfeasError(
+            f"{source}: its joints are {', '.join(record.about.joints)}, not those of {robot.name}"
+        )
+    kept = record.later
+    time = record.time[kept]
+    poses, joints = record.base_pose[kept], record.joint_positions[kept]
+    commanded = np.concatenate([record.base_twist[kept], record.joint_targets[kept]], axis=1)
+    if not np.isfinite(np.concatenate([poses, joints, commanded], axis=1)).all():
+        raise KinfeasError(f"{source}: has numbers that are not finite")
+    age = np.where(np.isfinite(record.age[kept]), record.age[kept], 0.0)
+    known = np.isfinite(record.age[kept]) & (np.arange(len(time)) > 0)
+    measured = time - age
+    base = np.stack([poses[:, 0], poses[:, 1], np.unwrap(yaw(poses))], axis=1)
+    # The command of a line was active since the line before.
+    return make_log(
+        source, robot, record.about.dt,
+        (time[:-1], record.base_twist[kept][1:][:, [0, 1, 5]]),
+        (time[:-1], record.joint_targets[kept][1:]),
+        (measured, base), (measured, joints), record.age[kept][known], end=float(time[-1]),
+    )  # fmt: skip
+
+
+Series = tuple[Array, Array]
+"""Times, shape (k,), and values, shape (k, w)."""
+
+
+def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
+    source: str,
+    robot: Robot,
+    dt: float,
+    twists: Series,
+    targets: Series,
+    base: Series,
+    joints: Series,
+    ages: Array,
+    *,
+    end: float,
+) -> Log:
+    """Return a log of commands, which hold from their times on until `end`, and measurements.
+
+    Raises:
+        KinfeasError: If it is shorter than a few seconds.
+    """
+    begin = min(float(twists[0][0]), float(targets[0][0])) if len(twists[0]) else end
+    count = int(np.floor((end - begin) / dt + 0.5))
+    if count * dt < _SHORTEST or len(base[0]) < 2 or len(joints[0]) < 2:
+        raise KinfeasError(f"{source}: shorter than {_SHORTEST:g} s")
+    edges = begin + np.arange(count + 1) * dt
+    unwrapped = _unwrapped(robot, joints[1])
+    aims = _unwrapped(robot, targets[1])
+    # Both begin in the same turn.
+    turns = np.where(robot.continuous, np.round((unwrapped[0] - aims[0]) / (2.0 * np.pi)), 0.0)
+    base_rows, joint_rows = _newer(base[0]), _newer(joints[0])
+    return Log(
+        source, dt, _means(*twists, edges), _held(targets[0], aims, edges + 0.5 * dt)[:-1]
+        + turns * 2.0 * np.pi,
+        base[0][base_rows] - begin, base[1][base_rows], joints[0][joint_rows] - begin,
+        unwrapped[joint_rows], ages,
+    )  # fmt: skip
+
+
+def _unwrapped(robot: Robot, positions: Array) -> Array:
+    unwrapped: Array = np.where(robot.continuous, np.unwrap(positions, axis=0), positions)
+    return unwrapped
+
+
+def _newer(times: Array) -> NDArray[np.intp]:
+    """Return the indices of measurements that are newer than all before, shape (k,)."""
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
+    return np.flatnonzero(times > before + 1e-6)
+
+
+def _means(times: Array, values: Array, edges: Array) -> Array:
+    """Return means of held values, zero before the first one, between edges (k + 1,)."""
+    steps = np.diff(np.append(times, max(edges[-1], times[-1])))
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * steps[:, None], 0)])
+    knots = np.append(times, max(edges[-1], times[-1]) + 1e-12)
+    at = np.stack([np.interp(edges, knots, column) for column in sums.T], axis=1)
+    means: Array = np.diff(at, axis=0) / np.diff(edges)[:, np.newaxis]
+    return means
+
+
+def _held(times: Array, values: Array, moments: Array) -> Array:
+    """Return the values that are held at some moments."""
+    last = np.searchsorted(times, moments, side="right") - 1
+    held: Array = values[np.maximum(last, 0)]
+    return held
