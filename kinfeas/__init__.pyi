@@ -1,6 +1,7 @@
 from kinfeas.api.deploy import deploy, servo
 from kinfeas.api.evaluate import ceiling, evaluate
 from kinfeas.api.fit import fit
+from kinfeas.api.identify import identify
 from kinfeas.api.load import export, load_policy, load_robot
 from kinfeas.api.train import resume, train
 from kinfeas.api.view import view
@@ -12,6 +13,7 @@ __all__ = [
     "evaluate",
     "export",
     "fit",
+    "identify",
     "load_policy",
     "load_robot",
     "resume",

@@ -1,31 +1,171 @@
 """Robots identified from records, and the runs that record them."""
 
-from collections.abc import Callable
-from dataclasses import asdict, replace
-from datetime import datetime
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.api.deploy import Deployment, recorded
 from kinfeas.api.load import checked, load_robot, read_adapters
-from kinfeas.config import Settings
+from kinfeas.config import PluginSpec, Settings, strict_yaml
 from kinfeas.config.quantities import Seed
-from kinfeas.config.recipes import load_section
+from kinfeas.config.recipes import default_engine, load_section
 from kinfeas.control.assemble import with_adapters
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.response import ResponseModel
+from kinfeas.io.files import write_file
+from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
+from kinfeas.sim2real.adapters.noise import Localisation
 from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Setup
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.identify.adapter_list import adapter_list
+from kinfeas.sim2real.identify.bags import is_bag, read_bag
 from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
+from kinfeas.sim2real.identify.fit import Estimate, Fit, Walk, fit
+from kinfeas.sim2real.identify.log import Log, log_of
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """A robot identified from records.
+
+    Attributes:
+        robot: Its name, or the path of its YAML.
+        records: Files of the records.
+        estimates: Estimates with 95 % intervals by adapter and parameter, such as
+            `actuator_lag.base`, in SI units.
+        response: Response of the robot: what does not show is left out.
+        adapters: The same as adapters, with the intervals as ranges, the first one innermost.
+        missing: What the records do not show, in sentences.
+        fit: Measured and predicted velocities.
+    """
+
+    robot: str
+    records: tuple[str, ...]
+    estimates: dict[str, Estimate]
+    response: ResponseModel
+    adapters: tuple[PluginSpec, ...]
+    missing: tuple[str, ...]
+    fit: Fit
+
+    @property
+    def response_lines(self) -> str:
+        """The response as a section of `robot.yaml`."""
+        known = {
+            name: float(f"{value:.3g}")
+            for name, value in asdict(self.response).items()
+            if value is not None and value != 0.0
+        }
+        return strict_yaml.to_text({"response": known})
+
+    @property
+    def adapter_lines(self) -> str:
+        """The adapters as a file for `--adapters`."""
+        lines = [f"# {self.robot}, identified from {len(self.records)} record(s); from the robot "
+                 "outwards."]  # fmt: skip
+        lines += [f"# {sentence[0].upper()}{sentence[1:]}." for sentence in self.missing]
+        lines.append("adapters:")
+        for spec in self.adapters:
+            own = f", parameters: {strict_yaml.to_line(spec.parameters)}" if spec.parameters else ""
+            lines.append(f"  - {{name: {spec.name}{own}}}")
+        return "\n".join(lines) + "\n"
+
+    def facts(self) -> dict[str, object]:
+        """Return the results as plain data."""
+        return {
+            "robot": self.robot,
+            "records": list(self.records),
+            "estimates": {
+                name: {key: float(value) for key, value in asdict(estimate).items()}
+                for name, estimate in self.estimates.items()
+            },
+            "response": asdict(self.response),
+            "adapters": [spec.entry() for spec in self.adapters],
+            "missing": list(self.missing),
+        }
+
+
+def identify(
+    records: Name | Sequence[Name],
+    robot: Name | None = None,
+    *,
+    out: Name | None = None,
+    picture: Name | None = None,
+    prior: Name = "harsh",
+) -> Identified:
+    """Fit a robot's response and noise to records of its runs, and return it.
+
+    Example: `kinfeas.identify("run.csv", out="my_robot.yaml").response.base_lag`
+
+    Args:
+        records: Records of `kinfeas deploy`, of `drive`, or bags of ROS, of one robot.
+        robot: Robot; that of the first record by default. Bags need it.
+        out: YAML file of adapters to write.
+        picture: PNG file to write, of measured and predicted velocities.
+        prior: Adapters whose drift of localisation is assumed: in the measured pose, drift and
+            noise of the base look alike.
+
+    Raises:
+        KinfeasError: If a record is invalid, of another robot, or shows no motion.
+    """
+    paths = [Path(records)] if isinstance(records, str | Path) else [Path(one) for one in records]
+    if not paths:
+        raise KinfeasError("give at least one record")
+    if out is not None and Path(out).suffix not in (".yaml", ".yml"):
+        raise KinfeasError(f"{out}: must end in .yaml")
+    name = str(robot) if robot is not None else _robot_of(paths[0])
+    model, walk = load_robot(name), _walk(prior)
+    logs = [_read_log(path, model) for path in paths]
+    periods = sorted({log.dt for log in logs})
+    if len(periods) > 1:
+        raise KinfeasError(f"records with different control periods: {periods} s")
+    fitted = fit(logs, walk)
+    found = Identified(
+        name, tuple(map(str, paths)), fitted.estimates, fitted.response,
+        adapter_list(fitted.estimates), fitted.missing, fitted,
+    )  # fmt: skip
+    if out is not None:
+        write_file(Path(out), found.adapter_lines.encode())
+    if picture is not None:
+        from kinfeas.viz.identification import velocities_figure
+        from kinfeas.viz.style import png
+
+        write_file(Path(picture), png(velocities_figure(fitted)))
+    return found
+
+
+def _robot_of(path: Path) -> str:
+    if is_bag(path):
+        raise KinfeasError(f"{path}: a bag needs the name of its robot")
+    return read_record(path).about.robot
+
+
+def _read_log(path: Path, robot: Robot) -> Log:
+    if is_bag(path):
+        return read_bag(path, robot)
+    return log_of(read_record(path), robot, str(path))
+
+
+def _walk(prior: Name) -> Walk:
+    """Return the drift of the localisation in a list of adapters, none without one."""
+    for spec in read_adapters(prior):
+        if spec.name == "localisation":
+            world = build_backend("analytic", {})
+            adapter = with_adapters(world, (spec,), load_robot(DEFAULT_ROBOT))
+            assert isinstance(adapter, Localisation)
+            return Walk(*(sum(adapter.ranges[key]) / 2.0 for key in ("drift", "turn_drift")))
+    return Walk(0.0, 0.0)
 
 
 def drive(  # noqa: PLR0913 - options of the command
     robot: Name = DEFAULT_ROBOT,
     *,
-    backend: str = "analytic",
+    backend: str | None = None,
     record: Name | None = None,
     adapters: Name | None = None,
     rate: float = 50.0,
@@ -42,7 +182,7 @@ def drive(  # noqa: PLR0913 - options of the command
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
     """
-    model, dt = load_robot(robot), 1.0 / rate
+    model, dt, backend = load_robot(robot), 1.0 / rate, backend or default_engine()
     config = load_section(DeployConfig, "deploy", model.folder, settings)
     if record is not None and Path(record).exists():
         raise KinfeasError(f"{record}: exists")

@@ -62,7 +62,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             adapters=adapters, guards=guards, real_time=not no_real_time, filters=filters,
             settings=options.read_settings(overrides), on_start=preparing.stop,
         )  # fmt: skip
-    raise typer.Exit(_report(done, json))
+    raise typer.Exit(report(done, json))
 
 
 def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -96,10 +96,10 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
             record=record, adapters=adapters, guards=guards, filters=filters,
             settings=options.read_settings(overrides), on_start=preparing.stop,
         )  # fmt: skip
-    raise typer.Exit(_report(done, json))
+    raise typer.Exit(report(done, json))
 
 
-def _report(done: "Deployment", json: Path | None) -> int:
+def report(done: "Deployment", json: Path | None) -> int:
     """Print the results of a run and return its code."""
     from kinfeas.sim2real.link.rate import peak_memory_mb
 

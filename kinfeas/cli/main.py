@@ -17,6 +17,7 @@ from kinfeas.cli.demonstrations import dataset, fit
 from kinfeas.cli.deploy import deploy, servo
 from kinfeas.cli.evaluate import ceiling, evaluate
 from kinfeas.cli.export import export
+from kinfeas.cli.identify import identify
 from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
@@ -34,7 +35,7 @@ app = typer.Typer(
 )
 for _command in (
     demo, train, sweep, evaluate, benchmark, ceiling, export, deploy, servo,
-    play, simulate, view, fit, dataset,
+    identify, play, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(plugins, name="plugins")

@@ -14,6 +14,7 @@ EXTRAS = {
     "view": ("viser",),
     "video": ("av",),
     "ros2": ("cyclonedds",),
+    "bags": ("rosbags",),
     "qp": ("pinocchio", "pink", "qpsolvers", "daqp"),
     "ray": ("ray",),
     "sweep": ("optuna",),

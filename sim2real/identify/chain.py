@@ -134,21 +134,28 @@ def drawn_delays(n, dt, latency, jitter, lost, seed):
 
 
 @njit(cache=True)
-def drawn_arm(targets, dt, lag, mixed, kept):
-    """Return joint positions at the ends of periods for one draw of the delays, shape (n, j)."""
-    positions = np.empty_like(targets)
-    left = np.exp(-dt / lag) if lag > 0.0 else 0.0
-    active = targets[0].copy()
-    before = targets[0].copy()
-    for i in range(len(targets)):
-        if kept[i]:
-            for axis in range(targets.shape[1]):
+def drawn_commands(commands, mixed, kept):
+    """Return the active commands for one draw of the delays, shape (n, w)."""
+    active = np.empty_like(commands)
+    for i in range(len(commands)):
+        for axis in range(commands.shape[1]):
+            if kept[i]:
                 value = 0.0
                 for k in range(mixed.shape[1]):
                     if mixed[i, k] > 0.0:
-                        value += mixed[i, k] * targets[max(i - k, 0), axis]
-                active[axis] = value
-        for axis in range(targets.shape[1]):
-            before[axis] = active[axis] + (before[axis] - active[axis]) * left
-            positions[i, axis] = before[axis]
-    return positions
+                        value += mixed[i, k] * commands[max(i - k, 0), axis]
+                active[i, axis] = value
+            else:
+                active[i, axis] = active[i - 1, axis] if i > 0 else commands[0, axis]
+    return active
+
+
+@njit(cache=True)
+def mean_moved_base(commands, dt, latency, jitter, lost, lag, acceleration, jerk, draws):
+    """Return the mean of `moved_base` over draws of the delays, shape (n, 3)."""
+    total = np.zeros_like(commands)
+    for seed in range(draws):
+        mixed, kept = drawn_delays(len(commands), dt, latency, jitter, lost, seed)
+        active = drawn_commands(commands, mixed, kept)
+        total += moved_base(active, dt, lag, acceleration, jerk)
+    return total / draws

@@ -114,7 +114,7 @@ class Excitation:
     Attributes:
         name: Task name.
         seconds: Duration.
-        live: Whether the base may move, shape (1,).
+        live: False where the base stops at once in the next period, shape (1,).
     """
 
     name, seconds = "excitation", SECONDS
@@ -123,6 +123,8 @@ class Excitation:
         """Compute the commands of `dt` seconds each, and compile the check of self-collision."""
         self._solver, self._dt, self._period = solver, dt, 0
         self._base, self._arm = base_pattern(solver.robot, dt), arm_pattern(dt)
+        changes = np.diff(self._base, axis=0, append=0.0).any(axis=1)
+        self._stops = changes & self._base.any(axis=1)
         self._home = solver.robot.home["home"]
         self._start, self._amplitude = self._home, arm_amplitude(solver, self._home, dt)
         self._desired = np.empty((1, 7))
@@ -143,7 +145,7 @@ class Excitation:
 
     def start(self, desired: Array, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
         """Begin the pattern; the EE has no other target than its pose, shape (1, 7)."""
-        self._desired, self._period = desired, 0
+        self._desired, self._period, self.live = desired, 0, np.ones(1, dtype=np.bool_)
 
     def targets(self, progress: Progress) -> Array:
         """Return the pose of the start, shape (1, 7)."""
@@ -168,6 +170,8 @@ class Excitation:
             self._start = period.joints[0]
             self._amplitude = arm_amplitude(self._solver, self._start, self._dt)
         number = min(self._period, len(self._base) - 1)
+        # At the end of each piece the base stops at once, past the guards' acceleration.
+        self.live = ~self._stops[number : number + 1]
         self._period += 1
         command = self._base[number : number + 1]
         joints = self._start + self._arm[number] * self._amplitude

@@ -32,9 +32,11 @@ _JUMP = 4.5  # standard deviations of a jump
 _MOVES = 0.02  # m/s and rad/s, or m and rad of a joint, that count as motion
 _CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
 _ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
-_DRAWS = 24  # of delays, for the spread that jitter and lost commands cause
+_DRAWS = 16  # of delays, for the spread that jitter and lost commands cause
+_BASE_DRAWS = 8  # the same, for their mean effect on the base
 _JITTERS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1)
 _LOST = (0.0, 0.01, 0.025, 0.05, 0.075, 0.1, 0.13, 0.17)
+_PAIRS = 0.1  # weight of the likelihood of pairs, each of which is in six and depends on others
 _SYSTEMATIC = 0.003  # s, at least, of the half of an interval of times
 _SLACK = 0.03  # the same of limits and noise, as a fraction
 _TIMES, _LIMITS = np.log([1e-3, 3.0]), np.log([0.05, 50.0])
@@ -108,7 +110,7 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
         missing.append(f"no arm motion: arm lag and lost commands unknown; {DRIVE}")
     if "joint_noise.deviation" not in found:
         missing.append(f"the arm is never at rest: joint noise unknown; {DRIVE}")
-    found |= _base_noise(ways, [model.velocities(way.log) for way in ways], walk, missing)
+    found |= _base_noise(ways, [model.velocities(way.log, _BASE_DRAWS) for way in ways], walk, missing)
     found |= _ages(logs, missing)
     return _result(ways, model, found, missing, None if delays is None else delays.mean(dt))
 
@@ -142,10 +144,17 @@ class _Model:
     acceleration: Array
     jerk: Array
 
-    def velocities(self, log: Log) -> Array:
-        """Return the mean velocity in each period of a log, shape (n, 3)."""
-        active = chain.delayed(log.twists, self.delays.weights(log.dt))
-        return chain.moved_base(active, log.dt, self.lag, self.acceleration, self.jerk)
+    def velocities(self, log: Log, draws: int = 0) -> Array:
+        """Return the mean velocity in each period of a log, shape (n, 3).
+
+        That of the mean active command or, since limits are not linear, the mean of `draws`.
+        """
+        limits = self.lag, self.acceleration, self.jerk
+        if not draws:
+            active = chain.delayed(log.twists, self.delays.weights(log.dt))
+            return chain.moved_base(active, log.dt, *limits)
+        delays = max(0.0, self.delays.latency), self.delays.jitter, self.delays.lost
+        return chain.mean_moved_base(log.twists, log.dt, *delays, *limits, draws)
 
 
 class _Ways:
@@ -216,6 +225,7 @@ class _BaseProblem:
             tried, cost = self._solve(_Model(delays, lag, *limits), names, "soft_l1")
             if cost < least:
                 best, least = tried, cost
+        self._draws = _BASE_DRAWS
         for _ in range(2):
             self._normalise(best)
             best, least = self._solve(best, free, "linear")
@@ -238,11 +248,12 @@ class _BaseProblem:
         return best, self._errors(best, free)
 
     _prior: tuple[float, float] | None = None  # latency and its standard error
+    _draws = 0  # of delays
 
     def _normalise(self, model: _Model) -> None:
         """Estimate the noise of each axis, and leave out jumps."""
         rests = [
-            (way.predicted(model.velocities(way.log)) - way.moved) / scale
+            (way.predicted(model.velocities(way.log, self._draws)) - way.moved) / scale
             for way, scale in zip(self._ways, self._scale, strict=True)
         ]
         self._deviation = 1.4826 * np.median(np.abs(np.concatenate(rests)), axis=0) + 1e-9
@@ -251,7 +262,7 @@ class _BaseProblem:
     def _residuals(self, model: _Model) -> Array:
         parts = []
         for way, scale, kept in zip(self._ways, self._scale, self._kept, strict=True):
-            rest = way.predicted(model.velocities(way.log)) - way.moved
+            rest = way.predicted(model.velocities(way.log, self._draws)) - way.moved
             parts.append((rest / (scale * self._deviation) * kept[:, np.newaxis]).ravel())
         if self._prior is not None:
             latency, error = self._prior
@@ -267,7 +278,7 @@ class _BaseProblem:
 
         found = least_squares(
             residuals, start, jac=lambda z: _derivatives(residuals, z), bounds=bounds.T,
-            loss=loss, f_scale=3.0, max_nfev=40, xtol=1e-4, ftol=1e-7,
+            loss=loss, f_scale=3.0, max_nfev=20, xtol=1e-3, ftol=1e-6,
         )  # fmt: skip
         return _changed(model, free, found.x), float(found.cost)
 
@@ -339,9 +350,9 @@ class _ArmProblem:
             if latency:
                 delays = replace(delays, latency=float(found.x[1]) * _LATENCY)
             late, variance = self._time_errors(delays)
-            self._spread = float(np.sqrt(max(0.0, np.average(
-                late**2 - variance, weights=1.0 / (variance + self._spread**2)
-            ))))  # fmt: skip
+            weights = 1.0 / (variance + self._spread**2)
+            spread = np.nansum((late**2 - variance) * weights) / np.nansum(weights)
+            self._spread = float(np.sqrt(max(0.0, spread)))
         blocks = np.repeat(self._blocks, int(self._joints.sum()))
         errors = standard_errors(residuals(start), _derivatives(residuals, start), blocks)
         self.error = float(errors[0]) * self.lag
@@ -350,7 +361,7 @@ class _ArmProblem:
     def _positions(self, delays: _Delays, lag: float) -> Iterator[tuple[Array, Array, Array]]:
         """Yield predicted and measured positions, and speeds, shape (k, moving) each."""
         for log, at in zip(self._logs, self._at, strict=True):
-            targets = np.ascontiguousarray(log.targets[:, self._joints])
+            targets = log.targets[:, self._joints]
             ends = chain.moved_arm(chain.delayed(targets, delays.weights(log.dt)), log.dt, lag)
             ends = np.concatenate([targets[:1], ends])
             predicted, measured = _interpolated(ends, at), log.joints[:, self._joints]
@@ -367,32 +378,40 @@ class _ArmProblem:
         return np.concatenate(parts).ravel()
 
     def _time_errors(self, delays: _Delays) -> tuple[Array, Array]:
-        """Return by how much the arm is early, seconds, and the noise's variance of that, (k,)."""
-        early, variances = [], []
+        """Return by how much the arm is late, seconds, and the noise's variance of that, (k,).
+
+        NaN where it does not move.
+        """
+        late, variances = [], []
         for (p, m, s), variance in zip(
             self._positions(delays, self.lag), self._variances, strict=True
         ):
-            speed = np.sum(s**2, axis=1)
-            moving = speed > _MOVES**2
-            early.append(np.sum((m - p) * s, axis=1)[moving] / speed[moving])
-            variances.append(variance[moving] / speed[moving])
-        return np.concatenate(early), np.concatenate(variances)
+            square = _moving_square(s)
+            late.append(np.sum((p - m) * s, axis=1) / square)
+            variances.append(variance / square)
+        return np.concatenate(late), np.concatenate(variances)
 
     def spread(self, delays: _Delays) -> tuple[Estimate, Estimate, float]:
         """Return the jitter, the probability of a loss, and an error of the latency from both.
 
-        The spread of the arm's time errors is compared with that of simulated delays.
+        Time errors of the arm are compared with those of simulated delays, by the likelihood of
+        pairs of neighbours.
         """
-        early, variance = self._time_errors(delays)
+        late, noise = self._time_errors(delays)
         speeds = [speed for _, _, speed in self._positions(delays, self.lag)]
         likelihood = np.empty((len(_JITTERS), len(_LOST)))
         latencies = np.empty_like(likelihood)
         for (i, jitter), (k, lost) in product(enumerate(_JITTERS), enumerate(_LOST)):
             tried = delays.spread(jitter, lost, self._dt)
             latencies[i, k] = tried.latency
-            total = variance + self._simulated(tried, speeds) + 1e-8
-            # The lag makes neighbours dependent: each counts by half.
-            likelihood[i, k] = -0.25 * np.sum(np.log(total) + np.minimum(early**2 / total, 25.0))
+            drawn = self._simulated(tried, speeds)
+            variance = drawn.var(axis=0, ddof=1) + 1e-8
+            normal = (drawn - drawn.mean(axis=0)) / np.sqrt(variance)
+            likelihood[i, k] = _PAIRS * sum(
+                _pairs(late, variance, noise, float(np.nanmean(normal[:, lag:] * normal[:, :-lag])),
+                       lag)
+                for lag in (1, 2, 3)
+            )  # fmt: skip
             likelihood[i, k] += -np.inf if tried.latency < -0.25 * self._dt else 0.0
         weights = np.exp(likelihood - likelihood.max())
         weights /= weights.sum()
@@ -405,22 +424,37 @@ class _ArmProblem:
         )
 
     def _simulated(self, delays: _Delays, speeds: Sequence[Array]) -> Array:
-        """Return the variance of time errors that delays cause, at the moving speeds, shape (k,)."""
-        variances, latency = [], max(0.0, delays.latency)
-        for log, at, each in zip(self._logs, self._at, speeds, strict=True):
-            targets = np.ascontiguousarray(log.targets[:, self._joints])
-            square = np.sum(each**2, axis=1)
-            moving = square > _MOVES**2
+        """Return time errors of draws of the delays, at given speeds, shape (draws, k)."""
+        errors, latency = [], max(0.0, delays.latency)
+        for log, at, speed in zip(self._logs, self._at, speeds, strict=True):
+            targets, square = log.targets[:, self._joints], _moving_square(speed)
             late = []
             for seed in range(_DRAWS):
                 mixed, kept = chain.drawn_delays(
                     len(targets), log.dt, latency, delays.jitter, delays.lost, seed
                 )
-                ends = chain.drawn_arm(targets, log.dt, self.lag, mixed, kept)
+                active = chain.drawn_commands(targets, mixed, kept)
+                ends = chain.moved_arm(active, log.dt, self.lag)
                 drawn = _interpolated(np.concatenate([targets[:1], ends]), at)
-                late.append(np.sum(drawn * each, axis=1)[moving] / square[moving])
-            variances.append(np.var(late, axis=0, ddof=1))
-        return np.concatenate(variances)
+                late.append(-np.sum(drawn * speed, axis=1) / square)
+            errors.append(late)
+        return np.concatenate(errors, axis=1)
+
+
+def _moving_square(speed: Array) -> Array:
+    """Return squared speeds of arms, shape (k, w) -> (k,), NaN for those at rest."""
+    square = np.sum(speed**2, axis=1)
+    return np.where(square > _MOVES**2, square, np.nan)
+
+
+def _pairs(late: Array, variance: Array, noise: Array, correlation: float, lag: int) -> float:
+    """Return the log-likelihood of pairs of values, (k,), with a `lag` between them."""
+    shared = correlation * np.sqrt(variance[lag:] * variance[:-lag])
+    total = variance + noise
+    first, second, a, b = total[:-lag], total[lag:], late[:-lag], late[lag:]
+    determinant = first * second - shared**2
+    square = (second * a**2 - 2.0 * shared * a * b + first * b**2) / determinant
+    return float(-0.5 * np.nansum(np.log(determinant) + np.minimum(square, 40.0)))
 
 
 def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.intp]) -> Array:
@@ -566,8 +600,9 @@ def _localisation_jumps(
         starts = np.flatnonzero(flags & ~np.concatenate([[False], flags[:-1]]))
         last = 0.0
         for start in starts:
-            part = rest[start : start + 2] if flags[start : start + 2].all() else rest[start : start + 1]
-            sums += part.sum(axis=0) ** 2
+            # An interpolated jump lies in several ways.
+            end = start + int(np.argmin(np.append(flags[start:], False)))
+            sums += rest[max(0, start - 1) : end + 1].sum(axis=0) ** 2
             walked += (way.times[start] - last) * np.array([*drifts[:1] * 2, drifts[1]]) ** 2
             last = float(way.times[start])
         count, first = count + len(starts), first + bool(len(starts))
@@ -665,7 +700,7 @@ def _result(
         jitter = found["sensor_latency.jitter"].value
         known["sensor_latency"] = found["sensor_latency.seconds"].value + jitter / 2.0
     response = ResponseModel(command_latency=max(0.0, latency or 0.0), **known)
-    predicted = [way.predicted(model.velocities(way.log)) for way in ways]
+    predicted = [way.predicted(model.velocities(way.log, _BASE_DRAWS)) for way in ways]
     return Fit(
         found, response, tuple(missing), tuple(way.times for way in ways),
         tuple(way.moved / way.seconds[:, np.newaxis] for way in ways),

@@ -1,0 +1,240 @@
+"""Logs from bags of ROS 1 and ROS 2, read by rosbags; no ROS installation is needed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
+from kinfeas.core.spatial import Array
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.identify.log import Log, Series, make_log
+from kinfeas.sim2real.ros import messages as ros_messages
+from kinfeas.sim2real.ros.topics import Topics, read_topics
+
+_SUFFIXES = (".bag", ".db3", ".mcap")
+_HELD = 0.5  # s for which a velocity command holds at most: drivers stop without newer ones
+_CLOCKS = 1.0  # s by which stamps may precede the time of recording, if both have one clock
+_PERIODS = (0.005, 0.1)  # s, shortest and longest control period
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is a bag: a folder of ROS 2, or a file by its suffix."""
+    return path.suffix in _SUFFIXES or path.is_dir()
+
+
+def read_bag(path: Path, robot: Robot, topics: str | None = None) -> Log:
+    """Return the log in a bag, with the topics of the robot or those of a file.
+
+    Velocity commands and trajectories take effect when they were recorded, measurements by their
+    stamps if these are of the same clock.
+
+    Raises:
+        KinfeasError: If rosbags is not installed, or the bag is broken, lacks a topic, or has
+            messages out of order or numbers that are not finite.
+    """
+    require("rosbags")
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    if not path.exists():
+        raise KinfeasError(f"{path}: no such file or folder")
+    folder = path.parent if path.suffix == ".db3" else path
+    try:
+        with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            named = read_topics(robot, 2 if reader.is2 else 1, topics)
+            return _Bag(path, robot, named).read(reader)
+    except AnyReaderError as error:
+        raise KinfeasError(f"{path}: no bag that can be read: {error}") from error
+
+
+@dataclass
+class _Stream:
+    """Values of a topic, with the times of recording and the stamps, seconds."""
+
+    recorded: list[float] = field(default_factory=list)
+    stamps: list[float] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+
+
+class _Bag:
+    def __init__(self, path: Path, robot: Robot, topics: Topics) -> None:
+        self._path, self._robot, self._topics = path, robot, topics
+        names = topics.joints.names
+        self._names = [names.get(joint.name, joint.name) for joint in robot.arm]
+        self._twists, self._base = _Stream(), _Stream()
+        self._joints, self._targets = _Stream(), _Stream()
+        self._positions: dict[str, float] = {}
+        self._aims: dict[str, float] = {}
+        self._paths: list[tuple[float, Any]] = []
+        self._now = 0.0
+        frames = topics.base.world_frame, topics.base.frame
+        self._tree = ros_messages.TfTree(*frames, now=lambda: self._now)
+
+    def read(self, reader: Any) -> Log:
+        topics = self._topics
+        base = topics.base
+        by_tf = base.measured_by == "tf"
+        takes = {
+            base.command: self._take_twist,
+            topics.joints.measured: self._take_joints,
+            **{each.command: self._take_path for each in topics.joints.controllers},
+            "/tf" if by_tf else base.odometry: self._take_tf if by_tf else self._take_odometry,
+        }
+        if by_tf:
+            takes["/tf_static"] = self._take_static
+        needed = [base.command, topics.joints.measured, "/tf" if by_tf else base.odometry]
+        present = {connection.topic for connection in reader.connections}
+        if missing := [topic for topic in needed if topic not in present]:
+            raise KinfeasError(f"{self._path}: has no {', '.join(missing)}")
+        chosen = [each for each in reader.connections if each.topic in takes]
+        for connection, nanoseconds, raw in reader.messages(connections=chosen):
+            self._now = nanoseconds / 1e9
+            takes[connection.topic](reader.deserialize(raw, connection.msgtype), connection.topic)
+        return self._log()
+
+    def _take_twist(self, message: Any, topic: str) -> None:
+        self._put(self._twists, topic, ros_messages.velocity(message), None)
+
+    def _take_odometry(self, message: Any, topic: str) -> None:
+        pose = message.pose.pose
+        planar = ros_messages.planar(_pose(pose.position, pose.orientation))
+        self._put(self._base, topic, np.array(planar), _seconds(message.header.stamp))
+
+    def _take_joints(self, message: Any, topic: str) -> None:
+        self._positions.update(zip(message.name, message.position, strict=False))
+        if any(name in message.name for name in self._names) and all(
+            name in self._positions for name in self._names
+        ):
+            values = np.array([self._positions[name] for name in self._names])
+            self._put(self._joints, topic, values, _seconds(message.header.stamp))
+
+    def _take_path(self, message: Any, topic: str) -> None:
+        for point in message.points:
+            if not np.isfinite(point.positions).all():
+                raise KinfeasError(f"{self._path}: a number of {topic} is not finite")
+        self._paths.append((self._now, message))
+
+    def _take_tf(self, message: Any, topic: str) -> None:
+        self._tree.take(_transforms(message))
+        reading = self._tree.reading()
+        stamps = self._base.stamps
+        if reading is not None and (not stamps or reading.stamp != stamps[-1]):
+            values = np.array([reading.x, reading.y, reading.yaw])
+            self._put(self._base, topic, values, reading.stamp)
+
+    def _take_static(self, message: Any, topic: str) -> None:
+        self._tree.take(_transforms(message), static=True)
+
+    def _put(self, stream: _Stream, topic: str, values: Array, stamp: float | None) -> None:
+        if not np.isfinite(values).all():
+            raise KinfeasError(f"{self._path}: a number of {topic} is not finite")
+        stamp = stamp or self._now
+        if stream.stamps and stamp < stream.stamps[-1]:
+            back = stream.stamps[-1] - stamp
+            raise KinfeasError(
+                f"{self._path}: messages of {topic} are out of order: a stamp goes back by "
+                f"{back:.3g} s"
+            )
+        stream.recorded.append(self._now)
+        stream.stamps.append(stamp)
+        stream.values.append(values)
+
+    def _log(self) -> Log:
+        for stream, what in (
+            (self._twists, "velocity command"), (self._base, "base pose"),
+            (self._joints, "position of all arm joints"),
+        ):  # fmt: skip
+            if len(stream.values) < 2:
+                raise KinfeasError(f"{self._path}: has no {what}")
+        (base, ages), (joints, _) = _measured(self._base), _measured(self._joints)
+        base = base[0], np.stack([*base[1].T[:2], np.unwrap(base[1][:, 2])], axis=1)
+        commands = np.array(self._twists.recorded)
+        dt = float(np.clip(np.median(np.diff(commands)), *_PERIODS))
+        return make_log(
+            str(self._path), self._robot, dt, self._commands(base),
+            self._aimed(float(commands[0]), joints[1][0]), base, joints, ages,
+            end=min(float(commands[-1]) + _HELD, float(base[0][-1]), float(joints[0][-1])),
+        )  # fmt: skip
+
+    def _commands(self, base: Series) -> Series:
+        """Return the commands in world axes, with a zero where newer ones do not come."""
+        times, values = np.array(self._twists.recorded), np.array(self._twists.values)
+        late = np.flatnonzero(np.diff(times, append=np.inf) > _HELD)
+        times = np.insert(times, late + 1, times[late] + _HELD)
+        values = np.insert(values, late + 1, 0.0, axis=0)
+        heading = np.interp(times, base[0], base[1][:, 2])
+        cosine, sine = np.cos(heading), np.sin(heading)
+        forward, left, turn = values.T
+        return times, np.stack(
+            [cosine * forward - sine * left, sine * forward + cosine * left, turn], axis=1
+        )
+
+    def _aimed(self, begin: float, start: Array) -> Series:
+        """Return the targets of the arm: those of a trajectory of one point at once."""
+        times, values, aim = [begin], [start.copy()], dict(zip(self._names, start, strict=True))
+        paths = self._paths
+        for number, (sent, message) in enumerate(paths):
+            until = paths[number + 1][0] if number + 1 < len(paths) else np.inf
+            for when, name_positions in _points(message, sent, aim):
+                if when < until or when == sent:
+                    aim.update(name_positions)
+                    times.append(max(when, times[-1]))
+                    values.append(np.array([aim[name] for name in self._names]))
+        return np.array(times), np.array(values)
+
+
+def _points(
+    message: Any, sent: float, aim: dict[str, float]
+) -> Iterator[tuple[float, dict[str, float]]]:
+    """Yield the targets of a trajectory; between several points, each hundredth of a second."""
+    names, points = list(message.joint_names), message.points
+    known = [name in aim for name in names]
+    if not points or not any(known):
+        return
+    ends = np.array([point.positions for point in points])
+    if len(points) == 1:
+        yield sent, {n: float(v) for n, v, k in zip(names, ends[0], known, strict=True) if k}
+        return
+    times = sent + np.array([_seconds(point.time_from_start) for point in points])
+    start = np.array([aim.get(name, 0.0) for name in names])
+    knots, values = np.append(sent, times), np.concatenate([start[np.newaxis], ends])
+    for when in np.arange(sent, times[-1] + 0.005, 0.01):
+        row = [float(np.interp(when, knots, column)) for column in values.T]
+        yield float(when), {n: v for n, v, k in zip(names, row, known, strict=True) if k}
+
+
+def _measured(stream: _Stream) -> tuple[Series, Array]:
+    """Return times and values, and ages if the stamps are of the clock of the recording."""
+    recorded, stamps = np.array(stream.recorded), np.array(stream.stamps)
+    ages, values = recorded - stamps, np.array(stream.values)
+    if 0.0 <= float(np.median(ages)) <= _CLOCKS:
+        return (stamps, values), np.clip(ages, 0.0, None)
+    return (recorded, values), np.empty(0)
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec) + float(stamp.nanosec) * 1e-9
+
+
+def _pose(position: Any, orientation: Any) -> Array:
+    p, q = position, orientation
+    return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+
+
+def _transforms(message: Any) -> Any:
+    """Return a TFMessage with stamps as `TfTree` reads them."""
+    return SimpleNamespace(transforms=[
+        SimpleNamespace(
+            header=SimpleNamespace(
+                frame_id=each.header.frame_id,
+                stamp=SimpleNamespace(to_sec=lambda stamp=each.header.stamp: _seconds(stamp)),
+            ),
+            child_frame_id=each.child_frame_id, transform=each.transform,
+        )
+        for each in message.transforms
+    ])  # fmt: skip

@@ -1,0 +1,148 @@
+"""Identify simulated robots whose parameters are known, and count how many are found.
+
+`python studies/identification.py DIR` draws robots from `harsh` in the analytic world, HSR, PR2 and
+TIAGo in turn, drives the pattern of `kinfeas identify --drive` with each, fits its record, and
+prints how far estimates are off and how often the intervals hold the truth. Each run is a CSV and a
+JSON file in DIR; those that exist are not repeated. `--draws N` changes their number, `--first N`
+the first seed, `--ros2 N` adds as many draws of PR2 as a robot of `kinfeas simulate` over ROS 2.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+from kinfeas.api.identify import drive, identify
+from kinfeas.api.load import load_robot, read_adapters
+from kinfeas.control.assemble import with_adapters
+from kinfeas.core.backend import BackendWrapper, build_backend
+from kinfeas.core.spatial import IDENTITY
+from kinfeas.core.start import episode_rng
+from kinfeas.sim2real.adapters.adapter import Adapter
+
+ROBOTS = ("hsr", "pr2", "tiago")
+ADAPTERS = "harsh"
+TARGETS = {
+    "actuator_lag.base": 0.015, "actuator_lag.arm": 0.015, "command_latency.seconds": 0.015,
+    "sensor_latency.seconds": 0.015, "acceleration_limit.linear": "15 %",
+    "acceleration_limit.angular": "15 %", "base_noise.linear": "30 %", "base_noise.angular": "30 %",
+    "joint_noise.deviation": "30 %",
+}  # fmt: skip
+"""How far off an estimate may be: seconds, or a share of the truth."""
+
+
+def main() -> None:
+    """Run what is missing, then print what there is."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--draws", type=int, default=30)
+    parser.add_argument("--first", type=int, default=1000)
+    parser.add_argument("--ros2", type=int, default=0)
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    runs = []
+    for number in range(given.draws):
+        robot, seed = ROBOTS[number % len(ROBOTS)], given.first + number
+        runs.append(done(given.folder / f"{robot}-{seed}", robot, seed, "analytic"))
+    report("analytic world", runs)
+    if given.ros2:
+        seeds = range(given.first, given.first + given.ros2)
+        ros2 = [done(given.folder / f"ros2-{seed}", "pr2", seed, "ros2") for seed in seeds]
+        report("kinfeas simulate over ROS 2", ros2)
+
+
+def done(path: Path, robot: str, seed: int, backend: str) -> dict[str, dict[str, float]]:
+    """Return truth, estimates and intervals of a draw, which is made if it does not exist."""
+    record, result = path.with_suffix(".csv"), path.with_suffix(".json")
+    if not record.exists():
+        if backend == "analytic":
+            run = drive(
+                robot, backend=backend, record=record, adapters=ADAPTERS, seed=seed,
+                real_time=False,
+            )  # fmt: skip
+            assert run.outcome.code == 0, run.outcome.reason
+        else:
+            drive_over_ros2(robot, seed, record)
+    if not result.exists():
+        begin = time.perf_counter()
+        found = identify(record).facts()
+        found["seconds"] = time.perf_counter() - begin
+        found["truth"] = truth(robot, seed)
+        result.write_text(json.dumps(found, indent=2))
+    return json.loads(result.read_text())
+
+
+def drive_over_ros2(robot: str, seed: int, record: Path) -> None:
+    """Record the pattern with a simulated robot behind ROS 2."""
+    command = [sys.executable, "-m", "kinfeas"]
+    words = ["--robot", robot, "--backend", "ros2"]
+    simulated = subprocess.Popen(
+        [*command, "simulate", *words, "--adapters", ADAPTERS, "--seed", str(seed)],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert simulated.stdout is not None
+        simulated.stdout.readline()  # is ready
+        subprocess.run(
+            [*command, "identify", "--drive", *words, "--record", str(record)], check=True
+        )
+    finally:
+        simulated.terminate()
+        simulated.wait()
+
+
+def truth(robot: str, seed: int) -> dict[str, float]:
+    """Return the drawn parameters of the adapters, by adapter and parameter."""
+    model, specs = load_robot(robot), read_adapters(ADAPTERS)
+    backend = with_adapters(build_backend("analytic", {}), specs, model)
+    seeds = np.array([episode_rng(seed, 0).integers(2**64, dtype=np.uint64)])
+    backend.seed(seeds, np.array([0]))
+    backend.reset(IDENTITY[np.newaxis], model.home["home"][np.newaxis])
+    numbers, names = {}, [spec.name for spec in reversed(specs)]
+    for name in names:
+        assert isinstance(backend, BackendWrapper)
+        if isinstance(backend, Adapter):
+            numbers |= {f"{name}.{key}": float(backend.number(key)[0, 0]) for key in backend.ranges}
+        backend = backend.backend
+    return numbers
+
+
+def report(title: str, runs: list[dict[str, dict[str, float]]]) -> None:
+    """Print a table of estimates against the truth."""
+    errors, held, within = defaultdict(list), defaultdict(list), defaultdict(list)
+    for run in runs:
+        for name, true in run["truth"].items():
+            found = run["estimates"].get(name)
+            if found is None:
+                if name in TARGETS:
+                    within[name].append(False)
+                continue
+            errors[name].append(found["value"] - true)
+            held[name].append(found["low"] <= true <= found["high"])
+            if name in TARGETS:
+                limit = TARGETS[name]
+                most = limit if isinstance(limit, float) else float(limit.split()[0]) / 100 * true
+                within[name].append(abs(found["value"] - true) <= most)
+    seconds = np.mean([run["seconds"] for run in runs])
+    print(f"{title}: {len(runs)} draws, {seconds:.1f} s a fit\n")
+    print("| parameter | mean error | largest | within | of | interval holds the truth |")
+    print("|---|---|---|---|---|---|")
+    for name, each in errors.items():
+        enough = f"{sum(within[name])} of {len(within[name])}" if name in TARGETS else "-"
+        limit = TARGETS.get(name, "-")
+        limit = f"{1000 * limit:.0f} ms" if isinstance(limit, float) else limit
+        print(
+            f"| `{name}` | {np.mean(np.abs(each)):.3g} | {np.max(np.abs(each)):.3g} | {limit} "
+            f"| {enough} | {sum(held[name])} of {len(held[name])} |"
+        )
+    share = np.mean([flag for name in TARGETS for flag in held[name]])
+    print(f"\nintervals of the parameters with a target hold the truth in {share:.0%}\n")
+
+
+if __name__ == "__main__":
+    main()
