@@ -172,7 +172,7 @@ def servo(  # noqa: PLR0913 - options of the command
     return replace(done, outcome=outcome, targets=controller.statistics())
 
 
-def recorded(  # noqa: PLR0913 - the parts of a header
+def recorded(
     setup: Setup,
     robot: str,
     policy: str,

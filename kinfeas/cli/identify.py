@@ -43,6 +43,7 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas identify runs/deploy/FILE.csv --out my_robot.yaml --picture fit.png
     """
+    from kinfeas.api import DEFAULT_ROBOT
     from kinfeas.api import identify as api
 
     paths = list(records or ())
@@ -51,7 +52,7 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
             raise KinfeasError("--drive records by itself and excludes records")
         with status("preparing") as preparing:
             done = api.drive(
-                robot or api.DEFAULT_ROBOT, backend=backend, record=record, adapters=adapters,
+                robot or DEFAULT_ROBOT, backend=backend, record=record, adapters=adapters,
                 rate=rate, seed=seed, real_time=not no_real_time,
                 settings=options.read_settings(overrides), on_start=preparing.stop,
             )  # fmt: skip

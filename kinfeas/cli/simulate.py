@@ -18,6 +18,7 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     episode: int = option(0, "Number of the episode.", min=0),
     seed: options.Seed = 0,
     scene: str | None = option(None, "Scene by name or YAML file.  [default: that of --task]"),
+    adapters: options.AdapterList = None,
     topics: str | None = option(None, "YAML of the topics.  [default: those of the robot]"),
     rate: float = option(100.0, "Measurement rate, Hz.", min=10.0, max=1000.0),
     seconds: float | None = option(None, "Duration.  [default: unlimited]", min=0.0),
@@ -28,10 +29,12 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Simulate a robot behind ROS topics, with physics in real time.
 
-    Programs for the real robot, such as kinfeas deploy, can drive it. Ctrl-C ends it.
+    Programs for the real robot, such as kinfeas deploy, can drive it. Ctrl-C ends it. Adapters lie
+    around the robot: what drives it meets their noise, latency and limits.
 
     Example: kinfeas simulate --backend ros2 --robot pr2 --task door
     """
+    from kinfeas.api.load import read_adapters
     from kinfeas.core.start import episode_rng
     from kinfeas.robots.loading import load_robot
     from kinfeas.sim2real.simulator import simulation
@@ -43,7 +46,9 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     link = simulation.robot_link(backend, model, topics)
     drawn_by = load_task(task) if task is not None else None
     rng = episode_rng(seed, episode)
-    room, state = simulation.spawn(model, drawn_by, scene, rng=rng, engine=world, gui=gui)
+    room, state = simulation.spawn(
+        model, drawn_by, scene, rng=rng, engine=world, gui=gui, adapters=read_adapters(adapters)
+    )
     player = simulation.SimulatedRobot(room, state, command_timeout)
 
     def ready() -> None:

@@ -81,8 +81,9 @@ class Moment:
         joint_positions: Measured arm joints, shape (j,).
         desired: Desired world pose of the EE, shape (7,).
         goal: World pose of the EE at the end of the sub-goal, shape (7,).
-        base_twist: Commanded world twist, shape (6,), m/s and rad/s.
-        joint_targets: Commanded arm joints, shape (j,).
+        base_twist: Commanded world twist, shape (6,), m/s and rad/s: as sent or, with adapters
+            in between, as given to the outermost one.
+        joint_targets: Commanded arm joints, shape (j,), likewise.
         feasible: Whether IK found the desired pose.
         subgoal: Number of the sub-goal.
         event: Event of the period; empty if none.

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify.fit import Fit
-from kinfeas.viz.style import BASE, FAINT, FAILURE, STYLE
+from kinfeas.viz.style import BASE, FAILURE, FAINT, STYLE
 
 _AXES = ("x (m/s)", "y (m/s)", "rotation (rad/s)")
 _SMOOTHED = 5  # measurements in a mean: single ones are noisy

@@ -281,6 +281,7 @@ class Guarded(BackendWrapper):
         self._name = f"backend {type(backend).__name__}"
         self._monitor = StateMonitor(backend, robot, self.guards, clock)
         self._failures = 0
+        self._given: tuple[Array, Array] | None = None  # by the loop to adapters
         self.unstopped = self.unclosed = ""
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
 
@@ -293,8 +294,15 @@ class Guarded(BackendWrapper):
         if self._rate is not None and self._rate.waits:
             self._rate.wait()
         self._monitor.begin(self.state)
-        self._failures, self.unstopped = 0, ""
+        self._failures, self._given, self.unstopped = 0, None, ""
         return self.state
+
+    @property
+    def command(self) -> tuple[Array, Array]:
+        """Last world twist, shape (1, 6), and joint targets, (1, j): as sent, or to adapters."""
+        if self._given is None:
+            return self.commands.base_twist, self.commands.joint_targets
+        return self._given
 
     def read(self) -> RobotState | None:
         """Return the state of a robot that moves in real time; None of a simulated world."""
@@ -320,6 +328,8 @@ class Guarded(BackendWrapper):
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Execute a command; shapes as in `Backend`. Before any error the robot is stopped."""
         steps, passed = self.commands.steps, False
+        if self.backend is not self.commands:
+            self._given = base_twist.copy(), joint_targets.copy()
         try:
             state = self.backend.step(base_twist, joint_targets, dt)
             if self.commands.steps == steps:
@@ -353,6 +363,7 @@ class Guarded(BackendWrapper):
 
     def stop(self) -> None:
         """Command the base to zero and the arm to hold, past the adapters; it raises nothing."""
+        self._given = None
         try:
             self.commands.stop()
         except PLUGIN_ERRORS as error:

@@ -324,7 +324,7 @@ class _Run:
         feasible: bool = True,
     ) -> None:  # fmt: skip
         self.write()
-        loop, commands, state = self.loop, self.guarded.commands, self.guarded.state
+        loop, state, (twist, targets) = self.loop, self.guarded.state, self.guarded.command
         self._unwritten = Moment(
             time=self.seconds(),
             age=math.nan if state.age is None else float(state.age[0]),
@@ -332,8 +332,8 @@ class _Run:
             joint_positions=state.joint_positions[0].copy(),
             desired=loop.desired[0],
             goal=loop.sequence.goal[0] if goal is None else goal,
-            base_twist=commands.base_twist[0],
-            joint_targets=commands.joint_targets[0],
+            base_twist=twist[0],
+            joint_targets=targets[0],
             feasible=feasible,
             subgoal=int(loop.sequence.subgoal[0]) if subgoal is None else subgoal,
             event=event,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from kinfeas.config import PluginSpec
-from kinfeas.sim2real.identify.fit import Estimate
+from kinfeas.sim2real.identify.statistics import Estimate
 
 _ORDER = (
     "base_noise", "actuator_lag", "acceleration_limit", "velocity_clamp", "joint_limit_clamp",
@@ -19,7 +19,7 @@ def adapter_list(estimates: Mapping[str, Estimate]) -> tuple[PluginSpec, ...]:
     """Return the adapters of a robot, with the intervals of the estimates as ranges."""
     specs = []
     for name in _ORDER:
-        parameters = {
+        parameters: dict[str, object] = {
             key.partition(".")[2]: _range(estimate)
             for key, estimate in estimates.items()
             if key.partition(".")[0] == name

@@ -4,6 +4,8 @@ Commands are late, lost, limited in acceleration and jerk, and lag; see `kinfeas
 The chain here is that of one robot, its delays are means, and its parameters may vary freely.
 """
 
+from functools import cache
+
 import numpy as np
 from numba import njit
 
@@ -37,13 +39,13 @@ def delay_weights(latency: float, jitter: float, lost: float, dt: float) -> Arra
 
 
 def mean_delay(weights: Array, dt: float) -> float:
-    """Return the mean delay of weights from `delay_weights`, seconds, of a command in its period."""
+    """Return the mean delay of a command, seconds, by its weights of `delay_weights`."""
     return float(weights @ np.arange(len(weights))) * dt
 
 
 @njit(cache=True)
 def delayed(commands, weights):
-    """Return the mean active commands, (n, w), of commands (n, w); the first one was sent before."""
+    """Return the mean active commands of commands, both (n, w); the first one was sent before."""
     active = np.zeros_like(commands)
     for i in range(len(commands)):
         for k in range(len(weights)):
@@ -109,28 +111,40 @@ def moved_arm(targets, dt, lag):
     return positions
 
 
-@njit(cache=True)
-def drawn_delays(n, dt, latency, jitter, lost, seed):
-    """Return how the active command of each period is mixed: of `slots` commands, shape (n, slots).
+@cache
+def uniform_numbers(draws: int, n: int) -> Array:
+    """Return the same uniform numbers for each fit, shape (draws, n, 2)."""
+    return np.random.default_rng(0).random((draws, n, 2))
 
-    One draw of the delays whose mean `delay_weights` returns; the newest command comes first.
+
+@njit(cache=True)
+def drawn_delays(uniform, dt, latency, jitter, lost):
+    """Return one draw of the delays whose mean `delay_weights` returns, for n periods.
+
+    Args:
+        uniform: Uniform numbers in [0, 1), shape (n, 2).
+        dt: Control period, seconds.
+        latency: As the others, those of `delay_weights`.
+        jitter: See there.
+        lost: See there.
+
+    Returns:
+        Weights of the commands of which the active one is mixed, the newest first, shape (n, k);
+        and whether it was not lost, (n,).
     """
-    np.random.seed(seed)
+    n = len(uniform)
     slots = int(np.ceil((latency + jitter) / dt)) + 2
     mixed = np.zeros((n, slots))
     arrivals = np.empty(n)
     for i in range(n):
-        arrivals[i] = i + (latency + jitter * np.random.random()) / dt
+        arrivals[i] = i + (latency + jitter * uniform[i, 0]) / dt
         end = 1.0
         for k in range(slots):
             sent = i - k
             begin = min(max(arrivals[sent] - i, 0.0), 1.0) if sent >= 0 else 0.0
             mixed[i, k] = max(end - begin, 0.0)
             end = min(end, begin)
-    kept = np.ones(n, dtype=np.bool_)
-    for i in range(n):
-        kept[i] = np.random.random() > lost
-    return mixed, kept
+    return mixed, uniform[:, 1] >= lost
 
 
 @njit(cache=True)
@@ -151,11 +165,11 @@ def drawn_commands(commands, mixed, kept):
 
 
 @njit(cache=True)
-def mean_moved_base(commands, dt, latency, jitter, lost, lag, acceleration, jerk, draws):
-    """Return the mean of `moved_base` over draws of the delays, shape (n, 3)."""
+def mean_moved_base(commands, dt, latency, jitter, lost, lag, acceleration, jerk, uniform):
+    """Return the mean of `moved_base`, (n, 3), over draws by uniform numbers, (draws, n, 2)."""
     total = np.zeros_like(commands)
-    for seed in range(draws):
-        mixed, kept = drawn_delays(len(commands), dt, latency, jitter, lost, seed)
+    for numbers in uniform:
+        mixed, kept = drawn_delays(numbers, dt, latency, jitter, lost)
         active = drawn_commands(commands, mixed, kept)
         total += moved_base(active, dt, lag, acceleration, jerk)
-    return total / draws
+    return total / len(uniform)

@@ -28,13 +28,13 @@ SECONDS = 60.0
 
 _VELOCITY, _ROTATION = 0.3, 0.6  # m/s and rad/s that the base does not exceed
 _ARM_STEP, _ARM_SHARE = 0.4, 0.4  # rad or m of each joint, and fraction of the way to its limit
-_ARM_SPEED = 0.5  # fraction of the velocity limit of a joint
+_ARM_SPEED = 0.3  # fraction of the velocity limit of a joint, so that no clamp is met
 _ARM_BEGIN, _ARM_CYCLE, _ARM_CYCLES = 4.0, 12.0, 4  # s of rest, of a cycle, and their number
 _ARM_CHIRP, _ARM_SWEEP, _ARM_SWINGS = 0.3, 0.08, 3  # Hz at first, Hz/s, and number of swings
 _CHECKED = 5  # periods between configurations that are checked for self-collision
 
 # Seconds of each reversal, forth and back, by axis: 0 forward, 1 left, 2 rotation. They are long
-# enough for slow bases to reach their velocity: before that, a late command changes all that follow.
+# enough for slow bases to reach their velocity: else a late command changes all that follows.
 _BLOCKS: tuple[tuple[int, tuple[float, ...]], ...] = (
     (2, (2.2, 1.7, 2.4)),
     (0, (1.7, 1.5, 1.9)),
@@ -123,8 +123,8 @@ class Excitation:
         """Compute the commands of `dt` seconds each, and compile the check of self-collision."""
         self._solver, self._dt, self._period = solver, dt, 0
         self._base, self._arm = base_pattern(solver.robot, dt), arm_pattern(dt)
-        changes = np.diff(self._base, axis=0, append=0.0).any(axis=1)
-        self._stops = changes & self._base.any(axis=1)
+        changes = np.abs(np.diff(self._base, axis=0, append=0.0)).max(axis=1) > 0.0
+        self._stops: NDArray[np.bool_] = changes & (np.abs(self._base).max(axis=1) > 0.0)
         self._home = solver.robot.home["home"]
         self._start, self._amplitude = self._home, arm_amplitude(solver, self._home, dt)
         self._desired = np.empty((1, 7))
@@ -171,7 +171,7 @@ class Excitation:
             self._amplitude = arm_amplitude(self._solver, self._start, self._dt)
         number = min(self._period, len(self._base) - 1)
         # At the end of each piece the base stops at once, past the guards' acceleration.
-        self.live = ~self._stops[number : number + 1]
+        self.live = np.array([not self._stops[number]])
         self._period += 1
         command = self._base[number : number + 1]
         joints = self._start + self._arm[number] * self._amplitude

@@ -96,7 +96,7 @@ def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
     count = int(np.floor((end - begin) / dt + 0.5))
     if count * dt < _SHORTEST or len(base[0]) < 2 or len(joints[0]) < 2:
         raise KinfeasError(f"{source}: shorter than {_SHORTEST:g} s")
-    edges = begin + np.arange(count + 1) * dt
+    edges = np.linspace(begin, begin + count * dt, count + 1)
     unwrapped = _unwrapped(robot, joints[1])
     aims = _unwrapped(robot, targets[1])
     # Both begin in the same turn.

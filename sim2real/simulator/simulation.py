@@ -2,23 +2,26 @@
 
 import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from kinfeas.backends.physics.backend import PhysicsBackend
+from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import default_engine
+from kinfeas.control.assemble import with_adapters
 from kinfeas.core import registry
-from kinfeas.core.backend import Grip, RobotState, build_backend
+from kinfeas.core.backend import Backend, BackendWrapper, Grip, RobotState, build_backend
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.core.start import episode_rng
 from kinfeas.envs.world import evaluation_world
 from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading, Orders, RobotLink
 from kinfeas.sim2real.link.rate import Clock, Rate
@@ -83,22 +86,26 @@ def _within(path: CubicHermiteSpline, time: float) -> float:
 
 
 class SimulatedRobot:
-    """A robot in a physics world that executes orders, and counts them as in `SimulationResult`."""
+    """A robot in a physics world that executes orders, and counts them as in `SimulationResult`.
+
+    Adapters around the world change what it executes and measures.
+    """
 
     def __init__(
         self,
-        backend: PhysicsBackend,
+        backend: Backend,
         state: RobotState,
         command_timeout: float = 0.25,
         clock: Clock | None = None,
     ) -> None:
-        """Start at rest in `state` of a world; the clocks are the system's by default.
+        """Start at rest in `state` of a world of `spawn`; the clocks are the system's by default.
 
         After `command_timeout` seconds without a command the base stops.
         """
         self.base_commands = self.joint_commands = self.timeouts = 0
         self._timeout, self.clock = command_timeout, clock or Clock()
-        self._backend, self._state, self._robot = backend, state, backend.robot
+        self._backend, self._state, self._world = backend, state, world_of(backend)
+        self._robot = self._world.robot
         self._arm = [joint.name for joint in self._robot.arm]
         arm = dict(zip(self._arm, state.joint_positions[0].tolist(), strict=True))
         self._setpoints = JointSetpoints(arm)
@@ -119,17 +126,24 @@ class SimulatedRobot:
                 self._velocity = np.zeros(3)
             velocity, grip, self._grip = self._velocity, self._grip, None
             # The motors reach a target after their horizon.
-            targets = self._setpoints.at(now + self._backend.config.arm_horizon)
+            targets = self._setpoints.at(now + self._world.config.arm_horizon)
         if grip is not None:
-            self._backend.grip(grip, np.array([0]))
+            self._world.grip(grip, np.array([0]))
         joints = np.array([[targets[name] for name in self._arm]])
         twist = world_twist(self._robot.base, self._state.base_pose, velocity[np.newaxis], dt)
         self._state = self._backend.step(twist, joints, dt)
 
     def measure(self) -> tuple[BaseReading, JointReading]:
         """Return the measurements of base and joints; raise KinfeasError if the world is gone."""
-        joints, velocities = self._backend.joint_motion()
+        joints, velocities = self._world.joint_motion()
         stamp, state = self.clock.wall(), self._state
+        if state.age is not None:
+            stamp -= float(state.age[0])
+        if self._backend is not self._world:
+            exact = np.array([joints[name] for name in self._arm])
+            # With the turns of continuous joints.
+            shown = exact + joint_displacement(self._robot, exact, state.joint_positions[0])
+            joints = {**joints, **dict(zip(self._arm, shown.tolist(), strict=True))}
         assert state.base_twist is not None
         velocity = base_velocity(self._robot.base, state.base_pose, state.base_twist, 0.0)[0]
         x, y = state.base_pose[0, :2].tolist()
@@ -138,7 +152,9 @@ class SimulatedRobot:
 
     def scan(self) -> Array:
         """Return the ranges around the robot, as in `RobotLink`."""
-        return self._backend.scan().ranges[0]
+        scanner = self._backend.scanner
+        assert scanner is not None
+        return scanner.scan().ranges[0]
 
     def _drive(self, velocity: Array) -> None:
         with self._lock:
@@ -205,7 +221,16 @@ def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLi
     return kind.robot_link(robot, topics)
 
 
-def spawn(
+def world_of(backend: Backend) -> PhysicsBackend:
+    """Return the physics world within adapters."""
+    while isinstance(backend, BackendWrapper):
+        backend = backend.backend
+    if not isinstance(backend, PhysicsBackend):
+        raise KinfeasError(f"backend {backend.name!r} has no physics")
+    return backend
+
+
+def spawn(  # noqa: PLR0913 - the parts of a world
     robot: Robot,
     task: Task | None = None,
     scene: str | None = None,
@@ -213,32 +238,37 @@ def spawn(
     rng: np.random.Generator | None = None,
     engine: str | None = None,
     gui: bool = False,
-) -> tuple[PhysicsBackend, RobotState]:
+    adapters: Sequence[PluginSpec] = (),
+) -> tuple[Backend, RobotState]:
     """Return a world of an engine, by default the first installed, and the robot's state in it.
 
     The robot starts as in an episode of the task, which `rng` draws, or without a task at the
-    origin of a scene, by default an empty floor; an object there raises KinfeasError.
+    origin of a scene, by default an empty floor; an object there raises KinfeasError. Adapters lie
+    around the world, the first one innermost; `rng` also draws their numbers.
     """
-    room = read_scene(scene) if scene is not None else None
+    room, rng = read_scene(scene) if scene is not None else None, rng or episode_rng(0, 0)
     engine = engine or default_engine()
     parameters = evaluation_world(engine, robot.folder).backend_parameters
     backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=room)
-    if not isinstance(backend, PhysicsBackend):
-        raise KinfeasError(f"backend {engine!r} has no physics")
+    world = world_of(backend)
+    outer = with_adapters(backend, adapters, robot)
+    # As a loop does, before the task draws.
+    seeds = np.array([deepcopy(rng).integers(2**64, dtype=np.uint64)])
+    outer.seed(seeds, np.array([0]))
     if task is not None:
-        start = backend.stage(task).sample(IkSolver(robot), rng or episode_rng(0, 0))
+        start = world.stage(task).sample(IkSolver(robot), rng)
         base, joints = start.base_pose, start.joint_positions
-        state = backend.reset(base[np.newaxis], joints[np.newaxis])
-        backend.place_solids(start.solids, np.array([0]))
-        return backend, state
-    state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
+        state = outer.reset(base[np.newaxis], joints[np.newaxis])
+        world.place_solids(start.solids, np.array([0]))
+        return outer, state
+    state = outer.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
     if room is None:
-        return backend, state
-    if touched := backend.touched():
-        backend.close()
+        return outer, state
+    if touched := world.touched():
+        world.close()
         names = ", ".join(map(repr, touched))
         raise KinfeasError(f"scene {room.name}: the robot would touch {names}")
     furniture = furniture_solids(room)  # for scans
-    backend.furniture = furniture.places
-    backend.place_solids(furniture, np.array([0]))
-    return backend, state
+    world.furniture = furniture.places
+    world.place_solids(furniture, np.array([0]))
+    return outer, state

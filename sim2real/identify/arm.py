@@ -1,0 +1,221 @@
+"""The fit of an arm's lag, and of the delays of commands, to its measured positions."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+from scipy.optimize import Bounds, least_squares
+
+from kinfeas.core.spatial import Array
+from kinfeas.sim2real.identify import chain
+from kinfeas.sim2real.identify.base import LATENCY, TIMES, bounds_of
+from kinfeas.sim2real.identify.log import Log
+from kinfeas.sim2real.identify.model import Delays
+from kinfeas.sim2real.identify.noise import joint_noise, overlap
+from kinfeas.sim2real.identify.statistics import (
+    BLOCK,
+    MOVES,
+    Estimate,
+    derivatives,
+    interpolated,
+    posterior,
+    standard_errors,
+)
+
+_DRAWS = 16  # of delays, for the spread that jitter and lost commands cause
+_JITTERS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1)
+_LOST = (0.0, 0.01, 0.025, 0.05, 0.075, 0.1, 0.13, 0.17)
+_LAGS = 3  # periods between pairs of neighbours at most
+_PAIRS = 0.05  # weight of the likelihood of pairs, each of which is in six and depends on others
+
+
+class ArmProblem:
+    """The fit of an arm's lag and delays to its positions.
+
+    Attributes:
+        moves: Whether it moves at all.
+        lag: Time constant, seconds.
+        error: Its standard error.
+        noise: Noise of its measured positions, if it is ever at rest.
+    """
+
+    def __init__(self, logs: Sequence[Log]) -> None:
+        self._logs, self._dt = logs, logs[0].dt
+        ranges = np.max([np.ptp(log.targets, axis=0) for log in logs], axis=0)
+        self._joints = ranges > MOVES
+        self.moves = bool(self._joints.any())
+        self.lag, self.error = 0.02, np.inf
+        self._at = [np.clip(log.joint_times / log.dt, 0, len(log.targets)) for log in logs]
+        self.noise, variance, interpolated = joint_noise(logs, self._at)
+        self._variances = [
+            [
+                variance
+                * (overlap(at, lag) if interpolated else np.full(len(at) - lag, float(lag == 0)))
+                for at in self._at
+            ]
+            for lag in range(_LAGS + 1)
+        ]
+        self._spread = 0.0  # s, of the delays
+        blocks = [np.floor(log.joint_times / BLOCK).astype(np.intp) for log in logs]
+        ends = np.cumsum([0, *(block.max() + 1 for block in blocks)])
+        self._blocks = np.concatenate([b + end for b, end in zip(blocks, ends[:-1], strict=True)])
+
+    def fit(self) -> tuple[Delays, float]:
+        """Return the delays and the standard error of the latency, seconds."""
+        delays = Delays(0.05)
+        for _ in range(2):
+            delays, errors = self._solve(delays, latency=True)
+            jitter, lost, _ = self.spread(delays)
+            delays = delays.spread(jitter.value, lost.value, self._dt)
+        delays, errors = self._solve(delays, latency=True)
+        return delays, errors
+
+    def fit_lag(self, delays: Delays) -> None:
+        """Fit the lag for given delays."""
+        self._solve(delays, latency=False)
+
+    def _solve(self, delays: Delays, *, latency: bool) -> tuple[Delays, float]:
+        def residuals(z: Array) -> Array:
+            shifted = replace(delays, latency=z[1] * LATENCY) if latency else delays
+            return self._residuals(shifted, float(np.exp(z[0])))
+
+        start = np.array([np.log(self.lag), max(delays.latency, 1e-3) / LATENCY])
+        bounds = np.array([TIMES, bounds_of("latency")])
+        start, bounds = (start, bounds) if latency else (start[:1], bounds[:1])
+        for _ in range(2):
+            found = least_squares(
+                residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(*bounds.T),
+                loss="soft_l1", f_scale=3.0, max_nfev=40, xtol=1e-5,
+            )  # fmt: skip
+            start, self.lag = found.x, float(np.exp(found.x[0]))
+            if latency:
+                delays = replace(delays, latency=float(found.x[1]) * LATENCY)
+            late, variance = self._time_errors(delays)
+            weights = 1.0 / (variance + self._spread**2)
+            spread = np.nansum((late**2 - variance) * weights) / np.nansum(weights)
+            self._spread = float(np.sqrt(max(0.0, spread)))
+        blocks = np.repeat(self._blocks, int(self._joints.sum()))
+        errors = standard_errors(residuals(start), derivatives(residuals, start), blocks)
+        self.error = float(errors[0]) * self.lag
+        return delays, float(errors[1]) * LATENCY if latency else 0.0
+
+    def _positions(self, delays: Delays, lag: float) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield predicted and measured positions, and speeds, shape (k, moving) each."""
+        for log, at in zip(self._logs, self._at, strict=True):
+            targets = log.targets[:, self._joints]
+            ends = chain.moved_arm(chain.delayed(targets, delays.weights(log.dt)), log.dt, lag)
+            ends = np.concatenate([targets[:1], ends])
+            predicted, measured = interpolated(ends, at), log.joints[:, self._joints]
+            offset = np.median(measured - predicted, axis=0)
+            yield predicted + offset, measured, interpolated(np.gradient(ends, log.dt, axis=0), at)
+
+    def _residuals(self, delays: Delays, lag: float) -> Array:
+        parts = [
+            (p - m) / np.sqrt(variance[:, np.newaxis] + (self._spread * s) ** 2)
+            for (p, m, s), variance in zip(
+                self._positions(delays, lag), self._variances[0], strict=True
+            )
+        ]
+        return np.concatenate(parts).ravel()
+
+    def _time_errors(self, delays: Delays) -> tuple[Array, Array]:
+        """Return by how much the arm is late, seconds, and the noise's variance of that, (k,).
+
+        NaN where it does not move.
+        """
+        late, variances = [], []
+        for (p, m, s), variance in zip(
+            self._positions(delays, self.lag), self._variances[0], strict=True
+        ):
+            square = _moving_square(s)
+            late.append(np.sum((p - m) * s, axis=1) / square)
+            variances.append(variance / square)
+        return np.concatenate(late), np.concatenate(variances)
+
+    def spread(self, delays: Delays) -> tuple[Estimate, Estimate, float]:
+        """Return the jitter, the probability of a loss, and an error of the latency from both.
+
+        Time errors of the arm are compared with those of simulated delays, by the likelihood of
+        pairs of neighbours.
+        """
+        late, noise = self._time_errors(delays)
+        speeds = [speed for _, _, speed in self._positions(delays, self.lag)]
+        shared = [self._shared(speeds, lag) for lag in range(1, _LAGS + 1)]
+        likelihood = np.empty((len(_JITTERS), len(_LOST)))
+        latencies = np.empty_like(likelihood)
+        for (i, jitter), (k, lost) in product(enumerate(_JITTERS), enumerate(_LOST)):
+            tried = delays.spread(jitter, lost, self._dt)
+            latencies[i, k] = tried.latency
+            drawn = self._simulated(tried, speeds)
+            variance = drawn.var(axis=0, ddof=1) + 1e-8
+            normal = (drawn - drawn.mean(axis=0)) / np.sqrt(variance)
+            likelihood[i, k] = _PAIRS * sum(
+                _pairs(late, (variance, noise), normal, shared[lag - 1], lag)
+                for lag in range(1, _LAGS + 1)
+            )
+            likelihood[i, k] += -np.inf if tried.latency < -0.25 * self._dt else 0.0
+        weights = np.exp(likelihood - likelihood.max())
+        weights /= weights.sum()
+        mean = float((weights * latencies).sum())
+        error = float(np.sqrt((weights * (latencies - mean) ** 2).sum()))
+        return (
+            posterior(np.array(_JITTERS), weights.sum(axis=1)),
+            posterior(np.array(_LOST), weights.sum(axis=0)),
+            error,
+        )
+
+    def _shared(self, speeds: Sequence[Array], lag: int) -> Array:
+        """Return the covariance of the noise of pairs of time errors, shape (k - lag,)."""
+        parts = []
+        for speed, variance in zip(speeds, self._variances[lag], strict=True):
+            square = _moving_square(speed)
+            inner = np.sum(speed[lag:] * speed[:-lag], axis=1)
+            parts.append(variance * inner / (square[lag:] * square[:-lag]))
+            parts.append(np.full(lag, np.nan))  # no pairs across logs
+        return np.concatenate(parts)[:-lag]
+
+    def _simulated(self, delays: Delays, speeds: Sequence[Array]) -> Array:
+        """Return time errors of draws of the delays, at given speeds, shape (draws, k)."""
+        errors, latency = [], max(0.0, delays.latency)
+        for log, at, speed in zip(self._logs, self._at, speeds, strict=True):
+            targets, square = log.targets[:, self._joints], _moving_square(speed)
+            late = []
+            for numbers in chain.uniform_numbers(_DRAWS, len(targets)):
+                mixed, kept = chain.drawn_delays(
+                    numbers, log.dt, latency, delays.jitter, delays.lost
+                )
+                active = chain.drawn_commands(targets, mixed, kept)
+                ends = chain.moved_arm(active, log.dt, self.lag)
+                drawn = interpolated(np.concatenate([targets[:1], ends]), at)
+                late.append(-np.sum(drawn * speed, axis=1) / square)
+            errors.append(late)
+        return np.concatenate(errors, axis=1)
+
+
+def _moving_square(speed: Array) -> Array:
+    """Return squared speeds of arms, shape (k, w) -> (k,), NaN for those at rest."""
+    square = np.sum(speed**2, axis=1)
+    return np.where(square > MOVES**2, square, np.nan)
+
+
+def _pairs(
+    late: Array, variances: tuple[Array, Array], normal: Array, noise: Array, lag: int
+) -> float:
+    """Return the log-likelihood of pairs of time errors, (k,), with a `lag` between them.
+
+    Args:
+        late: Time errors.
+        variances: Those of drawn delays and of noise, (k,) each.
+        normal: Normalised time errors of drawn delays, shape (draws, k).
+        noise: Covariance of the noise of pairs, shape (k - lag,).
+        lag: Measurements between the two of a pair.
+    """
+    drawn, total = variances[0], variances[0] + variances[1]
+    correlation = float(np.nanmean(normal[:, lag:] * normal[:, :-lag]))
+    shared = correlation * np.sqrt(drawn[lag:] * drawn[:-lag]) + noise
+    first, second, a, b = total[:-lag], total[lag:], late[:-lag], late[lag:]
+    determinant = np.maximum(first * second - shared**2, 1e-3 * first * second)
+    square = (second * a**2 - 2.0 * shared * a * b + first * b**2) / determinant
+    return float(-0.5 * np.nansum(np.log(determinant) + np.minimum(square, 40.0)))

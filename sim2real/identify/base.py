@@ -1,0 +1,172 @@
+"""The fit of a base's response to the ways between its measured poses."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import Bounds, least_squares
+
+from kinfeas.core.spatial import Array
+from kinfeas.sim2real.identify.model import BaseModel, Delays, Ways
+from kinfeas.sim2real.identify.noise import jumps, widened
+from kinfeas.sim2real.identify.statistics import BLOCK, MOVES, derivatives, standard_errors
+
+LATENCY = 0.05
+"""Seconds, the unit of a latency in fits; other parameters are logarithms."""
+
+TIMES = np.log([1e-3, 3.0])
+"""Bounds of time constants."""
+
+BASE_DRAWS = 8
+"""Draws of delays for the mean velocity of a base."""
+
+_SHOWN = 4.0  # improvement of half the sum of squares by a limit that a record shows
+_LIMITS, _JERKS = np.log([0.05, 50.0]), np.log([0.5, 300.0])
+
+
+class BaseProblem:
+    """The fit of a base's response to its ways."""
+
+    def __init__(self, ways: Sequence[Ways], dt: float) -> None:
+        self._ways, self._dt = ways, dt
+        fastest = np.max([np.abs(way.log.twists).max(axis=0) for way in ways], axis=0)
+        self.moves = bool((fastest > MOVES).any())
+        self.parts = np.array([fastest[:2].max() > MOVES, fastest[2] > MOVES])
+        self._scale = [np.sqrt(way.squares)[:, np.newaxis] for way in ways]
+        self._kept = [np.ones(len(way.moved), dtype=np.bool_) for way in ways]
+        self._deviation = np.ones(3)
+        blocks = [np.floor(way.times / BLOCK).astype(np.intp) for way in ways]
+        ends = np.cumsum([0, *(block.max() + 1 for block in blocks)])
+        self._blocks = [block + end for block, end in zip(blocks, ends[:-1], strict=True)]
+
+    def fit(self, arm: Delays | None, error: float) -> tuple[BaseModel, dict[str, float]]:
+        """Return the model and the standard errors of its parameters, relative but for times.
+
+        Args:
+            arm: Delays that the arm shows.
+            error: Standard error of their latency, seconds.
+        """
+        none = np.full(2, np.inf)
+        model = BaseModel(arm or Delays(0.0), 0.0, none, none)
+        if not self.moves:
+            return model, {}
+        names = ["lag", *(f"{kind}.{part}" for part in np.flatnonzero(self.parts)
+                          for kind in ("acceleration", "jerk"))]  # fmt: skip
+        free = ["latency", *names]
+        self._normalise(model)
+        latencies = (0.03, 0.1, 0.2) if arm is None else (arm.latency,)
+        best, least = model, np.inf
+        for latency, lag, limit in product(latencies, (0.03, 0.1, 0.3), (0.4, 1.0, 2.5)):
+            delays = replace(model.delays, latency=latency)
+            limits = np.where(self.parts, limit, np.inf), np.where(self.parts, 10.0, np.inf)
+            tried, cost = self._solve(BaseModel(delays, lag, *limits), names, "soft_l1")
+            if cost < least:
+                best, least = tried, cost
+        self._draws = BASE_DRAWS
+        for _ in range(2):
+            self._normalise(best)
+            best, least = self._solve(best, free, "linear")
+        if arm is not None:
+            errors = self._errors(best, free)
+            apart = abs(best.delays.latency - arm.latency)
+            if apart <= max(0.015, 3.0 * np.hypot(errors["latency"], error)):
+                self._prior = arm.latency, max(error, 0.001)
+                best, least = self._solve(best, free, "linear")
+        for name in [name for name in names if "." in name]:
+            # Jerk first: without it, the acceleration may still be shown.
+            kind, part = name.split(".")
+            field = {"jerk": "jerk", "acceleration": "acceleration"}[kind]
+            limits = getattr(best, field).copy()
+            limits[int(part)] = np.inf
+            fewer = [other for other in free if other != name]
+            without, cost = self._solve(replace(best, **{field: limits}), fewer, "linear")
+            if cost - least < _SHOWN:
+                best, least, free = without, cost, fewer
+        return best, self._errors(best, free)
+
+    _prior: tuple[float, float] | None = None  # latency and its standard error
+    _draws = 0  # of delays
+
+    def _normalise(self, model: BaseModel) -> None:
+        """Estimate the noise of each axis, and leave out jumps."""
+        rests = [
+            (way.predicted(model.velocities(way.log, self._draws)) - way.moved) / scale
+            for way, scale in zip(self._ways, self._scale, strict=True)
+        ]
+        self._deviation = 1.4826 * np.median(np.abs(np.concatenate(rests)), axis=0) + 1e-9
+        self._kept = [~widened(jumps(rest / self._deviation)) for rest in rests]
+
+    def _residuals(self, model: BaseModel) -> Array:
+        parts = []
+        for way, scale, kept in zip(self._ways, self._scale, self._kept, strict=True):
+            rest = way.predicted(model.velocities(way.log, self._draws)) - way.moved
+            parts.append((rest / (scale * self._deviation) * kept[:, np.newaxis]).ravel())
+        if self._prior is not None:
+            latency, error = self._prior
+            parts.append(np.array([(model.delays.latency - latency) / error]))
+        return np.concatenate(parts)
+
+    def _solve(
+        self, model: BaseModel, free: Sequence[str], loss: Literal["linear", "soft_l1"]
+    ) -> tuple[BaseModel, float]:
+        bounds = np.array([bounds_of(name) for name in free])
+        start = np.clip(
+            [_get(model, name) for name in free], bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6
+        )
+
+        def residuals(z: Array) -> Array:
+            return self._residuals(_changed(model, free, z))
+
+        found = least_squares(
+            residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(*bounds.T),
+            loss=loss, f_scale=3.0, max_nfev=20, xtol=1e-3, ftol=1e-6,
+        )  # fmt: skip
+        return _changed(model, free, found.x), float(found.cost)
+
+    def _errors(self, model: BaseModel, free: Sequence[str]) -> dict[str, float]:
+        z = np.array([_get(model, name) for name in free])
+
+        def residuals(z: Array) -> Array:
+            return self._residuals(_changed(model, free, z))
+
+        blocks = np.concatenate([np.repeat(block, 3) for block in self._blocks])
+        if self._prior is not None:
+            blocks = np.append(blocks, blocks.max() + 1)
+        errors = standard_errors(residuals(z), derivatives(residuals, z), blocks)
+        errors = np.where([name == "latency" for name in free], errors * LATENCY, errors)
+        return dict(zip(free, errors.tolist(), strict=True))
+
+
+def bounds_of(name: str) -> Array:
+    """Return the bounds of a parameter as a fit has it, shape (2,)."""
+    if name == "latency":
+        return np.array([-0.02, 0.6]) / LATENCY
+    kind = name.partition(".")[0]
+    return {"lag": TIMES, "acceleration": _LIMITS, "jerk": _JERKS}[kind]
+
+
+def _get(model: BaseModel, name: str) -> float:
+    """Return a parameter as the fit has it."""
+    if name == "latency":
+        return model.delays.latency / LATENCY
+    kind, _, part = name.partition(".")
+    value = getattr(model, kind)
+    return float(np.log(max(value, 1e-3) if not part else value[int(part)]))
+
+
+def _changed(model: BaseModel, free: Sequence[str], z: Array) -> BaseModel:
+    """Return a model with parameters as the fit has them."""
+    fields = {"acceleration": model.acceleration.copy(), "jerk": model.jerk.copy()}
+    delays, lag = model.delays, model.lag
+    for name, value in zip(free, z.tolist(), strict=True):
+        kind, _, part = name.partition(".")
+        if name == "latency":
+            delays = replace(delays, latency=value * LATENCY)
+        elif name == "lag":
+            lag = float(np.exp(value))
+        else:
+            fields[kind][int(part)] = np.exp(value)
+    return BaseModel(delays, lag, **fields)

@@ -1,0 +1,208 @@
+"""Noise that remains beside the predicted motion, jumps of the localisation, and ages."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from kinfeas.core.spatial import Array
+from kinfeas.sim2real.identify.log import Log
+from kinfeas.sim2real.identify.model import Ways
+from kinfeas.sim2real.identify.statistics import (
+    DRIVE,
+    NORMAL,
+    SLACK,
+    SLACK_SECONDS,
+    Estimate,
+    deviation,
+)
+
+Flags = NDArray[np.bool_]
+
+_JUMP = 4.5  # standard deviations of a jump
+_CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
+_ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Random walk of a localisation: standard deviation after 1 s, metres and radians."""
+
+    drift: float
+    turn_drift: float
+
+
+def jumps(rest: Array) -> Flags:
+    """Return which normalised rests of poses, shape (k, 3), are jumps, shape (k,)."""
+    flags: Flags = np.abs(rest).max(axis=1) > _JUMP
+    return flags
+
+
+def widened(flags: Flags) -> Flags:
+    """Return the flags and their neighbours: an interpolated jump is in two ways."""
+    wide = flags.copy()
+    wide[1:] |= flags[:-1]
+    wide[:-1] |= flags[1:]
+    return wide
+
+
+def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | None, float, bool]:
+    """Return the noise of joint positions, its variance, and whether `overlap` scales it.
+
+    That is so where measurements are interpolated between periods; `at` are their times in periods.
+    Without a rest, the variance is a guess.
+    """
+    rests, shares = [], []
+    for log, moments in zip(logs, at, strict=True):
+        settled = round(_ARM_SETTLES / log.dt)
+        still = np.concatenate([[True], (np.diff(log.targets, axis=0) == 0.0).all(axis=1)])
+        count = np.cumsum(still)
+        last = np.minimum(moments.astype(np.intp), len(still) - 1)
+        first = np.maximum(last - settled, 0)
+        quiet = count[last] - count[first] >= last - first
+        begins = np.flatnonzero(np.diff(quiet, prepend=False) & quiet)
+        ends = np.flatnonzero(np.diff(quiet, append=False) & quiet) + 1
+        for begin, end in zip(begins, ends, strict=True):
+            if end - begin > 10:
+                part = log.joints[begin:end]
+                rests.append((part - part.mean(axis=0)) * np.sqrt(len(part) / (len(part) - 1.0)))
+                shares.append(overlap(moments[begin:end]))
+    if not rests:
+        steps = np.concatenate([np.diff(log.joints, n=2, axis=0) for log in logs])
+        guess = float(np.median(np.abs(steps)) / 0.6745 / np.sqrt(6.0)) + 1e-6
+        return None, guess**2, False
+    rest, share = np.concatenate(rests), np.concatenate(shares)
+    variance, interpolated = _variance(rest, share, np.ones(len(share)))
+    return deviation(variance, rest.size), variance + 1e-12, interpolated
+
+
+def overlap(at: Array, lag: int = 0) -> Array:
+    """Return the covariance of interpolated values of unit variance, (k,) -> (k - lag,).
+
+    `at` are places between values, ascending; pairs have a `lag` between them.
+    """
+    first, second = at[: len(at) - lag], at[lag:]
+    apart = np.floor(second) - np.floor(first)
+    f, g = np.mod(first, 1.0), np.mod(second, 1.0)
+    same = (1.0 - f) * (1.0 - g) + f * g
+    return np.where(apart == 0.0, same, np.where(apart == 1.0, f * (1.0 - g), 0.0))
+
+
+def _variance(rest: Array, first: Array, second: Array) -> tuple[float, bool]:
+    """Return the variance in units of that one of two shapes, (k,), that fits; whether it is first.
+
+    `rest` has shape (k, w) and is Gaussian.
+    """
+    squared = np.mean(rest**2, axis=1)
+    variances = [float(np.mean(squared / shape)) for shape in (first, second)]
+    logs = [
+        np.log(max(variance, 1e-300)) + float(np.mean(np.log(shape)))
+        for variance, shape in zip(variances, (first, second), strict=True)
+    ]
+    best = int(np.argmin(logs))
+    return variances[best], best == 0
+
+
+def base_noise(
+    ways: Sequence[Ways], velocities: Sequence[Array], walk: Walk, missing: list[str]
+) -> dict[str, Estimate]:
+    """Return the noise of the base, and drift and jumps of its localisation."""
+    dt = ways[0].log.dt
+    rests = [way.moved - way.predicted(v) for way, v in zip(ways, velocities, strict=True)]
+    rest = np.concatenate(rests)
+    shape = np.concatenate([way.squares for way in ways])
+    constant = np.concatenate([way.seconds * dt for way in ways])
+    quiet = np.concatenate([_quiet(way, v) for way, v in zip(ways, velocities, strict=True)])
+    deviation = 1.4826 * np.median(np.abs(rest / np.sqrt(shape)[:, np.newaxis]), axis=0) + 1e-9
+    jump = jumps(rest / (np.sqrt(shape)[:, np.newaxis] * deviation))
+    used = ~widened(jump) & quiet
+    found: dict[str, Estimate] = {}
+    if used.sum() < 50:
+        missing.append(f"no time at constant velocity: noise of the base unknown; {DRIVE}")
+        return found
+    drifts = []
+    for name, axes, drift in (
+        ("linear", [0, 1], walk.drift), ("angular", [2], walk.turn_drift)
+    ):  # fmt: skip
+        variance, _ = _variance(rest[used][:, axes], shape[used], constant[used])
+        # Neighbours share a period.
+        error = variance * np.sqrt(2.0 / (len(axes) * used.sum() / 1.6)) + SLACK * variance / 2.0
+        drift = min(drift, float(np.sqrt(variance * dt)))
+        known = drift**2 / dt
+        value, low, high = (
+            float(np.sqrt(max(0.0, each - known)))
+            for each in (variance, variance - NORMAL * error, variance + NORMAL * error)
+        )
+        found[f"base_noise.{name}"] = Estimate(value, low, high)
+        drifts.append(drift)
+    for name, drift in zip(("drift", "turn_drift"), drifts, strict=True):
+        found[f"localisation.{name}"] = Estimate(drift, drift, drift)
+    missing.append(
+        "noise of the base and drift of its localisation look alike: a drift of "
+        f"{drifts[0]:.3g} m and {drifts[1]:.3g} rad after 1 s is assumed"
+    )
+    return found | _localisation_jumps(ways, rests, jump, drifts)
+
+
+def _quiet(way: Ways, velocities: Array) -> Flags:
+    """Return in which ways the predicted velocity is constant, shape (k,)."""
+    number = np.minimum((way.times / way.log.dt).astype(np.intp), len(velocities) - 1)
+    wide = max(1, round(0.1 / way.log.dt))
+    padded = np.pad(velocities, ((wide, wide), (0, 0)), mode="edge")
+    change = np.abs(padded[2 * wide :] - padded[: -2 * wide]).max(axis=1)
+    quiet: Flags = change[number] < _CHANGES
+    return quiet
+
+
+def _localisation_jumps(
+    ways: Sequence[Ways], rests: Sequence[Array], jump: Flags, drifts: Sequence[float]
+) -> dict[str, Estimate]:
+    """Return rate and size of jumps, each of which draws a new error, none at first."""
+    seconds = sum(way.log.seconds for way in ways)
+    sums, walked, count, first = np.zeros(3), np.zeros(3), 0, 0
+    ends = np.cumsum([len(rest) for rest in rests])[:-1]
+    for way, rest, flags in zip(ways, rests, np.split(jump, ends), strict=True):
+        starts = np.flatnonzero(flags & ~np.concatenate([[False], flags[:-1]]))
+        last = 0.0
+        for start in starts:
+            # An interpolated jump lies in several ways.
+            end = start + int(np.argmin(np.append(flags[start:], False)))
+            sums += rest[max(0, start - 1) : end + 1].sum(axis=0) ** 2
+            walked += (way.times[start] - last) * np.array([drifts[0], drifts[0], drifts[1]]) ** 2
+            last = float(way.times[start])
+        count, first = count + len(starts), first + bool(len(starts))
+    low, high = chi2.ppf([0.025, 0.975], [2.0 * max(count, 0.5), 2.0 * count + 2.0])
+    low, high = low / 2.0 / seconds, high / 2.0 / seconds
+    rate = Estimate(count / seconds, float(low) if count else 0.0, float(high))
+    if not count:
+        none = Estimate(0.0, 0.0, 0.0)
+        return {"localisation.jump": none, "localisation.turn_jump": none,
+                "localisation.rate": none}  # fmt: skip
+    variances = np.maximum(sums - walked, 0.05 * sums) / (2.0 * count - first)
+    sizes = {"jump": (float(variances[:2].mean()), 2.0), "turn_jump": (float(variances[2]), 1.0)}
+    found = {}
+    for name, (variance, axes) in sizes.items():
+        degrees = max(1.0, count * axes / 2.0)
+        least, most = np.sqrt(variance * degrees / chi2.ppf([0.975, 0.025], degrees))
+        found[f"localisation.{name}"] = Estimate(
+            float(np.sqrt(variance)), float(least), float(most)
+        )
+    return {**found, "localisation.rate": rate}
+
+
+def sensor_ages(logs: Sequence[Log], missing: list[str]) -> dict[str, Estimate]:
+    """Return the latency of measurements, from their ages."""
+    ages = np.concatenate([log.ages for log in logs])
+    if len(ages) < 20 or not np.any(ages > 1e-4):
+        missing.append("no ages of measurements: a sensor latency counts as command latency")
+        return {}
+    low, high = np.quantile(ages, [0.05, 0.95])
+    width = float(high - low) / 0.9
+    begin = max(0.0, float(low) - 0.05 * width)
+    slack = 0.5 * SLACK_SECONDS + 0.02 * width
+    return {
+        "sensor_latency.seconds": Estimate(begin, max(0.0, begin - slack), begin + slack),
+        "sensor_latency.jitter": Estimate(width, max(0.0, width - 2 * slack), width + 2 * slack),
+    }

@@ -1,0 +1,86 @@
+"""Estimates, and the statistics of fits."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.spatial import Array
+
+DRIVE = "drive the pattern of `kinfeas identify --drive`"
+"""End of the sentences on what records do not show."""
+
+NORMAL = 1.96
+"""Half of a 95 % interval, in standard deviations."""
+
+BLOCK = 2.0
+"""Seconds of residuals that depend on each other."""
+
+MOVES = 0.02
+"""What counts as motion: m/s and rad/s, or m and rad of a joint."""
+
+SLACK_SECONDS, SLACK = 0.003, 0.03
+"""Smallest half of the interval of a time, and of a limit or noise as a fraction."""
+
+_STEP = 0.02  # of parameters, for derivatives
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate and its 95 % interval, in SI units."""
+
+    value: float
+    low: float
+    high: float
+
+
+def time_estimate(value: float, error: float) -> Estimate:
+    """Return the estimate of a time with a standard error, seconds."""
+    half = NORMAL * error + SLACK_SECONDS
+    return Estimate(value, max(0.0, value - half), value + half)
+
+
+def deviation(variance: float, count: int) -> Estimate:
+    """Return the estimate of a standard deviation by the variance of `count` numbers."""
+    value = float(np.sqrt(variance))
+    share = NORMAL / np.sqrt(2.0 * count / 1.6) + SLACK
+    return Estimate(value, value * (1.0 - share), value * (1.0 + share))
+
+
+def posterior(values: Array, weights: Array) -> Estimate:
+    """Return mean and interval of a distribution on a grid, at least as wide as its cells."""
+    mean = float(weights @ values)
+    cumulated = np.concatenate([[0.0], np.cumsum(weights)])
+    edges = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
+    low, high = np.interp([0.025, 0.975], cumulated, edges)
+    return Estimate(mean, float(low), float(high))
+
+
+def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.intp]) -> Array:
+    """Return standard errors of parameters, shape (p,), for residuals that depend within blocks.
+
+    Args:
+        residuals: Normalised residuals, shape (r,).
+        derivatives: Their derivatives, shape (r, p).
+        blocks: Number of the block of each residual, shape (r,).
+    """
+    inverse = np.linalg.pinv(derivatives.T @ derivatives)
+    scores = np.zeros((int(blocks.max()) + 1, derivatives.shape[1]))
+    np.add.at(scores, blocks, derivatives * np.clip(residuals, -5.0, 5.0)[:, np.newaxis])
+    robust = inverse @ (scores.T @ scores) @ inverse
+    errors: Array = np.sqrt(np.maximum(np.diag(robust), np.diag(inverse)))
+    return errors
+
+
+def derivatives(function: Callable[[Array], Array], z: Array) -> Array:
+    """Return central differences of a function, shape (r, p), by parameters, shape (p,)."""
+    steps = _STEP * np.eye(len(z))
+    columns = [(function(z + step) - function(z - step)) / (2.0 * _STEP) for step in steps]
+    return np.stack(columns, axis=1)
+
+
+def interpolated(values: Array, at: Array) -> Array:
+    """Return values, shape (n, w), between their rows, shape (k, w)."""
+    knots = np.arange(len(values))
+    return np.stack([np.interp(at, knots, column) for column in values.T], axis=1)
