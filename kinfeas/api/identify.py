@@ -31,6 +31,8 @@ from kinfeas.sim2real.identify.log import Log, log_of
 from kinfeas.sim2real.identify.noise import Walk
 from kinfeas.sim2real.identify.statistics import Estimate
 
+_LEAST = 2e-3  # smallest number of a response that is worth a line
+
 
 @dataclass(frozen=True, eq=False)
 class Identified:
@@ -61,7 +63,7 @@ class Identified:
         known = {
             name: float(f"{value:.3g}")
             for name, value in asdict(self.response).items()
-            if value is not None and value != 0.0
+            if value is not None and value >= _LEAST
         }
         return strict_yaml.to_text({"response": known})
 

@@ -27,8 +27,10 @@ from kinfeas.sim2real.identify.statistics import (
 _DRAWS = 16  # of delays, for the spread that jitter and lost commands cause
 _JITTERS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1)
 _LOST = (0.0, 0.01, 0.025, 0.05, 0.075, 0.1, 0.13, 0.17)
+_FAST = 0.1  # of the largest squared speed, from which on time errors count
 _LAGS = 3  # periods between pairs of neighbours at most
-_PAIRS = 0.05  # weight of the likelihood of pairs, each of which is in six and depends on others
+_USUAL_LOSS = 0.04  # mean of the exponential prior of the probability of a loss
+_PAIRS = 0.1  # weight of the likelihood of pairs, each of which is in six and depends on others
 
 
 class ArmProblem:
@@ -149,12 +151,14 @@ class ArmProblem:
             tried = delays.spread(jitter, lost, self._dt)
             latencies[i, k] = tried.latency
             drawn = self._simulated(tried, speeds)
-            variance = drawn.var(axis=0, ddof=1) + 1e-8
+            # At constant velocity it does not depend on the speed, and few draws are noisy.
+            variance = np.full(len(late), np.nanmean(drawn.var(axis=0, ddof=1)) + 1e-8)
             normal = (drawn - drawn.mean(axis=0)) / np.sqrt(variance)
             likelihood[i, k] = _PAIRS * sum(
                 _pairs(late, (variance, noise), normal, shared[lag - 1], lag)
                 for lag in range(1, _LAGS + 1)
             )
+            likelihood[i, k] -= lost / _USUAL_LOSS
             likelihood[i, k] += -np.inf if tried.latency < -0.25 * self._dt else 0.0
         weights = np.exp(likelihood - likelihood.max())
         weights /= weights.sum()
@@ -197,7 +201,8 @@ class ArmProblem:
 def _moving_square(speed: Array) -> Array:
     """Return squared speeds of arms, shape (k, w) -> (k,), NaN for those at rest."""
     square = np.sum(speed**2, axis=1)
-    return np.where(square > MOVES**2, square, np.nan)
+    least = max(MOVES**2, _FAST * float(square.max()))
+    return np.where(square > least, square, np.nan)
 
 
 def _pairs(

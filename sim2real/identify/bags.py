@@ -38,6 +38,7 @@ def read_bag(path: Path, robot: Robot, topics: str | None = None) -> Log:
             messages out of order or numbers that are not finite.
     """
     require("rosbags")
+    from rosbags import rosbag1, rosbag2
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import Stores, get_typestore
 
@@ -48,7 +49,7 @@ def read_bag(path: Path, robot: Robot, topics: str | None = None) -> Log:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             named = read_topics(robot, 2 if reader.is2 else 1, topics)
             return _Bag(path, robot, named).read(reader)
-    except AnyReaderError as error:
+    except (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, OSError) as error:
         raise KinfeasError(f"{path}: no bag that can be read: {error}") from error
 
 

@@ -11,7 +11,7 @@ from scipy.optimize import Bounds, least_squares
 
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify.model import BaseModel, Delays, Ways
-from kinfeas.sim2real.identify.noise import jumps, widened
+from kinfeas.sim2real.identify.noise import jumps, spread_of, widened
 from kinfeas.sim2real.identify.statistics import BLOCK, MOVES, derivatives, standard_errors
 
 LATENCY = 0.05
@@ -96,8 +96,11 @@ class BaseProblem:
             (way.predicted(model.velocities(way.log, self._draws)) - way.moved) / scale
             for way, scale in zip(self._ways, self._scale, strict=True)
         ]
-        self._deviation = 1.4826 * np.median(np.abs(np.concatenate(rests)), axis=0) + 1e-9
-        self._kept = [~widened(jumps(rest / self._deviation)) for rest in rests]
+        self._deviation = spread_of(np.concatenate(rests))
+        self._kept = [
+            ~widened(jumps(rest * scale, scale * self._deviation))
+            for rest, scale in zip(rests, self._scale, strict=True)
+        ]
 
     def _residuals(self, model: BaseModel) -> Array:
         parts = []
@@ -143,7 +146,7 @@ class BaseProblem:
 def bounds_of(name: str) -> Array:
     """Return the bounds of a parameter as a fit has it, shape (2,)."""
     if name == "latency":
-        return np.array([-0.02, 0.6]) / LATENCY
+        return np.array([0.0, 0.6]) / LATENCY
     kind = name.partition(".")[0]
     return {"lag": TIMES, "acceleration": _LIMITS, "jerk": _JERKS}[kind]
 

@@ -24,8 +24,10 @@ from kinfeas.sim2real.identify.statistics import (
     SLACK,
     SLACK_SECONDS,
     Estimate,
-    time_estimate,
+    lag_estimate,
 )
+
+_FAST = 0.8  # m/s^2 and rad/s^2 of a fast start or turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,18 +71,17 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
         raise KinfeasError(f"{sources}: neither base nor arm moves; {DRIVE}")
     spread = arm.spread(delays) if arm.moves else None
     found |= _delays(delays, latency, spread, dt)
-    found |= _limits(model, errors, base, missing)
+    velocities = [model.velocities(way.log, BASE_DRAWS) for way in ways]
+    found |= _limits(model, errors, base, _fastest(velocities, dt), missing, dt)
     if arm.moves:
-        found["actuator_lag.arm"] = time_estimate(arm.lag, arm.error)
+        found["actuator_lag.arm"] = lag_estimate(arm.lag, arm.error, dt)
         if arm.noise is not None:
             found["joint_noise.deviation"] = arm.noise
     else:
         missing.append(f"no arm motion: arm lag and lost commands unknown; {DRIVE}")
     if "joint_noise.deviation" not in found:
         missing.append(f"the arm is never at rest: joint noise unknown; {DRIVE}")
-    found |= base_noise(
-        ways, [model.velocities(way.log, BASE_DRAWS) for way in ways], walk, missing
-    )
+    found |= base_noise(ways, velocities, walk, missing)
     found |= sensor_ages(logs, missing)
     return _result(ways, model, found, missing, delays.mean(dt))
 
@@ -103,25 +104,42 @@ def _delays(
 
 
 def _limits(
-    model: BaseModel, errors: dict[str, float], base: BaseProblem, missing: list[str]
+    model: BaseModel,
+    errors: dict[str, float],
+    base: BaseProblem,
+    fastest: Array,
+    missing: list[str],
+    dt: float,
 ) -> dict[str, Estimate]:
+    """Return lag and limits of a base, whose `fastest` accelerations, (2,), are predicted."""
     found: dict[str, Estimate] = {}
     if not base.moves:
         missing.append(f"the base does not move: its lag and limits are unknown; {DRIVE}")
         return found
-    if errors["lag"] * model.lag < 0.1:
-        found["actuator_lag.base"] = time_estimate(model.lag, errors["lag"] * model.lag)
+    if model.lag < 0.5 * dt or errors["lag"] * model.lag < 0.1:
+        found["actuator_lag.base"] = lag_estimate(model.lag, errors["lag"] * model.lag, dt)
     else:
         missing.append(f"no fast change of the base's velocity: its lag is unknown; {DRIVE}")
-    for part, name, motion in ((0, "linear", "start or stop"), (1, "angular", "turn")):
+    parts = ((0, "linear", "start or stop", "m/s^2"), (1, "angular", "turn", "rad/s^2"))
+    for part, name, motion, unit in parts:
         for kind, key in (("acceleration", name), ("jerk", f"{name}_jerk")):
             if (error := errors.get(f"{kind}.{part}", np.inf)) < 0.5:
                 value = float(getattr(model, kind)[part])
                 spread = float(np.exp(NORMAL * error + SLACK))
                 found[f"acceleration_limit.{key}"] = Estimate(value, value / spread, value * spread)
+            elif kind == "acceleration" and fastest[part] > _FAST:
+                missing.append(
+                    f"no limit of the {name} acceleration shows up to {fastest[part]:.2g} {unit}"
+                )
             elif kind == "acceleration":
                 missing.append(f"no fast {motion}: {name} acceleration unknown; {DRIVE}")
     return found
+
+
+def _fastest(velocities: Sequence[Array], dt: float) -> Array:
+    """Return the largest linear and angular acceleration of velocities, shape (2,)."""
+    rates = np.abs(np.concatenate([np.diff(each, axis=0) for each in velocities])) / dt
+    return np.array([rates[:, :2].max(), rates[:, 2].max()])
 
 
 def _result(

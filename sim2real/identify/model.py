@@ -15,8 +15,8 @@ class Delays:
     """Delays of commands: the shortest, seconds, their jitter, and the probability of a loss."""
 
     latency: float
-    jitter: float = 0.02
-    lost: float = 0.02
+    jitter: float = 0.0
+    lost: float = 0.0
 
     def weights(self, dt: float) -> Array:
         """Return the mean weights of commands, as `chain.delay_weights`."""

@@ -21,7 +21,9 @@ from kinfeas.sim2real.identify.statistics import (
 
 Flags = NDArray[np.bool_]
 
-_JUMP = 4.5  # standard deviations of a jump
+_JUMP, _LEAST_JUMP = 4.5, 0.004  # of a jump: standard deviations, and m or rad
+_LEAST_VELOCITY = 1e-3  # m/s and rad/s, noise of the base at least in fits
+_LEAST_POSITION = 1e-4  # rad and m, the same of joints
 _CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
 _ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
 
@@ -34,9 +36,15 @@ class Walk:
     turn_drift: float
 
 
-def jumps(rest: Array) -> Flags:
-    """Return which normalised rests of poses, shape (k, 3), are jumps, shape (k,)."""
-    flags: Flags = np.abs(rest).max(axis=1) > _JUMP
+def spread_of(rest: Array) -> Array:
+    """Return robust standard deviations of columns, (k, w) -> (w,), m/s or rad/s."""
+    spread: Array = np.maximum(1.4826 * np.median(np.abs(rest), axis=0), _LEAST_VELOCITY)
+    return spread
+
+
+def jumps(rest: Array, deviation: Array) -> Flags:
+    """Return which rests of ways, with their standard deviations, (k, 3), are jumps, (k,)."""
+    flags: Flags = np.max(np.abs(rest) / np.maximum(_JUMP * deviation, _LEAST_JUMP), axis=1) > 1.0
     return flags
 
 
@@ -75,7 +83,7 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
         return None, guess**2, False
     rest, share = np.concatenate(rests), np.concatenate(shares)
     variance, interpolated = _variance(rest, share, np.ones(len(share)))
-    return deviation(variance, rest.size), variance + 1e-12, interpolated
+    return deviation(variance, rest.size), variance + _LEAST_POSITION**2, interpolated
 
 
 def overlap(at: Array, lag: int = 0) -> Array:
@@ -115,8 +123,8 @@ def base_noise(
     shape = np.concatenate([way.squares for way in ways])
     constant = np.concatenate([way.seconds * dt for way in ways])
     quiet = np.concatenate([_quiet(way, v) for way, v in zip(ways, velocities, strict=True)])
-    deviation = 1.4826 * np.median(np.abs(rest / np.sqrt(shape)[:, np.newaxis]), axis=0) + 1e-9
-    jump = jumps(rest / (np.sqrt(shape)[:, np.newaxis] * deviation))
+    scale = np.sqrt(shape)[:, np.newaxis]
+    jump = jumps(rest, scale * spread_of(rest / scale))
     used = ~widened(jump) & quiet
     found: dict[str, Estimate] = {}
     if used.sum() < 50:

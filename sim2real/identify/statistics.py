@@ -35,8 +35,13 @@ class Estimate:
     high: float
 
 
-def time_estimate(value: float, error: float) -> Estimate:
-    """Return the estimate of a time with a standard error, seconds."""
+def lag_estimate(value: float, error: float, dt: float) -> Estimate:
+    """Return the estimate of a time constant with a standard error, seconds.
+
+    Those below half a period cannot be told from zero.
+    """
+    if value < 0.5 * dt:
+        return Estimate(value, 0.0, 0.5 * dt)
     half = NORMAL * error + SLACK_SECONDS
     return Estimate(value, max(0.0, value - half), value + half)
 
@@ -54,6 +59,8 @@ def posterior(values: Array, weights: Array) -> Estimate:
     cumulated = np.concatenate([[0.0], np.cumsum(weights)])
     edges = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
     low, high = np.interp([0.025, 0.975], cumulated, edges)
+    if weights[0] > 0.025:
+        low = values[0]
     return Estimate(mean, float(low), float(high))
 
 

@@ -78,9 +78,26 @@ INPUT = {
         (f"follow_ee --robot {SCOUT} --backend ros1", "backend.topics"),
     ],
     "simulate --robot hsr": [
+        ("--adapters adapters.yaml", "base_noise"),
         ("--backend analytic", "'analytic'"),
         ("--task door --scene room", "--scene"),
         ("--scene office.yaml", "'desk'"),
+    ],
+    "identify": [
+        ("", "record"),
+        ("none.csv", "none.csv"),
+        ("adapters.yaml", "adapters.yaml"),
+        ("shown --robot hsr", "shown"),
+        ("run.bag", "run.bag"),
+        ("none.csv --backend analytic", "--drive"),
+        ("none.csv --out fit.txt", "fit.txt"),
+        ("none.csv --robot hsr --prior harhs", "'harsh'"),
+    ],
+    "identify --drive --robot hsr --no-real-time": [
+        ("none.csv", "--drive"),
+        ("--backend analytic --adapters adapters.yaml", "base_noise"),
+        ("--backend analytic --set guards.sped=1", "guards.sped"),
+        ("--backend analytic --record shown/0.csv", "shown/0.csv"),
     ],
     "view": [
         ("--scene broken.yaml", "tabel.urdf"),

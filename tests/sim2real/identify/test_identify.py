@@ -1,0 +1,166 @@
+"""Robots that are known, identified from records and bags of their runs."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinfeas.api.identify import drive, identify
+from kinfeas.api.load import read_adapters
+from kinfeas.control.assemble import with_adapters
+from kinfeas.core.backend import build_backend
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY
+from kinfeas.io.run_log import read_record
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.sim2real.identify import chain
+from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, base_pattern
+from kinfeas.sim2real.identify.log import log_of
+
+TRUTH = {
+    "base_noise": {"linear": 0.04, "angular": 0.03},
+    "actuator_lag": {"base": 0.15, "arm": 0.03},
+    "acceleration_limit": {"linear": 0.6, "angular": 1.2},
+    "command_latency": {"seconds": 0.07, "jitter": 0.03},
+    "joint_noise": {"deviation": 0.002},
+    "localisation": {
+        "drift": 0.006, "turn_drift": 0.004, "jump": 0.03, "turn_jump": 0.02, "rate": 0.2
+    },
+    "sensor_latency": {"seconds": 0.03, "jitter": 0.02},
+}  # fmt: skip
+TIMES = ("actuator_lag.base", "actuator_lag.arm", "command_latency.seconds",
+         "sensor_latency.seconds")  # fmt: skip
+LIMITS = ("acceleration_limit.linear", "acceleration_limit.angular")
+NOISE = ("base_noise.linear", "base_noise.angular", "joint_noise.deviation")
+DT = 0.02
+
+
+def adapters_file(folder: Path, truth: dict) -> Path:
+    entries = [{"name": name, **numbers} for name, numbers in truth.items()]
+    path = folder / "truth.yaml"
+    path.write_text(json.dumps({"adapters": entries}))  # which is YAML, too
+    return path
+
+
+def driven(folder: Path, robot: str, **options) -> Path:
+    record = folder / f"{robot}.csv"
+    done = drive(robot, backend="analytic", record=record, real_time=False, **options)
+    assert done.outcome.code == 0, done.outcome.reason
+    return record
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory):
+    """The record of HSR within the adapters of `TRUTH`."""
+    folder = tmp_path_factory.mktemp("record")
+    return driven(folder, "hsr", adapters=adapters_file(folder, TRUTH), seed=3)
+
+
+def check(found) -> None:
+    truth = {f"{name}.{key}": value for name, own in TRUTH.items() for key, value in own.items()}
+    for names, most in ((TIMES, 0.015), (LIMITS, 0.15), (NOISE, 0.3)):
+        for name in names:
+            error = abs(found.estimates[name].value - truth[name])
+            assert error <= (most if names is TIMES else most * truth[name]), name
+
+
+def test_robot_is_found_and_its_file_is_a_list_of_adapters(record, tmp_path, hsr):
+    out, picture = tmp_path / "my_robot.yaml", tmp_path / "fit.png"
+    found = identify(record, out=out, picture=picture)
+    check(found)
+    assert found.response.base_lag == found.estimates["actuator_lag.base"].value
+    mean_latency = found.response.command_latency
+    assert mean_latency == pytest.approx(0.07 + 0.015, abs=0.015)
+    specs = read_adapters(out)
+    assert [spec.name for spec in specs] == [spec.name for spec in found.adapters]
+    with_adapters(build_backend("analytic", {}), specs, hsr)
+    assert picture.stat().st_size > 10_000
+    assert json.loads(json.dumps(found.facts()))["robot"] == "hsr"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["pr2", "tiago"])
+def test_other_robots_are_found(tmp_path, robot):
+    check(identify(driven(tmp_path, robot, adapters=adapters_file(tmp_path, TRUTH), seed=4)))
+
+
+@pytest.mark.slow
+def test_robot_without_delays_has_none(tmp_path):
+    found = identify(driven(tmp_path, "hsr"))
+    assert found.response.command_latency < 0.005
+    assert found.response.base_lag < 0.005
+    assert found.response.acceleration is None
+    assert any("no limit of the linear acceleration" in sentence for sentence in found.missing)
+
+
+def test_chain_is_that_of_the_adapters(hsr, tmp_path):
+    truth = {
+        "actuator_lag": {"base": 0.1, "arm": 0.05},
+        "acceleration_limit": {
+            "linear": 0.5, "angular": 1.0, "linear_jerk": 5.0, "angular_jerk": 10.0
+        },
+        "command_latency": {"seconds": 0.05},
+    }  # fmt: skip
+    specs = read_adapters(adapters_file(tmp_path, truth))
+    world = build_backend("analytic", {})
+    backend = with_adapters(world, specs, hsr)
+    backend.seed(np.zeros(1, dtype=np.uint64), np.array([0]))
+    backend.reset(IDENTITY[np.newaxis], np.zeros((1, 5)))
+    rng, n = np.random.default_rng(0), 200
+    twists = np.repeat(rng.uniform(-0.3, 0.3, size=(n // 20, 3)), 20, axis=0)
+    targets = np.cumsum(rng.normal(scale=0.01, size=(n, 5)), axis=0)
+    states = []
+    for twist, target in zip(twists, targets, strict=True):
+        full = np.array([[*twist[:2], 0.0, 0.0, 0.0, twist[2]]])
+        states.append(backend.step(full, target[np.newaxis], DT))
+    weights = chain.delay_weights(0.05, 0.0, 0.0, DT)
+    sent = np.concatenate([np.zeros((1, 3)), twists])
+    limits = np.array([0.5, 1.0]), np.array([5.0, 10.0])
+    means = chain.moved_base(chain.delayed(sent, weights), DT, 0.1, *limits)[1:]
+    way = np.array([state.base_pose[0, :2] for state in states])
+    np.testing.assert_allclose(np.cumsum(means, axis=0)[:, :2] * DT, way, atol=1e-4)
+    aims = np.concatenate([np.zeros((1, 5)), targets])
+    arm = chain.moved_arm(chain.delayed(aims, weights), DT, 0.05)[1:]
+    reached = np.array([state.joint_positions[0] for state in states])
+    np.testing.assert_allclose(arm, reached, atol=1e-3)
+
+
+def test_pattern_stays_within_limits_and_returns(solver):
+    robot, home = solver.robot, solver.robot.home["home"]
+    base = base_pattern(robot, DT)
+    assert np.abs(base).max() <= 1.0
+    np.testing.assert_allclose(base.sum(axis=0), 0.0, atol=1e-9)
+    ways = arm_pattern(DT)[:, np.newaxis] * arm_amplitude(solver, home, DT)
+    joints = home + ways
+    lower, upper = robot.joint_limits
+    assert np.all((joints >= lower) & (joints <= upper))
+    assert not self_collides(solver.collision, joints[::3]).any()
+    assert np.all(np.abs(np.diff(ways, axis=0)) <= 0.5 * robot.max_joint_velocity * DT)
+    assert np.ptp(ways, axis=0).max() > 0.1
+
+
+def test_record_is_of_what_adapters_were_given(record, hsr):
+    """Behind the noise of the adapters, commands at rest would not be zero."""
+    log = log_of(read_record(record), hsr, "record")
+    assert not log.twists[:190].any()
+    assert np.unique(np.round(np.abs(log.twists[220:300, 2]), 6)).tolist() == [0.6]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda r: replace(r, base_twist=r.base_twist * 0.0,
+                           joint_targets=np.repeat(r.joint_targets[:1], len(r.time), axis=0)),
+         "neither base nor arm moves"),
+        (lambda r: replace(r, about=replace(r.about, joints=("a",) * 5)), "its joints"),
+        (lambda r: replace(r, base_pose=r.base_pose * np.nan), "not finite"),
+        (lambda r: replace(r, time=r.time * 0.01), "shorter"),
+    ],
+)  # fmt: skip
+def test_records_that_show_nothing_raise(record, hsr, monkeypatch, change, named):
+    changed = change(read_record(record))
+    monkeypatch.setattr("kinfeas.api.identify.read_record", lambda path: changed)
+    with pytest.raises(KinfeasError, match=named):
+        identify("run.csv", "hsr")
