@@ -23,7 +23,9 @@ TIMES = np.log([1e-3, 3.0])
 BASE_DRAWS = 8
 """Draws of delays for the mean velocity of a base."""
 
-_SHOWN = 4.0  # improvement of half the sum of squares by a limit that a record shows
+# A limit is left out if its error is large and half the sum of squares hardly grows without it.
+_VAGUE, _SHOWN = 0.3, 4.0
+_USUAL_LIMIT, _USUAL_JERK = 1.0, 8.0  # m/s^2 and m/s^3, within a factor e, as also of rotation
 _LIMITS, _JERKS = np.log([0.05, 50.0]), np.log([0.5, 300.0])
 
 
@@ -75,17 +77,18 @@ class BaseProblem:
             if apart <= max(0.015, 3.0 * np.hypot(errors["latency"], error)):
                 self._prior = arm.latency, max(error, 0.001)
                 best, least = self._solve(best, free, "linear")
+        errors = self._errors(best, free)
         for name in [name for name in names if "." in name]:
-            # Jerk first: without it, the acceleration may still be shown.
-            kind, part = name.split(".")
-            field = {"jerk": "jerk", "acceleration": "acceleration"}[kind]
-            limits = getattr(best, field).copy()
+            kind, _, part = name.partition(".")
+            limits = getattr(best, kind).copy()
             limits[int(part)] = np.inf
             fewer = [other for other in free if other != name]
-            without, cost = self._solve(replace(best, **{field: limits}), fewer, "linear")
-            if cost - least < _SHOWN:
-                best, least, free = without, cost, fewer
-        return best, self._errors(best, free)
+            if errors[name] > _VAGUE:
+                without, cost = self._solve(replace(best, **{kind: limits}), fewer, "linear")
+                if cost - least < _SHOWN:
+                    best, least, free = without, cost, fewer
+                    errors = self._errors(best, free)
+        return best, errors
 
     _prior: tuple[float, float] | None = None  # latency and its standard error
     _draws = 0  # of delays
@@ -107,10 +110,18 @@ class BaseProblem:
         for way, scale, kept in zip(self._ways, self._scale, self._kept, strict=True):
             rest = way.predicted(model.velocities(way.log, self._draws)) - way.moved
             parts.append((rest / (scale * self._deviation) * kept[:, np.newaxis]).ravel())
+        return np.concatenate([*parts, self._beside(model)])
+
+    def _beside(self, model: BaseModel) -> Array:
+        """Return residuals of what is known beside the record, of a fixed number."""
+        known = []
+        for values, usual in ((model.acceleration, _USUAL_LIMIT), (model.jerk, _USUAL_JERK)):
+            limited = np.isfinite(values)
+            known.append(np.where(limited, np.log(np.where(limited, values, usual) / usual), 0.0))
         if self._prior is not None:
             latency, error = self._prior
-            parts.append(np.array([(model.delays.latency - latency) / error]))
-        return np.concatenate(parts)
+            known.append(np.array([(model.delays.latency - latency) / error]))
+        return np.concatenate(known)
 
     def _solve(
         self, model: BaseModel, free: Sequence[str], loss: Literal["linear", "soft_l1"]
@@ -136,8 +147,8 @@ class BaseProblem:
             return self._residuals(_changed(model, free, z))
 
         blocks = np.concatenate([np.repeat(block, 3) for block in self._blocks])
-        if self._prior is not None:
-            blocks = np.append(blocks, blocks.max() + 1)
+        beside = np.arange(len(self._beside(model))) + blocks.max() + 1
+        blocks = np.concatenate([blocks, beside])
         errors = standard_errors(residuals(z), derivatives(residuals, z), blocks)
         errors = np.where([name == "latency" for name in free], errors * LATENCY, errors)
         return dict(zip(free, errors.tolist(), strict=True))

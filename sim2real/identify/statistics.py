@@ -20,7 +20,7 @@ BLOCK = 2.0
 MOVES = 0.02
 """What counts as motion: m/s and rad/s, or m and rad of a joint."""
 
-SLACK_SECONDS, SLACK = 0.003, 0.03
+SLACK_SECONDS, SLACK = 0.005, 0.03
 """Smallest half of the interval of a time, and of a limit or noise as a fraction."""
 
 _STEP = 0.02  # of parameters, for derivatives
