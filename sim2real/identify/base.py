@@ -101,9 +101,17 @@ class BaseProblem:
         ]
         self._deviation = spread_of(np.concatenate(rests))
         self._kept = [
-            ~widened(jumps(rest * scale, scale * self._deviation))
-            for rest, scale in zip(rests, self._scale, strict=True)
+            ~widened(jumps(rest * scale, scale * self._deviation, self._speeds(way, model)))
+            for way, rest, scale in zip(self._ways, rests, self._scale, strict=True)
         ]
+
+    def _speeds(self, way: Ways, model: BaseModel) -> Array:
+        return way.predicted(model.velocities(way.log, self._draws)) / way.seconds[:, np.newaxis]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether base and arm show the same latency."""
+        return self._prior is not None
 
     def _residuals(self, model: BaseModel) -> Array:
         parts = []

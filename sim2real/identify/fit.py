@@ -63,13 +63,18 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
     base = BaseProblem(ways, dt)
     model, errors = base.fit(delays, error)
     latency = errors.get("latency", error) if base.moves else error
-    if delays is not None and base.moves and model.delays is not delays:
+    if delays is not None and base.moves and not base.agrees:
         arm.fit_lag(model.delays)
     delays = model.delays if base.moves else delays
     if delays is None:
         sources = ", ".join(log.source for log in logs)
         raise KinfeasError(f"{sources}: neither base nor arm moves; {DRIVE}")
-    spread = arm.spread(delays) if arm.moves else None
+    # Another latency of the arm says nothing of the delays of the base's commands.
+    spread = arm.spread(delays) if arm.moves and (base.agrees or not base.moves) else None
+    if spread is None and arm.moves:
+        missing.append(
+            "base and arm differ in their latency: that of the base is given, without its jitter"
+        )
     found |= _delays(delays, latency, spread, dt)
     velocities = [model.velocities(way.log, BASE_DRAWS) for way in ways]
     found |= _limits(model, errors, base, _fastest(velocities, dt), missing, dt)

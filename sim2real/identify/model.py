@@ -9,6 +9,8 @@ from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.statistics import interpolated
 
+_SHORTEST = 0.6  # periods between measured poses
+
 
 @dataclass(frozen=True)
 class Delays:
@@ -68,9 +70,15 @@ class Ways:
     def __init__(self, log: Log) -> None:
         self.log = log
         self._at = np.clip(log.base_times / log.dt, 0.0, len(log.twists))
-        self._kept = np.diff(self._at) > 1e-3
-        self.moved = np.diff(log.base, axis=0)[self._kept]
-        begin, end = self._at[:-1][self._kept], self._at[1:][self._kept]
+        # Errors of times would be large in short ways.
+        rows, last = [0], float(self._at[0])
+        for row, at in enumerate(self._at.tolist()):
+            if at - last >= _SHORTEST:
+                rows.append(row)
+                last = at
+        self._at = self._at[rows]
+        self.moved = np.diff(log.base[rows], axis=0)
+        begin, end = self._at[:-1], self._at[1:]
         self.seconds, self.times = (end - begin) * log.dt, 0.5 * (begin + end) * log.dt
         squares, first = np.zeros(len(begin)), np.floor(begin)
         for k in range(int(np.ceil((end - begin).max())) + 2):
@@ -82,4 +90,4 @@ class Ways:
         """Return the ways at a velocity for each period, shape (n, 3)."""
         way = np.concatenate([np.zeros((1, 3)), np.cumsum(velocities, axis=0) * self.log.dt])
         at = interpolated(way, self._at)
-        return np.diff(at, axis=0)[self._kept]
+        return np.diff(at, axis=0)

@@ -22,9 +22,11 @@ from kinfeas.sim2real.identify.statistics import (
 Flags = NDArray[np.bool_]
 
 _JUMP, _LEAST_JUMP = 4.5, 0.004  # of a jump: standard deviations, and m or rad
+_LATE = 0.01  # s by which the time of a measurement may be off
 _LEAST_VELOCITY = 1e-3  # m/s and rad/s, noise of the base at least in fits
 _LEAST_POSITION = 1e-4  # rad and m, the same of joints
 _CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
+_ENOUGH, _MORE = 200, 1.4  # measurements for a variance, and its factor that motion explains
 _ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
 
 
@@ -42,9 +44,14 @@ def spread_of(rest: Array) -> Array:
     return spread
 
 
-def jumps(rest: Array, deviation: Array) -> Flags:
-    """Return which rests of ways, with their standard deviations, (k, 3), are jumps, (k,)."""
-    flags: Flags = np.max(np.abs(rest) / np.maximum(_JUMP * deviation, _LEAST_JUMP), axis=1) > 1.0
+def jumps(rest: Array, deviation: Array, speed: Array) -> Flags:
+    """Return which rests of ways are jumps, shape (k,).
+
+    Standard deviations and predicted speeds have the shape of the rests, (k, 3). The times of
+    measurements may be off by some milliseconds.
+    """
+    least = np.maximum(_JUMP * deviation, _LEAST_JUMP + _LATE * np.abs(speed))
+    flags: Flags = np.max(np.abs(rest) / least, axis=1) > 1.0
     return flags
 
 
@@ -124,12 +131,19 @@ def base_noise(
     constant = np.concatenate([way.seconds * dt for way in ways])
     quiet = np.concatenate([_quiet(way, v) for way, v in zip(ways, velocities, strict=True)])
     scale = np.sqrt(shape)[:, np.newaxis]
-    jump = jumps(rest, scale * spread_of(rest / scale))
+    speed = np.concatenate(
+        [
+            way.predicted(v) / way.seconds[:, np.newaxis]
+            for way, v in zip(ways, velocities, strict=True)
+        ]
+    )
+    jump = jumps(rest, scale * spread_of(rest / scale), speed)
     used = ~widened(jump) & quiet
     found: dict[str, Estimate] = {}
     if used.sum() < 50:
         missing.append(f"no time at constant velocity: noise of the base unknown; {DRIVE}")
         return found
+    used = _calmest(rest, shape, used, np.abs(speed).max(axis=1) < _CHANGES)
     drifts = []
     for name, axes, drift in (
         ("linear", [0, 1], walk.drift), ("angular", [2], walk.turn_drift)
@@ -152,6 +166,18 @@ def base_noise(
         f"{drifts[0]:.3g} m and {drifts[1]:.3g} rad after 1 s is assumed"
     )
     return found | _localisation_jumps(ways, rests, jump, drifts)
+
+
+def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:
+    """Return the rests to use, (k,): those of a base at rest where motion adds to them.
+
+    It does where the times of measurements are off.
+    """
+    both = [used & still, used & ~still]
+    if min(flags.sum() for flags in both) < _ENOUGH:
+        return used
+    calm, moving = (np.mean(rest[f] ** 2 / shape[f][:, np.newaxis], axis=0) for f in both)
+    return both[0] if np.any(moving > _MORE * calm) else used
 
 
 def _quiet(way: Ways, velocities: Array) -> Flags:
