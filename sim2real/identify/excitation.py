@@ -176,6 +176,7 @@ class Excitation:
         command = self._base[number : number + 1]
         joints = self._start + self._arm[number] * self._amplitude
         twist = base_twist(self._solver.robot.base, period.base_pose, command, self._dt)
+        reached = spatial.integrate(period.base_pose, twist, self._dt)
         zero = np.zeros(1)
         arm = IkSolution(joints[np.newaxis], np.ones(1, dtype=np.bool_), zero, zero)
-        return period.changed(command=command, move=Move(twist, arm, command))
+        return period.changed(command=command, move=Move(twist, arm, command, reached))
