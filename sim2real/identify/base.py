@@ -25,8 +25,6 @@ BASE_DRAWS = 8
 
 # A limit is left out if its error is large and half the sum of squares hardly grows without it.
 _VAGUE, _SHOWN = 0.3, 4.0
-_AGREED = 0.03  # s of difference up to which base and arm have one latency
-_APART = (-0.08, -0.06, -0.04, -0.02, 0.0, 0.02)  # s from the arm's latency, where fits begin
 _USUAL_LIMIT, _USUAL_JERK = 1.0, 8.0  # m/s^2 and m/s^3, within a factor e, as also of rotation
 _LIMITS, _JERKS = np.log([0.05, 50.0]), np.log([0.5, 300.0])
 
@@ -61,11 +59,9 @@ class BaseProblem:
                           for kind in ("acceleration", "jerk"))]  # fmt: skip
         free = ["latency", *names]
         self._normalise(model)
-        latencies: tuple[float, ...] = (0.03, 0.06, 0.1, 0.15, 0.2)
-        if arm is not None:  # its controller may add a delay of its own
-            latencies = tuple(max(0.0, arm.latency + apart) for apart in _APART)
+        latencies = (0.03, 0.1, 0.2) if arm is None else (arm.latency,)
         best, least = model, np.inf
-        for latency, lag, limit in product(latencies, (0.05, 0.2), (0.5, 1.5)):
+        for latency, lag, limit in product(latencies, (0.03, 0.1, 0.3), (0.4, 1.0, 2.5)):
             delays = replace(model.delays, latency=latency)
             limits = np.where(self.parts, limit, np.inf), np.where(self.parts, 10.0, np.inf)
             tried, cost = self._solve(BaseModel(delays, lag, *limits), names, "soft_l1")
@@ -78,17 +74,11 @@ class BaseProblem:
         if arm is not None:
             errors = self._errors(best, free)
             apart = abs(best.delays.latency - arm.latency)
-            if apart <= max(_AGREED, 3.0 * np.hypot(errors["latency"], error)):
+            if apart <= max(0.015, 3.0 * np.hypot(errors["latency"], error)):
                 self._prior = arm.latency, max(error, 0.001)
                 best, least = self._solve(best, free, "linear")
-        return self._selected(best, free, least)
-
-    def _selected(
-        self, best: BaseModel, free: Sequence[str], least: float
-    ) -> tuple[BaseModel, dict[str, float]]:
-        """Return the model without the limits that the record does not show, and errors."""
         errors = self._errors(best, free)
-        for name in [name for name in free if "." in name]:
+        for name in [name for name in names if "." in name]:
             kind, _, part = name.partition(".")
             limits = getattr(best, kind).copy()
             limits[int(part)] = np.inf

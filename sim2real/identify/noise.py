@@ -219,10 +219,8 @@ def _localisation_jumps(
     found = {}
     for name, (variance, axes) in sizes.items():
         degrees = max(1.0, count * axes / 2.0)
-        least, most = np.sqrt(variance * degrees / chi2.ppf([0.975, 0.025], degrees))
-        found[f"localisation.{name}"] = Estimate(
-            float(np.sqrt(variance)), float(least), float(most)
-        )
+        ends_of: Array = np.sqrt(variance * degrees / chi2.ppf([0.975, 0.025], degrees))
+        found[f"localisation.{name}"] = Estimate(float(np.sqrt(variance)), *ends_of.tolist())
     return {**found, "localisation.rate": rate}
 
 
