@@ -123,9 +123,11 @@ def _show(summary: "Summary") -> None:
     rows = [
         ["goal reached without a kinematic failure", _fraction(summary, "success")],
         ["EE never more than 5 cm off, and at the goal", _fraction(summary, "within_5cm")],
+        ["the same in the frame of its localisation", _fraction(summary, "tracked_5cm")],
         ["goal reached", percent(summary["reached"])],
         ["kinematic failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
         ["EE deviation, mean", f"{1000 * summary['mean_deviation_m']:.1f} mm"],
+        ["tracking error, mean", f"{1000 * summary['mean_tracking_error_m']:.1f} mm"],
         ["joint jumps an episode", f"{summary['joint_jumps_per_episode']:.2f}"],
         ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]

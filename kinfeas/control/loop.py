@@ -1,7 +1,7 @@
 """The loop: motion generator, policy, command filters, IK and backend, n robots at a time."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.control.observer import Observer
-from kinfeas.control.period import Arm, CommandFilter, Move, Period
+from kinfeas.control.period import RECONFIGURATION_SECONDS, Arm, CommandFilter, Move, Period
+from kinfeas.control.response import Predictor
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.control.surroundings import Surroundings
 from kinfeas.control.targets import TargetStream
@@ -21,6 +22,7 @@ from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import Observation, Policy
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.drive import command_size
@@ -42,6 +44,7 @@ class Outcome:
     position_error: Array  # from the desired pose to the IK solution or closest attempt, metres
     rotation_error: Array  # the same in radians
     deviation: Array  # of the EE from the desired position, metres; the true one if measured
+    tracking_error: Array  # the same in the frame of the robot's localisation
     subgoal: NDArray[np.intp]  # number of the sub-goal of this step
     goal_distance: Array  # distance of the achieved EE from the end of that sub-goal, metres
     goal_angle: Array  # the same in radians
@@ -81,6 +84,7 @@ class Loop:
         backend: Backend,
         dt: float,
         execution: ExecutionConfig,
+        response: ResponseModel,
         filters: Sequence[CommandFilter] = (),
     ) -> None:
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
@@ -91,7 +95,10 @@ class Loop:
         self._policy_note = plugin_note("policy")
         self.surroundings = Surroundings(backend, solver.collision)
         self.observer = Observer(sequence, self.surroundings, backend.obstacles, dt, execution)
-        self._arm = Arm(solver, dt, execution.arm_settle_timeout)
+        self._arm = Arm(solver, dt, response, execution.arm_settle_timeout)
+        self._predictor = None if response.immediate else Predictor(response, solver, dt)
+        if self._predictor is not None:
+            sequence.lead = self._predictor.base.lead(dt) / dt
         self.previous_command: Array = np.empty((0, self.command_size))
 
     def set_policy(self, policy: Policy) -> None:
@@ -125,6 +132,8 @@ class Loop:
             self.surroundings.place(start.solids, fresh)
         self._check("reset", robots, n)
         self._unchecked = True
+        if self._predictor is not None:
+            robots = self._predictor.start(robots, rows)
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
         self.sequence.start(ee, start.target_poses, rngs, rows)
         self._measure(robots)
@@ -175,6 +184,9 @@ class Loop:
         if self._unchecked:
             self._check("step", robots, len(period.command))
             self._unchecked = False
+        if self._predictor is not None:
+            self._predictor.command(move.base_twist, move.arm.joint_positions, sequence.desired)
+            robots = self._predictor.predict(robots)
         self._measure(robots)
         outcome, arrived = self._outcome(period, move, joints_before)
         carried_out = np.where(period.motion_seconds > 0.0, period.time_scale, 0.0)
@@ -192,6 +204,8 @@ class Loop:
 
     def measure(self, robots: RobotState) -> None:
         """Continue from a newer measurement of robots that have not moved."""
+        if self._predictor is not None:
+            robots = self._predictor.start(robots)
         self._measure(robots)
         self._observe()
 
@@ -203,12 +217,15 @@ class Loop:
             "previous_command": self.previous_command,
             "waited": self._arm.waited.copy(),
             **self.sequence.snapshot(),
+            **({} if self._predictor is None else self._predictor.snapshot()),
             **self._resumable.snapshot(),
         }
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
         robots = self._resumable.restore(snapshot)
+        if self._predictor is not None:
+            robots = self._predictor.restore(snapshot, robots)
         self.sequence.restore(snapshot)
         self._measure(robots)
         if (solids := self.surroundings.after(0.0)) is not None:
@@ -262,13 +279,14 @@ class Loop:
             command=self.action,
             base_pose=robots.base_pose,
             joints=self._arm.joint_command,
-            desired=self.sequence.after(step, paused),
+            desired=self.sequence.arm_target(step, paused),
             solids=self.surroundings.after(self.dt),
             posture_guide=self.sequence.planned_joints,
             step=step,
             time_scale=np.ones(len(self.action)),
             motions=self.sequence,
             paused=paused,
+            motion=None if self._predictor is None else self._predictor.motion,
         )
         return period.commanded(period.command)
 
@@ -284,7 +302,8 @@ class Loop:
             feasible=arm.feasible,
             position_error=arm.position_error,
             rotation_error=arm.rotation_error,
-            deviation=spatial.distance(self.true_state[1], sequence.desired)[0],
+            deviation=self._deviation(self.true_state[1]),
+            tracking_error=self._deviation(self._localised_ee),
             subgoal=sequence.subgoal,
             goal_distance=goal_distance,
             goal_angle=goal_angle,
@@ -296,6 +315,19 @@ class Loop:
             collision=self.surroundings.collisions(self.robots) if self.finds_collisions else None,
         )
         return outcome, arrived
+
+    def _deviation(self, ee_pose: Array) -> Array:
+        desired = self.sequence.desired[:, :3]
+        if self._predictor is not None and self.stream is None:
+            desired = self._predictor.due
+        return np.linalg.norm(ee_pose[:, :3] - desired, axis=1)
+
+    @property
+    def _localised_ee(self) -> Array:
+        localised, true_state = self.robots.localised, self.robots.true_state or self.robots
+        if localised is None:
+            return self.true_state[1]
+        return spatial.compose(localised, self._ee_of(true_state))
 
     def _check(self, method: str, robots: RobotState, n: int) -> None:
         check_state(robots, n, len(self.robot.arm), f"{self._note.plugin}: {method}")
@@ -311,6 +343,15 @@ class Loop:
         return forward(self.solver.chain, robots.joint_positions)
 
     def _observe(self) -> None:
-        self.observation = self.observer.observe(
-            self.robots, self._ee_in_base, self.ee_pose, self.previous_command
-        )
+        robots, ee_in_base, ee_pose = self.robots, self._ee_in_base, self.ee_pose
+        if self._predictor is not None:
+            # Policies are trained with arms at their commands.
+            joints = self._arm.joint_command
+            away = exceeds_joint_velocity(
+                self.robot, robots.joint_positions, joints, RECONFIGURATION_SECONDS
+            )
+            joints = np.where(away[:, np.newaxis], robots.joint_positions, joints)
+            ee_in_base = forward(self.solver.chain, joints)
+            ee_pose = spatial.compose(robots.base_pose, ee_in_base)
+            robots = replace(robots, joint_positions=joints)
+        self.observation = self.observer.observe(robots, ee_in_base, ee_pose, self.previous_command)

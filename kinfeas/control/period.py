@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.filters.half_spaces import VelocityConstraints
+from kinfeas.control.response import BaseResponse
 from kinfeas.control.sequence import MotionSequence, MotionStep
 from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative
 from kinfeas.kinematics.drive import base_twist
@@ -27,9 +29,10 @@ class KinematicInputs:
 
     base_pose: Array  # world pose of the base at the beginning, shape (n, 7)
     joints: Array  # where IK begins, shape (n, j), radians or metres: the last command
-    desired: Array  # world pose of the EE at the end, shape (n, 7)
+    desired: Array  # world pose of the EE at the end, and the lead of the arm, shape (n, 7)
     solids: Solids | None = None  # world solids at the end, n rows, which the arms avoid
     posture_guide: Array | None = None  # arm joints that IK prefers, shape (n, j); NaN for none
+    motion: Array | None = None  # motions of bases that respond late, (n, 9); see `response`
 
     def of(self, rows: Rows) -> "KinematicInputs":
         """Return the inputs of some rows."""
@@ -39,6 +42,7 @@ class KinematicInputs:
             desired=self.desired[rows],
             solids=None if self.solids is None else self.solids.of(rows),
             posture_guide=None if self.posture_guide is None else self.posture_guide[rows],
+            motion=None if self.motion is None else self.motion[rows],
         )
 
 
@@ -49,6 +53,7 @@ class Move:
     base_twist: Array  # world twists, shape (n, 6), m/s and rad/s
     arm: IkSolution  # IK solutions
     command: Array  # base commands of which they come, shape (n, a)
+    base_pose: Array  # world poses of the bases at the end of the period, shape (n, 7)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +89,7 @@ class Period(KinematicInputs):
     def slowed(self, time_scale: Array) -> "Period":
         """Return the period with fractions, shape (n,), of the planned motion."""
         step = self.motions.step(time_scale)
-        desired = self.motions.after(step, self.paused)
+        desired = self.motions.arm_target(step, self.paused)
         return self.changed(step=step, desired=desired, time_scale=time_scale, move=None)
 
 
@@ -92,7 +97,8 @@ class CommandFilter(Protocol):
     """Changes base commands before they are sent; entry points `kinfeas.filters`.
 
     A filter is built from keyword parameters; of `solver`, `backend`, `dt` (seconds), `execution`,
-    `stream` (None without moving targets) and `executor` (or None), `assemble` sets those it names.
+    `response`, `stream` (None without moving targets) and `executor` (or None), `assemble` sets
+    those it names.
     One with a state has `reset(rows, n)`, as a `Policy`; `max_batch` limits the robots of a process
     if it needs time or memory for each.
     """
@@ -108,8 +114,8 @@ class KinematicStep:
     `max_joint_step` is the longest displacement of each arm joint, shape (j,), radians or metres.
     """
 
-    def __init__(self, solver: IkSolver, dt: float) -> None:
-        self.solver, self.dt = solver, dt
+    def __init__(self, solver: IkSolver, dt: float, response: ResponseModel) -> None:
+        self.solver, self.dt, self._response = solver, dt, BaseResponse(response)
         self.max_joint_step: Array = solver.robot.max_joint_velocity * dt
 
     def __call__(
@@ -120,7 +126,10 @@ class KinematicStep:
         With `allow_reconfiguration` IK also tries solutions out of reach in this period.
         """
         twist = base_twist(self.solver.robot.base, inputs.base_pose, command, self.dt)
-        reached = integrate(inputs.base_pose, twist, self.dt)
+        if inputs.motion is None:
+            reached = integrate(inputs.base_pose, twist, self.dt)
+        else:
+            reached = self._response.reached(inputs.base_pose, inputs.motion, twist, self.dt)
         solids = inputs.solids
         arm = self.solver.solve(
             relative(inputs.desired, reached),
@@ -130,7 +139,7 @@ class KinematicStep:
             solids=None if solids is None else in_base(solids, reached),
             posture_guide=inputs.posture_guide,
         )
-        return Move(twist, arm, command)
+        return Move(twist, arm, command, reached)
 
 
 class Arm:
@@ -140,9 +149,11 @@ class Arm:
     control periods for which each arm has been reconfiguring, shape (n,).
     """
 
-    def __init__(self, solver: IkSolver, dt: float, settle_timeout: float) -> None:
+    def __init__(
+        self, solver: IkSolver, dt: float, response: ResponseModel, settle_timeout: float
+    ) -> None:
         """Command arms in periods of `dt` seconds; pauses last `settle_timeout` seconds at most."""
-        self._step, self._robot = KinematicStep(solver, dt), solver.robot
+        self._step, self._robot = KinematicStep(solver, dt, response), solver.robot
         self._settle_timeout = round(settle_timeout / dt)
         self.joint_command: Array = np.empty((0, len(solver.robot.arm)))
         self.waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)

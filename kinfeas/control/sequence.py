@@ -70,6 +70,7 @@ class MotionSequence:
         time_scale: Fraction of the planned motion that the last period carried out, shape (n,).
         stream: Targets that move; then no sub-goal ends. None for those of the start.
         revision: Number of changes of the motions so far.
+        lead: Periods by which arms aim ahead of the desired motion, since they lag.
         avoids_solids: Whether the generator of any sub-goal plans around solids.
         whole_body: Paths of base and arm that the motions follow among solids.
     """
@@ -115,7 +116,7 @@ class MotionSequence:
         self._seeds = np.empty(0, dtype=np.uint64)
         self._targets: Array = np.empty((0, len(subgoals), 7))
         self.elapsed: Array = np.empty(0)
-        self.revision = 0
+        self.revision, self.lead = 0, 0.0
 
     def start(
         self,
@@ -318,6 +319,14 @@ class MotionSequence:
         if paused is None:
             return step.desired
         return np.where(paused[:, np.newaxis], self.desired, step.desired)
+
+    def arm_target(self, step: MotionStep, paused: NDArray[np.bool_] | None = None) -> Array:
+        """Return the poses that arms aim at in a step, by `lead` ahead, shape (n, 7)."""
+        after = self.after(step, paused)
+        if self.lead == 0.0:
+            return after
+        displacement = spatial.twist_between(self.desired, after, 1.0)
+        return spatial.integrate(self.desired, displacement, 1.0 + self.lead)
 
     def move(self, step: MotionStep, paused: NDArray[np.bool_] | None = None) -> None:
         """Carry out a step, but for the rows that are `paused`, shape (n,)."""

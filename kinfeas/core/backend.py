@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.pose_kernels import obstacles_are_finite
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array
 
 Grip = Literal["close", "open"]
 """Commands of a gripper."""
+
+
+LOCALISATION_SPEED = 0.05
+"""Speed at which robots follow a jump of their localisation, m/s and rad/s."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,8 @@ class RobotState:
         joint_velocities: Velocities of the arm joints, shape (n, j), where they are measured.
         age: Seconds since the oldest part was measured, shape (n,), if known.
         ee_in_base: EE pose in the base frame, shape (n, 7), where it differs from the kinematics.
+        localised: Base pose now as the localisation has it, shape (n, 7), if it has errors: without
+            delay, its jumps at `LOCALISATION_SPEED`.
         true_state: True state of a simulator whose sensors have errors.
     """
 
@@ -38,6 +45,7 @@ class RobotState:
     joint_velocities: Array | None = None
     age: Array | None = None
     ee_in_base: Array | None = None
+    localised: Array | None = None
     true_state: "RobotState | None" = None
 
 
@@ -218,6 +226,7 @@ class Backend(ABC):
         staging: Sets up the scenes of tasks.
         real_time: The robot that moves in real time, or None in a simulation that waits for `step`.
         max_batch: Robots that a process should have at most, since each costs memory or time.
+        response: How late the robots carry out commands and are measured.
     """
 
     gripper: Gripper | None = None
@@ -230,6 +239,7 @@ class Backend(ABC):
     staging: Staging | None = None
     real_time: "RealTimeBackend | None" = None
     max_batch: int | None = None
+    response: ResponseModel = ResponseModel()
 
     @abstractmethod
     def reset(
@@ -313,9 +323,9 @@ class RealTimeBackend(Backend):
 
 ABILITIES = (
     "gripper", "scanner", "obstacles", "solids", "contacts", "dynamics", "resumable",
-    "staging", "real_time", "max_batch",
+    "staging", "real_time", "max_batch", "response",
 )  # fmt: skip
-"""Names of the abilities of a backend."""
+"""Names of the abilities of a backend, and of what it says of itself."""
 
 
 class BackendWrapper(Backend):

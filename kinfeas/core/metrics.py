@@ -37,6 +37,9 @@ class EpisodeRecords:
             stream.
         path_length: Length of the EE's true path, metres, shape (n,), likewise.
         target_path_length: Length of the stream's path, metres, shape (n,), likewise.
+        max_tracking_error: Largest distance in the frame of the robot's localisation, metres, shape
+            (n,); None if that has no errors.
+        mean_tracking_error: Mean of that distance, likewise.
     """
 
     reached: NDArray[np.bool_]
@@ -52,6 +55,8 @@ class EpisodeRecords:
     rms_deviation: Array | None = None
     path_length: Array | None = None
     target_path_length: Array | None = None
+    max_tracking_error: Array | None = None
+    mean_tracking_error: Array | None = None
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -62,6 +67,14 @@ class EpisodeRecords:
     def within(self) -> NDArray[np.bool_]:
         """Whether deviation and final distance were at most `WITHIN`, shape (n,)."""
         return (self.max_deviation <= WITHIN) & (self.final_distance <= WITHIN)
+
+    @property
+    def tracked(self) -> NDArray[np.bool_]:
+        """Whether tracking error and final distance were at most `WITHIN`, shape (n,)."""
+        largest = self.max_tracking_error
+        if largest is None:
+            return self.within
+        return (largest <= WITHIN) & (self.final_distance <= WITHIN)
 
 
 def join(parts: Sequence[EpisodeRecords]) -> EpisodeRecords:
@@ -103,7 +116,8 @@ def wilson(hits: int, trials: int) -> Proportion:
 class Metrics(TypedDict):
     """Metrics of episodes; `low` and `high` are the ends of the interval of a fraction.
 
-    Task success and collisions are null if the backend does not measure them. The last five are
+    Deviations are the true ones in a simulation; those that control can be blamed for, without the
+    errors of the localisation, are tracking errors. Task success and collisions are null if the backend does not measure them. The last five are
     those of streams of targets: `smooth` is the fraction of episodes without IK failure and joint
     jump, `speed_share` the mean speed of the EE relative to the speed of the stream.
     """
@@ -118,6 +132,10 @@ class Metrics(TypedDict):
     within_5cm_high: float
     ik_failures_per_episode: float
     mean_deviation_m: float
+    tracked_5cm: float
+    tracked_5cm_low: float
+    tracked_5cm_high: float
+    mean_tracking_error_m: float
     joint_jumps_per_episode: float
     mean_steps: float
     task_success: float | None
@@ -147,6 +165,8 @@ def summarize(records: EpisodeRecords) -> Metrics:
         smooth = records.success & (records.joint_jumps == 0)
         speed = float(records.path_length.sum() / records.target_path_length.sum())
         rms = float(np.sqrt(np.average(records.rms_deviation**2, weights=records.steps)))
+    tracking = records.mean_tracking_error
+    tracking = records.mean_deviation if tracking is None else tracking
     summary = {
         "episodes": len(records.reached),
         **_fraction("success", records.success),
@@ -154,6 +174,8 @@ def summarize(records: EpisodeRecords) -> Metrics:
         **_fraction("within_5cm", records.within),
         "ik_failures_per_episode": float(records.failures.mean()),
         "mean_deviation_m": float(records.mean_deviation.mean()),
+        **_fraction("tracked_5cm", records.tracked),
+        "mean_tracking_error_m": float(tracking.mean()),
         "joint_jumps_per_episode": float(records.joint_jumps.mean()),
         "mean_steps": float(records.steps.mean()),
         **_fraction("task_success", records.task_done),

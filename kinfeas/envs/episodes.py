@@ -213,6 +213,7 @@ class _Tally:
         self.reached = np.zeros(episodes, dtype=np.bool_)
         self.failures, self.joint_jumps, self.steps = np.zeros((3, episodes), dtype=np.intp)
         self.deviation_sum, self.deviation_max, self.final = np.zeros((3, episodes))
+        self.tracking_sum, self.tracking_max = np.zeros((2, episodes))
         self.deviation_squares, self.length, self.planned_length = np.zeros((3, episodes))
         self.base, self.arm = (Collisions(episodes, world.loop.dt) for _ in range(2))
         self.task_done: list[bool | None] = [None] * episodes
@@ -224,6 +225,10 @@ class _Tally:
         self.joint_jumps[episodes] += outcome.joint_jump[rows]
         self.steps[episodes] += 1
         self.deviation_sum[episodes] += outcome.deviation[rows]
+        self.tracking_sum[episodes] += outcome.tracking_error[rows]
+        self.tracking_max[episodes] = np.maximum(
+            self.tracking_max[episodes], outcome.tracking_error[rows]
+        )
         if transition.path_length is not None and transition.planned_length is not None:
             self.deviation_squares[episodes] += outcome.deviation[rows] ** 2
             self.length[episodes] += transition.path_length[rows]
@@ -264,7 +269,7 @@ class _Tally:
         loop, sensor = self.world.loop, self.world.backend.contacts
         contacts = sensor is not None or loop.surroundings.after(0.0) is not None
         stream = loop.stream is not None
-        steps = np.maximum(self.steps, 1)
+        steps, localised = np.maximum(self.steps, 1), loop.robots.localised is not None
         return EpisodeRecords(
             reached=self.reached,
             failures=self.failures,
@@ -279,6 +284,8 @@ class _Tally:
             rms_deviation=np.sqrt(self.deviation_squares / steps) if stream else None,
             path_length=self.length if stream else None,
             target_path_length=self.planned_length if stream else None,
+            max_tracking_error=self.tracking_max if localised else None,
+            mean_tracking_error=self.tracking_sum / steps if localised else None,
         )
 
 

@@ -109,6 +109,10 @@ class Adapter(BackendWrapper):
         """Return the value of a parameter in each episode, shape (n, 1)."""
         return self._values[name]
 
+    def mean(self, name: str) -> float:
+        """Return the mean of a parameter over all episodes."""
+        return sum(self.ranges[name]) / 2.0 if name in self.ranges else 0.0
+
     def normal(self, width: int) -> Array:
         """Return standard normal numbers for this step, shape (n, width)."""
         return random_numbers.normal(self._seeds + self._salt, self._steps, width)

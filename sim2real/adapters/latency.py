@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array, integrate, twist_between
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number, measured
@@ -39,6 +40,8 @@ class CommandLatency(Adapter):
         self, backend: Backend, robot: Robot, *, seconds: Number = 0.06, jitter: Number = 0.0
     ) -> None:
         super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter}, _DELAYS)
+        delay = self.mean("seconds") + 0.5 * self.mean("jitter")
+        self.response = backend.response.within(ResponseModel(command_latency=delay))
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return buffers full of commands to rest."""
@@ -82,6 +85,8 @@ class SensorLatency(Adapter):
         self, backend: Backend, robot: Robot, *, seconds: Number = 0.03, jitter: Number = 0.0
     ) -> None:
         super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter}, _DELAYS)
+        delay = self.mean("seconds") + 0.5 * self.mean("jitter")
+        self.response = backend.response.within(ResponseModel(sensor_latency=delay))
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return buffers full of the current measurement."""

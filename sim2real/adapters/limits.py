@@ -4,6 +4,7 @@ import numpy as np
 from annotated_types import Interval
 
 from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number
@@ -41,6 +42,13 @@ class AccelerationLimit(Adapter):
         jerks = {"linear_jerk": linear_jerk, "angular_jerk": angular_jerk}
         limits |= {name: jerk for name, jerk in jerks.items() if jerk is not None}
         super().__init__(backend, robot, limits, _POSITIVE)
+        limited = ResponseModel(
+            acceleration=self.mean("linear"),
+            rotation_acceleration=self.mean("angular"),
+            jerk=self.mean("linear_jerk") or None,
+            rotation_jerk=self.mean("angular_jerk") or None,
+        )
+        self.response = backend.response.within(limited)
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return zero velocity and acceleration."""
@@ -152,6 +160,8 @@ class ActuatorLag(Adapter):
         self, backend: Backend, robot: Robot, *, base: Number = 0.1, arm: Number = 0.02
     ) -> None:
         super().__init__(backend, robot, {"base": base, "arm": arm})
+        lag = ResponseModel(base_lag=self.mean("base"), arm_lag=self.mean("arm"))
+        self.response = backend.response.within(lag)
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return zero velocity and the joint positions."""

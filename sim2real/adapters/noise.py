@@ -6,12 +6,20 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, Backend, RobotState, Scan
+from kinfeas.core.backend import (
+    LOCALISATION_SPEED,
+    SCAN_BEAMS,
+    SCAN_RANGE,
+    Backend,
+    RobotState,
+    Scan,
+)
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number, measured
 from kinfeas.sim2real.adapters.latency import filled, pushed
+from kinfeas.sim2real.adapters.limits import shortened
 
 
 class BaseNoise(Adapter):
@@ -110,8 +118,9 @@ class Localisation(Adapter):
         super().__init__(backend, robot, {**numbers, "rate": rate})
 
     def on_reset(self, state: RobotState) -> Memory:
-        """Return a zero error (x, y, yaw)."""
-        return {"error": np.zeros((len(state.base_pose), 3))}
+        """Return a zero error (x, y, yaw), also of robots that have followed its jumps."""
+        zero = np.zeros((len(state.base_pose), 3))
+        return {"error": zero, "followed": zero}
 
     def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the twist rotated by the heading's error, and the joint targets."""
@@ -128,13 +137,30 @@ class Localisation(Adapter):
         walk = noise[:, :3] * self._each("drift") * np.sqrt(dt)
         jumps = self.uniform(1) <= -np.expm1(-self.number("rate") * dt)
         jump = noise[:, 3:] * self._each("jump")
-        self.remember(error=np.where(jumps, jump, self.memory["error"] + walk))
+        error = np.where(jumps, jump, self.memory["error"] + walk)
+        followed, longest = self.memory["followed"], np.array([[LOCALISATION_SPEED * dt]])
+        change = error - followed
+        straight = np.concatenate([change[:, :2], np.zeros_like(change[:, :1])], axis=1)
+        turn = np.clip(change[:, 2:], -longest, longest)
+        change = np.concatenate([shortened(straight, longest)[:, :2], turn], axis=1)
+        self.remember(error=error, followed=followed + change)
 
     def modify_state(self, state: RobotState) -> RobotState:
         """Return the state with the erroneous base pose."""
-        error = np.zeros((len(state.base_pose), 6))
-        error[:, [0, 1, 5]] = self.memory["error"]
-        return measured(state, base_pose=displaced(state.base_pose, error))
+        now = state.localised
+        if now is None:
+            now = (state.true_state or state).base_pose
+        return measured(
+            state,
+            base_pose=displaced(state.base_pose, self._displacement("error")),
+            localised=displaced(now, self._displacement("followed")),
+        )
+
+    def _displacement(self, name: str) -> Array:
+        """Return an error as a displacement, shape (n, 6)."""
+        displacement = np.zeros((len(self.memory[name]), 6))
+        displacement[:, [0, 1, 5]] = self.memory[name]
+        return displacement
 
     def _each(self, name: str) -> Array:
         """Return the deviations of x, y and yaw, shape (n, 3)."""

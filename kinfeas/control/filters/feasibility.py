@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from kinfeas.config.quantities import NotNegative
 from kinfeas.control.period import KinematicInputs, KinematicStep, Move, Period
 from kinfeas.core.motion import Rows, with_rows
-from kinfeas.core.spatial import Array, integrate
+from kinfeas.core.response import ResponseModel
+from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.ik import IkSolver, spread
 from kinfeas.kinematics.solids import base_collides
@@ -30,15 +31,22 @@ class FeasibilityFilter:
     Args:
         solver: IK of the robot.
         dt: Control period, seconds.
+        response: Response of the robot.
         max_deviation: Largest position error of an arm with a pose tolerance, metres.
     """
 
     speeds: ClassVar[tuple[float, ...]] = (1.0,)
     """Fractions of the speed of the candidates, which are tried with each."""
 
-    def __init__(self, solver: IkSolver, dt: float, max_deviation: NotNegative = 0.02) -> None:
+    def __init__(
+        self,
+        solver: IkSolver,
+        dt: float,
+        response: ResponseModel,
+        max_deviation: NotNegative = 0.02,
+    ) -> None:
         self.max_deviation = max_deviation
-        self._step, self._robot = KinematicStep(solver, dt), solver.robot
+        self._step, self._robot = KinematicStep(solver, dt, response), solver.robot
         fast = 2.0 * spread(_CANDIDATES, command_size(solver.robot.base)) - 1.0
         self.candidates: Array = np.concatenate([speed * fast for speed in self.speeds])
 
@@ -89,13 +97,13 @@ class FeasibilityFilter:
         )
         good = move.arm.feasible & ~jumps & (move.arm.position_error <= self.max_deviation)
         if inputs.solids is not None:
-            reached = integrate(inputs.base_pose, move.base_twist, step.dt)
-            good &= ~base_collides(step.solver.collision, reached, inputs.solids)
+            good &= ~base_collides(step.solver.collision, move.base_pose, inputs.solids)
         return move, good
 
 
 def replaced(move: Move, rows: Rows, retried: Move, command: Array) -> Move:
     """Return a move that is `retried` in some rows; `command` is that of all rows."""
     twist = with_rows(move.base_twist, rows, retried.base_twist)
+    base_pose = with_rows(move.base_pose, rows, retried.base_pose)
     move.arm.put(rows, retried.arm)
-    return Move(twist, move.arm, command)
+    return Move(twist, move.arm, command, base_pose)

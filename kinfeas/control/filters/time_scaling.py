@@ -5,6 +5,7 @@ import numpy as np
 from kinfeas.config.quantities import NotNegative
 from kinfeas.control.filters.feasibility import FeasibilityFilter, replaced
 from kinfeas.control.period import Period
+from kinfeas.core.response import ResponseModel
 from kinfeas.kinematics.ik import IkSolver
 
 _FRACTIONS = (0.5, 0.25, 0.0)
@@ -21,14 +22,21 @@ class TimeScalingFilter(FeasibilityFilter):
     Args:
         solver: IK of the robot.
         dt: Control period, seconds.
+        response: Response of the robot.
         max_deviation: As of the feasibility filter; the EE waits where no candidate is within it.
     """
 
     # Near joint limits the arm only follows a slow base.
     speeds = (1.0, 0.3, 0.1)
 
-    def __init__(self, solver: IkSolver, dt: float, max_deviation: NotNegative = 0.01) -> None:
-        super().__init__(solver, dt, max_deviation)
+    def __init__(
+        self,
+        solver: IkSolver,
+        dt: float,
+        response: ResponseModel,
+        max_deviation: NotNegative = 0.01,
+    ) -> None:
+        super().__init__(solver, dt, response, max_deviation)
 
     def __call__(self, period: Period) -> Period:
         """Return the period with feasible commands, and slower where there are none."""

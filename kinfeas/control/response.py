@@ -1,0 +1,308 @@
+"""Prediction of robots that carry out their commands late: their state when a command arrives.
+
+Planar poses are (x, y, yaw) in the world. The motion of a base is the velocity that its controller
+asks for, the acceleration of that, and the velocity of the base, (vx, vy, turn) each: shape (9,).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.backend import LOCALISATION_SPEED, RobotState
+from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.pose_kernels import wrapped
+from kinfeas.core.response import ResponseModel
+from kinfeas.core.spatial import Array, compose, integrate, relative, yaw
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.kernels import inlined, kernel, square
+
+_POSE_SECONDS, _VELOCITY_SECONDS = 0.02, 0.4
+"""Time constants with which the prediction takes over measured positions and velocities."""
+
+_JUMP, _JUMP_SPEED = 0.004, 0.1
+"""Difference between measured and predicted pose beyond which the localisation has jumped: metres
+or radians, and those for each second between measurements."""
+
+_OLDEST = 0.3  # age of a measurement, seconds, up to which commands are kept
+
+_TINY = 1e-9  # seconds
+
+
+class BaseResponse:
+    """Displacements of bases that carry out their commands late and within limits."""
+
+    def __init__(self, response: ResponseModel) -> None:
+        limits = (
+            response.acceleration, response.rotation_acceleration,
+            response.jerk, response.rotation_jerk,
+        )  # fmt: skip
+        self.limits = np.array(
+            [response.base_lag, *(math.inf if limit is None else limit for limit in limits)]
+        )
+        self._arm_lag = response.arm_lag
+
+    def lead(self, dt: float) -> float:
+        """Return the seconds by which joint targets lead, so that a lagging arm is on time."""
+        return dt / math.expm1(dt / self._arm_lag) if self._arm_lag > 0.0 else 0.0
+
+    def reached(self, base_pose: Array, motion: Array, twist: Array, dt: float) -> Array:
+        """Return world poses after `dt` seconds, and the lead of the arm, of a world twist.
+
+        Poses have the shape (n, 7), motions (n, 9), twists (n, 6), m/s and rad/s.
+        """
+        moved = np.zeros((len(twist), 6))
+        _displace(motion, twist, dt, self.lead(dt), self.limits, moved)
+        return integrate(base_pose, moved, 1.0)
+
+
+class Predictor:
+    """States of n robots at the time at which the next command takes effect.
+
+    Measured poses and velocities are carried forward by the response of the robots to the commands
+    that are on their way. Measurements correct errors of that, jumps of the localisation gradually.
+
+    Attributes:
+        delay: Seconds until a command takes effect.
+        base: Response of the bases.
+        motion: Motions of the bases when the next command takes effect, shape (n, 9).
+    """
+
+    def __init__(self, response: ResponseModel, solver: IkSolver, dt: float) -> None:
+        self.delay, self.dt, self.base = response.command_latency, dt, BaseResponse(response)
+        self._response, self._chain, self._robot = response, solver.chain, solver.robot
+        self._slots = math.ceil((self.delay + _OLDEST) / dt) + 2
+        self._timing = np.array([self.delay, dt, response.arm_lag])
+        # A copy, because numba compiles kernels again for read-only arrays.
+        self._max_velocity = np.array(solver.robot.max_joint_velocity)
+        self._continuous = np.array(solver.robot.continuous)
+        self.motion: Array = np.empty((0, 9))
+
+    def start(self, robots: RobotState, rows: Rows | None = None) -> RobotState:
+        """Begin with robots at rest in some rows, or in all of n, and return the state of all n."""
+        n, joints = len(robots.base_pose), robots.joint_positions
+        ee = compose(robots.base_pose, forward(self._chain, joints))
+        fresh = {
+            "motion": np.zeros((n, 9)),
+            "_estimate": np.zeros((n, 9)),
+            "_pose": _planar(robots.base_pose),
+            "_jump": np.zeros((n, 3)),
+            "_age": self._ages(robots),
+            "_moved": np.zeros((n, 6)),
+            "_joints": joints,
+            "_twists": np.zeros((n, self._slots, 3)),
+            "_targets": np.repeat(joints[:, np.newaxis], self._slots, axis=1),
+            "_desired": np.repeat(ee[:, np.newaxis, :3], self._slots, axis=1),
+        }
+        for name, values in fresh.items():
+            if rows is not None:
+                values = with_rows(getattr(self, name), rows, values[rows])
+            setattr(self, name, values)
+        return self._carried_forward(robots)
+
+    @property
+    def due(self) -> Array:
+        """Positions at which the EEs are to be now, metres, shape (n, 3)."""
+        before, fraction = divmod(self.delay / self.dt, 1.0)
+        newer, older = self._desired[:, -1 - int(before)], self._desired[:, -2 - int(before)]
+        return newer + (older - newer) * fraction
+
+    def command(self, twist: Array, targets: Array, desired: Array) -> None:
+        """Note the commands of a period and the poses of the EEs that are desired of them.
+
+        World twists have the shape (n, 6), joint targets (n, j), poses (n, 7).
+        """
+        self._desired = np.concatenate([self._desired[:, 1:], desired[:, np.newaxis, :3]], axis=1)
+        planar = twist[:, np.newaxis, _PLANAR]
+        self._twists = np.concatenate([self._twists[:, 1:], planar], axis=1)
+        self._targets = np.concatenate([self._targets[:, 1:], targets[:, np.newaxis]], axis=1)
+
+    def predict(self, robots: RobotState) -> RobotState:
+        """Return the state at which the next command takes effect, from that after a period."""
+        age, measured = self._ages(robots), _planar(robots.base_pose)
+        pose, estimate, motion = self._pose.copy(), self._estimate.copy(), self._estimate.copy()
+        joints, moved, jump = (
+            robots.joint_positions.copy(),
+            np.zeros((len(age), 6)),
+            self._jump.copy(),
+        )
+        _predict(
+            measured, age, self._age, self._twists, self._targets, self._timing, self.base.limits,
+            self._max_velocity, self._continuous, pose, jump, estimate, motion, joints, moved,
+        )  # fmt: skip
+        self._pose, self._jump, self._estimate, self._age = pose, jump, estimate, age
+        self.motion, self._moved, self._joints = motion, moved, joints
+        return self._carried_forward(robots)
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state of all n robots by name."""
+        return {f"{_PREFIX}{name}": getattr(self, name) for name in _STATE}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]], robots: RobotState) -> RobotState:
+        """Continue from a snapshot and the measured state; return the predicted one."""
+        for name in _STATE:
+            setattr(self, name, snapshot[f"{_PREFIX}{name}"].copy())
+        return self._carried_forward(robots)
+
+    def _carried_forward(self, robots: RobotState) -> RobotState:
+        joints, ee = self._joints, robots.ee_in_base
+        if ee is not None:
+            offset = relative(ee, forward(self._chain, robots.joint_positions))
+            ee = compose(forward(self._chain, joints), offset)
+        return replace(
+            robots,
+            base_pose=integrate(robots.base_pose, self._moved, 1.0),
+            joint_positions=joints,
+            ee_in_base=ee,
+            true_state=robots.true_state or robots,
+        )
+
+    def _ages(self, robots: RobotState) -> Array:
+        if robots.age is None:
+            return np.full(len(robots.base_pose), self._response.sensor_latency)
+        return np.clip(robots.age, 0.0, _OLDEST)
+
+
+_PREFIX = "predictor."
+_STATE = (
+    "motion", "_estimate", "_pose", "_jump", "_age", "_moved", "_joints", "_twists", "_targets", "_desired",
+)  # fmt: skip
+_PLANAR = np.array([0, 1, 5])
+
+
+def _planar(pose: Array) -> Array:
+    """Return x, y and yaw of poses, shape (n, 7) -> (n, 3)."""
+    return np.concatenate([pose[:, :2], yaw(pose)[:, np.newaxis]], axis=1)
+
+
+@inlined
+def _shortened(x, y, longest):
+    """Return a planar vector of at most a length."""
+    length = math.sqrt(square(x) + square(y))
+    scale = longest / length if length > longest else 1.0
+    return x * scale, y * scale
+
+
+@inlined
+def _accelerated(x, y, before_x, before_y, most, jerk, seconds):
+    """Return the feasible acceleration nearest to (x, y), as the adapter `acceleration_limit`."""
+    if jerk == math.inf:
+        return _shortened(x, y, most)
+    length = math.sqrt(square(x) + square(y))
+    # Reducing an acceleration a to zero changes the velocity by a^2 / (2 jerk).
+    x, y = _shortened(x, y, min(most, math.sqrt(2.0 * jerk * length * seconds)))
+    x, y = _shortened(x - before_x, y - before_y, jerk * seconds)
+    return _shortened(before_x + x, before_y + y, most)
+
+
+@inlined
+def _advance(motion, twist, seconds, limits, moved):
+    """Advance a motion, shape (9,), under a planar twist; add its displacement, (3,)."""
+    if seconds < _TINY:
+        return
+    lag, most, turning, jerk, twisting = limits
+    x, y, turn = (
+        (twist[0] - motion[0]) / seconds,
+        (twist[1] - motion[1]) / seconds,
+        (twist[2] - motion[2]) / seconds,
+    )
+    motion[3], motion[4] = _accelerated(x, y, motion[3], motion[4], most, jerk, seconds)
+    motion[5], _ = _accelerated(turn, 0.0, motion[5], 0.0, turning, twisting, seconds)
+    left = math.exp(-seconds / lag) if lag > 0.0 else 0.0
+    for i in range(3):
+        motion[i] += motion[3 + i] * seconds
+        behind = motion[6 + i] - motion[i]
+        motion[6 + i] = motion[i] + behind * left
+        moved[i] += motion[i] * seconds + behind * lag * (1.0 - left)
+
+
+@kernel
+def _displace(motions, twists, dt, lead, limits, moved):
+    """Write the displacements, shape (n, 6), of bases in `dt` and then `lead` seconds."""
+    motion, planar, twist = np.empty(9), np.empty(3), np.empty(3)
+    for i in range(len(moved)):
+        motion[:], planar[:] = motions[i], 0.0
+        twist[0], twist[1], twist[2] = twists[i, 0], twists[i, 1], twists[i, 5]
+        _advance(motion, twist, dt, limits, planar)
+        _advance(motion, twist, lead, limits, planar)
+        moved[i, 0], moved[i, 1], moved[i, 5] = planar[0], planar[1], planar[2]
+
+
+@kernel
+def _travel(begin, end, twists, timing, limits, motion, moved):
+    """Advance a motion from `begin` to `end`, seconds from now, under the commands then active."""
+    delay, dt, slots = timing[0], timing[1], len(twists)
+    for k in range(slots):
+        # Command k was sent (slots - k) periods ago; there is none before the first.
+        start = begin if k == 0 else max(begin, delay - (slots - k) * dt)
+        _advance(motion, twists[k], min(end, delay - (slots - k - 1) * dt) - start, limits, moved)
+
+
+@kernel
+def _predict(
+    measured, ages, ages_before, twists, targets, timing, limits, max_velocity, continuous,
+    poses, jumps, estimates, motions, joints, moved,
+):  # fmt: skip
+    """Update poses and estimates to the measurements; write motions, joints and displacements.
+
+    Poses have the shape (n, 3), estimates and motions (n, 9), displacements (n, 6). `timing` are
+    the delay of commands, the control period and the lag of the arms, seconds.
+    """
+    delay, dt, arm_lag = timing
+    slots, planar = targets.shape[1], np.empty(3)
+    for i in range(len(measured)):
+        begin, now = -ages_before[i] - dt, -ages[i]
+        pose, estimate, motion = poses[i], estimates[i], motions[i]
+        if now - begin > _TINY:
+            planar[:] = 0.0
+            _travel(begin, now, twists[i], timing, limits, estimate, planar)
+            pose += planar
+            _correct(pose, jumps[i], estimate, measured[i], now - begin, planar)
+        planar[0], planar[1] = pose[0] - measured[i, 0], pose[1] - measured[i, 1]
+        planar[2] = wrapped(pose[2] - measured[i, 2])
+        motion[:] = estimate
+        _travel(now, delay, twists[i], timing, limits, motion, planar)
+        moved[i, 0], moved[i, 1], moved[i, 5] = planar[0], planar[1], planar[2]
+        for k in range(slots):
+            start = max(now, delay - (slots - k) * dt) if k else now
+            seconds = min(delay, delay - (slots - k - 1) * dt) - start
+            if seconds < _TINY:
+                continue
+            part = 1.0 - math.exp(-seconds / arm_lag) if arm_lag > 0.0 else 1.0
+            for j in range(joints.shape[1]):
+                away = targets[i, k, j] - joints[i, j]
+                if continuous[j]:
+                    away = wrapped(away)
+                most = max_velocity[j] * seconds
+                joints[i, j] += min(max(away * part, -most), most)
+                if continuous[j]:
+                    joints[i, j] = wrapped(joints[i, j])
+
+
+@inlined
+def _correct(pose, jump, estimate, measured, seconds, error):
+    """Correct a predicted pose, shape (3,), and its motion by the measured pose.
+
+    `jump`, shape (3,), is the part of a jump of the localisation that is yet to be followed;
+    `error`, shape (3,), is overwritten.
+    """
+    for i in range(3):
+        error[i] = measured[i] - jump[i] - pose[i]
+    error[2] = wrapped(error[2])
+    most = _JUMP + _JUMP_SPEED * seconds
+    if max(math.sqrt(square(error[0]) + square(error[1])), abs(error[2])) > most:
+        jump += error
+        error[:] = 0.0
+    position = 1.0 - math.exp(-seconds / _POSE_SECONDS)
+    velocity = (1.0 - math.exp(-seconds / _VELOCITY_SECONDS)) / seconds
+    longest = LOCALISATION_SPEED * seconds
+    x, y = _shortened(jump[0], jump[1], longest)
+    followed = x, y, min(max(jump[2], -longest), longest)
+    for i in range(3):
+        jump[i] -= followed[i]
+        pose[i] += position * error[i] + followed[i]
+        estimate[6 + i] += velocity * error[i]
