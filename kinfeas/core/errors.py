@@ -51,6 +51,8 @@ def raised_by(error: BaseException) -> str | None:
 def describe(error: BaseException) -> str:
     """Return an exception in one line, with the plugin that raised it if that is known."""
     plugin = raised_by(error)
+    if plugin is not None and type(error) is KinfeasError:
+        return f"{plugin}: {error}"
     text = f"{type(error).__name__}: {error}"
     return text if plugin is None else f"{plugin} raised {text}"
 
