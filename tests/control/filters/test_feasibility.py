@@ -9,6 +9,7 @@ from kinfeas.control.filters.time_scaling import TimeScalingFilter
 from kinfeas.control.period import Period
 from kinfeas.control.sequence import MotionStep
 from kinfeas.core import spatial
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.solids import Solids
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
@@ -21,7 +22,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity
 from kinfeas.tasks.loading import load_task
 
-DT, ROWS = 0.5, 64
+DT, ROWS, AT_ONCE = 0.5, 64, ResponseModel()
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,8 @@ def feasible(solver, period, command, rows):
 
 
 def test_feasible_commands_stay_and_others_become_the_nearest_candidate(solver, period):
-    command_filter, command = FeasibilityFilter(solver, DT), period.command
+    command_filter = FeasibilityFilter(solver, DT, response=AT_ONCE)
+    command = period.command
     filtered, candidates = command_filter(period).command, command_filter.candidates
     able = feasible(solver, period, command, np.arange(ROWS))
     assert 0 < able.sum() < ROWS
@@ -95,7 +97,8 @@ def test_feasible_commands_stay_and_others_become_the_nearest_candidate(solver, 
 
 
 def test_paused_rows_stay_and_change_no_other(solver, period):
-    command_filter, paused = FeasibilityFilter(solver, DT), np.arange(ROWS) % 2 == 0
+    command_filter = FeasibilityFilter(solver, DT, response=AT_ONCE)
+    paused = np.arange(ROWS) % 2 == 0
     alone = command_filter(period).command
     filtered = command_filter(replace(period, paused=paused)).command
     np.testing.assert_array_equal(filtered, np.where(paused[:, np.newaxis], period.command, alone))
@@ -112,14 +115,14 @@ class Straight:
         desired = spatial.integrate(self.begin, self.twist, DT * time_scale)
         return MotionStep(desired, desired, [], DT * time_scale)
 
-    def after(self, step, paused):
+    def arm_target(self, step, paused):
         return step.desired
 
 
 def test_time_scaling_slows_the_planned_motion_and_holds_where_nothing_is_feasible(solver, period):
     planned = np.random.default_rng(3).uniform(0.2, 1.0, ROWS)
     begun = replace(period, motions=Straight(period.desired)).slowed(planned)
-    scaled = TimeScalingFilter(solver, DT)(begun)
+    scaled = TimeScalingFilter(solver, DT, response=AT_ONCE)(begun)
     fraction = scaled.time_scale / planned
     assert {0.0, 0.5, 1.0} <= set(fraction.tolist()) <= {0.0, 0.25, 0.5, 1.0}
     able = feasible(solver, scaled, scaled.command, np.arange(ROWS))
