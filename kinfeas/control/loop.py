@@ -30,6 +30,9 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import exceeds_joint_velocity
 
+import os
+
+W0, W1 = map(float, os.environ.get("WAIT", "0,0").split(","))
 _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
 
