@@ -13,11 +13,18 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kinfeas.api import Name
-from kinfeas.api.load import checked, load_robot, plugin_settings, read_adapters, robot_of
+from kinfeas.api.load import (
+    checked,
+    load_robot,
+    plugin_settings,
+    read_adapters,
+    robot_of,
+    text_of,
+)
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
 from kinfeas.config import load as load_config
-from kinfeas.config.quantities import Seed
+from kinfeas.config.quantities import NotNegative, Quaternion, Rate, Seed, Vector
 from kinfeas.config.recipes import default_engine, section
 from kinfeas.core import registry
 from kinfeas.core.backend import build_backend
@@ -98,7 +105,7 @@ def deploy(  # noqa: PLR0913 - options of the command
     config = _read_config(DeployConfig, "deploy", model, guards, filters, settings)
     if task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)
-    elif goal or rpy or quaternion or generator or config.generator:
+    elif any(each is not None for each in (goal, rpy, quaternion)) or generator or config.generator:
         raise KinfeasError("'task' excludes 'goal', 'rpy', 'quaternion' and 'generator'")
     elif config.scene is not None:
         raise KinfeasError("'task' has its own 'scene'")
@@ -106,8 +113,8 @@ def deploy(  # noqa: PLR0913 - options of the command
         motion_task = load_task(str(task), config.task)
     backend = backend or default_engine()
     setup = _make_setup(
-        str(policy), model, backend, motion_task, config, record, adapters=read_adapters(adapters),
-        dt=1.0 / rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
+        policy, model, backend, motion_task, config, record, adapters=read_adapters(adapters),
+        rate=rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     on_start()
     return recorded(setup, str(robot), str(policy), backend, record)
@@ -149,8 +156,8 @@ def servo(  # noqa: PLR0913 - options of the command
     targets = _build_source(source, config.source) if isinstance(source, str) else source
     backend = backend or default_engine()
     setup = _make_setup(
-        str(policy), model, backend, task, config, record, adapters=read_adapters(adapters),
-        dt=1.0 / rate, seconds=seconds, seed=0, real_time=True,
+        policy, model, backend, task, config, record, adapters=read_adapters(adapters),
+        rate=rate, seconds=seconds, seed=0, real_time=True,
     )  # fmt: skip
     setup = replace(setup, filters=(controller, *setup.filters))
     on_start()
@@ -228,11 +235,15 @@ def _goal_task(
         raise KinfeasError("'rpy' and 'quaternion' exclude each other")
     default = "linear" if config.scene is None else "whole_body"
     motion = MotionSpec(generator or default, config.generator)
-    return make_goal_task(goal, quaternion or rpy, motion)
+    position = checked(Vector, list(goal), "goal")
+    if quaternion is not None:
+        return make_goal_task(position, checked(Quaternion, list(quaternion), "quaternion"), motion)
+    orientation = None if rpy is None else checked(Vector, list(rpy), "rpy")
+    return make_goal_task(position, orientation, motion)
 
 
 def _make_setup(  # noqa: PLR0913 - the parts of a run
-    policy_name: str,
+    policy_name: Name,
     robot: Robot,
     backend_name: str,
     task: Task,
@@ -240,13 +251,17 @@ def _make_setup(  # noqa: PLR0913 - the parts of a run
     record: Name | None,
     *,
     adapters: tuple[PluginSpec, ...],
-    dt: float,
-    **limits: Any,
+    rate: float,
+    seconds: float,
+    **options: Any,
 ) -> Setup:
     """Return the parts of a run, compiled and connected."""
     if record is not None and Path(record).exists():
         raise KinfeasError(f"{record}: exists")
-    policy = load_policy(policy_name, robot)
+    dt = 1.0 / checked(Rate, rate, "rate")
+    if seconds != inf:
+        seconds = checked(NotNegative, seconds, "seconds")
+    policy = load_policy(text_of(policy_name, "policy"), robot)
     solver = IkSolver(robot, config.ik)
     solids = furniture_solids(read_scene(config.scene)) if config.scene else None
     warm_up(solver, policy, task, dt, adapters, config.filters)
@@ -256,7 +271,7 @@ def _make_setup(  # noqa: PLR0913 - the parts of a run
     return Setup(
         solver=solver, policy=policy, task=task, backend=backend, execution=config,
         filters=config.filters, guards=config.guards, adapters=adapters, dt=dt, solids=solids,
-        **limits,
+        seconds=seconds, **options,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
-from kinfeas.api.load import checked, load_robot, plugin_settings, robot_of
+from kinfeas.api.load import checked, load_robot, plugin_settings, robot_of, text_of
 from kinfeas.config import Settings, from_mapping, nested
 from kinfeas.config.quantities import Episodes, Processes, Seed
 from kinfeas.core.errors import KinfeasError
@@ -64,7 +64,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
         episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
         settings=nested(plugin_settings(filters, adapters, "world."), settings),
     )  # fmt: skip
-    driver = load_policy(str(policy), model)
+    driver = load_policy(text_of(policy, "policy"), model)
     processes = checked(Processes, processes, "processes")
     if episode >= config.episodes:
         raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")

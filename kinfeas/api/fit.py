@@ -2,20 +2,22 @@
 
 import shlex
 from pathlib import Path
-from typing import Literal
 
 from kinfeas.api import Name
+from kinfeas.api.load import checked
+from kinfeas.config.quantities import Count, Seed
 from kinfeas.core.extras import require
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
 from kinfeas.plugins.fit import Fit, write_model
 from kinfeas.plugins.fit import fit as learn
+from kinfeas.plugins.imitation import Kind
 
 
 def fit(
     demonstrations: Name,
     out: Name,
     *,
-    kind: Literal["imitation", "gaussian_mixture"] = "imitation",
+    kind: Kind = "imitation",
     components: int = 8,
     seed: int = 0,
 ) -> Fit:
@@ -29,6 +31,8 @@ def fit(
         KinfeasError: If there are no demonstrations, or one is invalid.
     """
     require("sklearn")
+    kind = checked(Kind, kind, "kind")
+    components, seed = checked(Count, components, "components"), checked(Seed, seed, "seed")
     # The model is for other machines, too: only the name of the folder.
     folder = shlex.quote(Path(demonstrations).resolve().name)
     command = (

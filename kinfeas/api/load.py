@@ -1,8 +1,10 @@
 """Robots and policies by name or path, and policies as ONNX files."""
 
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.config import PluginSpec, convert, to_mapping
@@ -19,12 +21,12 @@ from kinfeas.robots.robot import Robot
 
 
 def load_robot(robot: Name) -> Robot:
-    """Return a robot by its name or YAML file.
+    """Return a robot by its name or folder.
 
     Raises:
         KinfeasError: If there is no such robot, or a file is invalid.
     """
-    return robots.load_robot(str(robot))
+    return robots.load_robot(text_of(robot, "robot"))
 
 
 def load_policy(policy: Name, *, robot: Name | None = None) -> Policy:
@@ -35,7 +37,7 @@ def load_policy(policy: Name, *, robot: Name | None = None) -> Policy:
     Raises:
         KinfeasError: If there is no such policy, or it is broken or for another robot.
     """
-    return loading.load_policy(str(policy), load_robot(robot or robot_of(policy)))
+    return loading.load_policy(text_of(policy, "policy"), load_robot(robot or robot_of(policy)))
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
         KinfeasError: If the policy is not a trained one or for another robot, or the file cannot
             be written.
     """
-    name, path = str(policy), Path(out)
+    name, path = text_of(policy, "policy"), Path(out)
     if path.suffix != ".onnx":
         raise KinfeasError(f"{path}: must end in .onnx")
     model = load_robot(robot or robot_of(name))
@@ -99,7 +101,7 @@ def _file(path: Path, policy: OnnxPolicy, parity: float | None = None) -> Policy
 
 def robot_of(policy: Name | None) -> str:
     """Return the robot that a policy was trained for, by name or path; PR2 for other policies."""
-    path = Path(policy or "")
+    path = Path(text_of(policy or "", "policy"))
     if not policy or str(policy) in registry.names(loading.GROUP) or not path.exists():
         return DEFAULT_ROBOT
     settings: object
@@ -126,19 +128,25 @@ def plugin_settings(
     """Return settings of filters and adapters, where they are not None, below the keys `above`."""
     settings: dict[str, object] = {}
     if filters is not None:
-        settings[f"{above}filters"] = [{"name": name} for name in filter_names(filters)]
+        names = filter_names(filters) if isinstance(filters, str) else filters
+        settings[f"{above}filters"] = names
     if adapters is not None:
         settings[f"{above}adapters"] = [spec.entry() for spec in read_adapters(adapters)]
     return settings
 
 
-def filter_names(filters: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the names of filters, which may be one text with commas or `none`."""
-    names = filters.split(",") if isinstance(filters, str) else filters
-    return tuple(name.strip() for name in names if name.strip() not in ("", "none"))
+def filter_names(filters: str) -> tuple[str, ...]:
+    """Return the names of filters in a text with commas, or `none`."""
+    return () if filters in ("", "none") else tuple(map(str.strip, filters.split(",")))
 
 
-def checked(kind: object, value: object, name: str) -> int:
-    """Return an argument that is an integer of a kind; raise KinfeasError if it is not."""
-    number: int = convert(kind, value, "arguments", name)
-    return number
+def checked(kind: Any, value: object, name: str) -> Any:
+    """Return an argument that is of a kind; raise KinfeasError if it is not."""
+    return convert(kind, value, "arguments", name)
+
+
+def text_of(value: object, name: str) -> str:
+    """Return an argument that is a name or a path; raise KinfeasError if it is not."""
+    if not isinstance(value, str | Path):
+        raise KinfeasError(f"{name!r} must be a name or a path, not {reprlib.repr(value)}")
+    return str(value)

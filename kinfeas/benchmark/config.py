@@ -25,7 +25,7 @@ class Training:
     """Training of one robot's policies, one for each training seed.
 
     Attributes:
-        robot: Name or YAML file.
+        robot: Name or folder.
         recipe: Name or file; the section `train` of the robot by default.
         settings: Values by key of the recipe.
         steps: Environment steps in all; the recipe's schedule if neither is set.
@@ -89,7 +89,7 @@ class BenchmarkConfig:
 
     Attributes:
         note: A sentence above the tables.
-        robots: Names or YAML files.
+        robots: Names or folders.
         tasks: Names or YAML files.
         baselines: Tasks of each baseline.
         rows: Further rows of the learned policies.

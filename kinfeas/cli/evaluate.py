@@ -135,6 +135,8 @@ def _show(summary: "Summary") -> None:
         rows.insert(
             1, ["ceiling: goals that some base pose reaches", _fraction(summary, "ceiling")]
         )
+    if (lateness := summary["lateness_s"]) is not None:
+        rows.append(["base later than its response model", f"{1000 * lateness:.0f} ms"])
     if (rms := summary["rms_deviation_m"]) is not None:
         rows += [
             ["followed without failure and joint jump", _fraction(summary, "smooth")],

@@ -129,7 +129,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
             raise KinfeasError(f"policy {name!r} has no settings and no picture")
         if robot is None:
             robots = ", ".join(registry.names("kinfeas.robots"))
-            raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a YAML file")
+            raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a folder")
         model = load_robot(robot)
         check_policy(load_policy(name, model), model)
         write_json({"policy": name, "robot": robot, "passed": True}, json)
@@ -188,9 +188,10 @@ def _summary(plugin: Plugin) -> tuple[str, str | None]:
 def _documentation(factory: Any) -> str:
     """Return the docstring of a function, or of a class and its constructor."""
     own = [factory.__doc__]
-    if isinstance(factory, type) and factory.__init__ is not object.__init__:  # type: ignore[misc]
+    if isinstance(factory, type):
         own.append(factory.__init__.__doc__)  # type: ignore[misc]
-    return "\n\n".join(inspect.cleandoc(text) for text in own if text)
+    inherited = object.__init__.__doc__
+    return "\n\n".join(inspect.cleandoc(text) for text in own if text and text != inherited)
 
 
 def _facts(plugin: Plugin) -> dict[str, Any]:

@@ -115,11 +115,17 @@ def nested(*sources: Settings | None) -> dict[str, Any]:
     """Return settings as nested mappings; the later one of two values of a key counts."""
     data: dict[str, Any] = {}
     for settings in sources:
+        if not isinstance(settings or {}, Mapping) or not all(map(_is_text, settings or {})):
+            raise KinfeasError(f"settings must be values by key, not {reprlib.repr(settings)}")
         for path, value in (settings or {}).items():
             for key in reversed(path.split(".")):
                 value = {key: value}
             data = merged(data, value)
     return data
+
+
+def _is_text(key: object) -> bool:
+    return isinstance(key, str)
 
 
 def merged(data: Any, changes: Any) -> Any:
@@ -141,7 +147,11 @@ def merged(data: Any, changes: Any) -> Any:
 
 
 def _changed(value: Any, change: Any) -> Any:
-    return merged(value, change) if change != {} else change
+    return change if _is_empty(change) else merged(value, change)
+
+
+def _is_empty(changes: Any) -> bool:
+    return isinstance(changes, Mapping) and not changes
 
 
 def index_in(entries: Sequence[object], key: object, source: str) -> int:
@@ -224,7 +234,7 @@ def _has(changes: Any, keys: Sequence[str]) -> bool:
         if key not in changes:
             return False
         changes = changes[key]
-    return bool(changes)
+    return not _is_empty(changes)
 
 
 def _fields(kind: Any, keys: Sequence[str]) -> list[str]:

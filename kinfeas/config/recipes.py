@@ -84,7 +84,8 @@ def section(name: str, robot: str | Path | None = None) -> tuple[dict[str, Any],
 
     The sections of `configs/default.yaml` are `train`, `train_rooms`, `train_physics`,
     `finetune_physics`, `deploy`, `servo`, `baselines`, and the settings of evaluations: `analytic`,
-    and `physics` of all engines. The `recipes.yaml` in the robot's folder changes their keys.
+    `physics` of all engines, and `sim2real` with adapters. The `recipes.yaml` in the robot's folder
+    changes their keys.
 
     Args:
         name: Section or backend; one that is in neither file has no settings.

@@ -17,7 +17,6 @@ from kinfeas.core import registry
 from kinfeas.core.backend import Backend, BackendWrapper
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
-from kinfeas.core.response import ResponseModel
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 
@@ -32,7 +31,6 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
     adapters: Sequence[PluginSpec] = (),
     filters: Sequence[PluginSpec | CommandFilter] = (),
     stream: TargetStream | None = None,
-    response: ResponseModel | None = None,
     policy: Policy | None = None,
     executor: Executor | None = None,
 ) -> Loop:
@@ -47,7 +45,6 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
         adapters: Adapters around the backend, the first one innermost.
         filters: Change the policy's commands, in this order.
         stream: Targets that move, if there are any.
-        response: Response of the robots; by default as the backend states it.
         policy: Commands the bases; without one each step needs an action.
         executor: Runs long planning beside the loop; by default the loop waits for it.
 
@@ -56,7 +53,7 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
     """
     backend = with_adapters(backend, adapters, solver.robot)
     execution = backend.execution(execution or ExecutionConfig())
-    response = response or backend.response
+    response = execution.response or backend.response
     offered = {
         "solver": solver, "backend": backend, "dt": dt, "execution": execution, "stream": stream,
         "executor": executor, "response": response,

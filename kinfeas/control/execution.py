@@ -9,6 +9,7 @@ from kinfeas.config.quantities import Seconds, TimeScale
 from kinfeas.core import spatial
 from kinfeas.core.backend import Grip
 from kinfeas.core.motion import MotionGenerator
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 
@@ -38,6 +39,7 @@ class ExecutionConfig:
         grasp_settle_time: Motion seconds for which a sub-goal with a grip continues after the
             arrival, to bring the EE within `GRASP_METRES` of its end.
         head_start_jitter: Upper bound of the seconds by which each episode's head start is longer.
+        response: Response of the robots to commands; by default as their backend states it.
         arm_settle_timeout: Longest pause of motion and base, in seconds, while the arm moves to
             another configuration that is further away than 0.15 s at full joint velocity.
     """
@@ -47,6 +49,7 @@ class ExecutionConfig:
     grasp_settle_time: Seconds = 0.0
     head_start_jitter: Seconds = 0.0
     arm_settle_timeout: Seconds = 0.0
+    response: ResponseModel | None = None
 
 
 def tool_pose(robot: Robot) -> Array:

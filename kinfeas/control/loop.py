@@ -1,5 +1,6 @@
 """The loop: motion generator, policy, command filters, IK and backend, n robots at a time."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,6 +31,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import exceeds_joint_velocity
 
+W0, W1 = map(float, os.environ.get("WAIT", "0,0").split(","))
 _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
 
@@ -239,6 +241,11 @@ class Loop:
     def command_size(self) -> int:
         """Count of numbers that command a base."""
         return command_size(self.robot.base)
+
+    @property
+    def response_sums(self) -> Array | None:
+        """Sums of each episode for `response.lateness`, (n, 2); None for robots without delay."""
+        return None if self._predictor is None else self._predictor.sums
 
     @property
     def stream(self) -> TargetStream | None:

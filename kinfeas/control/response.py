@@ -32,6 +32,13 @@ _OLDEST = 0.3  # age of a measurement, seconds, up to which commands are kept
 
 _TINY = 1e-9  # seconds
 
+_POSE, _JUMP_LEFT, _MEASURED = slice(0, 3), slice(3, 6), slice(6, 9)
+_MOTION, _SUMS, _SIZE = slice(9, 18), slice(18, 20), 20
+"""What is known of a base: the predicted planar pose; the part of a jump of the localisation that
+is yet to be followed; the last measurement; its motion then; and sums for `lateness`."""
+
+_LEVER = 0.3  # radius at which rotations are compared with translations, metres
+
 
 class BaseResponse:
     """Displacements of bases that carry out their commands late and within limits."""
@@ -85,18 +92,17 @@ class Predictor:
     def start(self, robots: RobotState, rows: Rows | None = None) -> RobotState:
         """Begin with robots at rest in some rows, or in all of n, and return the state of all n."""
         n, joints = len(robots.base_pose), robots.joint_positions
-        ee = compose(robots.base_pose, forward(self._chain, joints))
+        ee, base = compose(robots.base_pose, forward(self._chain, joints)), np.zeros((n, _SIZE))
+        base[:, _POSE] = base[:, _MEASURED] = _planar(robots.base_pose)
         fresh = {
-            "motion": np.zeros((n, 9)),
-            "_estimate": np.zeros((n, 9)),
-            "_pose": _planar(robots.base_pose),
-            "_jump": np.zeros((n, 3)),
+            "_base": base,
             "_age": self._ages(robots),
             "_moved": np.zeros((n, 6)),
             "_joints": joints,
             "_twists": np.zeros((n, self._slots, 3)),
             "_targets": np.repeat(joints[:, np.newaxis], self._slots, axis=1),
             "_desired": np.repeat(ee[:, np.newaxis, :3], self._slots, axis=1),
+            "motion": np.zeros((n, 9)),
         }
         for name, values in fresh.items():
             if rows is not None:
@@ -123,20 +129,21 @@ class Predictor:
 
     def predict(self, robots: RobotState) -> RobotState:
         """Return the state at which the next command takes effect, from that after a period."""
-        age, measured = self._ages(robots), _planar(robots.base_pose)
-        pose, estimate, motion = self._pose.copy(), self._estimate.copy(), self._estimate.copy()
-        joints, moved, jump = (
-            robots.joint_positions.copy(),
-            np.zeros((len(age), 6)),
-            self._jump.copy(),
-        )
+        age, base = self._ages(robots), self._base.copy()
+        motion, moved = np.empty((len(age), 9)), np.zeros((len(age), 6))
+        joints = robots.joint_positions.copy()
         _predict(
-            measured, age, self._age, self._twists, self._targets, self._timing, self.base.limits,
-            self._max_velocity, self._continuous, pose, jump, estimate, motion, joints, moved,
+            _planar(robots.base_pose), age, self._age, self._twists, self._targets, self._timing,
+            self.base.limits, self._max_velocity, self._continuous, base, motion, joints, moved,
         )  # fmt: skip
-        self._pose, self._jump, self._estimate, self._age = pose, jump, estimate, age
-        self.motion, self._moved, self._joints = motion, moved, joints
+        self._base, self._age, self.motion = base, age, motion
+        self._moved, self._joints = moved, joints
         return self._carried_forward(robots)
+
+    @property
+    def sums(self) -> Array:
+        """Sums over the episodes so far, from which `lateness` follows, shape (n, 2)."""
+        return self._base[:, _SUMS]
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all n robots by name."""
@@ -168,9 +175,7 @@ class Predictor:
 
 
 _PREFIX = "predictor."
-_STATE = (
-    "motion", "_estimate", "_pose", "_jump", "_age", "_moved", "_joints", "_twists", "_targets", "_desired",
-)  # fmt: skip
+_STATE = "_base", "_age", "_moved", "_joints", "_twists", "_targets", "_desired", "motion"
 _PLANAR = np.array([0, 1, 5])
 
 
@@ -245,26 +250,26 @@ def _travel(begin, end, twists, timing, limits, motion, moved):
 @kernel
 def _predict(
     measured, ages, ages_before, twists, targets, timing, limits, max_velocity, continuous,
-    poses, jumps, estimates, motions, joints, moved,
+    bases, motions, joints, moved,
 ):  # fmt: skip
-    """Update poses and estimates to the measurements; write motions, joints and displacements.
+    """Update bases, shape (n, 20), to measurements; write motions, joints and displacements.
 
-    Poses have the shape (n, 3), estimates and motions (n, 9), displacements (n, 6). `timing` are
-    the delay of commands, the control period and the lag of the arms, seconds.
+    Measurements have the shape (n, 3), motions (n, 9), displacements (n, 6). `timing` are the delay
+    of commands, the control period and the lag of the arms, seconds.
     """
     delay, dt, arm_lag = timing
     slots, planar = targets.shape[1], np.empty(3)
     for i in range(len(measured)):
         begin, now = -ages_before[i] - dt, -ages[i]
-        pose, estimate, motion = poses[i], estimates[i], motions[i]
+        pose, motion = bases[i, _POSE], motions[i]
+        motion[:] = bases[i, _MOTION]
         if now - begin > _TINY:
             planar[:] = 0.0
-            _travel(begin, now, twists[i], timing, limits, estimate, planar)
-            pose += planar
-            _correct(pose, jumps[i], estimate, measured[i], now - begin, planar)
+            _travel(begin, now, twists[i], timing, limits, motion, planar)
+            _correct(bases[i], motion, planar, measured[i], now - begin)
+            bases[i, _MOTION] = motion
         planar[0], planar[1] = pose[0] - measured[i, 0], pose[1] - measured[i, 1]
         planar[2] = wrapped(pose[2] - measured[i, 2])
-        motion[:] = estimate
         _travel(now, delay, twists[i], timing, limits, motion, planar)
         moved[i, 0], moved[i, 1], moved[i, 5] = planar[0], planar[1], planar[2]
         for k in range(slots):
@@ -284,19 +289,30 @@ def _predict(
 
 
 @inlined
-def _correct(pose, jump, estimate, measured, seconds, error):
-    """Correct a predicted pose, shape (3,), and its motion by the measured pose.
+def _correct(base, motion, planar, measured, seconds):
+    """Correct a base, shape (20,), and its motion after a predicted displacement, shape (3,).
 
-    `jump`, shape (3,), is the part of a jump of the localisation that is yet to be followed;
-    `error`, shape (3,), is overwritten.
+    The motion in `base` is that before the displacement, which is overwritten.
     """
+    pose, jump, last, before = base[_POSE], base[_JUMP_LEFT], base[_MEASURED], base[_MOTION]
+    off_x, off_y = measured[0] - last[0] - planar[0], measured[1] - last[1] - planar[1]
+    off_turn = wrapped(measured[2] - last[2] - planar[2])
     for i in range(3):
-        error[i] = measured[i] - jump[i] - pose[i]
-    error[2] = wrapped(error[2])
-    most = _JUMP + _JUMP_SPEED * seconds
-    if max(math.sqrt(square(error[0]) + square(error[1])), abs(error[2])) > most:
-        jump += error
-        error[:] = 0.0
+        last[i] = measured[i]
+        pose[i] += planar[i]
+        planar[i] = measured[i] - jump[i] - pose[i]
+    planar[2] = wrapped(planar[2])
+    error = max(math.sqrt(square(planar[0]) + square(planar[1])), abs(planar[2]))
+    if error > _JUMP + _JUMP_SPEED * seconds:
+        for i in range(3):
+            jump[i] += planar[i]
+            planar[i] = 0.0
+    else:
+        # A base that is late by t has moved by t times the change of its velocity less.
+        x, y, turn = motion[6] - before[6], motion[7] - before[7], motion[8] - before[8]
+        sums, lever = base[_SUMS], square(_LEVER)
+        sums[0] -= off_x * x + off_y * y + off_turn * turn * lever
+        sums[1] += square(x) + square(y) + square(turn) * lever
     position = 1.0 - math.exp(-seconds / _POSE_SECONDS)
     velocity = (1.0 - math.exp(-seconds / _VELOCITY_SECONDS)) / seconds
     longest = LOCALISATION_SPEED * seconds
@@ -304,5 +320,5 @@ def _correct(pose, jump, estimate, measured, seconds, error):
     followed = x, y, min(max(jump[2], -longest), longest)
     for i in range(3):
         jump[i] -= followed[i]
-        pose[i] += position * error[i] + followed[i]
-        estimate[6 + i] += velocity * error[i]
+        pose[i] += position * planar[i] + followed[i]
+        motion[6 + i] += velocity * planar[i]

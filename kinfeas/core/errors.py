@@ -20,7 +20,7 @@ def no_such(word: str, names: Collection[str]) -> str:
     """Return the end of an error on the unknown `word`: a guess, and the `names` that exist."""
     close = difflib.get_close_matches(word, names, n=1)
     guess = f" (did you mean {close[0]!r}?)" if close else ""
-    return f"{guess}; known are {', '.join(sorted(names)) or 'none'}"
+    return f"{guess}; known are {', '.join(sorted(set(names))) or 'none'}"
 
 
 PLUGIN_ERRORS = (Exception, SystemExit)
@@ -51,6 +51,8 @@ def raised_by(error: BaseException) -> str | None:
 def describe(error: BaseException) -> str:
     """Return an exception in one line, with the plugin that raised it if that is known."""
     plugin = raised_by(error)
+    if plugin is not None and type(error) is KinfeasError:
+        return f"{plugin}: {error}"
     text = f"{type(error).__name__}: {error}"
     return text if plugin is None else f"{plugin} raised {text}"
 

@@ -40,6 +40,7 @@ class EpisodeRecords:
         max_tracking_error: Largest distance in the frame of the robot's localisation, metres, shape
             (n,); None if that has no errors.
         mean_tracking_error: Mean of that distance, likewise.
+        response_sums: Sums for `lateness`, shape (n, 2); None for robots without delay.
     """
 
     reached: NDArray[np.bool_]
@@ -57,6 +58,7 @@ class EpisodeRecords:
     target_path_length: Array | None = None
     max_tracking_error: Array | None = None
     mean_tracking_error: Array | None = None
+    response_sums: Array | None = None
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -99,6 +101,15 @@ class Proportion:
     high: float
 
 
+def lateness(sums: Array) -> float | None:
+    """Return by how many seconds bases follow their commands later than their response says.
+
+    Least squares over the sums of episodes, shape (n, 2); None for bases at rest.
+    """
+    moved, accelerated = sums.sum(axis=0).tolist()
+    return moved / accelerated if accelerated > 0.0 else None
+
+
 def wilson(hits: int, trials: int) -> Proportion:
     """Return the fraction `hits / trials` with its 95 % score interval; at least one trial.
 
@@ -117,7 +128,8 @@ class Metrics(TypedDict):
     """Metrics of episodes; `low` and `high` are the ends of the interval of a fraction.
 
     Deviations are the true ones in a simulation; those that control can be blamed for, without the
-    errors of the localisation, are tracking errors. Task success and collisions are null if the backend does not measure them. The last five are
+    errors of the localisation, are tracking errors. `lateness_s` is by how many seconds bases are
+    later than their response model says, null for those without delay. Task success and collisions are null if the backend does not measure them. The last five are
     those of streams of targets: `smooth` is the fraction of episodes without IK failure and joint
     jump, `speed_share` the mean speed of the EE relative to the speed of the stream.
     """
@@ -136,6 +148,7 @@ class Metrics(TypedDict):
     tracked_5cm_low: float
     tracked_5cm_high: float
     mean_tracking_error_m: float
+    lateness_s: float | None
     joint_jumps_per_episode: float
     mean_steps: float
     task_success: float | None
@@ -176,6 +189,7 @@ def summarize(records: EpisodeRecords) -> Metrics:
         "mean_deviation_m": float(records.mean_deviation.mean()),
         **_fraction("tracked_5cm", records.tracked),
         "mean_tracking_error_m": float(tracking.mean()),
+        "lateness_s": None if records.response_sums is None else lateness(records.response_sums),
         "joint_jumps_per_episode": float(records.joint_jumps.mean()),
         "mean_steps": float(records.steps.mean()),
         **_fraction("task_success", records.task_done),

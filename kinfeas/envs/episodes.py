@@ -213,6 +213,7 @@ class _Tally:
         self.reached = np.zeros(episodes, dtype=np.bool_)
         self.failures, self.joint_jumps, self.steps = np.zeros((3, episodes), dtype=np.intp)
         self.deviation_sum, self.deviation_max, self.final = np.zeros((3, episodes))
+        self.response_sums = np.zeros((episodes, 2))
         self.tracking_sum, self.tracking_max = np.zeros((2, episodes))
         self.deviation_squares, self.length, self.planned_length = np.zeros((3, episodes))
         self.base, self.arm = (Collisions(episodes, world.loop.dt) for _ in range(2))
@@ -229,6 +230,8 @@ class _Tally:
         self.tracking_max[episodes] = np.maximum(
             self.tracking_max[episodes], outcome.tracking_error[rows]
         )
+        if (sums := self.world.loop.response_sums) is not None:
+            self.response_sums[episodes] = sums[rows]
         if transition.path_length is not None and transition.planned_length is not None:
             self.deviation_squares[episodes] += outcome.deviation[rows] ** 2
             self.length[episodes] += transition.path_length[rows]
@@ -284,6 +287,7 @@ class _Tally:
             rms_deviation=np.sqrt(self.deviation_squares / steps) if stream else None,
             path_length=self.length if stream else None,
             target_path_length=self.planned_length if stream else None,
+            response_sums=None if loop.response_sums is None else self.response_sums,
             max_tracking_error=self.tracking_max if localised else None,
             mean_tracking_error=self.tracking_sum / steps if localised else None,
         )

@@ -54,7 +54,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Build the world.
 
         Args:
-            robot: Name or YAML file of the robot.
+            robot: Name or folder of the robot.
             task: Entry-point name or YAML file of the task.
             world: `WorldConfig`, by default that of `learning_world`.
             task_parameters: Keyword parameters of the task, or changes to its file.

@@ -1,12 +1,13 @@
 """Evaluation of a policy: metrics of its episodes in any world, beside the reachability bound."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from kinfeas.config import PluginSpec, Settings, from_mapping
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested
+from kinfeas.config.recipes import section
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
 from kinfeas.core.policy import Policy
@@ -64,8 +65,15 @@ class EvalSettings:
 def read_settings(
     robot: str | Path, backend: str, settings: Settings | None = None
 ) -> EvalSettings:
-    """Return the settings in which the policies of a robot are evaluated, changed by `settings`."""
-    return from_mapping(EvalSettings, *evaluation_section(backend, robot), settings)
+    """Return the settings in which the policies of a robot are evaluated, changed by `settings`.
+
+    With adapters they are those of a deployment, such as the control rate.
+    """
+    data, source = evaluation_section(backend, robot)
+    asked = nested(settings)
+    if isinstance(world := asked.get("world"), Mapping) and world.get("adapters"):
+        data = merged(data, section("sim2real", robot)[0])
+    return from_mapping(EvalSettings, data, source, asked)
 
 
 def configure(

@@ -76,6 +76,7 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, path: Path) -> Rob
         gripper=_gripper(spec, urdf, source),
         counterbalanced=_counterbalanced(spec, source),
         max_gravity_load=spec.max_gravity_load,
+        response=spec.response,
     )
 
 

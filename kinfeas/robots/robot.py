@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core import pose_kernels
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance, Reach
 from kinfeas.robots.urdf import Joint, Urdf
@@ -63,6 +64,7 @@ class Robot:
     gripper: Gripper | None  # finger joints and their positions; None without a gripper
     counterbalanced: frozenset[str]  # arm joints whose gravity load is carried by springs
     max_gravity_load: float | None  # fraction of the effort limits; None for no limit
+    response: ResponseModel  # of the real robot
 
     @cached_property
     def continuous(self) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ from annotated_types import Interval
 from kinfeas.config.quantities import Metres
 from kinfeas.core.backend import Grip
 from kinfeas.core.errors import check_name
+from kinfeas.core.response import ResponseModel
 
 Drive = Literal["omnidirectional", "differential"]
 
@@ -155,6 +156,8 @@ class RobotSpec:
         max_gravity_load: Largest gravity torque of a posture as a fraction of the effort limits in
             the URDF; IK, `ceiling` and the planners leave other postures out. Not checked if null,
             nor for joints without an effort limit.
+        response: How late the robot carries out commands and is measured, as `kinfeas identify`
+            finds it.
     """
 
     name: str
@@ -172,6 +175,7 @@ class RobotSpec:
     gripper: Gripper | None = None
     counterbalanced: tuple[str, ...] = ()
     max_gravity_load: GravityLoad | None = None
+    response: ResponseModel = ResponseModel()
 
     def __post_init__(self) -> None:
         check_name(self.name)

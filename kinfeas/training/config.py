@@ -94,7 +94,7 @@ class TrainConfig:
     """A training run.
 
     Attributes:
-        robot: Name or YAML file of the robot.
+        robot: Name or folder of the robot.
         task: Entry-point name or YAML file of the task to learn.
         task_parameters: Keyword parameters of the task.
         seed: Of all randomness.

@@ -56,7 +56,7 @@ class LinkBackend(RealTimeBackend):
         """
         self.robot, self.link = robot, link
         self.rate: Rate | None = None
-        self.gripper = self
+        self.gripper, self.response = self, robot.response
         self._clock = clock or Clock()
         aliases = names or {}
         self._names = {joint.name: aliases.get(joint.name, joint.name) for joint in robot.arm}

@@ -91,8 +91,37 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
         {"seed": -1},
         {"processes": 0},
         {"settings": {"world.dt": object()}},
+        {"settings": {"world.dt": np.zeros(2)}},
+        {"settings": {5: 1}},
+        {"settings": 5},
+        {"filters": 3},
+        {"policy": object()},
+        {"robot": object()},
     ],
 )
 def test_bad_input_is_an_error(arguments):
     with pytest.raises(KinfeasError):
         kinfeas.evaluate(**{"policy": "follow_ee", **arguments})
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"goal": (0.9, 0.1)},
+        {"goal": "abc"},
+        {"quaternion": np.array([0.0, 0.0, 1.0])},
+        {"seconds": -1.0},
+        {"seconds": np.nan},
+        {"rate": 0.0},
+        {"task": "ggr"},
+    ],
+)
+def test_bad_deployments_are_errors(tmp_path, arguments):
+    options = {"policy": "follow_ee", "backend": "analytic", "goal": np.array([0.9, 0.1, 0.8])}
+    with pytest.raises(KinfeasError):
+        kinfeas.deploy(**options | {"record": tmp_path / "a.csv"} | arguments)
+
+
+def test_bad_demonstrations_are_errors(tmp_path):
+    with pytest.raises(KinfeasError, match="kind"):
+        kinfeas.fit(tmp_path, tmp_path / "model.yaml", kind="dmp")

@@ -120,10 +120,12 @@ def test_settings_win_over_the_file(tmp_path, settings, changed):
     assert load(Recipe, path, settings) == replace(load(Recipe, path), **changed)
 
 
+@pytest.mark.parametrize("wrong", [-2, False, "", [], np.zeros(2)])
 @pytest.mark.parametrize("key", ["stps", "noise.base", "rate.x", "layers.2", "steps", "extra"])
-def test_wrong_settings_are_named_without_the_file(key):
+def test_wrong_settings_are_named_without_the_file(key, wrong):
+    data, changes = {"robot": "pr2", "layers": [1]}, {"flag": True, key: wrong}
     with pytest.raises(KinfeasError, match=r"^settings: ") as caught:
-        from_mapping(Recipe, {"robot": "pr2", "layers": [1]}, "file.yaml", {"flag": True, key: -2})
+        from_mapping(Recipe, data, "file.yaml", changes)
     assert key.partition(".")[0] in str(caught.value) or "'2'" in str(caught.value)
     with pytest.raises(KinfeasError, match=r"^file.yaml: 'robot': "):
         from_mapping(Recipe, {}, "file.yaml", {"flag": True})

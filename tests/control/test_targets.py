@@ -111,6 +111,8 @@ def test_a_sender_is_followed_after_a_long_wait():
     assert counted(box) == {"accepted": 200, "jump": 1}
     ahead = box.target[0, 0]
     assert advance(box, 4.0)[0] == pytest.approx(ahead + 0.2 * DT)
+    send(box, 5.0, at(0.8))  # near the last message, but that is too old
+    assert counted(box) == {"accepted": 200, "jump": 2}
 
 
 def test_targets_do_not_leave_the_heights_but_may_come_back():

@@ -82,16 +82,20 @@ def test_a_slow_motion_gives_the_base_more_time(planned):
     assert quick is None or quick.time_scale.min() < slow.time_scale.min() == 1.0
 
 
-@pytest.mark.parametrize("clearance", [0.0, 0.03])
-def test_paths_keep_a_clearance_from_solids(planned, solver, clearance):
+@pytest.mark.parametrize(("clearance", "speed"), [(0.0, 0.0), (0.03, 0.0), (0.0, 0.2)])
+def test_paths_keep_a_clearance_from_solids(planned, solver, clearance, speed):
     twist, solids = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], Solids.empty(1, 1)
     free, _ = planned(twist)
-    x, y = free.robot[len(free.robot) // 2, :2]
-    solids.pose[0, 0], solids.size[0, 0] = (x, y - 0.3, 0.0), (0.1, 0.1, 0.0, 0.4)
+    middle = len(free.robot) // 2
+    x, y = free.robot[middle, :2]
+    away = speed * (free.seconds[middle] - free.seconds[0])  # it crosses the path
+    solids.pose[0, 0], solids.size[0, 0] = (x, y - 0.3 - away, 0.0), (0.1, 0.1, 0.0, 0.4)
+    solids.velocity[0, 0, 1], solids.span[0, 0] = speed, 100.0
 
     def touches(path, margin):
         base, arm = planar_pose(*path.robot[1:, :3].T), np.ascontiguousarray(path.robot[1:, 3:])
-        around = solids.wider(margin, margin).repeated(len(arm))
+        seconds = np.cumsum(np.diff(path.seconds) / path.time_scale[1:])
+        around = solids.wider(margin, margin).repeated(len(arm)).at(seconds)
         return collides(solver.collision, arm, base, around).any()
 
     assert touches(free, 0.0)

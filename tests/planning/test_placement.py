@@ -90,7 +90,7 @@ def fence(gap):
     return solids
 
 
-@pytest.mark.parametrize(("gap", "open_"), [(1.2, True), (0.5, False), (0.0, False)])
+@pytest.mark.parametrize(("gap", "open_"), [(1.2, True), (0.85, True), (0.5, False), (0.0, False)])
 def test_a_disc_passes_gaps_that_are_wide_enough(gap, open_):
     positions = np.array([BEYOND, BESIDE, [1.0, 1.0]])
     reached = connected(fence(gap), START, positions, (0.4, 0.0))

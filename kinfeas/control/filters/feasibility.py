@@ -16,6 +16,9 @@ from kinfeas.kinematics.solids import base_collides
 from kinfeas.robots.robot import exceeds_joint_velocity
 
 _CANDIDATES = 32
+_HORIZON = 0.5
+"""Seconds in which a base that responds late shows the effect of a command."""
+
 _ROUNDS = ((0, 8), (8, None))
 """Ranks, nearest first, of the candidates tried in each round, until one is feasible."""
 
@@ -47,20 +50,44 @@ class FeasibilityFilter:
     ) -> None:
         self.max_deviation = max_deviation
         self._step, self._robot = KinematicStep(solver, dt, response), solver.robot
+        self._periods = 1.0 if response.immediate else max(_HORIZON / dt, 1.0)
+        self._ahead = KinematicStep(solver, self._periods * dt, response)
         fast = 2.0 * spread(_CANDIDATES, command_size(solver.robot.base)) - 1.0
         self.candidates: Array = np.concatenate([speed * fast for speed in self.speeds])
 
     def __call__(self, period: Period) -> Period:
         """Return the period with feasible commands where there are any."""
-        move, good = self._tried(period.command, period)
-        failed = (~good).nonzero()[0]
+        ahead = self.ahead(period)
+        move, good = self._tried(period.command, ahead)
+        failed, command = (~good).nonzero()[0], period.command
         if failed.size:
             free = failed if period.paused is None else failed[~period.paused[failed]]
-            command = period.command.copy()
-            self._replace(period, command, free)
-            retried = self._step(command[failed], period.of(failed))
-            move = replaced(move, failed, retried, command)
-        return period.changed(command=move.command, move=move)
+            command = command.copy()
+            self._replace(ahead, command, free)
+        return self._moved(period, command, failed, move)
+
+    def ahead(self, period: Period) -> Period:
+        """Return the period at whose end commands are judged: a longer one if robots are late."""
+        if self._periods == 1.0:
+            return period
+        step = period.motions.step_of(period.motion_seconds * self._periods)
+        return period.changed(desired=step.desired)
+
+    def _moved(
+        self, period: Period, command: Array, changed: Rows, move: Move, *,
+        allow_reconfiguration: bool = True,
+    ) -> Period:  # fmt: skip
+        """Return the period with commands of which some rows have changed since the move."""
+        if self._periods > 1.0:
+            return period.changed(command=command, move=None)
+        if changed.size:
+            retried = self._step(
+                command[changed],
+                period.of(changed),
+                allow_reconfiguration=allow_reconfiguration,
+            )
+            move = replaced(move, changed, retried, command)
+        return period.changed(command=command, move=move)
 
     def _replace(self, period: Period, command: Array, rows: Rows) -> Rows:
         """Put the nearest feasible candidates into some rows of the commands, shape (n, a).
@@ -90,7 +117,7 @@ class FeasibilityFilter:
 
     def _tried(self, command: Array, inputs: KinematicInputs) -> tuple[Move, NDArray[np.bool_]]:
         """Return the moves of commands, one for each of m rows, and whether they are feasible."""
-        step = self._step
+        step = self._ahead
         move = step(command, inputs, allow_reconfiguration=False)
         jumps = exceeds_joint_velocity(
             self._robot, inputs.joints, move.arm.joint_positions, step.dt

@@ -3,13 +3,18 @@
 import numpy as np
 
 from kinfeas.config.quantities import NotNegative
-from kinfeas.control.filters.feasibility import FeasibilityFilter, replaced
+from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.period import Period
 from kinfeas.core.response import ResponseModel
 from kinfeas.kinematics.ik import IkSolver
 
 _FRACTIONS = (0.5, 0.25, 0.0)
 """Fractions of the planned step that are tried, until there is a feasible command."""
+
+
+_STUCK = 0.3
+"""Fraction of the planned step where none is feasible, of robots that respond late: on hold, their
+bases would come to rest somewhere else."""
 
 
 class TimeScalingFilter(FeasibilityFilter):
@@ -40,21 +45,24 @@ class TimeScalingFilter(FeasibilityFilter):
 
     def __call__(self, period: Period) -> Period:
         """Return the period with feasible commands, and slower where there are none."""
-        move, good = self._tried(period.command, period)
+        ahead = self.ahead(period)
+        move, good = self._tried(period.command, ahead)
         failed = (~good).nonzero()[0]
         if period.paused is not None:
             failed = failed[~period.paused[failed]]
-        if not failed.size:
-            return period.changed(move=move)
         planned, command = period.time_scale, period.command.copy()
-        scale, left = planned.copy(), self._replace(period, command, failed)
+        scale, left = planned.copy(), self._replace(ahead, command, failed)
         for fraction in _FRACTIONS:
             if not left.size:
                 break
             scale[left] = fraction * planned[left]
             period = period.slowed(scale.copy())
-            slow = left[~self._feasible(period, command[left, np.newaxis], left)[:, 0]]
-            left = self._replace(period, command, slow)
-        command[left] = 0.0
-        retried = self._step(command[failed], period.of(failed), allow_reconfiguration=False)
-        return period.changed(command=command, move=replaced(move, failed, retried, command))
+            ahead = self.ahead(period)
+            slow = left[~self._feasible(ahead, command[left, np.newaxis], left)[:, 0]]
+            left = self._replace(ahead, command, slow)
+        if left.size and ahead is period:
+            command[left] = 0.0
+        elif left.size:
+            scale[left] = _STUCK * planned[left]
+            period = period.slowed(scale)
+        return self._moved(period, command, failed, move, allow_reconfiguration=False)

@@ -5,9 +5,11 @@ import pytest
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.filters.feasibility import FeasibilityFilter
+from kinfeas.control.filters.time_scaling import TimeScalingFilter
 from kinfeas.control.period import Period
 from kinfeas.control.sequence import MotionStep
 from kinfeas.core import spatial
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.solids import Solids
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
@@ -20,7 +22,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity
 from kinfeas.tasks.loading import load_task
 
-DT, ROWS = 0.5, 64
+DT, ROWS, AT_ONCE = 0.5, 64, ResponseModel()
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +80,8 @@ def feasible(solver, period, command, rows):
 
 
 def test_feasible_commands_stay_and_others_become_the_nearest_candidate(solver, period):
-    command_filter, command = FeasibilityFilter(solver, DT), period.command
+    command_filter = FeasibilityFilter(solver, DT, response=AT_ONCE)
+    command = period.command
     filtered, candidates = command_filter(period).command, command_filter.candidates
     able = feasible(solver, period, command, np.arange(ROWS))
     assert 0 < able.sum() < ROWS
@@ -94,10 +97,37 @@ def test_feasible_commands_stay_and_others_become_the_nearest_candidate(solver, 
 
 
 def test_paused_rows_stay_and_change_no_other(solver, period):
-    command_filter, paused = FeasibilityFilter(solver, DT), np.arange(ROWS) % 2 == 0
+    command_filter = FeasibilityFilter(solver, DT, response=AT_ONCE)
+    paused = np.arange(ROWS) % 2 == 0
     alone = command_filter(period).command
     filtered = command_filter(replace(period, paused=paused)).command
     np.testing.assert_array_equal(filtered, np.where(paused[:, np.newaxis], period.command, alone))
+
+
+class Straight:
+    """EE motions of constant twists."""
+
+    def __init__(self, begin):
+        self.begin = begin
+        self.twist = np.random.default_rng(2).uniform(-1.0, 1.0, (len(begin), 6))
+
+    def step(self, time_scale):
+        desired = spatial.integrate(self.begin, self.twist, DT * time_scale)
+        return MotionStep(desired, desired, [], DT * time_scale)
+
+    def arm_target(self, step, paused):
+        return step.desired
+
+
+def test_time_scaling_slows_the_planned_motion_and_holds_where_nothing_is_feasible(solver, period):
+    planned = np.random.default_rng(3).uniform(0.2, 1.0, ROWS)
+    begun = replace(period, motions=Straight(period.desired)).slowed(planned)
+    scaled = TimeScalingFilter(solver, DT, response=AT_ONCE)(begun)
+    fraction = scaled.time_scale / planned
+    assert {0.0, 0.5, 1.0} <= set(fraction.tolist()) <= {0.0, 0.25, 0.5, 1.0}
+    able = feasible(solver, scaled, scaled.command, np.arange(ROWS))
+    assert not (scaled.time_scale[~able].any() or scaled.command[~able].any())
+    assert (fraction[able] < 1.0).any()
 
 
 @pytest.mark.slow

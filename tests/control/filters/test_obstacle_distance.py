@@ -112,7 +112,7 @@ def test_half_of_the_braking_and_half_of_the_distance_suffice(robot, dt, rotatio
     assert velocity == pytest.approx(expected)
 
 
-TWO = np.array([[[1.0, 0.0], [0.0, 1.0]]])
+TWO, LEFT = np.array([[[1.0, 0.0], [0.0, 1.0]]]), np.array([[[0.3, 0.05]]])
 
 
 @pytest.mark.parametrize(("near", "command", "held"), [
@@ -121,7 +121,8 @@ TWO = np.array([[[1.0, 0.0], [0.0, 1.0]]])
      [0.5, 0.5, 0.0], [-0.1, 0.0, 0.0]),
     ((0.3 * AHEAD, AHEAD, np.array([[MARGIN - 0.01]])), [1.0, 0.0, 0.0], [-0.02, 0.0, 0.0]),
     # It slows down if it cannot turn fast enough, at 1.5 rad/s.
-    ((np.array([[[0.3, 0.05]]]), AHEAD, np.array([[MARGIN]])), [1.0, 0.0, 0.0], [0.075, 0.0, 1.5]),
+    ((LEFT, AHEAD, np.array([[MARGIN]])), [1.0, 0.0, 0.0], [0.075, 0.0, 1.5]),
+    ((LEFT * [1.0, -1.0], AHEAD, np.array([[MARGIN]])), [1.0, 0.0, 0.0], [0.075, 0.0, -1.5]),
 ])  # fmt: skip
 def test_held_velocities(robot, near, command, held):
     limits = constraints(robot, Fixed(lambda: ObstacleDistances(*near)))

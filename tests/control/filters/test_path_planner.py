@@ -69,8 +69,9 @@ def test_targets_that_are_not_known_in_advance_are_an_error():
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.2])
-def test_a_base_beside_its_path_returns_to_it(robot, rate):
-    base, dt = robot.base, 0.1
+@pytest.mark.parametrize("name", ["hsr", "tiago"])
+def test_a_base_beside_its_path_returns_to_it(name, rate):
+    base, dt = load_robot(name).base, 0.1
     path, speed = np.zeros((600, 3)), 0.5 * base.max_velocity * dt
     path[:, 2] = rate * dt * np.arange(600)
     path[1:, 0] = np.cumsum(speed * np.cos(path[:-1, 2]))

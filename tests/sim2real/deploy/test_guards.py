@@ -254,6 +254,20 @@ def test_the_base_may_be_measured_where_it_can_have_driven():
     guard, backend = guarded()
     backend.took, backend.state = 0.15, home(PR2, base_pose=at(0.335))
     stops(guard, backend, "jumped by 0.335 m", twist(0.04))
+    guard, backend = guarded()
+    backend.took, backend.state = 0.15, home(PR2, base_pose=at(yaw=0.64))  # 0.5 rad, and 1 rad/s
+    guard.step(twist(0.02), arm(guard), DT)
+    backend.state = home(PR2, base_pose=at(yaw=1.3))
+    stops(guard, backend, "jumped by 0.66 rad", twist(0.04))
+
+
+def test_a_stopped_simulation_is_commanded_once():
+    guard, backend = guarded()
+    guard.step(twist(0.01), arm(guard), DT)
+    for _ in range(2):
+        guard.stop()
+    guard.close()
+    assert [bool(base.any()) for base, _ in backend.sent] == [True, False]
 
 
 @pytest.mark.parametrize("kind", [Double, RealTime])
