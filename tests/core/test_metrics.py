@@ -24,6 +24,9 @@ MEASURED = replace(
     path_length=np.full(4, 0.9),
     target_path_length=np.ones(4),
     rms_deviation=np.full(4, 0.01),
+    max_tracking_error=np.array([0.0, 0.01, 0.02, 0.2]),
+    mean_tracking_error=np.full(4, 0.01),
+    response_sums=np.array([[0.1, 1.0], [0.1, 1.0], [0.0, 0.0], [0.2, 2.0]]),
 )
 
 
@@ -48,12 +51,15 @@ def test_summary():
         **{"ik_failures_per_episode": 5.25, "mean_deviation_m": 0.07},
         **{"joint_jumps_per_episode": 1.5, "mean_steps": 400.0},
     }
+    exact = {"tracked_5cm": 0.5, "tracked_5cm_low": low, "tracked_5cm_high": high}
+    exact["mean_tracking_error_m"] = 0.07
     measured = {
         **{"task_success": 0.25, "collision_free_rate": 0.5, "smooth": 0.5, "speed_share": 0.9},
+        **{"tracked_5cm": 0.75, "mean_tracking_error_m": 0.01, "lateness_s": 0.1},
         **{"base_collisions": 0.5, "arm_collisions": 1.0, "rms_deviation_m": 0.01},
     }
     summary = summarize(RECORDS)
-    assert {k: v for k, v in summary.items() if v is not None} == pytest.approx(always)
+    assert {k: v for k, v in summary.items() if v is not None} == pytest.approx(always | exact)
     summary = summarize(MEASURED)
     expected = always | measured
     assert {key: summary[key] for key in expected} == pytest.approx(expected)

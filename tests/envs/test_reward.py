@@ -17,7 +17,7 @@ def step(feasible, metres=0.0, radians=0.0):
     zero, no = np.zeros(n), np.zeros(n, dtype=bool)
     subgoal = np.zeros(n, dtype=np.intp)
     return Outcome(
-        feasible, zero + metres, zero + radians, zero, subgoal, zero, zero, no, no, zero + 1.0
+        feasible, zero + metres, zero + radians, zero, zero, subgoal, zero, zero, no, no, zero + 1.0
     )
 
 
