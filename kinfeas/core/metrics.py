@@ -84,11 +84,15 @@ def join(parts: Sequence[EpisodeRecords]) -> EpisodeRecords:
     joined: dict[str, Any] = {}
     for name in (field.name for field in fields(EpisodeRecords)):
         values = [getattr(part, name) for part in parts]
-        types = [array.dtype for array in values if array is not None]
-        if types:  # a part without solids has no collisions
+        some = next((array for array in values if array is not None), None)
+        if some is not None:  # a part without solids has no collisions
             counts = zip(parts, values, strict=True)
-            values = [np.zeros(len(p.reached), types[0]) if v is None else v for p, v in counts]
-        joined[name] = np.concatenate(values) if types else None
+            shape = some.shape[1:]
+            values = [
+                np.zeros((len(p.reached), *shape), some.dtype) if v is None else v
+                for p, v in counts
+            ]
+        joined[name] = None if some is None else np.concatenate(values)
     return EpisodeRecords(**joined)
 
 
