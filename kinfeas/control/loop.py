@@ -1,6 +1,5 @@
 """The loop: motion generator, policy, command filters, IK and backend, n robots at a time."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,7 +30,6 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import exceeds_joint_velocity
 
-W0, W1 = map(float, os.environ.get("WAIT", "0,0").split(","))
 _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
 
@@ -79,7 +77,7 @@ class Loop:
     action: Array
     finds_collisions: bool = True
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, PLR0917 - the parts of a loop
         self,
         solver: IkSolver,
         sequence: MotionSequence,

@@ -79,6 +79,15 @@ class Predictor:
         motion: Motions of the bases when the next command takes effect, shape (n, 9).
     """
 
+    motion: Array
+    _base: Array
+    _age: Array
+    _moved: Array
+    _joints: Array
+    _twists: Array
+    _targets: Array
+    _desired: Array
+
     def __init__(self, response: ResponseModel, solver: IkSolver, dt: float) -> None:
         self.delay, self.dt, self.base = response.command_latency, dt, BaseResponse(response)
         self._response, self._chain, self._robot = response, solver.chain, solver.robot
@@ -87,7 +96,6 @@ class Predictor:
         # A copy, because numba compiles kernels again for read-only arrays.
         self._max_velocity = np.array(solver.robot.max_joint_velocity)
         self._continuous = np.array(solver.robot.continuous)
-        self.motion: Array = np.empty((0, 9))
 
     def start(self, robots: RobotState, rows: Rows | None = None) -> RobotState:
         """Begin with robots at rest in some rows, or in all of n, and return the state of all n."""

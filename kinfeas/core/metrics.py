@@ -133,9 +133,10 @@ class Metrics(TypedDict):
 
     Deviations are the true ones in a simulation; those that control can be blamed for, without the
     errors of the localisation, are tracking errors. `lateness_s` is by how many seconds bases are
-    later than their response model says, null for those without delay. Task success and collisions are null if the backend does not measure them. The last five are
-    those of streams of targets: `smooth` is the fraction of episodes without IK failure and joint
-    jump, `speed_share` the mean speed of the EE relative to the speed of the stream.
+    later than their response model says, null for those without delay. Task success and collisions
+    are null if the backend does not measure them. The last five are those of streams of targets:
+    `smooth` is the fraction of episodes without IK failure and joint jump, `speed_share` the mean
+    speed of the EE relative to the speed of the stream.
     """
 
     episodes: int

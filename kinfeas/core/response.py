@@ -1,6 +1,7 @@
 """The response of a robot: how late, and how fast, it carries out its commands."""
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from kinfeas.config.quantities import Positive, Seconds
 
@@ -39,7 +40,7 @@ class ResponseModel:
 
     def within(self, outer: "ResponseModel") -> "ResponseModel":
         """Return the response of this robot behind further delays: times add, limits tighten."""
-        merged: dict[str, float | None] = {}
+        merged: dict[str, Any] = {}
         for name in (field.name for field in fields(self)):
             inner_value, outer_value = getattr(self, name), getattr(outer, name)
             if inner_value is None or outer_value is None:

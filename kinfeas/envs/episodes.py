@@ -258,6 +258,9 @@ class _Tally:
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
                 self.base.add(episode, {0} if outcome.collision[row, 0] else set())
                 self.arm.add(episode, {0} if outcome.collision[row, 1] else set())
+        self._add_tasks(transition, rows, episodes)
+
+    def _add_tasks(self, transition: Transition, rows: Rows, episodes: Rows) -> None:
         task = self.world.task
         if isinstance(task, ReportsTaskSuccess):
             loop = self.world.loop

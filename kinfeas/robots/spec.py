@@ -175,7 +175,7 @@ class RobotSpec:
     gripper: Gripper | None = None
     counterbalanced: tuple[str, ...] = ()
     max_gravity_load: GravityLoad | None = None
-    response: ResponseModel = ResponseModel()
+    response: ResponseModel = field(default_factory=ResponseModel)
 
     def __post_init__(self) -> None:
         check_name(self.name)

@@ -207,8 +207,8 @@ def _localisation_jumps(
             walked += (way.times[start] - last) * np.array([drifts[0], drifts[0], drifts[1]]) ** 2
             last = float(way.times[start])
         count, first = count + len(starts), first + bool(len(starts))
-    low, high = chi2.ppf([0.025, 0.975], [2.0 * max(count, 0.5), 2.0 * count + 2.0])
-    low, high = low / 2.0 / seconds, high / 2.0 / seconds
+    low = chi2.ppf(0.025, 2.0 * max(count, 0.5)) / 2.0 / seconds
+    high = chi2.ppf(0.975, 2.0 * count + 2.0) / 2.0 / seconds
     rate = Estimate(count / seconds, float(low) if count else 0.0, float(high))
     if not count:
         none = Estimate(0.0, 0.0, 0.0)
