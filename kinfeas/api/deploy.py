@@ -102,7 +102,8 @@ def deploy(  # noqa: PLR0913 - options of the command
     """
     robot = robot or robot_of(policy)
     model = load_robot(robot)
-    config = _read_config(DeployConfig, "deploy", model, guards, filters, settings)
+    late = adapters is not None or not model.response.immediate
+    config = _read_config(DeployConfig, "deploy", model, guards, filters, settings, late=late)
     if task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)
     elif any(each is not None for each in (goal, rpy, quaternion)) or generator or config.generator:
@@ -213,9 +214,16 @@ def _read_config(
     guards: Name | None,
     filters: str | Sequence[str] | None,
     settings: Settings | None,
+    *,
+    late: bool = False,
 ) -> T:
-    """Return the settings of a section for a robot, with the guards of the user's file."""
+    """Return the settings of a section for a robot, with the guards of the user's file.
+
+    A robot that responds late has the filters of its section `sim2real`.
+    """
     data, source = section(name, robot.folder)
+    if late:
+        data = {**data, "filters": section("sim2real", robot.folder)[0]["world"]["filters"]}
     if guards is not None:
         load_config(Guards, Path(guards))  # so that errors name this file
         data = merged(data, {"guards": strict_yaml.read(Path(guards))})

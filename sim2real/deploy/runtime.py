@@ -21,6 +21,7 @@ from kinfeas.control.observation import SCAN_TERMS
 from kinfeas.control.period import CommandFilter
 from kinfeas.core.backend import Backend
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, describe, plugin_note
+from kinfeas.core.metrics import lateness
 from kinfeas.core.policy import Policy
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import IDENTITY, Array
@@ -36,6 +37,8 @@ from kinfeas.sim2real.link.rate import Clock, Rate, Timing
 from kinfeas.tasks.task import Task, build_subgoals, target_stream
 
 _log = logging.getLogger(__name__)
+
+_DOUBT = 0.05  # seconds by which a base is later or sooner than its response model, to be reported
 
 
 class Code(IntEnum):
@@ -67,6 +70,8 @@ class Outcome:
         time_scale: Mean speed of the EE motion, relative to the plan.
         unclosed: Why the backend could not be closed; empty if it could.
         task_done: Whether the task's objects are at their goal; None if there are none.
+        lateness_s: Seconds by which the base follows its commands later than the response model of
+            the robot says; None without a model.
     """
 
     code: Code
@@ -78,6 +83,7 @@ class Outcome:
     time_scale: float = 1.0
     unclosed: str = ""
     task_done: bool | None = None
+    lateness_s: float | None = None
 
 
 @runtime_checkable
@@ -266,12 +272,30 @@ class _Run:
             raised = sys.exception()
             with suppress(KinfeasError):
                 end = reason if raised is None else f"{type(raised).__name__}: {raised}"
-                self.record(end + TASK_DONE[done])
+                self.record(end + TASK_DONE[done] + self.doubt())
                 self.write()
         scale, timing = self.scales / max(self.steps, 1), self.rate.timing()
         reason, unstopped = " ".join(reason.split()), self.guarded.unstopped
         seconds = self.seconds()
-        return Outcome(code, reason, unstopped, seconds, self.failures, timing, scale, "", done)
+        return Outcome(
+            code, reason, unstopped, seconds, self.failures, timing, scale, "", done,
+            self.lateness(),
+        )  # fmt: skip
+
+    def lateness(self) -> float | None:
+        sums = self.loop.response_sums
+        return None if sums is None else lateness(sums)
+
+    def doubt(self) -> str:
+        late = self.lateness()
+        if late is None or abs(late) < _DOUBT:
+            return ""
+        doubt = (
+            f"the base is {abs(late):.2f} s {'later' if late > 0.0 else 'sooner'} than the response "
+            "model of the robot; kinfeas identify finds a better one"
+        )
+        _log.warning("%s", doubt)
+        return f"; {doubt}"
 
     def run(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
         setup, loop = self.setup, self.loop
