@@ -1,3 +1,4 @@
+from dataclasses import astuple
 from itertools import product
 
 import numpy as np
@@ -9,6 +10,7 @@ from kinfeas.config.recipes import recipes
 from kinfeas.control.assemble import read_sim2real, with_adapters
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.backend import BackendWrapper
+from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import distance
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
@@ -36,6 +38,15 @@ def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2)
         kinds, backend = [*kinds, type(backend).__name__], backend.backend
     assert kinds == ["HeadStart", "HeadStart", "BaseNoise", "TimeScale", "TimeScale"]
     assert execution == ExecutionConfig(time_scale=0.2, head_start=4.5, head_start_jitter=1.0)
+
+
+def test_adapters_state_the_mean_response_of_their_ranges(pr2):
+    backend = with_adapters(AnalyticBackend(), read_sim2real("harsh").adapters, pr2)
+    expected = ResponseModel(
+        command_latency=0.095, sensor_latency=0.05, base_lag=0.175, arm_lag=0.04,
+        acceleration=0.7, rotation_acceleration=1.3, jerk=5.0, rotation_jerk=10.0,
+    )  # fmt: skip
+    assert astuple(backend.response) == pytest.approx(astuple(expected))
 
 
 def test_observations_are_measured_and_the_deviation_is_true(pr2):

@@ -56,6 +56,17 @@ def test_summary(config, policy):
     assert sum(ended) == 20
 
 
+def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(config):
+    asked = {"world.adapters": [{"name": "actuator_lag"}]}
+    world = configure(config.robot, "ggr", settings=asked).world
+    assert (world.dt, [each.name for each in world.filters]) == (0.02, ["time_scaling"])
+    world = configure(
+        config.robot, "ggr", settings={**asked, "world.dt": 0.1, "world.filters": []}
+    ).world
+    assert (world.dt, world.filters) == (0.1, ())
+    assert configure(config.robot, "ggr", settings={"world.adapters": []}).world.dt == 0.1
+
+
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_packaged_policies_keep_their_success_rate(name):
     metadata = json.loads((load_robot(name).folder / "policies/pretrained/policy.json").read_text())

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, Scan
-from kinfeas.core.spatial import yaw
+from kinfeas.core.backend import LOCALISATION_SPEED, SCAN_BEAMS, SCAN_RANGE, Scan
+from kinfeas.core.spatial import distance, yaw
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.sim2real.adapters.noise import BaseNoise, EeNoise, JointNoise, Localisation, ScanNoise
 from kinfeas.sim2real.adapters.random_numbers import normal, uniform
@@ -84,6 +84,21 @@ def test_jumps_come_at_their_rate_and_lead_to_errors_of_their_size(rig, dt):
     assert jumps.mean() / dt == pytest.approx(0.5, rel=0.06)
     jump = values[-1][np.any(values[-1] != 0.0, axis=1)]
     assert jump.std(axis=0) == pytest.approx(np.array([0.05, 0.05, 0.1]), rel=0.08)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+def test_robots_that_follow_their_localisation_are_late_by_its_jumps(rig, dt):
+    jumpy = rig(Localisation, n=20, **(STILL | {"rate": 0.3, "jump": 0.05, "turn_jump": 0.1}))
+    states = jumpy.run(np.zeros((round(6.0 / dt), 6)), dt)
+    exact = jumpy.first.localised
+    np.testing.assert_array_equal(exact, jumpy.first.true_state.base_pose)
+    reached = 0
+    for state in states:
+        moved, turned = distance(state.localised, exact)
+        assert max(moved.max(), turned.max()) <= LOCALISATION_SPEED * dt + 1e-9
+        exact, left = state.localised, distance(state.localised, state.base_pose)
+        reached += np.sum((left[0] < 1e-9) & (left[1] < 1e-9))
+    assert 0.5 < reached / 20 / len(states) < 0.95
 
 
 @pytest.fixture

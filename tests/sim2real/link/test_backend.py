@@ -1,3 +1,4 @@
+import shutil
 from unittest.mock import Mock
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 
 from kinfeas.core.backend import SCAN_BEAMS, RealTimeBackend
 from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.core.response import ResponseModel
 from kinfeas.kinematics import drive
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
@@ -34,6 +36,16 @@ def test_reset_leaves_the_robot_where_it_is(ends):
     np.testing.assert_array_equal(state.joint_positions, AT_HOME)
     assert state.age[0] == 0.0
     assert link.driven == link.moved == []
+
+
+def test_the_response_of_a_robots_file_is_that_of_its_backend(tmp_path):
+    folder = shutil.copytree(PR2.folder, tmp_path / "late")
+    with (folder / "robot.yaml").open("a") as file:
+        file.write("\nresponse: {command_latency: 0.05, base_lag: 0.1, acceleration: 0.8}\n")
+    robot = load_robot(folder)
+    response = ResponseModel(command_latency=0.05, base_lag=0.1, acceleration=0.8)
+    assert LinkBackend(robot, MemoryLink()).response == robot.response == response
+    assert LinkBackend(PR2, MemoryLink()).response.immediate
 
 
 def parts(joints=None, base=True):

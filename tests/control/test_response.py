@@ -1,0 +1,255 @@
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.config import PluginSpec
+from kinfeas.control.assemble import assemble, read_sim2real, with_adapters
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
+from kinfeas.control.response import Predictor
+from kinfeas.core.backend import LOCALISATION_SPEED
+from kinfeas.core.metrics import lateness
+from kinfeas.core.response import ResponseModel
+from kinfeas.core.spatial import distance, planar_pose
+from kinfeas.core.start import Start
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.plugins.linear import Linear
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import joint_displacement
+from tests.builders import at, rngs
+
+LAG = PluginSpec("actuator_lag", {"base": 0.15, "arm": 0.03})
+LIMITS = PluginSpec("acceleration_limit", {"linear": 1.0, "angular": 2.0})
+JERKS = PluginSpec(
+    "acceleration_limit", {**LIMITS.parameters, "linear_jerk": 9, "angular_jerk": 20}
+)
+WHOLE = (
+    PluginSpec("command_latency", {"seconds": 0.2}),
+    PluginSpec("sensor_latency", {"seconds": 0.1}),
+)
+FRACTIONS = (
+    PluginSpec("command_latency", {"seconds": 0.05}),
+    PluginSpec("sensor_latency", {"seconds": 0.03}),
+)
+PART = 0.01
+"""Period of robots with latencies of a fraction of a control period, seconds."""
+
+
+@pytest.fixture(scope="module")
+def solver():
+    """IK of PR2, which has continuous joints."""
+    return IkSolver(load_robot("pr2"))
+
+
+class Drive:
+    """Robots within adapters that follow random commands, and the predictions of their states.
+
+    The robots advance in parts of a control period.
+    """
+
+    def __init__(self, solver, adapters, dt, parts=1, rows=(0, 1, 2)):
+        self.robot, self.dt, self.parts, n = solver.robot, dt, parts, len(rows)
+        self.backend = with_adapters(AnalyticBackend(), adapters, self.robot)
+        self.predictor = Predictor(self.backend.response, solver, dt)
+        self.rngs = [np.random.default_rng(row) for row in rows]
+        self.targets = np.where(self.robot.continuous, 3.1, self.robot.home["home"])
+        self.targets = np.tile(self.targets, (n, 1))
+        self.start = planar_pose(*np.array([rng.uniform(-2.0, 2.0, 3) for rng in self.rngs]).T)
+        self.backend.seed(np.array(rows, dtype=np.uint64), np.arange(n))
+        self.begin(None)
+
+    def begin(self, rows):
+        """Begin some rows anew, or all."""
+        chosen = slice(None) if rows is None else rows
+        state = self.backend.reset(self.start[chosen], self.targets[chosen], rows)
+        self.predicted, self.truth = (
+            [self.predictor.start(state, rows)],
+            [state.true_state or state],
+        )
+
+    def step(self, steps=1):
+        """Command random steps; return the last prediction."""
+        fastest = self.robot.max_joint_velocity * self.dt
+        for _ in range(steps):
+            drawn = np.array([rng.uniform(-0.5, 0.5, 3 + len(fastest)) for rng in self.rngs])
+            twist = np.zeros((len(drawn), 6))
+            twist[:, [0, 1, 5]] = drawn[:, :3]
+            self.targets = self.targets + drawn[:, 3:] * fastest
+            for _ in range(self.parts):
+                state = self.backend.step(twist, self.targets, self.dt / self.parts)
+                self.truth.append(state.true_state or state)
+            self.predictor.command(twist, self.targets, np.zeros((len(drawn), 7)))
+            self.predicted.append(self.predictor.predict(state))
+        return self.predicted[-1]
+
+    @property
+    def errors(self):
+        """Largest errors of predicted bases, metres and radians, and of joints."""
+        delay, found = round(self.predictor.delay / self.dt * self.parts), []
+        arrived = self.truth[delay :: self.parts]
+        for predicted, true in zip(self.predicted, arrived, strict=False):
+            apart = distance(predicted.base_pose, true.base_pose)
+            before, after = true.joint_positions, predicted.joint_positions
+            joints = joint_displacement(self.robot, before, after)
+            found.append([np.max(apart[0]), np.max(apart[1]), np.abs(joints).max()])
+        return np.max(found, axis=0)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+@pytest.mark.parametrize("adapters", [
+    [LAG], [LIMITS], [JERKS], WHOLE, [LAG, JERKS, *WHOLE], FRACTIONS, [LAG, *FRACTIONS],
+])  # fmt: skip
+def test_states_are_those_at_which_the_next_command_takes_effect(solver, adapters, dt):
+    whole = FRACTIONS[0] not in adapters
+    drive = Drive(solver, adapters, dt, 1 if whole else round(dt / PART))
+    drive.step(60)
+    assert drive.errors.max() < 1e-9
+
+
+# The limit of a period is not that of its parts.
+@pytest.mark.parametrize(("dt", "error"), [(0.02, 0.003), (0.1, 0.01)])
+def test_limited_accelerations_in_fractions_of_a_period_are_nearly_predicted(solver, dt, error):
+    drive = Drive(solver, [LAG, JERKS, *FRACTIONS], dt, round(dt / PART))
+    drive.step(60)
+    assert drive.errors.max() < error
+
+
+def test_a_base_reaches_the_predicted_pose_of_its_next_command(solver):
+    drive = Drive(solver, [PluginSpec("actuator_lag", {"base": 0.2, "arm": 0.0}), LIMITS], 0.1)
+    twist = np.tile([0.3, -0.2, 0.0, 0.0, 0.0, 0.4], (3, 1))
+    before, predictor = drive.step(5), drive.predictor
+    reached = predictor.base.reached(before.base_pose, predictor.motion, twist, drive.dt)
+    true = drive.backend.step(twist, drive.targets, drive.dt).base_pose
+    np.testing.assert_allclose(reached, true, atol=1e-12)
+
+
+def test_rows_do_not_depend_on_the_batch(solver):
+    adapters = read_sim2real("harsh").adapters
+    together = Drive(solver, adapters, 0.02).step(30)
+    for row in range(3):
+        alone = Drive(solver, adapters, 0.02, rows=[row]).step(30)
+        np.testing.assert_array_equal(alone.base_pose[0], together.base_pose[row])
+        np.testing.assert_array_equal(alone.joint_positions[0], together.joint_positions[row])
+
+
+def test_new_episodes_leave_the_others_alone(solver):
+    adapters = [LAG, JERKS, *WHOLE]
+    renewed, twin = Drive(solver, adapters, 0.02), Drive(solver, adapters, 0.02)
+    for drive in (renewed, twin):
+        drive.step(20)
+    renewed.begin(np.array([1]))
+    seen, expected = renewed.step(40), twin.step(40)
+    for row in (0, 2):
+        np.testing.assert_array_equal(seen.base_pose[row], expected.base_pose[row])
+        np.testing.assert_array_equal(seen.joint_positions[row], expected.joint_positions[row])
+    renewed.predicted, renewed.truth = renewed.predicted[10:], renewed.truth[10:]
+    assert renewed.errors.max() < 1e-9
+
+
+def test_jumps_of_the_localisation_are_followed_slowly_and_small_errors_at_once(solver):
+    predictor, dt = Predictor(ResponseModel(base_lag=0.1), solver, 0.02), 0.02
+    rest, joints = np.zeros((1, 6)), solver.robot.home["home"][np.newaxis]
+    state = AnalyticBackend().reset(at(), joints)
+    predictor.start(state)
+
+    def seen(seconds, pose):
+        for _ in range(round(seconds / dt)):
+            predictor.command(rest, joints, pose)
+            predicted = predictor.predict(replace(state, base_pose=pose))
+        return np.array(distance(predicted.base_pose, at()))[:, 0]
+
+    assert seen(0.1, at(0.003, 0.0, 0.003)) == pytest.approx(0.003, rel=0.02)
+    assert seen(0.1, at()) == pytest.approx(0.0, abs=1e-4)
+    followed = seen(1.0, at(0.06, 0.08, 0.1))
+    assert followed == pytest.approx(LOCALISATION_SPEED, rel=0.02)
+    assert seen(1.5, at(0.06, 0.08, 0.1)) == pytest.approx(0.1, rel=0.01)
+
+
+def loop_of(solver, adapters=(), n=3, **execution):
+    """Return PR2s at 50 Hz that are about to move their EEs by two metres."""
+    policy, angle = load_policy("pretrained", solver.robot), np.linspace(-1.0, 1.0, n)
+    loop = assemble(
+        solver, [SubgoalMotion(Linear())], AnalyticBackend(), dt=0.02, adapters=adapters,
+        filters=[PluginSpec("time_scaling")], policy=policy, execution=ExecutionConfig(**execution),
+    )  # fmt: skip
+    goal = np.zeros((n, 1, 7))
+    goal[:, 0] = np.stack([2.0 * np.cos(angle), 2.0 * np.sin(angle), *np.zeros((5, n))], axis=1)
+    goal[..., 2], goal[..., 6] = 0.8, 1.0
+    home = np.tile(solver.robot.home["home"], (n, 1))
+    loop.start(Start(planar_pose(*np.zeros((3, n))), home, goal), rngs(n))
+    return loop
+
+
+def run(loop, steps=200):
+    """Step; return deviations, metres, shape (steps, n)."""
+    return np.stack([loop.step().deviation for _ in range(steps)])
+
+
+def test_robots_without_delay_are_not_predicted(solver):
+    at_once = PluginSpec("actuator_lag", {"base": 0.0, "arm": 0.0})
+    plain, within = loop_of(solver), loop_of(solver, [at_once])
+    for _ in range(30):
+        outcome, other = plain.step(), within.step()
+        for field in fields(outcome):
+            expected, value = getattr(outcome, field.name), getattr(other, field.name)
+            np.testing.assert_array_equal(value, expected)
+    assert plain.response_sums is within.response_sums is None
+    assert "predictor.motion" not in within.snapshot()
+
+
+def test_a_line_is_followed_behind_delays_that_are_known(solver):
+    noise = "base_noise", "joint_noise", "localisation", "head_start"
+    late = [each for each in read_sim2real("pr2_like").adapters if each.name not in noise]
+    known = run(loop_of(solver, late)).max()
+    unknown = run(loop_of(solver, late, response=ResponseModel())).max()
+    assert known < 0.001
+    assert unknown > 0.015
+
+
+# It is a lower bound: the prediction adapts to bases that are late.
+@pytest.mark.parametrize(("name", "delay"), [("base_lag", 0.2), ("command_latency", 0.1)])
+def test_lateness_shows_a_model_of_half_the_delay(solver, name, delay):
+    response = replace(ResponseModel(base_lag=0.1, command_latency=0.1), **{name: delay})
+    late = [
+        PluginSpec("actuator_lag", {"base": response.base_lag, "arm": 0.0}),
+        PluginSpec("command_latency", {"seconds": response.command_latency}),
+    ]
+    right = loop_of(solver, late)
+    wrong = loop_of(solver, late, response=replace(response, **{name: 0.5 * delay}))
+    for loop in (right, wrong):
+        run(loop)
+    assert lateness(right.response_sums) == pytest.approx(0.0, abs=1e-6)
+    assert 0.15 * delay < lateness(wrong.response_sums) < 0.5 * delay
+
+
+def test_continues_from_a_snapshot_to_the_bit(solver):
+    loop, other = (loop_of(solver, read_sim2real("harsh").adapters) for _ in range(2))
+    run(loop, 30)
+    saved = loop.snapshot()
+    expected = run(loop, 20)
+    other.restore(saved)
+    np.testing.assert_array_equal(run(other, 20), expected)
+    np.testing.assert_array_equal(other.response_sums, loop.response_sums)
+
+
+def test_a_newer_measurement_of_resting_robots_begins_anew(solver):
+    loop = loop_of(solver, [LAG, *WHOLE])
+    run(loop, 20)
+    start = np.tile(at(), (3, 1))
+    loop.measure(loop.backend.reset(start, loop.robots.joint_positions))
+    np.testing.assert_array_equal(loop.robots.base_pose, start)
+
+
+def test_times_add_up_and_limits_tighten_behind_further_delays():
+    inner = ResponseModel(command_latency=0.02, base_lag=0.1, acceleration=1.0, jerk=5.0)
+    outer = ResponseModel(command_latency=0.03, arm_lag=0.04, acceleration=2.0, rotation_jerk=7.0)
+    both = ResponseModel(
+        command_latency=0.05, base_lag=0.1, arm_lag=0.04, acceleration=1.0, jerk=5.0,
+        rotation_jerk=7.0,
+    )  # fmt: skip
+    assert inner.within(outer) == outer.within(inner) == both
+    assert inner.within(ResponseModel()) == inner
+    assert ResponseModel().immediate
+    assert not both.immediate
