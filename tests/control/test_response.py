@@ -7,18 +7,19 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble, read_sim2real, with_adapters
 from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
-from kinfeas.control.response import Predictor
+from kinfeas.control.response import BaseResponse, Predictor
 from kinfeas.core.backend import LOCALISATION_SPEED
 from kinfeas.core.metrics import lateness
 from kinfeas.core.response import ResponseModel
-from kinfeas.core.spatial import distance, planar_pose
+from kinfeas.core.spatial import compose, distance, planar_pose
 from kinfeas.core.start import Start
+from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
-from tests.builders import at, rngs
+from tests.builders import assert_near, at, random_poses, rngs
 
 LAG = PluginSpec("actuator_lag", {"base": 0.15, "arm": 0.03})
 LIMITS = PluginSpec("acceleration_limit", {"linear": 1.0, "angular": 2.0})
@@ -46,11 +47,12 @@ def solver():
 class Drive:
     """Robots within adapters that follow random commands, and the predictions of their states.
 
-    The robots advance in parts of a control period.
+    The robots advance in parts of a control period; `change` changes measurements.
     """
 
-    def __init__(self, solver, adapters, dt, parts=1, rows=(0, 1, 2)):
+    def __init__(self, solver, adapters, dt, parts=1, rows=(0, 1, 2), change=lambda state: state):
         self.robot, self.dt, self.parts, n = solver.robot, dt, parts, len(rows)
+        self.change = change
         self.backend = with_adapters(AnalyticBackend(), adapters, self.robot)
         self.predictor = Predictor(self.backend.response, solver, dt)
         self.rngs = [np.random.default_rng(row) for row in rows]
@@ -65,7 +67,7 @@ class Drive:
         chosen = slice(None) if rows is None else rows
         state = self.backend.reset(self.start[chosen], self.targets[chosen], rows)
         self.predicted, self.truth = (
-            [self.predictor.start(state, rows)],
+            [self.predictor.start(self.change(state), rows)],
             [state.true_state or state],
         )
 
@@ -81,7 +83,7 @@ class Drive:
                 state = self.backend.step(twist, self.targets, self.dt / self.parts)
                 self.truth.append(state.true_state or state)
             self.predictor.command(twist, self.targets, np.zeros((len(drawn), 7)))
-            self.predicted.append(self.predictor.predict(state))
+            self.predicted.append(self.predictor.predict(self.change(state)))
         return self.predicted[-1]
 
     @property
@@ -106,6 +108,47 @@ def test_states_are_those_at_which_the_next_command_takes_effect(solver, adapter
     drive = Drive(solver, adapters, dt, 1 if whole else round(dt / PART))
     drive.step(60)
     assert drive.errors.max() < 1e-9
+
+
+def test_arms_reach_far_targets_at_their_velocity_limits(solver):
+    clamp = PluginSpec("velocity_clamp", {"linear": 9.0, "angular": 9.0})
+    drive = Drive(solver, [clamp, *WHOLE], 0.02)
+    drive.step(20)
+    drive.targets = drive.targets + 0.5
+    drive.step(40)
+    assert drive.errors.max() < 1e-9
+
+
+def test_latencies_of_the_model_hold_where_ages_are_not_measured(solver):
+    drive = Drive(solver, [LAG, *WHOLE], 0.02, change=lambda state: replace(state, age=None))
+    drive.step(60)
+    assert drive.errors.max() < 1e-9
+
+
+def test_measured_deviations_of_the_hand_from_the_kinematics_stay(solver):
+    off = random_poses(1, reach=0.01)
+
+    def beside(state):
+        return replace(state, ee_in_base=compose(forward(solver.chain, state.joint_positions), off))
+
+    predicted = Drive(solver, [LAG, *WHOLE], 0.02, change=beside).step(20)
+    expected = compose(forward(solver.chain, predicted.joint_positions), off)
+    assert_near(predicted.ee_in_base, expected, 1e-9, 1e-7)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+def test_arms_that_lead_are_on_time(solver, dt):
+    response, speed = ResponseModel(arm_lag=0.05), 0.1 * solver.robot.max_joint_velocity
+    backend = with_adapters(
+        AnalyticBackend(), [PluginSpec("actuator_lag", {"base": 0.0, "arm": 0.05})], solver.robot
+    )
+    joints, rest = solver.robot.home["home"][np.newaxis], np.zeros((1, 6))
+    backend.reset(at(), joints)
+    lead = BaseResponse(response).lead(dt)
+    for k in range(1, round(1.0 / dt) + 1):
+        state = backend.step(rest, joints + speed * (k * dt + lead), dt)
+    away = joint_displacement(solver.robot, joints + speed, state.joint_positions)
+    np.testing.assert_allclose(away, 0.0, atol=1e-6)
 
 
 # The limit of a period is not that of its parts.
