@@ -207,7 +207,7 @@ def recorded(
     return Deployment(outcome, about, path, {})
 
 
-def _read_config(
+def _read_config(  # noqa: PLR0913 - where settings come from
     cls: type[T],
     name: str,
     robot: Robot,

@@ -37,13 +37,15 @@ _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 class Outcome:
     """Result of one step of the loop; each array has the leading shape (n,).
 
-    `collision` is None without solids, or where the loop does not find them.
+    The position that is due is that desired one command latency of the response model ago; of a
+    stream, that desired now. `collision` is None without solids, or where the loop does not find
+    them.
     """
 
     feasible: NDArray[np.bool_]  # whether IK found the desired pose
     position_error: Array  # from the desired pose to the IK solution or closest attempt, metres
     rotation_error: Array  # the same in radians
-    deviation: Array  # of the EE from the desired position, metres; the true one if measured
+    deviation: Array  # of the EE from the position that is due, metres; the true one if measured
     tracking_error: Array  # the same in the frame of the robot's localisation
     subgoal: NDArray[np.intp]  # number of the sub-goal of this step
     goal_distance: Array  # distance of the achieved EE from the end of that sub-goal, metres

@@ -132,11 +132,13 @@ class Metrics(TypedDict):
     """Metrics of episodes; `low` and `high` are the ends of the interval of a fraction.
 
     Deviations are the true ones in a simulation; those that control can be blamed for, without the
-    errors of the localisation, are tracking errors. `lateness_s` is by how many seconds bases are
-    later than their response model says, null for those without delay. Task success and collisions
-    are null if the backend does not measure them. The last five are those of streams of targets:
-    `smooth` is the fraction of episodes without IK failure and joint jump, `speed_share` the mean
-    speed of the EE relative to the speed of the stream.
+    errors of the localisation, are tracking errors. Both are from the position desired one command
+    latency of the response model ago, so that loops without a model also count the latency.
+    `lateness_s` is by how many seconds bases are later than their response model says, at least;
+    null for those without delay. Task success and collisions are null if the backend does not
+    measure them. The last five are those of streams of targets: `smooth` is the fraction of
+    episodes without IK failure and joint jump, `speed_share` the mean speed of the EE relative to
+    the speed of the stream.
     """
 
     episodes: int

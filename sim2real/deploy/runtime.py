@@ -291,8 +291,8 @@ class _Run:
         if late is None or abs(late) < _DOUBT:
             return ""
         doubt = (
-            f"the base is {abs(late):.2f} s {'later' if late > 0.0 else 'sooner'} than the response "
-            "model of the robot; kinfeas identify finds a better one"
+            f"the base is {abs(late):.2f} s {'later' if late > 0.0 else 'sooner'} than the "
+            "response model of the robot; kinfeas identify finds a better one"
         )
         _log.warning("%s", doubt)
         return f"; {doubt}"

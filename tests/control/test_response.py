@@ -225,9 +225,14 @@ def loop_of(solver, adapters=(), n=3, **execution):
     return loop
 
 
-def run(loop, steps=200):
-    """Step; return deviations, metres, shape (steps, n)."""
-    return np.stack([loop.step().deviation for _ in range(steps)])
+def run(loop, steps=200, late=0):
+    """Step; return how far EEs are from the positions desired `late` periods ago, (steps, n)."""
+    ee, desired = [], [loop.desired[:, :3]] * late
+    for _ in range(steps):
+        loop.step()
+        ee.append(loop.true_state[1][:, :3])
+        desired.append(loop.desired[:, :3])
+    return np.linalg.norm(np.stack(ee) - np.stack(desired[:steps]), axis=2)
 
 
 def test_robots_without_delay_are_not_predicted(solver):
@@ -245,10 +250,23 @@ def test_robots_without_delay_are_not_predicted(solver):
 def test_a_line_is_followed_behind_delays_that_are_known(solver):
     noise = "base_noise", "joint_noise", "localisation", "head_start"
     late = [each for each in read_sim2real("pr2_like").adapters if each.name not in noise]
-    known = run(loop_of(solver, late)).max()
-    unknown = run(loop_of(solver, late, response=ResponseModel())).max()
-    assert known < 0.001
-    assert unknown > 0.015
+    predicted, at_once = loop_of(solver, late), loop_of(solver, late, response=ResponseModel())
+    periods = round(predicted.backend.response.command_latency / predicted.dt)
+    # Outcomes would compare them with different positions: a known latency is no deviation.
+    assert run(predicted, late=periods).max() < 0.001
+    assert run(at_once, late=periods).max() > 0.015
+    predicted, at_once = loop_of(solver, late), loop_of(solver, late, response=ResponseModel())
+    assert run(predicted).mean() < 0.7 * run(at_once).mean()
+
+
+def test_the_deviation_is_from_the_position_that_is_due(solver):
+    loop = loop_of(solver, [LAG, *WHOLE])
+    desired = [loop.desired[:, :3]] * 10
+    for _ in range(30):
+        desired.append(loop.desired[:, :3])
+        outcome = loop.step()
+        away = loop.true_state[1][:, :3] - desired[-10]
+        np.testing.assert_allclose(outcome.deviation, np.linalg.norm(away, axis=1), atol=1e-12)
 
 
 # It is a lower bound: the prediction adapts to bases that are late.
