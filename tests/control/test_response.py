@@ -58,7 +58,8 @@ class Drive:
         self.rngs = [np.random.default_rng(row) for row in rows]
         self.targets = np.where(self.robot.continuous, 3.1, self.robot.home["home"])
         self.targets = np.tile(self.targets, (n, 1))
-        self.start = planar_pose(*np.array([rng.uniform(-2.0, 2.0, 3) for rng in self.rngs]).T)
+        x, y = np.array([rng.uniform(-2.0, 2.0, 2) for rng in self.rngs]).T
+        self.start = planar_pose(x, y, np.full(n, np.pi))
         self.backend.seed(np.array(rows, dtype=np.uint64), np.arange(n))
         self.begin(None)
 
@@ -108,6 +109,7 @@ def test_states_are_those_at_which_the_next_command_takes_effect(solver, adapter
     drive = Drive(solver, adapters, dt, 1 if whole else round(dt / PART))
     drive.step(60)
     assert drive.errors.max() < 1e-9
+    assert lateness(drive.predictor.sums) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_arms_reach_far_targets_at_their_velocity_limits(solver):
@@ -151,12 +153,13 @@ def test_arms_that_lead_are_on_time(solver, dt):
     np.testing.assert_allclose(away, 0.0, atol=1e-6)
 
 
-# The limit of a period is not that of its parts.
-@pytest.mark.parametrize(("dt", "error"), [(0.02, 0.003), (0.1, 0.01)])
-def test_limited_accelerations_in_fractions_of_a_period_are_nearly_predicted(solver, dt, error):
-    drive = Drive(solver, [LAG, JERKS, *FRACTIONS], dt, round(dt / PART))
+# The limit of a period is not that of its parts. With limits of jerk at 10 Hz, errors are taken
+# for jumps of the localisation.
+@pytest.mark.parametrize(("dt", "limits"), [(0.02, JERKS), (0.02, LIMITS), (0.1, LIMITS)])
+def test_limited_accelerations_in_fractions_of_a_period_are_nearly_predicted(solver, dt, limits):
+    drive = Drive(solver, [LAG, limits, *FRACTIONS], dt, round(dt / PART), rows=range(12))
     drive.step(60)
-    assert drive.errors.max() < error
+    assert drive.errors.max() < 0.005
 
 
 def test_a_base_reaches_the_predicted_pose_of_its_next_command(solver):
