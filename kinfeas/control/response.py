@@ -33,9 +33,14 @@ _OLDEST = 0.3  # age of a measurement, seconds, up to which commands are kept
 _TINY = 1e-9  # seconds
 
 _POSE, _JUMP_LEFT, _MEASURED = slice(0, 3), slice(3, 6), slice(6, 9)
-_MOTION, _SUMS, _SIZE = slice(9, 18), slice(18, 20), 20
+_MOTION, _CORRECTION = slice(9, 18), slice(18, 21)
+_BEHIND, _FASTER, _SUMS, _SIZE = slice(21, 24), slice(24, 27), slice(27, 29), 29
 """What is known of a base: the predicted planar pose; the part of a jump of the localisation that
-is yet to be followed; the last measurement; its motion then; and sums for `lateness`."""
+is yet to be followed; the last measurement; its motion then, and the part of its velocity that
+comes of measurements; and for `lateness` how far it has come less than the model without them, how
+much faster that has become, and sums of both."""
+
+_MEMORY = 1.0  # time constant in which these two are forgotten, seconds
 
 _LEVER = 0.3  # radius at which rotations are compared with translations, metres
 
@@ -260,7 +265,7 @@ def _predict(
     measured, ages, ages_before, twists, targets, timing, limits, max_velocity, continuous,
     bases, motions, joints, moved,
 ):  # fmt: skip
-    """Update bases, shape (n, 20), to measurements; write motions, joints and displacements.
+    """Update bases, shape (n, 29), to measurements; write motions, joints and displacements.
 
     Measurements have the shape (n, 3), motions (n, 9), displacements (n, 6). `timing` are the delay
     of commands, the control period and the lag of the arms, seconds.
@@ -274,6 +279,7 @@ def _predict(
         if now - begin > _TINY:
             planar[:] = 0.0
             _travel(begin, now, twists[i], timing, limits, motion, planar)
+            _judge(bases[i], motion, planar, measured[i], now - begin, limits[0])
             _correct(bases[i], motion, planar, measured[i], now - begin)
             bases[i, _MOTION] = motion
         planar[0], planar[1] = pose[0] - measured[i, 0], pose[1] - measured[i, 1]
@@ -297,14 +303,35 @@ def _predict(
 
 
 @inlined
-def _correct(base, motion, planar, measured, seconds):
-    """Correct a base, shape (20,), and its motion after a predicted displacement, shape (3,).
+def _judge(base, motion, planar, measured, seconds, lag):
+    """Compare a measured displacement of a base, shape (29,), with the predicted one, shape (3,).
 
-    The motion in `base` is that before the displacement, which is overwritten.
+    A base that is late by t has come t times the change of its velocity less far.
     """
-    pose, jump, last, before = base[_POSE], base[_JUMP_LEFT], base[_MEASURED], base[_MOTION]
+    last, before, correction = base[_MEASURED], base[_MOTION], base[_CORRECTION]
+    behind, faster, sums = base[_BEHIND], base[_FASTER], base[_SUMS]
     off_x, off_y = measured[0] - last[0] - planar[0], measured[1] - last[1] - planar[1]
-    off_turn = wrapped(measured[2] - last[2] - planar[2])
+    off = off_x, off_y, wrapped(measured[2] - last[2] - planar[2])
+    beyond = max(math.sqrt(square(off_x) + square(off_y)), abs(off[2]))
+    left = math.exp(-seconds / lag) if lag > 0.0 else 0.0
+    forgotten = math.exp(-seconds / _MEMORY)
+    for i in range(3):
+        change = motion[6 + i] - before[6 + i] + correction[i] * (1.0 - left)
+        missing = -off[i] - correction[i] * lag * (1.0 - left)
+        if beyond > _JUMP + _JUMP_SPEED * seconds:
+            missing = 0.0
+        behind[i] = behind[i] * forgotten + missing
+        faster[i] = faster[i] * forgotten + change
+        correction[i] *= left
+        weight = square(_LEVER) if i == 2 else 1.0
+        sums[0] += behind[i] * faster[i] * weight
+        sums[1] += square(faster[i]) * weight
+
+
+@inlined
+def _correct(base, motion, planar, measured, seconds):
+    """Correct a base, shape (29,), and its motion after a predicted displacement, shape (3,)."""
+    pose, jump, last, correction = base[_POSE], base[_JUMP_LEFT], base[_MEASURED], base[_CORRECTION]
     for i in range(3):
         last[i] = measured[i]
         pose[i] += planar[i]
@@ -315,12 +342,6 @@ def _correct(base, motion, planar, measured, seconds):
         for i in range(3):
             jump[i] += planar[i]
             planar[i] = 0.0
-    else:
-        # A base that is late by t has moved by t times the change of its velocity less.
-        x, y, turn = motion[6] - before[6], motion[7] - before[7], motion[8] - before[8]
-        sums, lever = base[_SUMS], square(_LEVER)
-        sums[0] -= off_x * x + off_y * y + off_turn * turn * lever
-        sums[1] += square(x) + square(y) + square(turn) * lever
     position = 1.0 - math.exp(-seconds / _POSE_SECONDS)
     velocity = (1.0 - math.exp(-seconds / _VELOCITY_SECONDS)) / seconds
     longest = LOCALISATION_SPEED * seconds
@@ -329,4 +350,5 @@ def _correct(base, motion, planar, measured, seconds):
     for i in range(3):
         jump[i] -= followed[i]
         pose[i] += position * planar[i] + followed[i]
+        correction[i] += velocity * planar[i]
         motion[6 + i] += velocity * planar[i]
