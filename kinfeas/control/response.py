@@ -218,8 +218,11 @@ def _accelerated(x, y, before_x, before_y, most, jerk, seconds):
 
 
 @inlined
-def _advance(motion, twist, seconds, limits, moved):
-    """Advance a motion, shape (9,), under a planar twist; add its displacement, (3,)."""
+def advance(motion, twist, seconds, limits, moved):
+    """Advance a motion, shape (9,), under a planar twist, (3,); add its displacement, (3,).
+
+    `limits` are lag, limits of linear and angular acceleration, and of linear and angular jerk.
+    """
     if seconds < _TINY:
         return
     lag, most, turning, jerk, twisting = limits
@@ -245,8 +248,8 @@ def _displace(motions, twists, dt, lead, limits, moved):
     for i in range(len(moved)):
         motion[:], planar[:] = motions[i], 0.0
         twist[0], twist[1], twist[2] = twists[i, 0], twists[i, 1], twists[i, 5]
-        _advance(motion, twist, dt, limits, planar)
-        _advance(motion, twist, lead, limits, planar)
+        advance(motion, twist, dt, limits, planar)
+        advance(motion, twist, lead, limits, planar)
         moved[i, 0], moved[i, 1], moved[i, 5] = planar[0], planar[1], planar[2]
 
 
@@ -257,7 +260,7 @@ def _travel(begin, end, twists, timing, limits, motion, moved):
     for k in range(slots):
         # Command k was sent (slots - k) periods ago; there is none before the first.
         start = begin if k == 0 else max(begin, delay - (slots - k) * dt)
-        _advance(motion, twists[k], min(end, delay - (slots - k - 1) * dt) - start, limits, moved)
+        advance(motion, twists[k], min(end, delay - (slots - k - 1) * dt) - start, limits, moved)
 
 
 @kernel

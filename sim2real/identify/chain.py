@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
+from kinfeas.control.response import advance
 from kinfeas.core.spatial import Array
 
 _OFFSETS = (np.arange(32) + 0.5) / 32.0
@@ -62,40 +63,12 @@ def moved_base(commands, dt, lag, acceleration, jerk):
     `acceleration` and `jerk` are the limits of translation and rotation, shape (2,); `lag` is in
     seconds.
     """
-    means = np.empty_like(commands)
-    reached, rate, behind = np.zeros(3), np.zeros(3), np.zeros(3)
-    left = np.exp(-dt / lag) if lag > 0.0 else 0.0
-    mean = lag * (1.0 - left) / dt
-    wanted, change = np.empty(3), np.empty(3)
+    means, motion, moved = np.empty_like(commands), np.zeros(9), np.empty(3)
+    limits = np.array([lag, acceleration[0], acceleration[1], jerk[0], jerk[1]])
     for i in range(len(commands)):
-        for part in range(2):
-            low, high = (0, 2) if part == 0 else (2, 3)
-            length = 0.0
-            for k in range(low, high):
-                wanted[k] = (commands[i, k] - reached[k]) / dt
-                length += wanted[k] ** 2
-            length = np.sqrt(length)
-            most = min(acceleration[part], np.sqrt(2.0 * jerk[part] * length * dt))
-            factor = most / length if length > most else 1.0
-            size = 0.0
-            for k in range(low, high):
-                change[k] = wanted[k] * factor - rate[k]
-                size += change[k] ** 2
-            size = np.sqrt(size)
-            factor = jerk[part] * dt / size if size > jerk[part] * dt else 1.0
-            size = 0.0
-            for k in range(low, high):
-                rate[k] += change[k] * factor
-                size += rate[k] ** 2
-            size = np.sqrt(size)
-            factor = acceleration[part] / size if size > acceleration[part] else 1.0
-            for k in range(low, high):
-                rate[k] *= factor
-                reached[k] += rate[k] * dt
-        for k in range(3):
-            off = behind[k] - reached[k]
-            means[i, k] = reached[k] + off * mean
-            behind[k] = reached[k] + off * left
+        moved[:] = 0.0
+        advance(motion, commands[i], dt, limits, moved)
+        means[i] = moved / dt
     return means
 
 
