@@ -95,7 +95,7 @@ class Predictor:
 
     def __init__(self, response: ResponseModel, solver: IkSolver, dt: float) -> None:
         self.delay, self.dt, self.base = response.command_latency, dt, BaseResponse(response)
-        self._response, self._chain, self._robot = response, solver.chain, solver.robot
+        self._response, self._chain = response, solver.chain
         self._slots = math.ceil((self.delay + _OLDEST) / dt) + 2
         self._timing = np.array([self.delay, dt, response.arm_lag])
         # A copy, because numba compiles kernels again for read-only arrays.

@@ -1,9 +1,13 @@
 """The response of a robot: how late, and how fast, it carries out its commands."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
-from kinfeas.config.quantities import Positive, Seconds
+from annotated_types import Interval
+
+from kinfeas.config.quantities import Positive
+
+Delay = Annotated[float, Interval(ge=0.0, le=60.0)]  # commands are kept as long
 
 
 @dataclass(frozen=True)
@@ -24,10 +28,10 @@ class ResponseModel:
         rotation_jerk: The same of its rotation, rad/s^3.
     """
 
-    command_latency: Seconds = 0.0
-    sensor_latency: Seconds = 0.0
-    base_lag: Seconds = 0.0
-    arm_lag: Seconds = 0.0
+    command_latency: Delay = 0.0
+    sensor_latency: Delay = 0.0
+    base_lag: Delay = 0.0
+    arm_lag: Delay = 0.0
     acceleration: Positive | None = None
     rotation_acceleration: Positive | None = None
     jerk: Positive | None = None
