@@ -26,6 +26,7 @@ from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, s
 from kinfeas.config import load as load_config
 from kinfeas.config.quantities import NotNegative, Quaternion, Rate, Seed, Vector
 from kinfeas.config.recipes import default_engine, section
+from kinfeas.control.assemble import respond_late
 from kinfeas.core import registry
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_note
@@ -102,7 +103,7 @@ def deploy(  # noqa: PLR0913 - options of the command
     """
     robot = robot or robot_of(policy)
     model = load_robot(robot)
-    late = adapters is not None or not model.response.immediate
+    late = respond_late(read_adapters(adapters)) or not model.response.immediate
     config = _read_config(DeployConfig, "deploy", model, guards, filters, settings, late=late)
     if task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)

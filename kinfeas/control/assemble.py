@@ -90,6 +90,12 @@ def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot
     return backend
 
 
+def respond_late(adapters: Sequence[PluginSpec]) -> bool:
+    """Return whether any of these adapters makes robots respond later."""
+    classes = (registry.load("kinfeas.adapters", adapter.name) for adapter in adapters)
+    return any(getattr(each, "late", False) for each in classes)
+
+
 FOLDER = "sim2real"  # folder of the shipped lists of adapters
 
 

@@ -305,12 +305,13 @@ class Loop:
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         near = (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         arrived = sequence.ended(arm.feasible & near)
+        deviation, localised = self._deviation(self.true_state[1]), self._localised_ee
         outcome = Outcome(
             feasible=arm.feasible,
             position_error=arm.position_error,
             rotation_error=arm.rotation_error,
-            deviation=self._deviation(self.true_state[1]),
-            tracking_error=self._deviation(self._localised_ee),
+            deviation=deviation,
+            tracking_error=deviation if localised is None else self._deviation(localised),
             subgoal=sequence.subgoal,
             goal_distance=goal_distance,
             goal_angle=goal_angle,
@@ -330,11 +331,10 @@ class Loop:
         return np.linalg.norm(ee_pose[:, :3] - desired, axis=1)
 
     @property
-    def _localised_ee(self) -> Array:
-        localised, true_state = self.robots.localised, self.robots.true_state or self.robots
-        if localised is None:
-            return self.true_state[1]
-        return spatial.compose(localised, self._ee_of(true_state))
+    def _localised_ee(self) -> Array | None:
+        if (localised := self.robots.localised) is None:
+            return None
+        return spatial.compose(localised, self._ee_of(self.robots.true_state or self.robots))
 
     def _check(self, method: str, robots: RobotState, n: int) -> None:
         check_state(robots, n, len(self.robot.arm), f"{self._note.plugin}: {method}")

@@ -1,13 +1,14 @@
 """Evaluation of a policy: metrics of its episodes in any world, beside the reachability bound."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged
 from kinfeas.config.recipes import section
+from kinfeas.control.assemble import respond_late
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
 from kinfeas.core.policy import Policy
@@ -67,13 +68,17 @@ def read_settings(
 ) -> EvalSettings:
     """Return the settings in which the policies of a robot are evaluated, changed by `settings`.
 
-    With adapters they are those of a deployment, such as the control rate.
+    With adapters they are those of a deployment, such as the control rate; the filters of the
+    section `sim2real` are for robots that respond late.
     """
     data, source = evaluation_section(backend, robot)
-    asked = nested(settings)
-    if isinstance(world := asked.get("world"), Mapping) and world.get("adapters"):
-        data = merged(data, section("sim2real", robot)[0])
-    return from_mapping(EvalSettings, data, source, asked)
+    plain = from_mapping(EvalSettings, data, source, settings)
+    if not plain.world.adapters:
+        return plain
+    late = section("sim2real", robot)[0]
+    if not respond_late(plain.world.adapters):
+        del late["world"]["filters"]
+    return from_mapping(EvalSettings, merged(data, late), source, settings)
 
 
 def configure(

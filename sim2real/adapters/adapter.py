@@ -54,6 +54,7 @@ class Adapter(BackendWrapper):
     """
 
     stream: ClassVar[str | None] = None  # of random numbers; the name of the class by default
+    late: ClassVar[bool] = False  # whether it makes robots respond later, and states its response
     needs: ClassVar[str] = ""
     """Ability of `Backend` that the adapter cannot do without; empty for none."""
 

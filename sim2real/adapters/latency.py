@@ -36,6 +36,8 @@ class CommandLatency(Adapter):
         jitter: Maximum additional delay, s, uniform and independent for each command.
     """
 
+    late = True
+
     def __init__(
         self, backend: Backend, robot: Robot, *, seconds: Number = 0.06, jitter: Number = 0.0
     ) -> None:
@@ -80,6 +82,8 @@ class SensorLatency(Adapter):
         seconds: Minimum delay of a measurement, s.
         jitter: Maximum additional delay, s, uniform and independent for each measurement.
     """
+
+    late = True
 
     def __init__(
         self, backend: Backend, robot: Robot, *, seconds: Number = 0.03, jitter: Number = 0.0

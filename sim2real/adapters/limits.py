@@ -25,6 +25,8 @@ class AccelerationLimit(Adapter):
         angular_jerk: Maximum angular jerk, rad/s^3; none by default.
     """
 
+    late = True
+
     def __init__(
         self,
         backend: Backend,
@@ -155,6 +157,8 @@ class ActuatorLag(Adapter):
         base: Time constant of the base's velocity, s.
         arm: Time constant of the joint positions, s.
     """
+
+    late = True
 
     def __init__(
         self, backend: Backend, robot: Robot, *, base: Number = 0.1, arm: Number = 0.02

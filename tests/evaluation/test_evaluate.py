@@ -15,7 +15,14 @@ from kinfeas.core.metrics import Proportion, join
 from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
-from kinfeas.evaluation.evaluate import EvalConfig, configure, evaluate, reachability_of, run
+from kinfeas.evaluation.evaluate import (
+    EvalConfig,
+    configure,
+    evaluate,
+    reachability_of,
+    read_settings,
+    run,
+)
 from kinfeas.evaluation.reachability import WAYPOINTS, draw_waypoints
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward
@@ -204,3 +211,12 @@ def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator,
         assert episode.reached
         assert away[arrival:].max() == pytest.approx(farthest, abs=0.03)
         assert away[-1] < 0.03
+
+
+def test_adapters_that_do_not_delay_keep_the_filters_of_the_world():
+    settings = {"world.adapters": [{"name": "base_noise"}]}
+    world = read_settings("hsr", "analytic", settings).world
+    assert (world.dt, world.filters) == (0.02, ())
+    settings = {"world.adapters": [{"name": "command_latency"}]}
+    late = read_settings("hsr", "analytic", settings).world
+    assert [each.name for each in late.filters] == ["time_scaling"]
