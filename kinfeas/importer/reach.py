@@ -101,6 +101,7 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
                 rotation=model.rotation[used],
                 offset=model.offset[used],
                 pairs=indices.reshape(-1, 2).astype(np.uintp),
+                apart=model.apart[rows],
             ),
         )
 

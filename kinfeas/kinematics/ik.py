@@ -45,6 +45,10 @@ class IkOptions:
             reconfigured, those that are nearer count, too, if there are no others.
         centering: Pull of a redundant arm's joints towards the middles of their ranges, as a
             fraction of the largest joint step; 0 for none.
+        joint_margin: Distance that solutions keep from joint limits, as a fraction of half of
+            the range; joints whose seed is nearer may stay there.
+        self_clearance: Distance that the robot's shapes keep from each other, metres, if they do so
+            at its home posture.
     """
 
     library: Annotated[int, Interval(ge=1, le=65536)] = 2048
@@ -57,6 +61,8 @@ class IkOptions:
     max_iterations: Annotated[int, Interval(ge=1, le=10_000)] = 40
     solid_clearance: NotNegative = 0.0
     centering: Share = 1.0
+    joint_margin: Share = 0.0
+    self_clearance: NotNegative = 0.0
 
     def thorough(self) -> "IkOptions":
         """Return options with the same solutions that search at least as hard as the default."""
@@ -87,7 +93,7 @@ class IkSolver:
         self.options = options = options or IkOptions()
         self.robot = robot
         self.chain = build_chain(robot)
-        self.collision = build_collision_model(robot)
+        self.collision = build_collision_model(robot, options.self_clearance)
         self.gravity = build_gravity_model(robot)
         self._problem = _make_problem(self)
 
@@ -176,12 +182,14 @@ def _make_problem(solver: IkSolver) -> Problem:
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     middle, half = _ranges(lower, upper)
+    margin = options.joint_margin * np.where(np.isfinite(half), half, 0.0)
+    lower, upper = lower + margin, upper - margin
     position, radians = options.position_tolerance, options.rotation_tolerance
     aim, weight = (SEARCH.aim * position, SEARCH.aim * radians), ROTATION_WEIGHT
     if options.pose_tolerance and robot.pose_tolerance is not None:
         position, radians = robot.pose_tolerance.position, robot.pose_tolerance.rotation
         weight = position / radians
-    library = spread_configurations(robot, options.library)
+    library = spread_configurations(robot, options.library).clip(lower, upper)
     if options.self_collision:
         library = library[~self_collides(solver.collision, library)]
     library = library[~overloaded(solver.gravity, library).any(axis=1)]

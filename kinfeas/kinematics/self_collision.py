@@ -31,6 +31,7 @@ class CollisionModel(NamedTuple):
     offset: Array  # same, metres, shape (s, 3)
     pairs: NDArray[np.uintp]  # indices of shapes to check, (p, 2); signed ones are slower
     variables: int  # number of the arm's joints
+    apart: Array  # distance below which the shapes of a pair count as touching, (p,), metres
 
 
 class CollisionScratch(NamedTuple):
@@ -47,8 +48,10 @@ class CollisionScratch(NamedTuple):
     torque: Array
 
 
-def build_collision_model(robot: Robot) -> CollisionModel:
+def build_collision_model(robot: Robot, clearance: float = 0.0) -> CollisionModel:
     """Return the collision model of `robot`, with all other joints at `robot.fixed_joints`.
+
+    With a clearance, metres, shapes that keep it at the robot's `home` keep it everywhere.
 
     It leaves out pairs of shapes on one link, on links that are joined rigidly or by one joint, on
     links that the arm does not move against each other, and the robot's `ignored_collisions`.
@@ -65,7 +68,7 @@ def build_collision_model(robot: Robot) -> CollisionModel:
         for link, other in checked_links(robot)
         for i, k in product(shapes[link], shapes[other])
     )
-    return CollisionModel(
+    model = CollisionModel(
         tree=tree,
         body=np.array([mount.joint for mount in placed], dtype=np.intp),
         kind=np.array([_KINDS[shape.kind] for _, shape in named], dtype=np.intp),
@@ -75,7 +78,14 @@ def build_collision_model(robot: Robot) -> CollisionModel:
         offset=np.array([mount.offset for mount in placed]).reshape(-1, 3),
         pairs=np.array(pairs, dtype=np.uintp).reshape(-1, 2),
         variables=len(robot.arm),
+        apart=np.full(len(pairs), MARGIN),
     )
+    if clearance:
+        home = robot.home["home"][np.newaxis]
+        for p in range(len(pairs)):
+            wider = model._replace(pairs=model.pairs[[p]], apart=np.array([MARGIN + clearance]))
+            model.apart[p] += 0.0 if self_collides(wider, home)[0] else clearance
+    return model
 
 
 def checked_links(robot: Robot) -> list[tuple[str, str]]:
@@ -98,7 +108,7 @@ def checked_links(robot: Robot) -> list[tuple[str, str]]:
 
 
 def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.bool_]:
-    """Return whether the robot is in self-collision, to within `MARGIN`, shape (...).
+    """Return whether the robot is in self-collision by the distances of the model, shape (...).
 
     Joint positions are those of the arm, shape (..., v), radians or metres.
     """
@@ -146,15 +156,15 @@ def touches_itself(model: CollisionModel, q, scratch: CollisionScratch):
     for p in range(len(model.pairs)):
         a, b = model.pairs[p, 0], model.pairs[p, 1]
         dx, dy, dz = pos[b, 0] - pos[a, 0], pos[b, 1] - pos[a, 1], pos[b, 2] - pos[a, 2]
-        reach = model.radius[a] + model.radius[b] + MARGIN
+        reach = model.radius[a] + model.radius[b] + model.apart[p]
         if dx * dx + dy * dy + dz * dz > reach * reach:
             continue
-        if _sphere_misses_box(dx, dy, dz, model.radius[b] + MARGIN, rot[a], size[a]):
+        if _sphere_misses_box(dx, dy, dz, model.radius[b] + model.apart[p], rot[a], size[a]):
             continue
-        if _sphere_misses_box(dx, dy, dz, model.radius[a] + MARGIN, rot[b], size[b]):
+        if _sphere_misses_box(dx, dy, dz, model.radius[a] + model.apart[p], rot[b], size[b]):
             continue
         if closer_than(
-            MARGIN,
+            model.apart[p],
             model.kind[a], size[a], rot[a], pos[a],
             model.kind[b], size[b], rot[b], pos[b],
             scratch.simplex,

@@ -8,11 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, compose, distance, integrate, relative, twist_between, yaw
-from kinfeas.kinematics.drive import action_toward, base_twist, command_size
+from kinfeas.core.spatial import (
+    Array,
+    compose,
+    distance,
+    integrate,
+    planar_pose,
+    relative,
+    twist_between,
+    yaw,
+)
+from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.planning.proposals import propose
 from kinfeas.robots.robot import joint_displacement
 
 _ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
@@ -25,7 +35,7 @@ class BasePathSettings:
     metres: float = 0.07  # distance of the EE poses at which the search has a robot, metres
     radians: float = 0.07  # the same of orientations, radians
     beam: int = 150  # robots that are kept at each pose
-    commands: int = 1800  # base commands that these try together
+    commands: int = 900  # base commands that these try together
     robot_commands: int = 200  # largest number of commands that one robot tries
     noise: float = 0.5  # largest difference from the EE's velocity of half of the commands
     backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on; the EE ...
@@ -40,8 +50,16 @@ class BasePathSettings:
     cell_robots: int = 4  # robots of a cell that try IK
     centred: float = 0.6  # fraction of the joint ranges that costs nothing
     limit_cost: float = 5.0  # cost of the squared rest of the range
-    effort_cost: float = 0.02  # cost of the squared base command
-    change_cost: float = 0.02  # cost of its squared change
+    effort_cost: float = 0.1  # cost of the squared base command
+    change_cost: float = 0.3  # cost of its squared change
+    sensitive_cost: float = 0.3  # cost of the logarithm of `Proposal.sensitivity`
+    largest_effort: float = 1.3  # joint displacement by the Jacobian, of its limit, that IK tries
+    tried: int = 150  # robots that try IK
+    margin_cost: float = 1.0
+    joint_margin: float = 0.05  # distance from joint limits, of half their range, where ...
+    clearance: float = (
+        0.01  # ... and of shapes from each other, metres; less where no robot goes on
+    )
     memory: float = 0.8  # fraction of the costs that counts at the next pose
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
 
@@ -59,6 +77,11 @@ class BasePath:
     seconds: Array  # motion times for which the path has a robot, shape (m,)
     robot: Array  # x, y and unwrapped yaw of the base, then arm joints, shape (m, 3 + j)
     time_scale: Array  # fraction of its speed at which the EE moves until each of these times, (m,)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the path has a robot at the end of the EE path."""
+        return round((self.seconds[-1] - self.begin) / self.step) == len(self.ee) - 1
 
     def ee_at(self, seconds: float) -> Array:
         """Return the EE pose nearest to a motion time, shape (7,)."""
@@ -92,13 +115,19 @@ class _Beam:
 class BasePathPlanner:
     """Finds paths of base and arm along EE paths, without joint jumps.
 
-    A beam search: at each EE pose, every robot of the beam tries random base commands, IK moves its
-    arm within the joint velocity limits, and the best robot of each cell goes on.
+    A beam search: at each EE pose, every robot of the beam tries random base commands. Those that
+    seem best by its Jacobian go to IK, which moves the arm within its velocity limits, and the best
+    robot of each cell goes on. Robots with arms far from joint limits, from self-collision and from
+    singularities are better, since these can make up for a base that is not where it should be.
     """
 
     def __init__(self, solver: IkSolver) -> None:
         self.robot = robot = solver.robot
-        self.solver = IkSolver(robot, replace(solver.options, restarts=0))
+        options = replace(solver.options, restarts=0)
+        careful = replace(
+            options, joint_margin=SETTINGS.joint_margin, self_clearance=SETTINGS.clearance
+        )
+        self.solver, self._careful = IkSolver(robot, options), IkSolver(robot, careful)
         limits = [robot.base.max_velocity, robot.base.max_rotation]
         fastest = np.array([SETTINGS.velocity, SETTINGS.rotation])
         fastest = np.minimum(fastest / limits, SETTINGS.base_fraction)
@@ -117,6 +146,8 @@ class BasePathPlanner:
         begin: float,
         time_scale: float = 1.0,
         solids: Solids | None = None,
+        *,
+        partial: bool = False,
     ) -> BasePath | None:
         """Return a path, or None if none is found.
 
@@ -128,6 +159,7 @@ class BasePathPlanner:
             begin: Motion time now, seconds.
             time_scale: Fraction of its speed at which the EE moves at most.
             solids: In the world, one row.
+            partial: Whether a path may end before the EE path, where no robot goes on.
         """
         solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
         rng, rest = np.random.default_rng(0), np.zeros((1, len(self._fastest)))
@@ -144,11 +176,14 @@ class BasePathPlanner:
                 beams.append(beam)
             elif retries:
                 first = max(k - 1 - retries.pop(0), 0)
-                slow = np.arange(nodes[first], nodes[k])
+                slow = np.arange(nodes[first], nodes[k], 2)
                 scales[slow] = SETTINGS.slow
                 nodes, beams = np.union1d(nodes, slow), beams[: first + 1]
+            elif partial and k > 1:
+                break
             else:
                 return None
+        nodes = nodes[: len(beams)]
         robots = _traced(beams)
         turning = np.concatenate([[False, False, True], self.robot.continuous])
         robots[:, turning] = np.unwrap(robots[:, turning], axis=0)
@@ -164,22 +199,49 @@ class BasePathPlanner:
         rng: np.random.Generator,
         solids: Solids | None,
     ) -> _Beam:
-        command = self._commands(beam, target, seconds, rng)
-        parent = np.arange(len(beam.cost)).repeat(command.shape[1])
-        before, command = beam.of(parent), command.reshape(len(parent), -1)
+        """Return the best robots with their EE at a target, some seconds after those of a beam."""
+        tried = self._proposed(beam, target, seconds, rng)
+        arm = self._reached(self._careful, tried.joints, target, tried.base, seconds, solids)
+        cost = tried.cost.copy()
+        if (rest := np.flatnonzero(~arm.feasible)).size:
+            joints, base = tried.joints[rest], tried.base[rest]
+            arm.put(rest, self._reached(self.solver, joints, target, base, seconds, solids))
+            cost[rest] += SETTINGS.margin_cost
+        cost += self._limit_cost(arm.joint_positions)
+        reached = replace(tried, joints=arm.joint_positions, cost=cost)
+        reached = reached.of(np.flatnonzero(arm.feasible))
+        best = self._best(reached, target)
+        passable = self._passable(self.solver, beam, best, target, seconds, solids)
+        return best.of(np.flatnonzero(passable))
+
+    def _proposed(
+        self, beam: _Beam, target: Array, seconds: float, rng: np.random.Generator
+    ) -> _Beam:
+        """Return robots, with their arms still as in the beam, that seem able to reach a target."""
+        base, command = self.robot.base, self._commands(beam, rng)
+        step = SETTINGS.arm_fraction * seconds * self.robot.max_joint_velocity
+        limits, near = (base.max_velocity, base.max_rotation), command.shape[1] // 2
+        proposal = propose(
+            self.solver.chain, beam.base, beam.joints, command, near, target, step, limits, seconds
+        )
+        parent, tried = np.nonzero(proposal.effort < SETTINGS.largest_effort)
+        before, command = beam.of(parent), command[parent, tried]
         cost = SETTINGS.memory * before.cost
         cost += SETTINGS.effort_cost * np.square(command).sum(axis=1)
         cost += SETTINGS.change_cost * np.square(command - before.command).sum(axis=1)
-        base = self._driven(before, command, seconds)
-        tried = _Beam(base, before.joints, command, cost, parent)
-        tried = tried.of(_cheapest(self._cells(tried, target), cost, SETTINGS.cell_robots))
-        arm = self._reached(tried.joints, target, tried.base, seconds, solids)
-        joints, rows = arm.joint_positions, np.flatnonzero(arm.feasible)
+        cost += SETTINGS.sensitive_cost * np.log(proposal.sensitivity)[parent]
+        poses = planar_pose(*proposal.base[parent, tried].T)
+        proposed = _Beam(poses, before.joints, command, cost, parent)
+        expected = cost + self._limit_cost(proposal.joints[parent, tried])
+        rows = _cheapest(self._cells(proposed, target), expected, SETTINGS.cell_robots)
+        return proposed.of(rows[np.argsort(expected[rows], kind="stable")[: SETTINGS.tried]])
+
+    def _limit_cost(self, joints: Array) -> Array:
+        """Return the cost of arms near their joint limits."""
         off = np.where(self._bounded, np.abs(joints - self._middle) / self._half, 0.0)
         beyond = np.maximum(off - SETTINGS.centred, 0.0).max(axis=1)
-        cost = tried.cost + SETTINGS.limit_cost * np.square(beyond)
-        best = self._best(replace(tried, joints=joints, cost=cost).of(rows), target)
-        return best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
+        cost: Array = SETTINGS.limit_cost * np.square(beyond)
+        return cost
 
     def _driven(self, beam: _Beam, command: Array, seconds: float) -> Array:
         """Return the bases after some time, shape (m, 7), along the chords of their arcs."""
@@ -187,11 +249,17 @@ class BasePathPlanner:
         return integrate(beam.base, twist, seconds)
 
     def _reached(
-        self, joints: Array, target: Array, base: Array, seconds: float, solids: Solids | None
+        self,
+        solver: IkSolver,
+        joints: Array,
+        target: Array,
+        base: Array,
+        seconds: float,
+        solids: Solids | None,
     ) -> IkSolution:
         """Return the arms, as far as they get in some time from joints (m, j), at a target."""
         among = None if solids is None else solids.repeated(len(base))
-        arm = self.solver.solve(
+        arm = solver.solve(
             relative(np.broadcast_to(target, base.shape), base),
             joints,
             SETTINGS.arm_fraction * seconds * self.robot.max_joint_velocity,
@@ -199,14 +267,20 @@ class BasePathPlanner:
             solids=None if among is None else in_base(among, base),
         )
         if among is not None:
-            clearance = self.solver.options.solid_clearance  # of the base, too
+            clearance = solver.options.solid_clearance  # of the base, too
             around = among.wider(clearance, clearance) if clearance else among
-            touches = collides(self.solver.collision, arm.joint_positions, base, around)
+            touches = collides(solver.collision, arm.joint_positions, base, around)
             arm.feasible[touches[:, 0]] = False
         return arm
 
     def _passable(
-        self, beam: _Beam, best: _Beam, target: Array, seconds: float, solids: Solids | None
+        self,
+        solver: IkSolver,
+        beam: _Beam,
+        best: _Beam,
+        target: Array,
+        seconds: float,
+        solids: Solids | None,
     ) -> NDArray[np.bool_]:
         """Return which of the best robots, (m,), also reach the pose halfway to the target."""
         before = beam.of(best.parent)
@@ -215,30 +289,23 @@ class BasePathPlanner:
         halfway = integrate(first, twist_between(first, target, 1.0), 0.5)
         base = self._driven(before, best.command, seconds / 2.0)
         arm = self._reached(
-            before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
+            solver, before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
         )
         passable = arm.feasible
         for fraction in (0.25, 0.75):
-            passable &= self.solver.admissible(before.joints + fraction * displacement)
+            passable &= solver.admissible(before.joints + fraction * displacement)
         return passable
 
-    def _commands(
-        self, beam: _Beam, target: Array, seconds: float, rng: np.random.Generator
-    ) -> Array:
+    def _commands(self, beam: _Beam, rng: np.random.Generator) -> Array:
         """Return the commands that each robot tries, shape (m, t, a).
 
-        The first is the last one, some are random, the others near the velocity of the EE.
+        The first is the last one, the second half is noise around the velocity of the EE.
         """
         tries = min(SETTINGS.commands // len(beam.cost), SETTINGS.robot_commands)
         shape = len(beam.cost), tries, len(self._fastest)
         command = rng.uniform(-self._fastest, self._fastest, shape)
-        command[:, 0] = beam.command
-        ee = compose(beam.base, forward(self.solver.chain, beam.joints))
-        velocity = (target - ee)[:, :2] / seconds
-        toward = action_toward(self.robot.base, beam.base, velocity, seconds)[:, np.newaxis]
-        near = tries // 2
-        noise = SETTINGS.noise * rng.random((len(beam.cost), tries - near, 1))
-        command[:, near:] = np.clip(toward + noise * command[:, near:], -1.0, 1.0)
+        command[:, 0], near = beam.command, tries // 2
+        command[:, near:] *= SETTINGS.noise * rng.random((len(beam.cost), tries - near, 1))
         return command
 
     def _best(self, beam: _Beam, target: Array) -> _Beam:

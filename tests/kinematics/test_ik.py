@@ -325,3 +325,17 @@ def test_compiled_and_cached_kernels_give_the_same_bits(tmp_path):
     )
     assert len(first) > 60
     assert second == first
+
+
+def test_solutions_keep_margins_from_joint_limits_and_shapes(tiago):
+    margins = replace(EXACT, joint_margin=0.1, self_clearance=0.02)
+    careful, robot = IkSolver(tiago.robot, margins), tiago.robot
+    targets = forward(tiago.chain, draw_free(tiago, 60, seed=2))
+    solution = careful.solve(targets, draw_free(tiago, 60, seed=3))
+    assert solution.feasible.sum() >= 40
+    joints = solution.joint_positions[solution.feasible]
+    lower, upper = robot.joint_limits
+    assert (np.minimum(joints - lower, upper - joints) >= 0.05 * (upper - lower) - 1e-9).all()
+    assert not self_collides(careful.collision, joints).any()
+    near = tiago.solve(targets, draw_free(tiago, 60, seed=3)).joint_positions
+    assert self_collides(careful.collision, near).any()

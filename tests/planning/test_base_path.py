@@ -75,6 +75,15 @@ def test_no_path_leads_out_of_reach(planned):
     assert planned([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])[0] is None
 
 
+def test_a_partial_path_ends_where_no_robot_goes_on(planned, solver):
+    path, _ = planned([0.0, 0.0, 0.2, 0.0, 0.0, 0.0], partial=True)
+    assert not path.complete
+    ee = compose(planar_pose(*path.robot[-1:, :3].T), forward(solver.chain, path.robot[-1:, 3:]))
+    assert ee[0, 2] == pytest.approx(path.ee_at(path.seconds[-1])[2], abs=0.1)
+    assert ee[0, 2] > path.ee[0, 2] + 0.1
+    assert planned([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], partial=True)[0].complete
+
+
 def test_a_slow_motion_gives_the_base_more_time(planned):
     quick = planned([0.3, 0.0, 0.0, 0.0, 0.0, 0.0], 5.0)[0]
     slow, _ = planned([0.3, 0.0, 0.0, 0.0, 0.0, 0.0], 5.0, time_scale=0.2)

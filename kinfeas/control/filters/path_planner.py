@@ -9,7 +9,6 @@ from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.period import Period
 from kinfeas.control.targets import TargetStream
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array, distance, wrap, yaw
 from kinfeas.kinematics.ik import IkSolver
@@ -30,15 +29,16 @@ for each metre beside it, radians; and the speed from which on it does, m/s."""
 class PathPlanner:
     """Plans base and arm along each EE motion when it begins, and follows these paths.
 
-    The EE slows down where the robot needs more time. A path that the robot has left is planned
-    again. The policy acts where no path is found, and after the end of a path. With an executor
-    robots rest until their paths are found.
+    The EE slows down where the robot needs more time. A path that the robot has left, or that ends
+    before its motion, is planned again. The policy acts where no path is found, and after the end
+    of a path. With an executor robots begin a motion when its path is found, and move on while it
+    is planned again. With a stream of targets there is nothing to plan.
 
     Args:
         solver: IK of the robot.
         dt: Control period, seconds.
         execution: Execution of the motions.
-        stream: Targets that move, with which there is nothing to plan.
+        stream: Targets that move, if there are any.
         executor: Runs the searches beside the loop.
 
     Attributes:
@@ -55,32 +55,37 @@ class PathPlanner:
         stream: TargetStream | None = None,
         executor: Executor | None = None,
     ) -> None:
-        if stream is not None:
-            raise KinfeasError("the filter path_planner needs motions that are known in advance")
         self._planner, self._robot = BasePathPlanner(solver), solver.robot
+        self._idle = stream is not None
         self._dt, self._time_scale, self._executor = dt, execution.time_scale, executor
         self._paths: dict[int, BasePath] = {}
-        self._search: Future[dict[int, BasePath]] | None = None
+        self._search: Future[dict[int, BasePath | None]] | None = None
         self._subgoal = self._again_at = np.empty(0, dtype=np.intp)
         self._wait: Array = np.empty(0)
+        self._open: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)  # whether a path is missing
 
     def reset(self, rows: Rows, n: int) -> None:
         """Forget the paths of new episodes in `rows` of n."""
         if len(rows) == n:
             self._subgoal, self._again_at = np.zeros((2, n), dtype=np.intp)
-            self._wait, self._paths, self._search = np.zeros(n), {}, None
+            self._wait, self._open = np.zeros(n), np.zeros(n, dtype=np.bool_)
+            self._paths, self._search = {}, None
         self._subgoal[rows] = -1
 
     def __call__(self, period: Period) -> Period:
         """Return the period with commands along the paths."""
-        if (due := self._due(period)).size:
+        if self._idle:
+            return period
+        elapsed = period.motions.elapsed
+        if self._search is None and (due := self._due(period)).size:
             self._plan(due, period)
         if self._search is not None:
-            if not self._search.done():
-                return period.slowed(np.zeros(1)).commanded(np.zeros_like(period.command))
-            self._paths |= self._search.result()
-            self._search = None
-        elapsed = period.motions.elapsed
+            if self._search.done():
+                self._take(self._search.result())
+                self._search = None
+            elif (rests := elapsed == 0.0).any():
+                period = period.slowed(np.where(rests, 0.0, period.time_scale))
+                period = period.commanded(np.where(rests[:, np.newaxis], 0.0, period.command))
         self._paths = {
             row: path for row, path in self._paths.items() if elapsed[row] < path.seconds[-1]
         }
@@ -103,22 +108,31 @@ class PathPlanner:
         )
 
     def _plan(self, rows: Rows, period: Period) -> None:
-        motions = period.motions
-        subgoal, wait = motions.subgoal[rows], 2.0 * self._wait[rows]
-        self._wait[rows] = np.where(self._subgoal[rows] == subgoal, wait, _REPLAN_SECONDS)
+        motions, subgoal = period.motions, period.motions.subgoal[rows]
+        again = self._subgoal[rows] == subgoal
+        self._wait[rows] = np.where(again, 2.0 * self._wait[rows], _REPLAN_SECONDS)
         self._subgoal[rows] = subgoal
         self._again_at[rows] = motions.periods[rows] + np.ceil(self._wait[rows] / self._dt)
-        self._paths = {row: path for row, path in self._paths.items() if row not in rows}
+        for row in rows[~again]:
+            self._paths.pop(row, None)
         copied = period.changed(motions=motions.copied())
         if self._executor is None:
-            self._paths |= self._searched(rows, copied)
+            self._take(self._searched(rows, copied))
         else:
             self._search = self._executor.submit(self._searched, rows, copied)
 
-    def _searched(self, rows: Rows, period: Period) -> dict[int, BasePath]:
-        paths, motions, solids = {}, period.motions, period.solids
+    def _take(self, paths: dict[int, BasePath | None]) -> None:
+        for row, path in paths.items():
+            self._open[row] = path is None or not path.complete
+            self._paths.pop(row, None)
+            if path is not None:
+                self._paths[row] = path
+
+    def _searched(self, rows: Rows, period: Period) -> dict[int, BasePath | None]:
+        motions, solids = period.motions, period.solids
+        paths: dict[int, BasePath | None] = {}
         for row, ee in zip(rows.tolist(), motions.to_the_end(rows), strict=True):
-            path = self._planner.plan(
+            paths[row] = self._planner.plan(
                 period.base_pose[row],
                 period.joints[row],
                 ee,
@@ -126,14 +140,15 @@ class PathPlanner:
                 begin=motions.elapsed[row],
                 time_scale=self._time_scale,
                 solids=None if solids is None else solids.of(np.array([row])),
+                partial=True,
             )
-            if path is not None:
-                paths[row] = path
         return paths
 
     def _due(self, period: Period) -> Rows:
         motions = period.motions
-        due: NDArray[np.bool_] = self._subgoal != motions.subgoal
+        due: NDArray[np.bool_] = self._open & (motions.periods >= self._again_at)
+        due[list(self._paths)] = False
+        due |= self._subgoal != motions.subgoal
         rows = np.array([row for row in self._paths if not due[row]], dtype=np.intp)
         rows = rows[motions.periods[rows] >= self._again_at[rows]]
         if rows.size:

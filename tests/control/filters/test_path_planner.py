@@ -5,7 +5,6 @@ import pytest
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.filters.path_planner import follow
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import integrate, planar_pose
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
@@ -63,9 +62,13 @@ def test_a_robot_that_is_pushed_gets_a_new_path(monkeypatch):
     assert lengths[1] < lengths[0]
 
 
-def test_targets_that_are_not_known_in_advance_are_an_error():
-    with pytest.raises(KinfeasError, match="path_planner"):
-        world_of("pr2", "joystick")
+def test_with_targets_that_are_not_known_in_advance_the_policy_acts():
+    policy = load_policy("follow_ee", load_robot("pr2"))
+    planned, alone = (
+        run_episodes(world_of("pr2", "joystick", filters), policy, 1)
+        for filters in (("path_planner",), ())
+    )
+    np.testing.assert_array_equal(planned.max_deviation, alone.max_deviation)
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.2])

@@ -1,0 +1,144 @@
+"""Base commands that robots try on their way along an EE path, with the arm motions they need."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from kinfeas.core.pose_kernels import heading
+from kinfeas.core.spatial import Array
+from kinfeas.kinematics.descent import rotation_error
+from kinfeas.kinematics.drive import write_action_toward
+from kinfeas.kinematics.forward import Chain, fill_columns, make_frames, place_chain
+from kinfeas.kinematics.kernels import inlined, kernel, square, write_matrix
+
+_DAMPING = 1e-4  # of arm motions, squared metres that the EE moves with a whole joint step
+
+
+class Proposal(NamedTuple):
+    """Commands of m robots that try t each."""
+
+    base: Array  # x, y and yaw of the base afterwards, shape (m, t, 3), metres and radians
+    effort: Array  # largest joint displacement as a fraction of its limit, shape (m, t)
+    joints: Array  # predicted arm joints, shape (m, t, j)
+    sensitivity: Array  # how far joints move for the EE: squared limits a metre or radian, (m,)
+
+
+@kernel
+def propose(chain: Chain, base, joints, command, near, target, step, limits, seconds):
+    """Return the proposals of commands; some of these move towards the motion of the EE.
+
+    The arm's motion is the shortest one by the Jacobian, in fractions of `step`.
+
+    Args:
+        chain: From the base to the EE.
+        base: World poses of the bases, shape (m, 7).
+        joints: Arm joints, shape (m, j).
+        command: Base commands, shape (m, t, a), which are changed from the number `near` on.
+        near: Number of commands that stay.
+        target: World pose of the EE afterwards, shape (7,).
+        step: Largest joint displacements, shape (j,), radians or metres.
+        limits: Velocity limits of the base, m/s and rad/s.
+        seconds: Time for which the commands hold.
+    """
+    m, t, size = command.shape
+    arms = joints.shape[1]
+    out = Proposal(np.empty((m, t, 3)), np.empty((m, t)), np.empty((m, t, arms)), np.empty(m))
+    frames, columns = make_frames(len(chain.tree.variable)), np.empty((arms, 6))
+    low, error, toward, velocity = np.empty((6, 6)), np.empty(6), np.empty(size), np.empty(2)
+    orientation, turned = np.empty((3, 3)), np.empty((3, 3))
+    write_matrix(target, orientation)
+    for i in range(m):
+        place_chain(chain, joints[i], frames)
+        fill_columns(chain.tree, frames, columns)
+        for j in range(arms):
+            for k in range(6):
+                columns[j, k] *= step[j]
+        out.sensitivity[i] = _factorize(columns, low)
+        yaw, position = heading(base[i]), frames.position
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        velocity[0] = target[0] - base[i, 0] - cosine * position[0] + sine * position[1]
+        velocity[1] = target[1] - base[i, 1] - sine * position[0] - cosine * position[1]
+        for k in range(2):
+            velocity[k] /= seconds
+        write_action_toward(base[i], velocity, limits, seconds, toward)
+        for n in range(t):
+            action, new = command[i, n], out.base[i, n]
+            if n >= near:
+                for k in range(size):
+                    action[k] = min(max(action[k] + toward[k], -1.0), 1.0)
+            _drive(base[i], yaw, action, limits, seconds, new)
+            cosine, sine = math.cos(new[2]), math.sin(new[2])
+            dx, dy = target[0] - new[0], target[1] - new[1]
+            error[0] = cosine * dx + sine * dy - position[0]
+            error[1] = cosine * dy - sine * dx - position[1]
+            error[2] = target[2] - base[i, 2] - position[2]
+            for k in range(3):
+                turned[0, k] = cosine * orientation[0, k] + sine * orientation[1, k]
+                turned[1, k] = cosine * orientation[1, k] - sine * orientation[0, k]
+                turned[2, k] = orientation[2, k]
+            rotation_error(turned, frames.rotation, error)
+            _solve(low, error)
+            largest = 0.0
+            for j in range(arms):
+                part = 0.0
+                for k in range(6):
+                    part += columns[j, k] * error[k]
+                out.joints[i, n, j] = joints[i, j] + part * step[j]
+                largest = max(largest, abs(part))
+            out.effort[i, n] = largest
+    return out
+
+
+@inlined
+def _drive(base, yaw, command, limits, seconds, out):
+    """Write x, y and yaw of a base after a command, along the chord of its arc."""
+    ahead, turn, left = command[0] * limits[0], command[-1] * limits[1] * seconds, 0.0
+    angle = yaw
+    if len(command) == 2:
+        angle += 0.5 * turn
+    else:
+        left = command[1] * limits[0]
+        scale = limits[0] / max(math.sqrt(square(ahead) + square(left)), limits[0])
+        ahead, left = scale * ahead, scale * left
+    cosine, sine = math.cos(angle), math.sin(angle)
+    out[0] = base[0] + seconds * (cosine * ahead - sine * left)
+    out[1] = base[1] + seconds * (sine * ahead + cosine * left)
+    out[2] = yaw + turn
+
+
+@inlined
+def _factorize(columns, low):
+    """Write the Cholesky factor of C' C + damping, (6, 6); return the trace of its inverse."""
+    for i in range(6):
+        for k in range(i + 1):
+            total = _DAMPING if i == k else 0.0
+            for j in range(len(columns)):
+                total += columns[j, i] * columns[j, k]
+            for j in range(k):
+                total -= low[i, j] * low[k, j]
+            low[i, k] = math.sqrt(total) if i == k else total / low[k, k]
+    trace = 0.0
+    for k in range(6):  # columns of the factor's inverse, in the upper triangle
+        for i in range(k, 6):
+            total = 1.0 if i == k else 0.0
+            for j in range(k, i):
+                total -= low[i, j] * (low[k, j] if j > k else 1.0 / low[k, k])
+            value = total / low[i, i]
+            if i > k:
+                low[k, i] = value
+            trace += square(value)
+    return trace
+
+
+@inlined
+def _solve(low, error):
+    """Solve L L' x = e in place."""
+    for i in range(6):
+        for j in range(i):
+            error[i] -= low[i, j] * error[j]
+        error[i] /= low[i, i]
+    for i in range(5, -1, -1):
+        for j in range(i + 1, 6):
+            error[i] -= low[j, i] * error[j]
+        error[i] /= low[i, i]
