@@ -3,6 +3,7 @@ from kinfeas.api.evaluate import ceiling, evaluate
 from kinfeas.api.fit import fit
 from kinfeas.api.identify import identify
 from kinfeas.api.load import export, load_policy, load_robot
+from kinfeas.api.reach import reach
 from kinfeas.api.train import resume, train
 from kinfeas.api.view import view
 
@@ -16,6 +17,7 @@ __all__ = [
     "identify",
     "load_policy",
     "load_robot",
+    "reach",
     "resume",
     "servo",
     "train",

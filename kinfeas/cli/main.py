@@ -20,6 +20,7 @@ from kinfeas.cli.export import export
 from kinfeas.cli.identify import identify
 from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
+from kinfeas.cli.reach import reach
 from kinfeas.cli.robot import app as robot
 from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
@@ -34,7 +35,7 @@ app = typer.Typer(
     context_settings={"max_content_width": 100},
 )
 for _command in (
-    demo, train, sweep, evaluate, benchmark, ceiling, export, deploy, servo,
+    demo, train, sweep, evaluate, benchmark, ceiling, reach, export, deploy, servo,
     identify, play, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)
