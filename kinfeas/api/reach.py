@@ -1,7 +1,6 @@
 """Base poses from which a robot reaches EE poses, or the reasons for which there are none."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,10 +52,7 @@ def reach(  # noqa: PLR0913 - options of the command
         placements = [placer.place_for_all(goals, *where)]
     else:
         placements = [placer.place(goal, *where) for goal in goals]
-    return [
-        replace(each, solids=tuple(dict.fromkeys(names[int(place)] for place in each.solids)))
-        for each in placements
-    ]
+    return [placement.named(names) for placement in placements]
 
 
 def facts(placement: Placement) -> dict[str, object]:

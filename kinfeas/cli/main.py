@@ -18,6 +18,7 @@ from kinfeas.cli.deploy import deploy, servo
 from kinfeas.cli.evaluate import ceiling, evaluate
 from kinfeas.cli.export import export
 from kinfeas.cli.identify import identify
+from kinfeas.cli.plan import plan
 from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.reach import reach
@@ -35,7 +36,7 @@ app = typer.Typer(
     context_settings={"max_content_width": 100},
 )
 for _command in (
-    demo, train, sweep, evaluate, benchmark, ceiling, reach, export, deploy, servo,
+    demo, train, sweep, evaluate, benchmark, ceiling, reach, plan, export, deploy, servo,
     identify, play, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)

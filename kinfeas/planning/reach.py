@@ -1,5 +1,6 @@
 """Base poses for EE poses with their margins, or the reason for which there is none."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -83,6 +84,10 @@ class Placement:
         if self.limit != "solids" or not self.solids:
             return LIMITS.get(self.limit, "")
         return f"in the way of base or arm: {', '.join(map(str, self.solids))}"
+
+    def named(self, names: Sequence[str]) -> "Placement":
+        """Return the same with the names of solids in place of their places."""
+        return replace(self, solids=tuple(dict.fromkeys(names[int(k)] for k in self.solids)))
 
     def of(self, rows: NDArray[np.intp]) -> "Placement":
         """Return some of the base poses."""
