@@ -23,6 +23,7 @@ from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.reach import reach
 from kinfeas.cli.robot import app as robot
+from kinfeas.cli.serve import serve
 from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
@@ -37,7 +38,7 @@ app = typer.Typer(
 )
 for _command in (
     demo, train, sweep, evaluate, benchmark, ceiling, reach, plan, export, deploy, servo,
-    identify, play, simulate, view, fit, dataset,
+    identify, play, serve, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(plugins, name="plugins")

@@ -32,7 +32,7 @@ class ReachSettings:
 
     first: tuple[int, ...] = (64, 512)  # base poses tried by each stage without restarts of IK
     stages: tuple[int, ...] = (64, 512, 1024)  # the same with restarts, if these find none
-    without: int = 256  # base poses that are tried without a limit
+    without: int = 1024  # base poses that are tried without a limit
     together: int = 512  # base poses that are tried for several poses
     clearances: tuple[float, ...] = (0.02, 0.05, 0.1)  # distances from solids, metres
 
@@ -171,14 +171,11 @@ class BasePlacer:
 
         It is the first limit that keeps the robot from the pose if those after it are lifted.
         """
-        heights = self._without[0][1].ee_pose[:, 2]
-        slack = self.solver.options.position_tolerance
-        if not heights.min() - slack <= goal[2] <= heights.max() + slack:
-            return "height"
-        stages = (_SETTINGS.without,)
+        stages, heights = (_SETTINGS.without,), self._without[0][1].ee_pose[:, 2]
+        beyond = not heights.min() <= goal[2] <= heights.max()
         for name, postures in self._without:
             if not len(self._search(goal, stages, postures=postures)[0]):
-                return name
+                return "height" if name == "orientation" and beyond else name
         if solids is None or not len(self._search(goal, stages)[0]):
             return "torque" if self.solver.gravity.limited else "self-collision"
         blocked = start is not None and len(self._search(goal, stages, solids)[0]) > 0
