@@ -117,8 +117,8 @@ def deploy(  # noqa: PLR0913 - options of the command
     config = _read_config(DeployConfig, "deploy", model, guards, filters, settings, late=late)
     follower: tuple[CommandFilter, ...] = ()
     if plan is not None:
-        if task is not None or goal is not None or generator is not None or policy is not None:
-            raise KinfeasError("'plan' excludes a policy, 'goal', 'generator' and 'task'")
+        if any(each is not None for each in (policy, goal, rpy, quaternion, generator, task)):
+            raise KinfeasError("'plan' excludes a policy, a goal, 'generator' and 'task'")
         policy, (motion_task, follower) = (
             "stationary",
             _plan_task(plan, robot, 1.0 / checked(Rate, rate, "rate")),

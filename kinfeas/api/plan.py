@@ -27,6 +27,7 @@ from kinfeas.planning.reach import BasePlacer
 from kinfeas.planning.whole_body import Moments, State, plan_along
 from kinfeas.plugins.waypoints import read_waypoints
 from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
 
 _BASE = ("x", "y", "yaw")
@@ -124,7 +125,7 @@ def plan(  # noqa: PLR0913 - options of the command
     step: float = HORIZON,
     start: Sequence[float] | None = None,
     joints: Sequence[float] | None = None,
-    scene: Name | None = None,
+    scene: Name | Scene | None = None,
     solids: Solids | None = None,
     settings: Settings | None = None,
 ) -> Plan:
@@ -141,7 +142,7 @@ def plan(  # noqa: PLR0913 - options of the command
         start: x, y and yaw of the base now. The EE moves from there to the first pose of a file. By
             default the robot begins at one of the best base poses for it.
         joints: Arm joints now, shape (j,), radians or metres; those of home by default.
-        scene: Scene by name or YAML file, whose furniture base and arm avoid.
+        scene: Scene, or its name or YAML file, whose furniture base and arm avoid.
         solids: Other solids, in the world, one row.
         settings: Parameters of the motion generator, such as `max_velocity`.
 
@@ -165,7 +166,7 @@ def plan(  # noqa: PLR0913 - options of the command
     return Plan(**vars(moments), robot=placer.solver.robot, solids=around)
 
 
-def load_plan(path: Name, robot: Name, *, scene: Name | None = None) -> Plan:
+def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> Plan:
     """Return the plan of a file for a robot; a scene is drawn with it.
 
     Raises:

@@ -13,14 +13,14 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose
 from kinfeas.planning.reach import BasePlacer, Placement
-from kinfeas.scenes.scene import furniture_solids, read_scene, solid_names
+from kinfeas.scenes.scene import Scene, furniture_solids, read_scene, solid_names
 
 
 def reach(  # noqa: PLR0913 - options of the command
     robot: Name | BasePlacer,
     poses: ArrayLike,
     *,
-    scene: Name | None = None,
+    scene: Name | Scene | None = None,
     solids: Solids | None = None,
     start: Sequence[float] | None = None,
     k: int = 8,
@@ -33,7 +33,7 @@ def reach(  # noqa: PLR0913 - options of the command
     Args:
         robot: Name or folder. A `BasePlacer` of `kinfeas.planning.reach` answers many calls sooner.
         poses: World poses of the EE, shape (n, 7).
-        scene: Scene by name or YAML file, whose furniture base and arm avoid.
+        scene: Scene, or its name or YAML file, whose furniture base and arm avoid.
         solids: Other solids, in the world, one row.
         start: x, y and yaw of the base, metres and radians, from which base poses must be
             connected among solids.
@@ -87,11 +87,13 @@ def base_pose(planar: Sequence[float], name: str) -> Array:
     return planar_pose(x, y, heading)
 
 
-def surroundings(scene: Name | None, solids: Solids | None) -> tuple[Solids | None, list[str]]:
+def surroundings(
+    scene: Name | Scene | None, solids: Solids | None
+) -> tuple[Solids | None, list[str]]:
     """Return one row of solids, the furniture of a scene first, and their names; None for none."""
     if scene is None:
         return solids, [f"solid {k}" for k in range(0 if solids is None else solids.places)]
-    layout = read_scene(str(scene))
+    layout = scene if isinstance(scene, Scene) else read_scene(str(scene))
     furniture, names = furniture_solids(layout), solid_names(layout)
     if solids is None:
         return furniture, names
@@ -103,7 +105,7 @@ def reach_map(
     robot: Name,
     pose: ArrayLike,
     *,
-    scene: Name | None = None,
+    scene: Name | Scene | None = None,
     solids: Solids | None = None,
     start: Sequence[float] | None = None,
 ) -> bytes:

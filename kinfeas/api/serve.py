@@ -68,9 +68,8 @@ class PlanningServer(HTTPServer):
         Raises:
             KinfeasError: If there is no such robot or scene, or the port is in use.
         """
-        self._placer, self._scene = BasePlacer(load_robot(robot)), scene
-        if scene is not None:
-            read_scene(str(scene))  # so that errors come at once
+        self._placer = BasePlacer(load_robot(robot))
+        self._scene = None if scene is None else read_scene(str(scene))
         self.access = Access("127.0.0.1", port)
         super().__init__(("127.0.0.1", port), _Handler, bind_and_activate=False)
         self.socket.close()

@@ -11,7 +11,7 @@ from kinfeas.cli.reach import START, Planar
 def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.RobotName = "pr2",
     path: Path = option(..., "EE poses, as of the generator waypoints.", metavar="FILE"),
-    out: Path = file_option(..., "New file of the plan.", ".csv"),
+    out: Path = file_option(..., "File of the plan.", ".csv"),
     scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
     start: Planar | None = option(
         None,
