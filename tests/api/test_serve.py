@@ -15,7 +15,7 @@ BOX = [1.0, 0.5, 0.0, 0.2, 0.2, 0.6, 1.0, 0.0, 0.0, 0.0, 0.0]
 def post():
     """Return a function that posts data, or bytes, and returns status and answer."""
     with PlanningServer("hsr", "room", 0) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
         thread.start()
 
         def send(path, data, **headers):
