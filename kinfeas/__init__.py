@@ -7,8 +7,9 @@ __version__ = "0.3.0"
 
 _MODULES = {
     "ceiling": "evaluate", "deploy": "deploy", "evaluate": "evaluate", "export": "load",
-    "fit": "fit", "identify": "identify", "load_policy": "load", "load_robot": "load",
-    "resume": "train", "servo": "deploy", "train": "train", "view": "view",
+    "fit": "fit", "identify": "identify", "load_plan": "plan", "load_policy": "load",
+    "load_robot": "load", "plan": "plan", "reach": "reach", "resume": "train", "servo": "deploy",
+    "train": "train", "view": "view",
 }  # fmt: skip
 """Module of `kinfeas.api` that has a function."""
 

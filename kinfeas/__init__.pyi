@@ -3,6 +3,8 @@ from kinfeas.api.evaluate import ceiling, evaluate
 from kinfeas.api.fit import fit
 from kinfeas.api.identify import identify
 from kinfeas.api.load import export, load_policy, load_robot
+from kinfeas.api.plan import load_plan, plan
+from kinfeas.api.reach import reach
 from kinfeas.api.train import resume, train
 from kinfeas.api.view import view
 
@@ -14,8 +16,11 @@ __all__ = [
     "export",
     "fit",
     "identify",
+    "load_plan",
     "load_policy",
     "load_robot",
+    "plan",
+    "reach",
     "resume",
     "servo",
     "train",

@@ -202,6 +202,12 @@ def furniture_solids(scene: Scene, grasped: tuple[str, str] | None = None) -> So
     return solids
 
 
+def solid_names(scene: Scene) -> list[str]:
+    """Return the object of each of `furniture_solids`."""
+    objects = scene.objects.items()
+    return [name for name, entry in objects if entry.fixed for _ in entry.shapes()]
+
+
 def _moved_with(scene_object: SceneObject, link: str) -> frozenset[str]:
     """Return the links that the nearest moving joint above a link carries."""
     joint = moving_joint(scene_object.urdf, link)

@@ -12,6 +12,8 @@ from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from kinfeas.api import Name
 from kinfeas.api.load import (
     checked,
@@ -21,25 +23,30 @@ from kinfeas.api.load import (
     robot_of,
     text_of,
 )
+from kinfeas.api.plan import load_plan
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
 from kinfeas.config import load as load_config
 from kinfeas.config.quantities import NotNegative, Quaternion, Rate, Seed, Vector
 from kinfeas.config.recipes import default_engine, section
 from kinfeas.control.assemble import respond_late
+from kinfeas.control.filters.path_planner import PlanFollower
+from kinfeas.control.period import CommandFilter
 from kinfeas.core import registry
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_note
 from kinfeas.core.registry import from_anywhere
+from kinfeas.core.spatial import distance
 from kinfeas.core.start import episode_rng
 from kinfeas.io.files import writing
 from kinfeas.io.run_log import About, Recorder
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.planning.base_path import BasePath
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards, ServoConfig
-from kinfeas.sim2real.deploy.goal_task import make_goal_task
+from kinfeas.sim2real.deploy.goal_task import GoalTask, make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Code, Outcome, Setup, TaskWithObjects
 from kinfeas.sim2real.deploy.runtime import deploy as run
@@ -70,8 +77,9 @@ class Deployment:
 
 
 def deploy(  # noqa: PLR0913 - options of the command
-    policy: Name,
+    policy: Name | None = None,
     *,
+    plan: Name | None = None,
     robot: Name | None = None,
     backend: str | None = None,
     goal: Sequence[float] | None = None,
@@ -95,17 +103,27 @@ def deploy(  # noqa: PLR0913 - options of the command
     Example: `kinfeas.deploy("pretrained", backend="analytic", goal=(0.8, -0.2, 0.9)).outcome.code`
 
     Arguments are the options of the command: the goal in metres, its orientation in radians or as a
-    quaternion xyzw. `settings` are values by key of `DeployConfig`. `on_start` is called when all
-    parts are prepared.
+    quaternion xyzw; a `plan` replaces goal, task and policy. `settings` are values by key of
+    `DeployConfig`. `on_start` is called when all parts are prepared.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
     """
+    if policy is None and plan is None:
+        raise KinfeasError("give a policy or a 'plan'")
     robot = robot or robot_of(policy)
     model = load_robot(robot)
     late = respond_late(read_adapters(adapters)) or not model.response.immediate
     config = _read_config(DeployConfig, "deploy", model, guards, filters, settings, late=late)
-    if task is None:
+    follower: tuple[CommandFilter, ...] = ()
+    if plan is not None:
+        if any(each is not None for each in (policy, goal, rpy, quaternion, generator, task)):
+            raise KinfeasError("'plan' excludes a policy, a goal, 'generator' and 'task'")
+        policy, (motion_task, follower) = (
+            "stationary",
+            _plan_task(plan, robot, 1.0 / checked(Rate, rate, "rate")),
+        )
+    elif task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)
     elif any(each is not None for each in (goal, rpy, quaternion)) or generator or config.generator:
         raise KinfeasError("'task' excludes 'goal', 'rpy', 'quaternion' and 'generator'")
@@ -115,9 +133,10 @@ def deploy(  # noqa: PLR0913 - options of the command
         motion_task = load_task(str(task), config.task)
     backend = backend or default_engine()
     setup = _make_setup(
-        policy, model, backend, motion_task, config, record, adapters=read_adapters(adapters),
+        policy or "", model, backend, motion_task, config, record, adapters=read_adapters(adapters),
         rate=rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
+    setup = replace(setup, filters=(*follower, *setup.filters))
     on_start()
     return recorded(setup, str(robot), str(policy), backend, record)
 
@@ -249,6 +268,21 @@ def _goal_task(
         return make_goal_task(position, checked(Quaternion, list(quaternion), "quaternion"), motion)
     orientation = None if rpy is None else checked(Vector, list(rpy), "rpy")
     return make_goal_task(position, orientation, motion)
+
+
+def _plan_task(file: Name, robot: Name, dt: float) -> tuple[Task, tuple[CommandFilter, ...]]:
+    """Return the EE motion of a plan as a task that begins at its start, and what follows it."""
+    plan, parameters = load_plan(file, robot), {"file": str(file), "frame": "world"}
+    seconds = np.diff(plan.time)
+    apart = distance(plan.ee_pose[:-1], plan.ee_pose[1:])
+    limits = [max(2.0 * float((each / seconds).max()), 1e-3) for each in apart]
+    names = ("max_velocity", "max_angular_velocity")
+    motion = MotionSpec("replay", {**parameters, **dict(zip(names, limits, strict=True))})
+    goal, start = plan.ee_pose[-1], (plan.base_pose[0], plan.joint_positions[0])
+    robots, ones = np.hstack([plan.base, plan.joint_positions]), np.ones(len(plan.time))
+    path = BasePath(plan.ee_pose, float(seconds.mean()), 0.0, plan.time, robots, ones)
+    follower = PlanFollower(plan.robot, dt, path)
+    return GoalTask(goal[:3], goal[3:], motion, "plan", start), (follower,)
 
 
 def _make_setup(  # noqa: PLR0913 - the parts of a run

@@ -21,8 +21,11 @@ Four = tuple[float, float, float, float]
 
 
 def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
-    policy: options.PolicyArgument,
+    policy: options.OptionalPolicy = None,
     robot: options.PolicyRobotName = None,
+    plan: Path | None = option(
+        None, "In place of policy and goal: a file of kinfeas plan.", metavar="FILE.csv"
+    ),
     backend: options.RobotBackend = None,
     goal: Three | None = option(None, "EE goal in the world frame, metres.", metavar="X Y Z"),
     rpy: Three | None = option(None, "Orientation, rad.  [default: unchanged]", metavar="R P Y"),
@@ -43,7 +46,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Run a policy on a robot, behind guards, and record the run as CSV.
+    """Run a policy or a plan on a robot, behind guards, and record the run as CSV.
 
     Settings: guards.KEY, time_scale, head_start, arm_settle_timeout, ik.KEY, generator.KEY,
     task.KEY, backend.KEY, scene; see docs/deploy.md.
@@ -57,10 +60,11 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     with status("preparing") as preparing:
         done = api.deploy(
-            policy, robot=robot, backend=backend, goal=goal, rpy=rpy, quaternion=quaternion,
-            generator=generator, task=task, rate=rate, seconds=seconds, seed=seed, record=record,
-            adapters=adapters, guards=guards, real_time=not no_real_time, filters=filters,
-            settings=options.read_settings(overrides), on_start=preparing.stop,
+            policy, plan=plan, robot=robot, backend=backend, goal=goal, rpy=rpy,
+            quaternion=quaternion, generator=generator, task=task, rate=rate, seconds=seconds,
+            seed=seed, record=record, adapters=adapters, guards=guards,
+            real_time=not no_real_time, filters=filters, settings=options.read_settings(overrides),
+            on_start=preparing.stop,
         )  # fmt: skip
     raise typer.Exit(report(done, json))
 

@@ -97,7 +97,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas ceiling --robot pr2 --task door --path --episodes 100
     """
     from kinfeas.api import evaluate as api
-    from kinfeas.planning.placement import LIMITS
+    from kinfeas.planning.reach import LIMITS
 
     settings = options.read_settings(overrides)
     with progress() as on_progress:

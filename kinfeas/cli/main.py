@@ -18,9 +18,12 @@ from kinfeas.cli.deploy import deploy, servo
 from kinfeas.cli.evaluate import ceiling, evaluate
 from kinfeas.cli.export import export
 from kinfeas.cli.identify import identify
+from kinfeas.cli.plan import plan
 from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
+from kinfeas.cli.reach import reach
 from kinfeas.cli.robot import app as robot
+from kinfeas.cli.serve import serve
 from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
@@ -34,8 +37,8 @@ app = typer.Typer(
     context_settings={"max_content_width": 100},
 )
 for _command in (
-    demo, train, sweep, evaluate, benchmark, ceiling, export, deploy, servo,
-    identify, play, simulate, view, fit, dataset,
+    demo, train, sweep, evaluate, benchmark, ceiling, reach, plan, export, deploy, servo,
+    identify, play, serve, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(plugins, name="plugins")

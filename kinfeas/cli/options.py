@@ -70,6 +70,7 @@ PolicyRobotName = Annotated[str | None, option(..., f"{ROBOT}  [default: that of
 TaskName = Annotated[str, option(..., TASK)]
 PolicyName = Annotated[str, option(..., _POLICIES)]
 PolicyArgument = Annotated[str, argument(..., _POLICIES)]
+OptionalPolicy = Annotated[str | None, argument(..., _POLICIES)]
 World = Annotated[str, option(..., "Backend: analytic, pybullet, mujoco, or a plugin.")]
 Episodes = Annotated[int, option(..., "Number of episodes.", min=1, max=MOST_EPISODES)]
 Seed = Annotated[int, option(..., "Random seed.", min=0, max=LAST_SEED)]

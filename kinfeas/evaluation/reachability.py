@@ -16,13 +16,8 @@ from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng, stacked
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.planning.placement import (
-    STAGES,
-    Reachability,
-    at_goals,
-    limits_of,
-    reachable,
-)
+from kinfeas.planning.placement import STAGES, Reachability, at_goals, reachable
+from kinfeas.planning.reach import BasePlacer
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals, sample_start
 
@@ -116,9 +111,10 @@ def _limits(
         missed_before[episodes, numbers] = True
         if episodes.size:
             first = numbers * each.shape[2] + np.argmin(each[episodes, numbers], axis=1)
-            named = limits_of(solver, poses[episodes, first], drawn[1].of(episodes))
-            for number, limit in zip(numbers.tolist(), named, strict=True):
-                counts[number][limit] += 1
+            placer, missed = BasePlacer(solver.robot, solver.options), poses[episodes, first]
+            for number, episode, pose in zip(numbers.tolist(), episodes, missed, strict=True):
+                start = drawn[1].of(np.array([episode]))
+                counts[number][placer.limit(pose, start.solids, start.base_pose[0])] += 1
     return tuple(dict(count) for count in counts)
 
 

@@ -21,14 +21,6 @@ from kinfeas.planning.base_lattice import driving_costs
 from kinfeas.robots.robot import Robot
 
 STAGES = (4, 16, 64, 256, 1024)  # base poses tried around a goal by the end of each stage
-LIMITS = {  # reasons for which a goal is out of reach
-    "height": "above or below the heights of the EE",
-    "orientation": "no arm configuration has this height and tilt",
-    "self-collision": "arm configurations touch the robot",
-    "solids": "solids are in the way of base or arm",
-}
-
-_LIFTED = (256,)  # base poses that are tried without a limit
 
 
 @dataclass(frozen=True)
@@ -49,7 +41,7 @@ _SETTINGS = PlacementSettings()
 class Reachability:
     """Reached goals.
 
-    `limits` are the numbers of goals out of reach for each sub-goal, by `LIMITS`, or empty.
+    `limits` are the numbers of goals out of reach for each sub-goal, by `reach.LIMITS`, or empty.
     """
 
     reached: NDArray[np.bool_]  # whether a base pose was found for each goal, shape (n,)
@@ -105,35 +97,14 @@ def reachable(
     return Reachability(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
 
 
-def limits_of(solver: IkSolver, goals: Array, start: Start | None = None) -> list[str]:
-    """Return the reason for which each goal is out of reach, one of `LIMITS`, (n, 7) -> n.
-
-    It is the first of solids and self-collision without which a goal is reached; the arguments are
-    those of `reachable`.
-    """
-    heights = Postures(solver).ee_pose[:, 2]
-    z, slack = goals[:, 2], solver.options.position_tolerance
-    beyond = (z < heights.min() - slack) | (z > heights.max() + slack)
-    limits = np.where(beyond, "height", "orientation").astype(object)
-    lifted = [
-        ("self-collision", IkSolver(solver.robot, replace(solver.options, self_collision=False)))
-    ]
-    if start is not None and start.solids is not None:
-        lifted.insert(0, ("solids", solver))
-    for name, without in lifted:
-        rows = np.flatnonzero(limits == "orientation")
-        if rows.size:
-            limits[rows[reachable(without, goals[rows], _LIFTED).reached]] = name
-    return limits.tolist()
-
-
 class Postures:
-    """Admissible arm configurations that propose base poses."""
+    """Arm configurations that propose base poses, admissible unless self-collision is ignored."""
 
     def __init__(self, solver: IkSolver) -> None:
         joints = spread_configurations(solver.robot, _SETTINGS.postures, _SETTINGS.seed)
-        self.solver = solver
-        self.joints = joints[solver.admissible(joints)]
+        self.solver, options = solver, replace(solver.options, restarts=0, library=1)
+        self._local_solver = IkSolver(solver.robot, options)
+        self.joints = joints[solver.admissible(joints)] if options.self_collision else joints
         self.ee_pose = forward(solver.chain, self.joints)
         self.rotations = rotation(self.ee_pose).as_matrix()
         self.footprint = footprint(solver.collision)
@@ -148,9 +119,17 @@ class Postures:
         return len(self.solve(goal, proposals, solids)[0]) > 0
 
     def solve(
-        self, goal: Array, proposals: tuple[Array, Array], solids: Solids | None
+        self,
+        goal: Array,
+        proposals: tuple[Array, Array],
+        solids: Solids | None,
+        *,
+        restarts: bool = True,
     ) -> tuple[Array, Array]:
-        """Return proposals that reach `goal` among one row of solids, with the arms that do."""
+        """Return proposals that reach `goal` among one row of solids, with the arms that do.
+
+        Without restarts, which take most of the time, IK begins only at the proposed arms.
+        """
         base, joints = proposals
         among = None
         if solids is not None:
@@ -160,7 +139,8 @@ class Postures:
             base, joints = base[rows], joints[rows]
             among = in_base(solids.repeated(len(base)), base)
         targets = relative(np.broadcast_to(goal, base.shape), base)
-        arm = self.solver.solve(targets, joints, solids=among)
+        solver = self.solver if restarts else self._local_solver
+        arm = solver.solve(targets, joints, solids=among)
         return base[arm.feasible], arm.joint_positions[arm.feasible]
 
     def around(self, goal: Array, first: int, last: int) -> tuple[Array, Array]:

@@ -59,7 +59,7 @@ def episodes_figure(
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
             for solids in furniture:
-                _draw_outline(top, shapes.corners(solids), _FURNITURE, 1.8)
+                draw_outline(top, shapes.corners(solids), _FURNITURE, 1.8)
             _draw_top(top, robot, recording)
         columns = {1: 3, 2: 4}.get(count, 7)
         handles: list[Artist] = [*_legend()]
@@ -154,12 +154,12 @@ def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
     for moment, opacity in ((0, 0.2), (-1, 0.75)):  # pale where they began
         for solid in _solids_near(recording, moment):
             colour = (*to_rgb(solid.colour[:7]), opacity)
-            _draw_outline(axes, shapes.corners([solid]), colour, 1.8)
+            draw_outline(axes, shapes.corners([solid]), colour, 1.8)
     for moment, body, arm in _fading(recording):
         solids = robot_at(robot, recording, moment, (body, arm))
         carried = [solid for solid in solids if solid.colour == body]
         if carried:
-            _draw_outline(axes, shapes.corners(carried), (*to_rgb(body), 0.55), 2.0)
+            draw_outline(axes, shapes.corners(carried), (*to_rgb(body), 0.55), 2.0)
         reach = np.stack([recording.base_pose[moment, :2], recording.ee_pose[moment, :2]])
         axes.plot(*reach.T, color=arm, lw=3.0, zorder=5)
     _draw_paths(axes, recording)
@@ -174,7 +174,8 @@ def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
     axes.set(xlabel="x (m)", ylabel="y (m)")
 
 
-def _draw_outline(axes: Axes, points: Array, colour: tuple[float, ...], order: float) -> None:
+def draw_outline(axes: Axes, points: Array, colour: tuple[float, ...], order: float) -> None:
+    """Draw the outline of points (k, 3) as seen from above; `order` is that of drawing."""
     outline = points[ConvexHull(points[:, :2]).vertices, :2]
     axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="#9aa2ad", lw=0.9, zorder=order))
 

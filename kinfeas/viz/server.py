@@ -4,15 +4,11 @@ viser accepts websockets from every web site, sets any attribute of a control to
 publish the page through a tunnel, and searches for another port.
 """
 
-import re
-import secrets
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from html import escape
 from http import HTTPStatus
 from io import StringIO
-from ipaddress import ip_address
 from typing import Any
 from unittest.mock import patch
 
@@ -21,59 +17,9 @@ import viser
 import websockets.asyncio.server
 
 from kinfeas.config.quantities import FARTHEST
-from kinfeas.core.errors import KinfeasError
+from kinfeas.viz.access import Access
 
-_LOCAL = ("localhost", "127.0.0.1", "[::1]")
 _TITLE = "<title>Viser</title>"
-
-
-class Access:
-    """A bound address, and which requests to it come from its own page.
-
-    Attributes:
-        listener: Listening socket.
-        url: Address of the page; beyond this computer its path is a random token.
-    """
-
-    def __init__(self, host: str, port: int) -> None:
-        """Listen at the port; errors are those of `serving`."""
-        self.listener = _listen(host, port)
-        address, port = self.listener.getsockname()[:2]
-        bound = ip_address(address)
-        self._token = "" if bound.is_loopback else secrets.token_urlsafe(16)
-        self._any_address = bound.is_unspecified
-        name = _own_address() if self._any_address else host
-        names = {*_LOCAL, _bracketed(host), _bracketed(address), _bracketed(name)}
-        if self._any_address:
-            names |= {socket.gethostname(), f"{socket.gethostname()}.local"}
-        self._names = {name.lower() for name in names}
-        self.url = f"http://{_bracketed(name)}:{port}/{self._token}".rstrip("/")
-
-    def allows(self, request: Any) -> bool:
-        """Return whether a request, also for a websocket, is one of the page or its reader.
-
-        A web site in the same browser reaches this address, too. Its websockets have its own
-        Origin; under a domain name that it points here, they have that name as Host. It can link
-        to the page, but a query would make viser's client run another server's messages.
-        """
-        host = ",".join(request.headers.get_all("Host")).lower()
-        origins = request.headers.get_all("Origin")  # none in programs, and if one opens the page
-        path, _, query = request.path.partition("?")
-        return (
-            self._is_here(re.sub(r":\d+$", "", host))
-            and all(origin.lower() in {f"http://{host}", f"https://{host}"} for origin in origins)
-            and secrets.compare_digest(ascii(path.strip("/")), ascii(self._token))
-            and query in {"", f"websocket=ws://{host}/{self._token}"}  # viser adds the second
-        )
-
-    def _is_here(self, name: str) -> bool:
-        if name in self._names:
-            return True
-        try:
-            ip_address(name.strip("[]"))
-        except ValueError:
-            return False
-        return self._any_address  # an address is no name that points elsewhere next time
 
 
 class PageServer(viser.ViserServer):
@@ -125,7 +71,8 @@ class PageServer(viser.ViserServer):
 
     def _respond(self, process_request: Any, connection: Any, request: Any) -> Any:
         """Return the response to a request; None lets a websocket begin."""
-        if not (self._open and self._access.allows(request)):
+        hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+        if not (self._open and self._access.allows(request.path, hosts, origins)):
             text = "This page opens only at the address that kinfeas printed.\n"
             return connection.respond(HTTPStatus.FORBIDDEN, text)
         request.path = "/"
@@ -171,30 +118,3 @@ def serving(title: str, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    try:
-        family, *_, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        dual = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
-        return socket.create_server(
-            (address[0], port, *address[2:]), family=family, dualstack_ipv6=dual
-        )
-    except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise KinfeasError(f"host {host!r}, port {port}: {reason}") from error
-
-
-def _own_address() -> str:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))  # for documentation; nothing is sent
-        except OSError:
-            return "localhost"
-        return str(probe.getsockname()[0])
-
-
-def _bracketed(host: str) -> str:
-    return f"[{host}]" if ":" in host else host

@@ -21,19 +21,21 @@ from kinfeas.tasks.task import MotionSpec, Subgoal, Task, sample_start
 
 @dataclass(frozen=True, eq=False)
 class GoalTask:
-    """One motion of the EE to a given pose, from the origin with the arm at home.
+    """One motion of the EE to a given pose, by default from the origin with the arm at home.
 
     Attributes:
         goal: World position, shape (3,), metres.
         orientation: Unit quaternion xyzw, shape (4,); that of the start if None.
         motion: Motion generator.
         name: Task name.
+        origin: World pose of the base, shape (7,), and arm joints, shape (j,), of the start.
     """
 
     goal: Array
     orientation: Array | None = None
     motion: MotionSpec = field(default_factory=MotionSpec)
     name: str = "goal"
+    origin: tuple[Array, Array] | None = None
 
     @property
     def subgoals(self) -> tuple[Subgoal, ...]:
@@ -41,8 +43,9 @@ class GoalTask:
         return (Subgoal(self.motion),)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return the start at the origin, without leading axes."""
-        start = Start(spatial.IDENTITY, solver.robot.home["home"], np.empty((1, 7)))
+        """Return the start, without leading axes."""
+        base, joints = self.origin or (spatial.IDENTITY, solver.robot.home["home"])
+        start = Start(base, joints, np.empty((1, 7)))
         return self.aimed(solver, start)
 
     def aimed(self, solver: IkSolver, start: Start) -> Start:

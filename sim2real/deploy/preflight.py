@@ -21,7 +21,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.planning.placement import reachable
+from kinfeas.planning.reach import BasePlacer
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.tasks.task import Task, build_subgoals
@@ -84,14 +84,16 @@ def _check_reach(solver: IkSolver, goals: Array) -> None:
         position_tolerance=max(options.position_tolerance, GOAL_METRES),
         rotation_tolerance=max(options.rotation_tolerance, GOAL_RADIANS),
     )  # fmt: skip
-    reached = reachable(IkSolver(solver.robot, options), goals).reached
-    if reached.all():
+    placer = BasePlacer(solver.robot, options)
+    reasons = [placer.place(goal, count=1).reason for goal in goals]
+    if not any(reasons):
         return
-    first = int(np.argmin(reached))
+    first = next(number for number, reason in enumerate(reasons) if reason)
     goal = "the goal" if len(goals) == 1 else f"the end of sub-goal {first + 1} of {len(goals)}"
     numbers = np.round([*goals[first, :3], *spatial.rpy(goals[first])], 3)
     x, y, z, roll, pitch, yaw = (f"{value + 0.0:g}" for value in numbers)
     raise KinfeasError(
         f"no base pose was found from which the arm reaches {goal}, x {x}, y {y}, z {z} m, roll "
-        f"{roll}, pitch {pitch}, yaw {yaw} rad; --set guards.reach=false skips this check"
+        f"{roll}, pitch {pitch}, yaw {yaw} rad ({reasons[first]}); --set guards.reach=false skips "
+        "this check"
     )

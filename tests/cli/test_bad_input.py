@@ -44,6 +44,20 @@ INPUT = {
         ("--resume nowhere", "nowhere"),
         ("--resume nowhere --seed 1", "--resume"),
     ],
+    "reach": [
+        ("", "--pose"),
+        ("--pose 1 0 nan 0 0 0", "finite"),
+        ("--poses none.csv", "none.csv"),
+        ("--pose 1 0 0.8 0 0 0 --scene rom", "'room'"),
+        ("--pose 1 0 0.8 0 0 0 --robot pr3", "'pr3'"),
+        ("--pose 1 0 0.8 0 0 0 --picture reach.txt", "reach.txt"),
+    ],
+    "plan --out plan.csv": [
+        ("", "--path"),
+        ("--path none.csv", "none.csv"),
+        ("--path none.txt", "none.txt"),
+        ("--path none.csv --html plan.png", "plan.png"),
+    ],
     "benchmark --out out --processes 1 --config study.yaml": [
         ("--config benchmark/none", "study"),
         (f"--world {ENGINE}", "--world"),

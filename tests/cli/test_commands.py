@@ -74,6 +74,18 @@ def test_own_scene_as_table_picture_and_page(kinfeas, tmp_path):
     assert (tmp_path / "mine.html").stat().st_size > 1000
 
 
+def test_base_poses_of_an_ee_pose_or_the_object_in_the_way(kinfeas, tmp_path):
+    words = ("reach", "--robot", "hsr", "--scene", "room", "--json", "reach.json")
+    kinfeas(*words, "--pose", "1", "0", "0.8", *"000", "--picture", "map.png", code=0)
+    (answer,) = json.loads((tmp_path / "reach.json").read_text())
+    assert (len(answer["base_pose"]), answer["limit"]) == (8, "")
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+    told = kinfeas(*words, "--pose", "3", "0", "0.55", *"000", code=0)
+    (answer,) = json.loads((tmp_path / "reach.json").read_text())
+    assert (answer["reachable"], answer["solids"]) == (False, ["pick_table"])
+    assert "pick_table" in told.out
+
+
 def test_replay_of_a_run(kinfeas, record, tmp_path):
     kinfeas("view", "--record", "run.csv", "--picture", "run.png", "--json", "run.json", code=0)
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")

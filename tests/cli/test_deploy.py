@@ -4,8 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from kinfeas.api.plan import load_plan
 from kinfeas.config.recipes import ENGINES
 from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.tasks.loading import load_task
@@ -34,6 +36,29 @@ def test_goal_is_reached_and_recorded(run, tmp_path):
     assert REACHED in done.out
     assert record.event[-1] == REACHED
     assert json.loads((tmp_path / "run.json").read_text())["reason"] == REACHED
+
+
+EE_PATH = "time,x,y,z,qx,qy,qz,qw\n0,1.5,0,0.8,0,0,0,1\n4,1.8,0.2,0.8,0,0,0.0499792,0.9987503\n"
+
+
+def test_a_plan_is_carried_out_by_base_and_arm(kinfeas, run, tmp_path):
+    (tmp_path / "ee.csv").write_text(EE_PATH)
+    words = ("--robot", "hsr", "--path", "ee.csv", "--out", "plan.csv", "--scene", "room")
+    kinfeas("plan", *words, "--picture", "plan.png", "--json", "plan.json", code=0)
+    assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
+    assert set(json.loads((tmp_path / "plan.json").read_text())) > {"joint_trajectory", "base_path"}
+    plan = load_plan("plan.csv", "hsr")
+    _, record = run("--plan", "plan.csv", *HSR, "--backend", "analytic", code=0)
+    assert record.feasible.all()
+    for name, most in (("base_pose", 0.05), ("joint_positions", 0.3)):  # bases have inertia
+        planned = np.stack([np.interp(record.time, plan.time, x) for x in getattr(plan, name).T], 1)
+        deviation = np.abs(getattr(record, name) - planned)
+        assert deviation.max() < most
+        assert np.median(deviation) < 0.02
+    elsewhere = (tmp_path / "plan.csv").read_text().replace("arm_lift_joint", "arm_joint")
+    (tmp_path / "plan.csv").write_text(elsewhere)
+    assert "arm_lift_joint" in kinfeas("deploy", "--plan", "plan.csv", *HSR, code=2).err
+    assert "policy" in kinfeas("deploy", "pretrained", "--plan", "plan.csv", *HSR, code=2).err
 
 
 @pytest.mark.parametrize("engine", ENGINES)

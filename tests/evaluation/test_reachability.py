@@ -5,11 +5,8 @@ import pytest
 
 from kinfeas import config
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.solids import Solids
-from kinfeas.core.start import Start
 from kinfeas.evaluation.reachability import measure_reachability
-from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.planning.placement import limits_of
+from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
@@ -60,15 +57,6 @@ def test_limits_name_the_sub_goal_and_what_keeps_it_out_of_reach():
         limits = measure_reachability(robot, turned, 2, 0, path=path, limits=True).limits
         assert limits[1] == {"orientation": 2}
     assert measure_reachability(robot, task, 2, 0).limits == ()
-
-
-def test_solids_and_the_robot_itself_are_told_apart():
-    robot = load_robot("pr2")
-    solver = IkSolver(robot)
-    goal = np.array([[0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0]])
-    box = Solids.from_table(np.array([[0.0, 0.0, 0, 0.5, 0.5, 0.7, 0.9, 0, 0, 0, 0]]))
-    start = Start(np.array([[-2.0, 0, 0, 0, 0, 0, 1]]), robot.home["home"][np.newaxis], goal, box)
-    assert limits_of(solver, goal, start) == ["solids"]
 
 
 def test_paths_are_harder_than_goals():

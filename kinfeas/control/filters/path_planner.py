@@ -1,5 +1,6 @@
 """The path planner: base and arm follow a path that is planned for the whole EE motion."""
 
+from collections.abc import Mapping
 from concurrent.futures import Executor, Future
 
 import numpy as np
@@ -9,11 +10,12 @@ from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.period import Period
 from kinfeas.control.targets import TargetStream
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.spatial import Array, distance, wrap, yaw
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_path import BasePath, BasePathPlanner
-from kinfeas.robots.robot import Base, joint_displacement
+from kinfeas.robots.robot import Base, Robot, joint_displacement
 
 _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.1, 0.7
 """Deviations of EE, base and arm from a path beyond which it is planned anew, metres and radians or
@@ -56,7 +58,7 @@ class PathPlanner:
         executor: Executor | None = None,
     ) -> None:
         self._planner, self._robot = BasePathPlanner(solver), solver.robot
-        self._idle = stream is not None
+        self._follower, self._idle = PathFollower(solver.robot, dt), stream is not None
         self._dt, self._time_scale, self._executor = dt, execution.time_scale, executor
         self._paths: dict[int, BasePath] = {}
         self._search: Future[dict[int, BasePath | None]] | None = None
@@ -89,23 +91,7 @@ class PathPlanner:
         self._paths = {
             row: path for row, path in self._paths.items() if elapsed[row] < path.seconds[-1]
         }
-        rows = np.array(list(self._paths), dtype=np.intp)
-        if not rows.size:
-            return period
-        scale = period.time_scale.copy()
-        scale[rows] *= [path.time_scale_at(elapsed[row]) for row, path in self._paths.items()]
-        if (scale != period.time_scale).any():
-            period = period.slowed(scale)
-        now = self._robots(rows, elapsed[rows])
-        then = self._robots(rows, elapsed[rows] + period.motion_seconds[rows])
-        guide = period.posture_guide
-        guide = np.full_like(period.joints, np.nan) if guide is None else guide
-        base, base_pose = self._robot.base, period.base_pose[rows]
-        along = follow(base, base_pose, now[:, :3], then[:, :3], self._dt)
-        return period.changed(
-            command=with_rows(period.command, rows, along),
-            posture_guide=with_rows(guide, rows, then[:, 3:]),
-        )
+        return self._follower(period, self._paths)
 
     def _plan(self, rows: Rows, period: Period) -> None:
         motions, subgoal = period.motions, period.motions.subgoal[rows]
@@ -153,19 +139,85 @@ class PathPlanner:
         rows = rows[motions.periods[rows] >= self._again_at[rows]]
         if rows.size:
             elapsed = motions.elapsed
-            robots = self._robots(rows, elapsed[rows])
+            base, arm = off_path(self._robot, period, rows, robots_on(self._paths, rows, elapsed))
             ee = np.stack([self._paths[row].ee_at(elapsed[row]) for row in rows.tolist()])
-            arm = joint_displacement(self._robot, period.joints[rows], robots[:, 3:])
-            base = robots[:, :2] - period.base_pose[rows, :2]
             due[rows] = distance(ee, motions.desired[rows])[0] > _OFF_EE
-            due[rows] |= np.linalg.norm(base, axis=1) > _OFF_BASE
-            due[rows] |= np.abs(arm).max(axis=1) > _OFF_ARM
+            due[rows] |= (base > _OFF_BASE) | (arm > _OFF_ARM)
         return np.flatnonzero(due)
 
-    def _robots(self, rows: Rows, seconds: Array) -> Array:
-        """Return base and arm on the paths of m rows at motion times (m,), shape (m, 3 + j)."""
-        pairs = zip(rows.tolist(), seconds.tolist(), strict=True)
-        return np.stack([self._paths[row].robot_at(when) for row, when in pairs])
+
+class PathFollower:
+    """Moves bases and arms along paths."""
+
+    def __init__(self, robot: Robot, dt: float) -> None:
+        self._robot, self._dt = robot, dt
+
+    def __call__(self, period: Period, paths: Mapping[int, BasePath]) -> Period:
+        """Return the period with the commands of the rows that have a path."""
+        rows = np.array(list(paths), dtype=np.intp)
+        if not rows.size:
+            return period
+        elapsed, scale = period.motions.elapsed, period.time_scale.copy()
+        scale[rows] *= [path.time_scale_at(elapsed[row]) for row, path in paths.items()]
+        if (scale != period.time_scale).any():
+            period = period.slowed(scale)
+        now = robots_on(paths, rows, elapsed)
+        then = robots_on(paths, rows, elapsed + period.motion_seconds)
+        guide = period.posture_guide
+        guide = np.full_like(period.joints, np.nan) if guide is None else guide
+        base, base_pose = self._robot.base, period.base_pose[rows]
+        along = follow(base, base_pose, now[:, :3], then[:, :3], self._dt)
+        return period.changed(
+            command=with_rows(period.command, rows, along),
+            posture_guide=with_rows(guide, rows, then[:, 3:]),
+        )
+
+
+class PlanFollower:
+    """Follows one path, which is known before the motion begins; the policy acts after its end.
+
+    Args:
+        robot: The robot.
+        dt: Control period, seconds.
+        path: Base and arm for all motion times from 0 on.
+    """
+
+    max_batch = 1
+
+    def __init__(self, robot: Robot, dt: float, path: BasePath) -> None:
+        self._robot, self._path, self._follower = robot, path, PathFollower(robot, dt)
+
+    def __call__(self, period: Period) -> Period:
+        """Return the period with the command along the path.
+
+        Raises:
+            KinfeasError: If the robot is not at the beginning of the path when the motion begins.
+        """
+        elapsed, paths = period.motions.elapsed, {0: self._path}
+        if elapsed[0] == 0.0:
+            row = np.zeros(1, dtype=np.intp)
+            base, arm = off_path(self._robot, period, row, robots_on(paths, row, elapsed))
+            if base[0] > _OFF_BASE or arm[0] > _OFF_ARM:
+                raise KinfeasError(
+                    f"the robot is not at the start of the plan: the base is {base[0]:.2f} m and "
+                    f"a joint {arm[0]:.2f} rad or m away"
+                )
+        return self._follower(period, paths if elapsed[0] < self._path.seconds[-1] else {})
+
+
+def robots_on(paths: Mapping[int, BasePath], rows: Rows, seconds: Array) -> Array:
+    """Return base and arm on the paths of m of n rows at motion times (n,), shape (m, 3 + j)."""
+    return np.stack([paths[row].robot_at(float(seconds[row])) for row in rows.tolist()])
+
+
+def off_path(robot: Robot, period: Period, rows: Rows, robots: Array) -> tuple[Array, Array]:
+    """Return how far bases, metres, and arm joints, radians or metres, are from others, (m,) each.
+
+    `robots` have x, y and yaw of the base and arm joints, shape (m, 3 + j).
+    """
+    arm = np.abs(joint_displacement(robot, period.joints[rows], robots[:, 3:])).max(axis=1)
+    base: Array = np.linalg.norm(robots[:, :2] - period.base_pose[rows, :2], axis=1)
+    return base, arm
 
 
 def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float) -> Array:

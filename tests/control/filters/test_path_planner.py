@@ -3,16 +3,22 @@ import itertools
 import numpy as np
 import pytest
 
+from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
-from kinfeas.control.filters.path_planner import follow
+from kinfeas.control.assemble import assemble
+from kinfeas.control.filters.path_planner import PlanFollower, follow
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import integrate, planar_pose
+from kinfeas.core.start import stacked
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.drive import base_twist
-from kinfeas.planning.base_path import BasePathPlanner
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.planning.base_path import BasePath, BasePathPlanner
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.task import build_subgoals
 from tests.builders import assert_near
 
 
@@ -69,6 +75,20 @@ def test_with_targets_that_are_not_known_in_advance_the_policy_acts():
         for filters in (("path_planner",), ())
     )
     np.testing.assert_array_equal(planned.max_deviation, alone.max_deviation)
+
+
+def test_a_robot_elsewhere_does_not_begin_a_plan(pr2):
+    solver, task = IkSolver(pr2), load_task("ggr", {})
+    robots = np.tile([8.0, 0.0, 0.0, *pr2.home["home"]], (2, 1))
+    path = BasePath(np.empty((2, 7)), 1.0, 0.0, np.arange(2.0), robots, np.ones(2))
+    loop = assemble(
+        solver, build_subgoals(task.subgoals), AnalyticBackend(),
+        filters=(PlanFollower(pr2, 0.1, path),), policy=load_policy("stationary", pr2),
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    loop.start(stacked([task.sample(solver, rng)]), [rng])
+    with pytest.raises(KinfeasError, match="not at the start of the plan"):
+        loop.step()
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.2])

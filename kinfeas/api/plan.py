@@ -1,0 +1,244 @@
+"""Plans of base and arm along EE paths, and their files."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinfeas.api import Name
+from kinfeas.api.load import load_robot
+from kinfeas.api.reach import base_pose, ee_poses, surroundings
+from kinfeas.config import Settings
+from kinfeas.control.observation import HORIZON
+from kinfeas.control.sequence import begin_motions
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import IDENTITY, Array, compose, distance, make_pose, relative, rotation
+from kinfeas.core.start import Start
+from kinfeas.evaluation.recording import Recording
+from kinfeas.io.demonstrations import check_samples, columns
+from kinfeas.io.files import read_csv, replacing, write_file
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.planning.reach import BasePlacer
+from kinfeas.planning.whole_body import Moments, State, plan_along
+from kinfeas.plugins.waypoints import read_waypoints
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene
+from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
+
+_BASE = ("x", "y", "yaw")
+_AT_START = 0.02  # distance of the EE from the first pose of a path, metres
+
+
+@dataclass(frozen=True, eq=False)
+class Plan(Moments):
+    """Base, arm and EE at t times, within the velocity limits and free of solids.
+
+    Attributes:
+        robot: The robot.
+        solids: In the world, one row; None without any.
+    """
+
+    robot: Robot
+    solids: Solids | None = None
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the arm joints."""
+        return tuple(joint.name for joint in self.robot.arm)
+
+    def save(self, path: Name) -> None:
+        """Write a CSV file: time, base x y yaw, arm joints by name, and the EE pose.
+
+        `replay` follows the EE poses of the file, `kinfeas deploy --plan` base and arm, too.
+        """
+        names = ["time", *_BASE, *self.joint_names, *columns("ee_pose")]
+        table = np.column_stack([self.time, self.base, self.joint_positions, self.ee_pose])
+        with replacing(Path(path)) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow(names)
+            rows.writerows([[f"{value:.9g}" for value in row] for row in table.tolist()])
+
+    def joint_trajectory(self) -> dict[str, object]:
+        """Return the arm as a trajectory_msgs/JointTrajectory of plain data."""
+        points = [
+            {"positions": joints, "time_from_start": _stamp(seconds)}
+            for joints, seconds in zip(
+                self.joint_positions.tolist(), self.time.tolist(), strict=True
+            )
+        ]
+        return {"header": _header(0.0, ""), "joint_names": list(self.joint_names), "points": points}
+
+    def base_path(self, frame: str = "map") -> dict[str, object]:
+        """Return the base as a nav_msgs/Path of plain data; stamps count from the start."""
+        poses = [
+            {
+                "header": _header(seconds, frame),
+                "pose": {
+                    "position": dict(zip("xyz", pose[:3], strict=True)),
+                    "orientation": dict(zip("xyzw", pose[3:], strict=True)),
+                },
+            }
+            for pose, seconds in zip(self.base_pose.tolist(), self.time.tolist(), strict=True)
+        ]
+        return {"header": _header(0.0, frame), "poses": poses}
+
+    def picture(self, path: Name) -> None:
+        """Draw the plan from the side and from above as PNG."""
+        from kinfeas.viz.episodes import episodes_figure
+        from kinfeas.viz.style import png
+
+        figure = episodes_figure(self.robot, [self._recording()], [self._title()])
+        write_file(Path(path), png(figure, dpi=110))
+
+    def html(self, path: Name) -> None:
+        """Write an interactive page on which the robot moves as planned."""
+        from kinfeas.viz.pages import replay_html
+        from kinfeas.viz.replay import replay_of
+
+        replay = replay_of(self._recording(), self.robot, self._title(), self.time)
+        write_file(Path(path), replay_html(replay).encode())
+
+    def _title(self) -> str:
+        return f"{self.robot.name}, plan of {self.time[-1]:.0f} s"
+
+    def _recording(self) -> Recording:
+        base, joints = self.base_pose, self.joint_positions
+        ee = compose(base, forward(IkSolver(self.robot).chain, joints))
+        feasible = np.ones(len(self.time), dtype=np.bool_)
+        dt = float(self.time[-1]) / max(len(self.time) - 1, 1)
+        return Recording(
+            0, base, joints, self.ee_pose, ee, feasible, self.ee_pose[-1:], reached=True, dt=dt,
+            solids=self.solids,
+        )  # fmt: skip
+
+
+def plan(  # noqa: PLR0913 - options of the command
+    robot: Name | BasePlacer,
+    path: Name | ArrayLike,
+    *,
+    target: ArrayLike | None = None,
+    step: float = HORIZON,
+    start: Sequence[float] | None = None,
+    joints: Sequence[float] | None = None,
+    scene: Name | Scene | None = None,
+    solids: Solids | None = None,
+    settings: Settings | None = None,
+) -> Plan:
+    """Return base and arm along an EE path.
+
+    Example: `kinfeas.plan("pr2", "ee.csv", scene="room").save("plan.csv")`
+
+    Args:
+        robot: Name or folder, or a `BasePlacer` of `kinfeas.planning.reach`.
+        path: World poses of the EE, shape (k, 7), every `step` seconds; a file of poses, as of the
+            generator `waypoints`; or the name of a motion generator, which needs a `target`.
+        target: World pose at which the motion of a generator ends, shape (7,).
+        step: Time from a pose to the next, seconds.
+        start: x, y and yaw of the base now. The EE moves from there to the first pose of a file. By
+            default the robot begins at one of the best base poses for it.
+        joints: Arm joints now, shape (j,), radians or metres; those of home by default.
+        scene: Scene, or its name or YAML file, whose furniture base and arm avoid.
+        solids: Other solids, in the world, one row.
+        settings: Parameters of the motion generator, such as `max_velocity`.
+
+    Raises:
+        KinfeasError: If an argument is invalid, or no plan was found. The error names the first EE
+            pose that is out of reach, with the reason.
+    """
+    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
+    state = None if start is None else _state(placer.solver.robot, start, joints)
+    around, names = surroundings(scene, solids)
+    if isinstance(path, str | Path):
+        ee = _rolled_out(placer.solver, path, target, state, around, settings)
+        step = HORIZON
+    else:
+        ee = ee_poses(path, "path")
+        if state is not None:
+            _check_start(placer.solver, state, ee[0])
+    if not 1e-3 <= step <= 10.0:
+        raise KinfeasError(f"'step' must be 0.001 to 10 s, not {step}")
+    moments = plan_along(placer, ee, step, state, around, names)
+    return Plan(**vars(moments), robot=placer.solver.robot, solids=around)
+
+
+def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> Plan:
+    """Return the plan of a file for a robot; a scene is drawn with it.
+
+    Raises:
+        KinfeasError: If the file is no plan of the robot.
+    """
+    model, file = load_robot(robot), Path(path)
+    joints = [joint.name for joint in model.arm]
+    values = read_csv(file, ["time", *_BASE, *joints, *columns("ee_pose")])
+    base, arm, ee = (
+        np.stack([values[name] for name in names], axis=1)
+        for names in (_BASE, joints, columns("ee_pose"))
+    )
+    if not (np.isfinite(base).all() and np.isfinite(arm).all()):
+        raise KinfeasError(f"{file}: base and joints must be finite numbers")
+    check_samples(file, values["time"], {"ee_pose": ee})
+    ee = make_pose(ee[:, :3], rotation(ee))
+    return Plan(values["time"], base, arm, ee, model, surroundings(scene, None)[0])
+
+
+def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None) -> State:
+    arm = np.array(robot.home["home"] if joints is None else joints, dtype=np.float64)
+    if arm.shape != (len(robot.arm),) or not np.isfinite(arm).all():
+        raise KinfeasError(f"'joints' must be {len(robot.arm)} finite numbers, not {joints}")
+    return base_pose(start, "start"), arm
+
+
+def _ee_of(solver: IkSolver, state: State) -> Array:
+    return compose(state[0][np.newaxis], forward(solver.chain, state[1][np.newaxis]))[0]
+
+
+def _check_start(solver: IkSolver, state: State, first: Array) -> None:
+    metres = float(distance(_ee_of(solver, state), first)[0])
+    if metres > _AT_START:
+        raise KinfeasError(
+            f"'path' must begin where the EE is; its first pose is {metres:.2f} m away"
+        )
+
+
+def _rolled_out(
+    solver: IkSolver,
+    path: Name,
+    target: ArrayLike | None,
+    state: State | None,
+    solids: Solids | None,
+    settings: Settings | None,
+) -> Array:
+    """Return the EE poses of a file or a generator every `HORIZON` seconds, shape (k, 7)."""
+    if Path(path).suffix:
+        poses = read_waypoints(Path(path))[0]
+        motion = MotionSpec("waypoints", {"file": str(path), "frame": "world", **(settings or {})})
+        first, goal = poses[0], poses[-1]
+    else:
+        if target is None or state is None:
+            raise KinfeasError(f"motion generator {str(path)!r} needs 'target' and 'start'")
+        motion, goal = MotionSpec(str(path), dict(settings or {})), ee_poses(target, "target")[0]
+    if state is None:  # any robot with its EE there
+        home = solver.robot.home["home"]
+        ee = forward(solver.chain, home[np.newaxis])[0]
+        state = compose(first, relative(IDENTITY, ee)), home
+    start = Start(state[0][np.newaxis], state[1][np.newaxis], goal[np.newaxis, np.newaxis], solids)
+    sequence = begin_motions(
+        solver, build_subgoals([Subgoal(motion)]), start, [np.random.default_rng(0)]
+    )
+    if solids is not None:
+        sequence.avoid(solids, None, (start.base_pose, start.joint_positions))
+    return sequence.to_the_end(np.arange(1))[0]
+
+
+def _header(seconds: float, frame: str) -> dict[str, object]:
+    return {"stamp": _stamp(seconds), "frame_id": frame}
+
+
+def _stamp(seconds: float) -> dict[str, int]:
+    nanoseconds = round(1e9 * seconds)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}

@@ -1,0 +1,135 @@
+"""A server that answers `reach` and `plan` as JSON over HTTP, on this computer alone."""
+
+import json
+import logging
+from dataclasses import dataclass
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from typing import Annotated, Any
+
+import numpy as np
+from annotated_types import Interval, Len
+
+from kinfeas.api import Name
+from kinfeas.api.load import load_robot
+from kinfeas.api.plan import plan
+from kinfeas.api.reach import facts, reach
+from kinfeas.config import from_mapping
+from kinfeas.config.quantities import Metres, Vector
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import MOST_SOLIDS, Solids
+from kinfeas.planning.reach import BasePlacer
+from kinfeas.scenes.scene import read_scene
+from kinfeas.viz.access import Access
+
+_MOST_BYTES = 4_000_000
+_log = logging.getLogger(__name__)
+
+Row = Annotated[tuple[Metres, ...], Len(11, 11)]
+Rows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS)]
+Pose = Annotated[tuple[Metres, ...], Len(7, 7)]
+
+
+@dataclass(frozen=True)
+class ReachRequest:
+    """Body of POST /reach; keys are arguments of `reach`, `solids` rows of `Solids.table`."""
+
+    poses: Annotated[tuple[Pose, ...], Len(1, 1000)]
+    solids: Rows = ()
+    start: Vector | None = None
+    k: Annotated[int, Interval(ge=1, le=512)] = 8
+    together: bool = False
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """Body of POST /plan; keys are arguments of `plan`, `solids` rows of `Solids.table`."""
+
+    path: Annotated[tuple[Pose, ...], Len(2, 10_000)]
+    step: Annotated[float, Interval(ge=0.001, le=10.0)] = 0.1
+    solids: Rows = ()
+    start: Vector | None = None
+    joints: tuple[float, ...] | None = None
+
+
+class PlanningServer(HTTPServer):
+    """Answers for one robot in one scene, one request at a time.
+
+    Only programs of this computer and pages of the same address are answered. No request names a
+    robot, a file or code.
+
+    Attributes:
+        url: Address.
+    """
+
+    def __init__(self, robot: Name, scene: Name | None = None, port: int = 8081) -> None:
+        """Listen on the loopback interface; 0 is a free port.
+
+        Raises:
+            KinfeasError: If there is no such robot or scene, or the port is in use.
+        """
+        self._placer = BasePlacer(load_robot(robot))
+        self._scene = None if scene is None else read_scene(str(scene))
+        self.access = Access("127.0.0.1", port)
+        super().__init__(("127.0.0.1", port), _Handler, bind_and_activate=False)
+        self.socket.close()
+        self.socket, self.url = self.access.listener, self.access.url
+        self.answers = {"/reach": self._reach, "/plan": self._plan}
+
+    def _reach(self, body: object) -> object:
+        request = from_mapping(ReachRequest, body, "request")
+        placements = reach(
+            self._placer, request.poses, scene=self._scene, solids=_solids(request.solids),
+            start=request.start, k=request.k, together=request.together,
+        )  # fmt: skip
+        return [facts(placement) for placement in placements]
+
+    def _plan(self, body: object) -> object:
+        request = from_mapping(PlanRequest, body, "request")
+        found = plan(
+            self._placer, request.path, step=request.step, start=request.start,
+            joints=request.joints, scene=self._scene, solids=_solids(request.solids),
+        )  # fmt: skip
+        messages = {"joint_trajectory": found.joint_trajectory(), "base_path": found.base_path()}
+        return {"time": found.time.tolist(), "base": found.base.tolist(), **messages}
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PlanningServer
+    timeout = 10.0  # seconds for a request to arrive
+
+    def do_POST(self) -> None:
+        hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
+        length = self.headers.get("Content-Length", "")
+        if not self.server.access.allows("/", hosts, origins):
+            self._answer(HTTPStatus.FORBIDDEN, {"error": "use the address that kinfeas printed"})
+        elif (answer := self.server.answers.get(self.path)) is None:
+            self._answer(HTTPStatus.NOT_FOUND, {"error": "there are POST /reach and POST /plan"})
+        elif self.headers.get_content_type() != "application/json" or not length.isdecimal():
+            text = "the body must be application/json with its length"
+            self._answer(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, {"error": text})
+        elif int(length) > _MOST_BYTES:
+            text = f"the body must have at most {_MOST_BYTES} bytes"
+            self._answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, {"error": text})
+        else:
+            try:
+                data = answer(json.loads(self.rfile.read(int(length))))
+            except (KinfeasError, ValueError, RecursionError) as error:
+                self._answer(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+            else:
+                self._answer(HTTPStatus.OK, data)
+
+    def _answer(self, status: HTTPStatus, data: object) -> None:
+        body = json.dumps(data).encode()
+        self.send_response(status)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *values: Any) -> None:
+        _log.info(format, *values)
+
+
+def _solids(rows: Rows) -> Solids | None:
+    return Solids.from_table(np.array(rows, dtype=np.float64)) if rows else None

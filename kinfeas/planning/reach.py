@@ -1,0 +1,297 @@
+"""Base poses for EE poses with their margins, or the reason for which there is none."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, relative
+from kinfeas.kinematics.forward import jacobian
+from kinfeas.kinematics.ik import POSE_DIMENSIONS, IkOptions, IkSolver
+from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.planning.placement import Postures, at_goals, connected
+from kinfeas.robots.robot import Robot
+
+LIMITS = {  # reasons for which a pose is out of reach; the first that applies
+    "height": "above or below the heights of the EE",
+    "orientation": "no arm configuration has this height and tilt",
+    "self-collision": "arm configurations touch the robot",
+    "torque": "motors cannot hold arm configurations",
+    "solids": "solids are in the way of base or arm",
+    "path": "solids block the base's way from the start",
+    "motion": "no base pose reaches all poses; the robot has to move",
+}
+
+
+@dataclass(frozen=True)
+class ReachSettings:
+    """Settings of the search for base poses and their margins."""
+
+    first: tuple[int, ...] = (64, 512)  # base poses tried by each stage without restarts of IK
+    stages: tuple[int, ...] = (64, 512, 1024)  # the same with restarts, if these find none
+    without: int = 1024  # base poses that are tried without a limit
+    together: int = 512  # base poses that are tried for several poses
+    clearances: tuple[float, ...] = (0.02, 0.05, 0.1)  # distances from solids, metres
+
+
+_SETTINGS = ReachSettings()
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Base poses that reach an EE pose, or n of them together; the best of m first.
+
+    Attributes:
+        base_pose: World poses of the base, shape (m, 7).
+        joint_positions: Arm joints at each, shape (m, j), or (m, n, j) for several EE poses.
+        joint_margin: Distance to the nearest joint limit as a fraction of its range, shape (m,).
+        clearance: Distance that base and arm keep from solids, the largest of 0, 0.02, 0.05 and
+            0.1 m, shape (m,).
+        manipulability: Yoshikawa's measure as a fraction of the robot's largest, shape (m,).
+        limit: Reason for which no base pose was found, one of `LIMITS`; empty if one was.
+        solids: Solids in the way, by their places or names.
+    """
+
+    base_pose: Array
+    joint_positions: Array
+    joint_margin: Array
+    clearance: Array
+    manipulability: Array
+    limit: str = ""
+    solids: tuple[int | str, ...] = ()
+
+    @property
+    def reachable(self) -> bool:
+        """Whether there is a base pose."""
+        return len(self.base_pose) > 0
+
+    @property
+    def margin(self) -> Array:
+        """Distance from infeasible arms and collisions, 0-1, by which base poses are sorted, (m,).
+
+        It is the least of twice `joint_margin`, `manipulability` and the fraction of 0.1 m that
+        `clearance` is.
+        """
+        near = self.clearance / _SETTINGS.clearances[-1]
+        return np.minimum(np.minimum(2.0 * self.joint_margin, self.manipulability), near)
+
+    @property
+    def reason(self) -> str:
+        """The limit as a text; empty if there is a base pose."""
+        if self.limit != "solids" or not self.solids:
+            return LIMITS.get(self.limit, "")
+        return f"in the way of base or arm: {', '.join(map(str, self.solids))}"
+
+    def named(self, names: Sequence[str]) -> "Placement":
+        """Return the same with the names of solids in place of their places."""
+        return replace(self, solids=tuple(dict.fromkeys(names[int(k)] for k in self.solids)))
+
+    def of(self, rows: NDArray[np.intp]) -> "Placement":
+        """Return some of the base poses."""
+        margins = self.joint_margin[rows], self.clearance[rows], self.manipulability[rows]
+        return Placement(self.base_pose[rows], self.joint_positions[rows], *margins)
+
+
+class BasePlacer:
+    """Finds base poses of one robot for EE poses; each answer depends on its arguments alone."""
+
+    def __init__(self, robot: Robot, ik: IkOptions | None = None) -> None:
+        self._postures = Postures(IkSolver(robot, at_goals(robot, ik or IkOptions())))
+        self.solver = self._postures.solver
+        self._best = float(_manipulability(self.solver, self._postures.joints).max(initial=1e-9))
+
+    def place(
+        self,
+        goal: Array,
+        solids: Solids | None = None,
+        start: Array | None = None,
+        count: int = 8,
+    ) -> Placement:
+        """Return up to `count` base poses from which the arm reaches an EE pose.
+
+        They are the best of those that the stages of `ReachSettings` find until these are enough.
+
+        Args:
+            goal: World pose of the EE, shape (7,).
+            solids: In the world, one row.
+            start: World pose of the base, shape (7,), from which a disc within the base must be
+                able to drive to the base poses.
+            count: Largest number of base poses.
+        """
+        base, joints = self._search(goal, _SETTINGS.stages, solids, start, count)
+        if len(base):
+            return self._rated(base, joints[:, np.newaxis], solids, count, single=True)
+        limit = self.limit(goal, solids, start)
+        nearest = self._in_the_way(goal, solids) if limit == "solids" and solids else ()
+        return replace(self._none(limit), solids=nearest)
+
+    def region(
+        self, goal: Array, solids: Solids | None = None, start: Array | None = None
+    ) -> Placement:
+        """Return all base poses of the last stage, for a map; arguments are those of `place`."""
+        last = _SETTINGS.stages[-1]
+        base, joints = self._verified(self._postures, goal, (0, last), solids, start)
+        return self._rated(base, joints[:, np.newaxis], solids, last, single=True)
+
+    def place_for_all(
+        self,
+        goals: Array,
+        solids: Solids | None = None,
+        start: Array | None = None,
+        count: int = 8,
+    ) -> Placement:
+        """Return base poses from each of which the arm reaches all EE poses, shape (n, 7).
+
+        Other arguments are those of `place`. An EE pose that is out of reach gives the limit.
+        """
+        each = [self._search(goal, _SETTINGS.stages, solids, start)[0] for goal in goals]
+        for goal, bases in zip(goals, each, strict=True):
+            if not len(bases):
+                return self.place(goal, solids, start)
+        most = max(_SETTINGS.together // len(goals), 1)
+        base = np.concatenate([bases[:most] for bases in each])
+        joints = np.empty((len(base), 0, len(self.solver.robot.arm)))
+        seed = np.tile(self.solver.robot.home["home"], (len(base), 1))
+        for goal in goals:
+            among = None if solids is None else in_base(solids.repeated(len(base)), base)
+            target = relative(np.broadcast_to(goal, base.shape), base)
+            arm = self.solver.solve(target, seed, solids=among)
+            seed = arm.joint_positions[arm.feasible]
+            base = base[arm.feasible]
+            joints = np.concatenate([joints[arm.feasible], seed[:, np.newaxis]], axis=1)
+        if not len(base):
+            return self._none("motion")
+        return self._rated(base, joints, solids, count)
+
+    def limit(self, goal: Array, solids: Solids | None = None, start: Array | None = None) -> str:
+        """Return the reason for which an EE pose is out of reach, one of `LIMITS`.
+
+        It is the first limit that keeps the robot from the pose if those after it are lifted.
+        """
+        stages, heights = (_SETTINGS.without,), self._without[0][1].ee_pose[:, 2]
+        beyond = not heights.min() <= goal[2] <= heights.max()
+        for name, postures in self._without:
+            if not len(self._search(goal, stages, postures=postures)[0]):
+                return "height" if name == "orientation" and beyond else name
+        if solids is None or not len(self._search(goal, stages)[0]):
+            return "torque" if self.solver.gravity.limited else "self-collision"
+        blocked = start is not None and len(self._search(goal, stages, solids)[0]) > 0
+        return "path" if blocked else "solids"
+
+    @cached_property
+    def _without(self) -> list[tuple[str, Postures]]:
+        """Postures without limits, by the limit if they do not reach a pose either."""
+        robot, options = replace(self.solver.robot, max_gravity_load=None), self.solver.options
+        free = Postures(IkSolver(robot, replace(options, self_collision=False)))
+        if not self.solver.gravity.limited:
+            return [("orientation", free)]
+        return [("orientation", free), ("self-collision", Postures(IkSolver(robot, options)))]
+
+    def _search(
+        self,
+        goal: Array,
+        stages: tuple[int, ...],
+        solids: Solids | None = None,
+        start: Array | None = None,
+        count: int = 1,
+        postures: Postures | None = None,
+    ) -> tuple[Array, Array]:
+        """Return base poses and arms of the stages until `count` are found.
+
+        Stages with restarts end with the first base pose.
+        """
+        postures, quick = postures or self._postures, _SETTINGS.first
+        base, joints = np.empty((0, 7)), np.empty((0, postures.joints.shape[1]))
+        rounds = [(pair, False) for pair in zip((0, *quick), quick, strict=False)]
+        rounds += [(pair, True) for pair in zip((0, *stages), stages, strict=False)]
+        for numbers, restarts in rounds:
+            if len(base) >= (1 if restarts else count):
+                break
+            more = self._verified(postures, goal, numbers, solids, start, restarts=restarts)
+            base, joints = np.concatenate([base, more[0]]), np.concatenate([joints, more[1]])
+        return base, joints
+
+    @staticmethod
+    def _verified(
+        postures: Postures,
+        goal: Array,
+        numbers: tuple[int, int],
+        solids: Solids | None,
+        start: Array | None,
+        *,
+        restarts: bool = False,
+    ) -> tuple[Array, Array]:
+        """Return the proposals of some numbers that reach a pose and are connected to the start."""
+        proposals = postures.around(goal, *numbers)
+        base, joints = postures.solve(goal, proposals, solids, restarts=restarts)
+        if start is None or solids is None or not len(base):
+            return base, joints
+        near = connected(solids, start[:2], base[:, :2], postures.footprint)
+        return base[near], joints[near]
+
+    def _rated(
+        self,
+        base: Array,
+        joints: Array,
+        solids: Solids | None,
+        count: int,
+        *,
+        single: bool = False,
+    ) -> Placement:
+        """Return the best of m base poses with arms for n EE poses, shape (m, n, j)."""
+        lower, upper = self.solver.robot.joint_limits
+        bounded = ~self.solver.robot.continuous & (upper > lower)
+        q = joints[..., bounded]
+        beside = np.minimum(q - lower[bounded], upper[bounded] - q) / (upper - lower)[bounded]
+        rated = Placement(
+            base,
+            joints[:, 0] if single else joints,
+            beside.clip(0.0).min(axis=(1, 2), initial=0.5),
+            self._clearance(base, joints, solids),
+            (_manipulability(self.solver, joints) / self._best).min(axis=1).clip(max=1.0),
+        )
+        return rated.of(np.argsort(-rated.margin, kind="stable")[:count])
+
+    def _clearance(self, base: Array, joints: Array, solids: Solids | None) -> Array:
+        if solids is None:
+            return np.full(len(base), _SETTINGS.clearances[-1])
+        clearance = np.zeros(joints.shape[:2])
+        free = np.ones_like(clearance, dtype=np.bool_)
+        for distance in _SETTINGS.clearances:
+            at, pose = np.nonzero(free)
+            grown = solids.wider(distance, distance).repeated(len(at))
+            touching = collides(self.solver.collision, joints[at, pose], base[at], grown)
+            free[at, pose] = ~touching.any(axis=1)
+            clearance[free] = distance
+        least: Array = clearance.min(axis=1)
+        return least
+
+    def _in_the_way(self, goal: Array, solids: Solids) -> tuple[int, ...]:
+        """Return the places of the solids that the robot touches with the fewest of them."""
+        base, joints = self._search(goal, (_SETTINGS.without,))
+        each = (solids.only(np.array([k])).repeated(len(base)) for k in range(solids.places))
+        robot = self.solver.collision, joints, base
+        touching = np.stack([collides(*robot, solid).any(axis=1) for solid in each], axis=1)
+        touching = touching[touching.any(axis=1)]
+        if not len(touching):
+            return ()
+        fewest = touching[touching.sum(axis=1) == touching.sum(axis=1).min()]
+        sets, counts = np.unique(fewest, axis=0, return_counts=True)
+        return tuple(np.flatnonzero(sets[counts.argmax()]).tolist())
+
+    def _none(self, limit: str) -> Placement:
+        joints = len(self.solver.robot.arm)
+        none = np.empty(0)
+        return Placement(np.empty((0, 7)), np.empty((0, joints)), none, none, none, limit)
+
+
+def _manipulability(solver: IkSolver, joints: Array) -> Array:
+    """Return Yoshikawa's measure at joint positions (..., j), shape (...)."""
+    matrix = jacobian(solver.chain, joints)
+    transposed = matrix.swapaxes(-1, -2)
+    square = matrix @ transposed if matrix.shape[-1] >= POSE_DIMENSIONS else transposed @ matrix
+    measure: Array = np.sqrt(np.linalg.det(square).clip(0.0))
+    return measure

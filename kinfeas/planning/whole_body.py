@@ -1,0 +1,122 @@
+"""Whole-body plans: time-stamped base and arm along an EE path, checked at every moment."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, planar_pose, relative
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.solids import collides
+from kinfeas.planning.base_path import BasePath, BasePathPlanner
+from kinfeas.planning.reach import BasePlacer
+from kinfeas.robots.robot import joint_displacement
+
+State = tuple[Array, Array]
+"""World pose of the base, shape (7,), and arm joints, shape (j,)."""
+
+
+@dataclass(frozen=True)
+class WholeBodySettings:
+    """Settings of plans along EE paths."""
+
+    starts: int = 4  # base poses at the beginning that are tried
+    examined: int = 24  # poses of a path without a plan that are tried alone
+    slowest: float = 8.0  # factor by which arms may need longer than the path; more is a jump
+
+
+_SETTINGS = WholeBodySettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Base and arm at t times, and the EE pose there."""
+
+    time: Array  # seconds from the start, ascending, shape (t,)
+    base: Array  # x, y and unwrapped yaw of the base, shape (t, 3), metres and radians
+    joint_positions: Array  # arm joints, those without limits unwrapped, shape (t, j), rad or m
+    ee_pose: Array  # desired world poses of the EE, shape (t, 7)
+
+    @property
+    def base_pose(self) -> Array:
+        """World poses of the base, shape (t, 7)."""
+        return planar_pose(*self.base.T)
+
+
+def plan_along(
+    placer: BasePlacer,
+    ee: Array,
+    step: float,
+    start: State | None = None,
+    solids: Solids | None = None,
+    names: Sequence[str] = (),
+) -> Moments:
+    """Return base and arm along an EE path, within velocity limits and free of solids.
+
+    Args:
+        placer: Of the robot.
+        ee: World poses of the EE, shape (k, 7).
+        step: Time from one to the next, seconds; the plan takes longer where the base needs it.
+        start: Base and arm now, with the EE at the first pose; by default, one of the best base
+            poses for it.
+        solids: In the world, one row.
+        names: Their names in errors.
+
+    Raises:
+        KinfeasError: If there is no plan; with the first pose that is out of reach, if any.
+    """
+    planner = BasePathPlanner(placer.solver)
+    for base, joints in _starts(placer, ee, solids) if start is None else [start]:
+        path = planner.plan(base, joints, ee, step, 0.0, solids=solids)
+        if path is not None and (moments := _refined(placer.solver, path, solids)) is not None:
+            return moments
+    named = names or [f"solid {place}" for place in range(solids.places if solids else 0)]
+    raise KinfeasError(f"no plan was found: {_reason(placer, ee, step, solids, named)}")
+
+
+def _starts(placer: BasePlacer, ee: Array, solids: Solids | None) -> Iterator[State]:
+    placement = placer.place(ee[0], solids, count=_SETTINGS.starts)
+    yield from zip(placement.base_pose, placement.joint_positions, strict=True)
+
+
+def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments | None:
+    """Return base and arm at each EE pose of a path, slower where they need time.
+
+    The path has arms at some EE poses only. None if one of the others has no arm near those, or
+    base or arm touches a solid.
+    """
+    robot = solver.robot
+    motion_time = path.begin + path.step * np.arange(len(path.ee))
+    rows = np.stack([path.robot_at(seconds) for seconds in motion_time.tolist()])
+    base = planar_pose(*rows[:, :3].T)
+    options = replace(solver.options, restarts=0, library=1)
+    arm = IkSolver(robot, options).solve(relative(path.ee, base), rows[:, 3:])
+    joints = arm.joint_positions
+    scale = np.array([path.time_scale_at(seconds) for seconds in motion_time[1:].tolist()])
+    turned = np.abs(joint_displacement(robot, joints[:-1], joints[1:])) / robot.max_joint_velocity
+    driven = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1) / robot.base.max_velocity
+    rotated = np.abs(np.diff(rows[:, 2])) / robot.base.max_rotation
+    least = np.max([turned.max(axis=1), driven, rotated], axis=0)
+    seconds = np.maximum(path.step / scale, least)
+    if not arm.feasible.all() or (least > _SETTINGS.slowest * path.step / scale).any():
+        return None
+    joints[:, robot.continuous] = np.unwrap(joints[:, robot.continuous], axis=0)
+    time = np.concatenate([[0.0], np.cumsum(seconds)])
+    if solids is not None:
+        around = solids.repeated(len(base)).at(time)
+        if collides(solver.collision, joints, base, around).any():
+            return None
+    return Moments(time, rows[:, :3], joints, path.ee)
+
+
+def _reason(
+    placer: BasePlacer, ee: Array, step: float, solids: Solids | None, names: Sequence[str]
+) -> str:
+    for index in np.unique(np.linspace(0, len(ee) - 1, _SETTINGS.examined).astype(int)).tolist():
+        reason = placer.place(ee[index], solids, count=1).named(names).reason
+        if reason:
+            position = ", ".join(f"{value:.3g}" for value in ee[index, :3].tolist())
+            return f"EE at {position} m after {index * step:.1f} s: {reason}"
+    return "all EE poses are reachable, but not on one path of base and arm"

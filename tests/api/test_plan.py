@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+
+import kinfeas
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import compose, distance, integrate
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.solids import collides
+from kinfeas.plugins.replay import Replay
+from kinfeas.robots.robot import joint_displacement
+
+FIRST = np.array([1.0, 0.5, 0.8, 0.0, 0.0, 0.0, 1.0])
+POST = np.array([[1.4, 1.3, 0, 0.1, 0.1, 0.0, 1.2, 0, 0, 0, 0]])
+
+
+def line(*twist):
+    """Return EE poses of 10 s at a constant twist."""
+    return integrate(FIRST, np.array(twist) * np.arange(0.0, 10.05, 0.1)[:, np.newaxis], 1.0)
+
+
+@pytest.fixture(scope="module")
+def plan(robot):
+    path = line(0.1, 0.0, 0.0, 0.0, 0.0, 0.05)
+    return kinfeas.plan(robot.folder, path, solids=Solids.from_table(POST))
+
+
+def test_plans_keep_to_the_path_the_limits_and_the_room(plan, robot):
+    solver, seconds = IkSolver(robot), np.diff(plan.time)
+    ee = compose(plan.base_pose, forward(solver.chain, plan.joint_positions))
+    metres, radians = distance(ee, plan.ee_pose)
+    tolerance = robot.pose_tolerance
+    assert metres.max() <= (1e-3 if tolerance is None else 0.025)
+    assert radians.max() <= (1e-2 if tolerance is None else 0.21)
+    np.testing.assert_allclose(plan.ee_pose[[0, -1], 0], [1.0, 2.0], atol=1e-6)
+    turned = joint_displacement(robot, plan.joint_positions[:-1], plan.joint_positions[1:])
+    assert (np.abs(turned) <= robot.max_joint_velocity * seconds[:, np.newaxis] * 1.001).all()
+    driven = np.linalg.norm(np.diff(plan.base[:, :2], axis=0), axis=1)
+    assert (driven <= robot.base.max_velocity * seconds * 1.001).all()
+    assert (np.abs(np.diff(plan.base[:, 2])) <= robot.base.max_rotation * seconds * 1.001).all()
+    solids = Solids.from_table(POST).repeated(len(plan.time))
+    assert not collides(solver.collision, plan.joint_positions, plan.base_pose, solids).any()
+
+
+def test_a_file_has_the_whole_plan(plan, robot, tmp_path):
+    plan.save(tmp_path / "plan.csv")
+    loaded = kinfeas.load_plan(tmp_path / "plan.csv", robot.folder)
+    for name in ("time", "base", "joint_positions", "ee_pose"):
+        np.testing.assert_allclose(getattr(loaded, name), getattr(plan, name), atol=1e-6)
+    Replay(file=str(tmp_path / "plan.csv"), frame="world")
+    trajectory, path = plan.joint_trajectory(), plan.base_path()
+    assert trajectory["joint_names"] == [joint.name for joint in robot.arm]
+    last = trajectory["points"][-1]["time_from_start"]
+    assert last["sec"] + 1e-9 * last["nanosec"] == pytest.approx(plan.time[-1])
+    assert len(trajectory["points"]) == len(path["poses"]) == len(plan.time)
+    other = "tiago" if robot.name != "tiago" else "hsr"
+    with pytest.raises(KinfeasError, match=r"plan.csv.*joint"):
+        kinfeas.load_plan(tmp_path / "plan.csv", other)
+
+
+def test_plans_begin_where_the_robot_is(hsr):
+    at_home = kinfeas.plan("hsr", "linear", target=FIRST, start=(0.0, 0.0, 0.0))
+    np.testing.assert_allclose(at_home.base[0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(at_home.joint_positions[0], hsr.home["home"], atol=1e-3)
+    with pytest.raises(KinfeasError, match="begin where the EE is"):
+        kinfeas.plan("hsr", line(0.1, 0, 0, 0, 0, 0), start=(4.0, 0.0, 0.0))
+
+
+def test_the_error_names_the_pose_out_of_reach_and_the_reason():
+    with pytest.raises(KinfeasError, match=r"EE at 1, 0.5, 1.\d+ m after .* heights"):
+        kinfeas.plan("hsr", line(0, 0, 0.2, 0, 0, 0)[25:50])
+    post = Solids.from_table(np.array([[1.5, 0.5, 0, 0.1, 0.1, 0.0, 1.2, 0, 0, 0, 0]]))
+    with pytest.raises(KinfeasError, match=r"in the way of base or arm: solid 0"):
+        kinfeas.plan("hsr", line(0.1, 0, 0, 0, 0, 0)[30:60], solids=post)

@@ -1,0 +1,68 @@
+import json
+import threading
+import urllib.error
+import urllib.request
+
+import pytest
+
+from kinfeas.api.serve import PlanningServer
+
+AHEAD = [1.0, 0.5, 0.8, 0.0, 0.0, 0.0, 1.0]
+BOX = [1.0, 0.5, 0.0, 0.2, 0.2, 0.6, 1.0, 0.0, 0.0, 0.0, 0.0]
+
+
+@pytest.fixture(scope="module")
+def post():
+    """Return a function that posts data, or bytes, and returns status and answer."""
+    with PlanningServer("hsr", "room", 0) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+        thread.start()
+
+        def send(path, data, **headers):
+            body = data if isinstance(data, bytes) else json.dumps(data).encode()
+            headers = {"Content-Type": "application/json", **headers}
+            request = urllib.request.Request(server.url + path, body, headers)
+            try:
+                with urllib.request.urlopen(request) as answer:
+                    return answer.status, json.load(answer)
+            except urllib.error.HTTPError as error:
+                return error.code, json.load(error)
+
+        yield send
+        server.shutdown()
+        thread.join()
+
+
+def test_base_poses_and_plans_are_answered(post):
+    status, (answer,) = post("/reach", {"poses": [AHEAD], "k": 3})
+    assert (status, len(answer["base_pose"]), answer["reason"]) == (200, 3, "")
+    status, (answer,) = post("/reach", {"poses": [AHEAD], "solids": [BOX]})
+    assert (status, answer["reachable"], answer["limit"]) == (200, False, "solids")
+    path = [[1.0 + 0.01 * i, *AHEAD[1:]] for i in range(20)]
+    status, answer = post("/plan", {"path": path})
+    assert (status, len(answer["joint_trajectory"]["points"])) == (200, 20)
+    status, answer = post("/plan", {"path": path, "solids": [BOX]})
+    assert (status, "solid" in answer["error"]) == (400, True)
+
+
+@pytest.mark.parametrize(
+    ("path", "data", "headers", "status"),
+    [
+        ("/reach", {"poses": [AHEAD]}, {"Origin": "http://example.org"}, 403),
+        ("/reach", {"poses": [AHEAD]}, {"Host": "example.org"}, 403),
+        ("/reach", {"poses": [AHEAD]}, {"Content-Type": "text/plain"}, 415),
+        ("/reach", b"{}", {"Content-Length": "4000001"}, 413),
+        ("/none", {"poses": [AHEAD]}, {}, 404),
+        ("/reach", b"{", {}, 400),
+        ("/reach", {"poses": [AHEAD], "robot": "pr2"}, {}, 400),
+        ("/reach", {"poses": [AHEAD], "scene": "/etc/passwd"}, {}, 400),
+        ("/reach", {"poses": [[float("nan"), *AHEAD[1:]]]}, {}, 400),
+        ("/reach", {"poses": [AHEAD], "solids": [[1, 2]]}, {}, 400),
+        ("/plan", {"path": [AHEAD]}, {}, 400),
+        ("/plan", {"path": [AHEAD, AHEAD], "joints": [0.0], "start": [0, 0, 0]}, {}, 400),
+    ],
+)
+def test_other_requests_are_errors(post, path, data, headers, status):
+    answer = post(path, data, **headers)
+    assert answer[0] == status
+    assert answer[1]["error"]
