@@ -50,7 +50,7 @@ class _RobotFolder(EntryPoint):
         return distribution("kinfeas")
 
     def load(self) -> Callable[[], Path]:
-        """Return a function that returns the folder, with the title in `robot.yaml` as docstring."""
+        """Return a function that returns the folder; its docstring is the title of the robot."""
 
         def folder() -> Path:
             return Path(self.value)

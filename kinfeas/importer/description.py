@@ -7,7 +7,7 @@ from pathlib import Path
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.importer.arm import Arm
-from kinfeas.importer.boxed import read_robot_element
+from kinfeas.importer.formats import read_robot
 from kinfeas.robots.elements import Element
 from kinfeas.robots.spec import Drive
 from kinfeas.robots.urdf import Joint, Urdf
@@ -23,13 +23,23 @@ _LISTED = 5  # names in a message at most
 
 
 def read_description(
-    path: Path, *, meshes: bool = True, mesh_paths: Mapping[str, str] | None = None
+    path: Path,
+    folder: Path,
+    *,
+    meshes: bool = True,
+    mesh_paths: Mapping[str, str] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> Element:
-    """Return the element <robot> of a URDF, without its meshes unless `meshes`.
+    """Return the element <robot> of a URDF, xacro or MJCF, without its meshes unless `meshes`.
 
-    `mesh_paths` has beginnings of mesh addresses, and their replacements.
+    Args:
+        path: The file.
+        folder: Where the meshes of an MJCF are written.
+        meshes: Whether meshes are kept.
+        mesh_paths: Beginnings of mesh addresses, and their replacements.
+        arguments: Arguments of a xacro.
     """
-    robot = read_robot_element(path)
+    robot = read_robot(path, folder, arguments or {})
     links = robot.xml.findall("link")
     if len(links) > MOST_LINKS:
         raise KinfeasError(f"{path}: {len(links)} links; at most {MOST_LINKS} are supported")

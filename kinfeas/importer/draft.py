@@ -1,10 +1,11 @@
-"""Drafts of a robot's YAML and URDF from a vendor's URDF."""
+"""Drafts of a robot's YAML and URDF from a vendor's URDF, xacro or MJCF."""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -85,11 +86,12 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     *,
     meshes: bool = True,
     mesh_paths: Mapping[str, str] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> Draft:
     """Return the draft of a mobile manipulator.
 
     Args:
-        path: Its URDF, with or without meshes.
+        path: Its URDF, xacro or MJCF, with or without meshes.
         name: Short name of the robot.
         hand: As of `find_arm`.
         base: As of `boxed_urdf`.
@@ -97,23 +99,27 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         on_done: Called with the fraction of all work, 0-1, that has just been done.
         meshes: Whether meshes are read.
         mesh_paths: Beginnings of mesh addresses, and their replacements.
+        arguments: Arguments of a xacro.
 
     Raises:
-        KinfeasError: If the URDF or one of its meshes is invalid, there is no arm or more than one,
+        KinfeasError: If the file or one of its meshes is invalid, there is no arm or more than one,
             or the arm reaches hardly any goal.
     """
     report, source = on_done or (lambda fraction: None), str(path)
-    description = read_description(path, meshes=meshes, mesh_paths=mesh_paths)
-    links = len(description.children("link"))
-    write = partial(boxed_urdf, path, base, robot=description)
-    # A choice between arms comes before the work: fitting meshes takes most of the time.
-    bare = _parsed(write(fitted=()), source)
-    if hand is not None:
-        find_arm(bare, hand, source)
-    elif ends := ends_of_arms(bare, source):
-        find_arm(_parsed(write(fitted=ends), source), None, source)
     originals: dict[str, list[Part]] = {}
-    whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
+    with TemporaryDirectory(prefix="kinfeas-") as folder:
+        description = read_description(
+            path, Path(folder), meshes=meshes, mesh_paths=mesh_paths, arguments=arguments
+        )
+        links = len(description.children("link"))
+        write = partial(boxed_urdf, path, base, robot=description)
+        # A choice between arms comes before the work: fitting meshes takes most of the time.
+        bare = _parsed(write(fitted=()), source)
+        if hand is not None:
+            find_arm(bare, hand, source)
+        elif ends := ends_of_arms(bare, source):
+            find_arm(_parsed(write(fitted=ends), source), None, source)
+        whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
     arm = find_arm(_parsed(whole, source), hand, source)
     text, lifted = on_the_floor(whole, arm, source)
     urdf = _parsed(text, source)

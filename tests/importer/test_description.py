@@ -69,13 +69,13 @@ MESH = '<box size="0.04 0.1 0.04"/>', '<mesh filename="package://dolly/palm.stl"
 
 def test_meshes_are_left_out_or_found_elsewhere(changed):
     path = changed(MESH)
-    bare = read_description(path, meshes=False)
+    bare = read_description(path, path.parent, meshes=False)
     assert not list(bare.xml.iter("mesh"))
     assert len(list(bare.xml.iter("box"))) == 3
-    moved = read_description(path, mesh_paths={"package://dolly": "/elsewhere"})
+    moved = read_description(path, path.parent, mesh_paths={"package://dolly": "/elsewhere"})
     assert [mesh.get("filename") for mesh in moved.xml.iter("mesh")] == ["/elsewhere/palm.stl"]
     with pytest.raises(KinfeasError, match=r"changed\.urdf.*package://doll_"):
-        read_description(path, mesh_paths={"package://doll_": "/elsewhere"})
+        read_description(path, path.parent, mesh_paths={"package://doll_": "/elsewhere"})
 
 
 def test_several_arms_are_an_error_before_meshes_are_read(changed):
