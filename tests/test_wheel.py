@@ -41,7 +41,7 @@ for group in registry.GROUPS:
     for name in own:
         loaded = registry.load(group, name)
         assert Path(sys.modules[loaded.__module__].__file__).is_relative_to(sys.prefix), name
-for robot in ("pr2", "tiago", "hsr"):
+for robot in registry.names("kinfeas.robots"):
     load_robot(robot)
     load_section(TrainConfig, "train", robot)
 """

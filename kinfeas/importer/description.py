@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from xml.etree.ElementTree import SubElement
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
@@ -11,6 +12,7 @@ from kinfeas.importer.formats import read_robot
 from kinfeas.robots.elements import Element
 from kinfeas.robots.spec import Drive
 from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.robots.urdf_file import urdf_of
 
 MOST_LINKS = 2000
 """Links of a robot at most: all pairs of them are checked for contact."""
@@ -58,7 +60,36 @@ def read_description(
                 link.remove(shape)
     if unused:
         raise KinfeasError(f"{path}: no address of a mesh begins with {min(unused)!r}")
+    _couple_telescopes(robot)
     return robot
+
+
+def _couple_telescopes(robot: Element) -> None:
+    """Make joints that slide on alike ones follow the first of them.
+
+    Vendors describe the segments of a telescope as joints; one motor moves all of them.
+    """
+    urdf = urdf_of(robot)
+    leaders: dict[str, str] = {}
+    for element in robot.xml.findall("joint"):
+        joint = urdf.joints[element.get("name")]
+        above = next((j for j in reversed(urdf.path_to(joint.parent)) if j.moves), None)
+        if joint.kind != "prismatic" or joint.mimic or above is None or above.kind != joint.kind:
+            continue
+        alike = (joint.lower, joint.upper) == (above.lower, above.upper)
+        if alike and _axis(urdf, joint) @ _axis(urdf, above) > _PARALLEL:
+            leaders[joint.name] = leaders.get(above.name, above.name)
+            SubElement(element, "mimic", joint=leaders[joint.name])
+
+
+def _telescopes(urdf: Urdf) -> dict[str, list[str]]:
+    """Return the joints that follow a joint below them, by its name."""
+    segments: dict[str, list[str]] = {}
+    for joint in urdf.joints.values():
+        leader = urdf.followed(joint)[0]
+        if joint.mimic and joint.kind == "prismatic" and leader in urdf.path_to(joint.parent):
+            segments.setdefault(leader.name, []).append(joint.name)
+    return segments
 
 
 def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
@@ -110,8 +141,10 @@ def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None
 
 
 def doubts(urdf: Urdf) -> tuple[str, ...]:
-    """Return warnings about a URDF whose lengths or masses are probably wrong."""
+    """Return warnings about a URDF: lengths or masses that are probably wrong, and telescopes."""
     warnings = []
+    for leader, segments in _telescopes(urdf).items():
+        warnings.append(f"{_listed(segments)} follow {leader}, as segments of a telescope")
     sizes = {
         name: max((max(shape.size) for shape in link.shapes), default=0.0)
         for name, link in urdf.links.items()

@@ -4,7 +4,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.draft import draft_robot
-from kinfeas.robots.urdf_file import parse_urdf
+from kinfeas.robots.urdf_file import parse_urdf, urdf_of
 
 
 def moving(name, parent="base", axis="0 1 0"):
@@ -101,3 +101,24 @@ def test_several_arms_are_an_error_before_meshes_are_read(changed):
         draft_robot(path, "dolly", hand="plam")
     with pytest.raises(KinfeasError, match=r"missing\.stl"):
         draft_robot(path, "dolly", hand="c")
+
+
+TELESCOPE = "".join(
+    f'<link name="{link}"/><joint name="{link}_slide" type="prismatic"><parent link="{parent}"/>'
+    f'<child link="{link}"/><axis xyz="{axis}"/><limit lower="0" upper="{upper}" velocity="1"/>'
+    "</joint>"
+    for link, parent, axis, upper in (
+        ("first", "palm", "1 0 0", 0.1), ("second", "first", "1 0 0", 0.1),
+        ("third", "second", "1 0 0", 0.1), ("across", "third", "0 1 0", 0.1),
+        ("longer", "across", "0 1 0", 0.2),
+    )
+)  # fmt: skip
+
+
+def test_segments_of_a_telescope_follow_the_first(changed, tmp_path):
+    path = changed(("</robot>", f"{TELESCOPE}</robot>"))
+    urdf = urdf_of(read_description(path, tmp_path))
+    assert {j.name: urdf.followed(j)[0].name for j in urdf.joints.values() if j.mimic} == {
+        "second_slide": "first_slide", "third_slide": "first_slide",
+    }  # fmt: skip
+    assert any("second_slide, third_slide follow first_slide" in text for text in doubts(urdf))
