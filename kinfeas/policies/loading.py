@@ -21,6 +21,7 @@ BASELINES = (
     "demonstrated_base",
     "planned_base",
     "geometric_modulation",
+    "planner",
     "whole_body_qp",
 )
 """Entry points of the package: base motions without training, but for `stationary`."""
