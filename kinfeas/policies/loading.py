@@ -43,7 +43,9 @@ def trained_folder(name: str, robot: Robot) -> Path:
     """
     folder = robot.folder / "policies" / name
     if name == PRETRAINED and not folder.is_dir():
-        raise KinfeasError(f"{folder}: no such policy; train one with kinfeas train")
+        raise KinfeasError(
+            f"{folder}: no such policy; train one with kinfeas train, or take a baseline: planner"
+        )
     return folder if name in trained_policies(robot) else Path(name)
 
 
