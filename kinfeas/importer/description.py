@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from xml.etree.ElementTree import SubElement
 
@@ -60,8 +61,17 @@ def read_description(
                 link.remove(shape)
     if unused:
         raise KinfeasError(f"{path}: no address of a mesh begins with {min(unused)!r}")
+    _remove_zero_efforts(robot)
     _couple_telescopes(robot)
     return robot
+
+
+def _remove_zero_efforts(robot: Element) -> None:
+    """Remove effort limits of 0, which exporters write for none."""
+    for limit in robot.xml.iterfind("joint/limit[@effort]"):
+        with suppress(ValueError):  # an error of the URDF, later
+            if float(limit.get("effort")) == 0.0:
+                del limit.attrib["effort"]
 
 
 def _couple_telescopes(robot: Element) -> None:

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 
 from kinfeas.core.errors import KinfeasError
@@ -105,8 +107,8 @@ def test_several_arms_are_an_error_before_meshes_are_read(changed):
 
 TELESCOPE = "".join(
     f'<link name="{link}"/><joint name="{link}_slide" type="prismatic"><parent link="{parent}"/>'
-    f'<child link="{link}"/><axis xyz="{axis}"/><limit lower="0" upper="{upper}" velocity="1"/>'
-    "</joint>"
+    f'<child link="{link}"/><axis xyz="{axis}"/>'
+    f'<limit lower="0" upper="{upper}" velocity="1" effort="0"/></joint>'
     for link, parent, axis, upper in (
         ("first", "palm", "1 0 0", 0.1), ("second", "first", "1 0 0", 0.1),
         ("third", "second", "1 0 0", 0.1), ("across", "third", "0 1 0", 0.1),
@@ -115,9 +117,10 @@ TELESCOPE = "".join(
 )  # fmt: skip
 
 
-def test_segments_of_a_telescope_follow_the_first(changed, tmp_path):
+def test_segments_of_a_telescope_follow_the_first_without_effort_limits_of_0(changed, tmp_path):
     path = changed(("</robot>", f"{TELESCOPE}</robot>"))
     urdf = urdf_of(read_description(path, tmp_path))
+    assert urdf.joints["first_slide"].effort == math.inf
     assert {j.name: urdf.followed(j)[0].name for j in urdf.joints.values() if j.mimic} == {
         "second_slide": "first_slide", "third_slide": "first_slide",
     }  # fmt: skip
