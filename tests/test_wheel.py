@@ -41,7 +41,7 @@ for group in registry.GROUPS:
     for name in own:
         loaded = registry.load(group, name)
         assert Path(sys.modules[loaded.__module__].__file__).is_relative_to(sys.prefix), name
-for robot in ("pr2", "tiago", "hsr"):
+for robot in registry.names("kinfeas.robots"):
     load_robot(robot)
     load_section(TrainConfig, "train", robot)
 """
@@ -62,7 +62,7 @@ def wheel(tmp_path_factory):
     source = folder / "source"
     for name in FOLDERS:  # a copy, so that no build folder appears in the tree
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "README.md", "LICENSE", "NOTICE"):
         shutil.copy(ROOT / name, source / name)
     run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", folder, source)
     return next(folder.glob("*.whl"))

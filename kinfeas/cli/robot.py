@@ -1,4 +1,4 @@
-"""`kinfeas robot import`: the files of a robot, from its URDF."""
+"""`kinfeas robot import`: the files of a robot, from its URDF, xacro or MJCF."""
 
 import os
 import shlex
@@ -27,8 +27,9 @@ app = typer.Typer(no_args_is_help=True, help="Create the files of a robot.")
 
 
 @app.command("import")
-def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
-    urdf: Path = argument(..., "URDF of a mobile manipulator.", metavar="FILE.urdf"),
+def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
+    file: Path = argument(..., "URDF, xacro or MJCF of a mobile manipulator.", metavar="FILE"),
+    arguments: list[str] | None = argument(None, "Arguments of a xacro.", metavar="NAME:=VALUE"),
     out: Path = option(..., "Folder of the robot, for robot.yaml and robot.urdf."),
     name: str | None = option(None, "Name of the robot.  [default: that of the folder]"),
     drive: Drive | None = option(None, "Drive of the base.  [default: by the wheels]"),
@@ -41,7 +42,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     json: options.JsonPath = None,
     picture: options.Picture = None,
 ) -> None:
-    """Draft the folder of a robot from its URDF.
+    """Draft the folder of a robot from its URDF, xacro or MJCF.
 
     robot.yaml has arm, hand, home, reach and ignored collisions, and marks guesses: check them,
     above all the speed of the base. In robot.urdf, primitives replace collision meshes.
@@ -63,10 +64,11 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
         if path.exists():
             raise KinfeasError(f"{path}: exists; choose another --out")
     replacements = dict(_replacement(text) for text in mesh_path or ())
+    given = dict(_argument(text) for text in arguments or ())
     with progress() as on_progress:
         draft = draft_robot(
-            urdf, called, ee, base, drive, counter(on_progress, f"reading {urdf.name}"),
-            meshes=not no_meshes, mesh_paths=replacements,
+            file, called, ee, base, drive, counter(on_progress, f"reading {file.name}"),
+            meshes=not no_meshes, mesh_paths=replacements, arguments=given,
         )  # fmt: skip
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -88,6 +90,13 @@ def _replacement(text: str) -> tuple[str, str]:
     if not (old and equals and new):
         raise KinfeasError(f"--mesh-path {text}: must have the form OLD=NEW")
     return old, new if "://" in new else str(Path(new).absolute())
+
+
+def _argument(text: str) -> tuple[str, str]:
+    name, separator, value = text.partition(":=")
+    if not (name and separator):
+        raise KinfeasError(f"{text}: arguments of a xacro have the form NAME:=VALUE")
+    return name, value
 
 
 def _drawing(draft: "Draft") -> bytes:

@@ -58,14 +58,16 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
         "solver": solver, "backend": backend, "dt": dt, "execution": execution, "stream": stream,
         "executor": executor, "response": response,
     }  # fmt: skip
-    built = [
-        registry.build_with("kinfeas.filters", each.name, each.parameters, offered)
-        if isinstance(each, PluginSpec)
-        else each
-        for each in filters
-    ]
+
+    def build(command_filter: PluginSpec | CommandFilter) -> CommandFilter:
+        if not isinstance(command_filter, PluginSpec):
+            return command_filter
+        name, parameters = command_filter.name, command_filter.parameters
+        built: CommandFilter = registry.build_with("kinfeas.filters", name, parameters, offered)
+        return built
+
     sequence = MotionSequence(subgoals, solver, dt, execution, backend.gripper, stream)
-    loop = Loop(solver, sequence, backend, dt, execution, response, built)
+    loop = Loop(solver, sequence, backend, dt, execution, response, filters, build)
     if policy is not None:
         loop.set_policy(policy)
     return loop

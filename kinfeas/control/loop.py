@@ -1,12 +1,13 @@
 """The loop: motion generator, policy, command filters, IK and backend, n robots at a time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.config import PluginSpec
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.control.observer import Observer
@@ -87,12 +88,14 @@ class Loop:
         dt: float,
         execution: ExecutionConfig,
         response: ResponseModel,
-        filters: Sequence[CommandFilter] = (),
+        filters: Sequence[PluginSpec | CommandFilter],
+        build_filter: Callable[[PluginSpec | CommandFilter], CommandFilter],
     ) -> None:
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
-        self.execution, self.filters, self.robot = execution, tuple(filters), solver.robot
+        self.execution, self.robot, self._build_filter = execution, solver.robot, build_filter
         self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
-        self._notes = [plugin_note(f"command filter {type(each).__name__}") for each in filters]
+        self._given = tuple(map(build_filter, filters))
+        self._use_filters(self._given)
         self.policy: Policy | None = None
         self._policy_note = plugin_note("policy")
         self.surroundings = Surroundings(backend, solver.collision)
@@ -104,15 +107,19 @@ class Loop:
         self.previous_command: Array = np.empty((0, self.command_size))
 
     def set_policy(self, policy: Policy) -> None:
-        """Use a policy: its terms, and its `reset` at each start if it has one.
+        """Use a policy: its terms, its filters, and its `reset` at each start if it has one.
 
         Raises:
-            KinfeasError: If a term is unknown or there twice.
+            KinfeasError: If a term is unknown or there twice, or a filter is unknown.
         """
         terms = getattr(policy, "observation_terms", OBSERVATION)
         check_terms(terms, f"policy {type(policy).__name__}: 'observation'")
         self.policy, self.observer.terms = policy, tuple(terms)
         self._policy_note = plugin_note(f"policy {type(policy).__name__}")
+        names = getattr(policy, "filters", ()) if self.stream is None else ()
+        own = [self._build_filter(PluginSpec(name)) for name in names]
+        kinds = [type(command_filter) for command_filter in self._given]
+        self._use_filters((*(each for each in own if type(each) not in kinds), *self._given))
 
     def start(
         self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
@@ -335,6 +342,10 @@ class Loop:
         if (localised := self.robots.localised) is None:
             return None
         return spatial.compose(localised, self._ee_of(self.robots.true_state or self.robots))
+
+    def _use_filters(self, filters: Sequence[CommandFilter]) -> None:
+        self.filters = tuple(filters)
+        self._notes = [plugin_note(f"command filter {type(each).__name__}") for each in filters]
 
     def _check(self, method: str, robots: RobotState, n: int) -> None:
         check_state(robots, n, len(self.robot.arm), f"{self._note.plugin}: {method}")

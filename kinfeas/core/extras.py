@@ -10,6 +10,7 @@ EXTRAS = {
     "pybullet": ("pybullet", "pybullet_utils"),
     "mujoco": ("mujoco",),
     "meshes": ("trimesh", "collada", "fcl"),
+    "xacro": ("xacro",),
     "plots": ("matplotlib", "mpl_toolkits", "PIL", "fcl"),
     "view": ("viser",),
     "video": ("av",),

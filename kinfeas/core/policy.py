@@ -63,8 +63,9 @@ class TermInfo:
 class Policy(Protocol):
     """Commands the base.
 
-    The attribute `observation_terms`, if there is one, names other terms than the default ones. A
-    policy with a state of its own has `reset(rows, n)`: begin new episodes in `rows`, shape (m,),
+    The attribute `observation_terms`, if there is one, names other terms than the default ones;
+    `filters` names command filters that come before the others where motions are known in advance.
+    A policy with a state of its own has `reset(rows, n)`: begin new episodes in `rows`, shape (m,),
     of n robots.
     """
 

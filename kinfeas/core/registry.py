@@ -4,9 +4,10 @@ A plugin is loaded when its name is used, so that a broken plugin does not affec
 """
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, distribution, entry_points
+from importlib.resources import files
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -39,6 +40,24 @@ _MEMBERS = {
 """Required members; those of motion generators are called before an episode begins."""
 
 _REGISTERED: list[EntryPoint] = []
+
+
+class _RobotFolder(EntryPoint):
+    """A shipped robot; `value` is its folder."""
+
+    @property
+    def dist(self) -> Distribution:  # type: ignore[override]
+        return distribution("kinfeas")
+
+    def load(self) -> Callable[[], Path]:
+        """Return a function that returns the folder; its docstring is the title of the robot."""
+
+        def folder() -> Path:
+            return Path(self.value)
+
+        with (folder() / "robot.yaml").open(encoding="utf-8") as file:
+            folder.__doc__ = file.readline().strip("# \n")
+        return folder
 
 
 @dataclass(frozen=True)
@@ -183,6 +202,9 @@ def _entries(group: str) -> list[EntryPoint]:
     if group not in GROUPS:
         raise KinfeasError(f"unknown plugin group {group!r}{no_such(group, GROUPS)}")
     own = [entry for entry in _REGISTERED if entry.group == group]
+    if group == "kinfeas.robots":
+        shipped = Path(str(files(group))).glob("*/robot.yaml")
+        own += [_RobotFolder(path.parent.name, str(path.parent), group) for path in shipped]
     return [*entry_points(group=group), *own]
 
 

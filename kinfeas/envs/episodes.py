@@ -52,8 +52,8 @@ def run_episodes(
     """Return the records of episodes `first` to `first + episodes - 1` of the world's seed."""
     tally = _Tally(world, first, episodes)
     beyond = first + episodes
-    running = np.arange(first, first + min(_batch(world), episodes))
     world.loop.set_policy(policy)
+    running = np.arange(first, first + min(_batch(world), episodes))
     world.start(running.tolist())
     waiting = first + len(running)
     while (live := np.flatnonzero(running >= 0)).size:
@@ -92,6 +92,7 @@ def evaluate_episodes(
     if processes == 1:
         return _run_part(build, policy, episodes, on_done, watch)
     world = build()
+    world.loop.set_policy(policy)
     rounds = math.ceil(len(episodes) / (processes * _BATCHES * _batch(world)))
     world.close()
     size = math.ceil(len(episodes) / (processes * rounds))

@@ -127,6 +127,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     """
     records, execution = _run(config, policy, processes, on_done, watch)
     settings = config.world
+    own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
+    filters = [*own, *(command_filter.name for command_filter in settings.filters)]
     value, low, high = (ceiling.value, ceiling.low, ceiling.high) if ceiling else (None,) * 3
     return {
         "robot": config.robot.name,
@@ -137,7 +139,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
         "time_scale": execution.time_scale,
         "head_start": execution.head_start,
         "adapters": [adapter.name for adapter in settings.adapters],
-        "filters": [command_filter.name for command_filter in settings.filters],
+        "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
         **summarize(records),
         "ceiling": value,

@@ -1,4 +1,4 @@
-"""Drafts of robot files from vendors' URDFs: `kinfeas robot import`.
+"""Drafts of robot files from vendors' URDFs, xacros and MJCFs: `kinfeas robot import`.
 
-May import control, kinematics and lower packages; trimesh is imported here only.
+May import control, kinematics and lower packages; trimesh and xacro are imported here only.
 """

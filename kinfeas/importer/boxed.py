@@ -75,7 +75,7 @@ def boxed_urdf(
         fitted: Links that get shapes; all by default.
         originals: Receives the parts of links that primitives replace, in the links' frames.
     """
-    robot = read_robot_element(path) if robot is None else robot
+    robot = read_robot_xml(path) if robot is None else robot
     urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
     kept = carried(urdf, _first_body(urdf, links) if base is None else base, str(path))
@@ -110,14 +110,6 @@ def boxed_urdf(
 def _text(robot: Any) -> str:
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def read_robot_element(path: Path) -> Element:
-    """Return the element <robot> of a URDF."""
-    robot = read_robot_xml(path)
-    if any("xacro}" in element.tag for element in robot.xml.iter()):
-        raise robot.error("this is xacro; convert it first: xacro FILE > FILE.urdf")
-    return robot
 
 
 def _first_body(urdf: Urdf, links: Mapping[str, Element]) -> str:

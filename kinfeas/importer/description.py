@@ -2,15 +2,18 @@
 
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
+from xml.etree.ElementTree import SubElement
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.importer.arm import Arm
-from kinfeas.importer.boxed import read_robot_element
+from kinfeas.importer.formats import read_robot
 from kinfeas.robots.elements import Element
 from kinfeas.robots.spec import Drive
 from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.robots.urdf_file import urdf_of
 
 MOST_LINKS = 2000
 """Links of a robot at most: all pairs of them are checked for contact."""
@@ -23,13 +26,23 @@ _LISTED = 5  # names in a message at most
 
 
 def read_description(
-    path: Path, *, meshes: bool = True, mesh_paths: Mapping[str, str] | None = None
+    path: Path,
+    folder: Path,
+    *,
+    meshes: bool = True,
+    mesh_paths: Mapping[str, str] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> Element:
-    """Return the element <robot> of a URDF, without its meshes unless `meshes`.
+    """Return the element <robot> of a URDF, xacro or MJCF, without its meshes unless `meshes`.
 
-    `mesh_paths` has beginnings of mesh addresses, and their replacements.
+    Args:
+        path: The file.
+        folder: Where the meshes of an MJCF are written.
+        meshes: Whether meshes are kept.
+        mesh_paths: Beginnings of mesh addresses, and their replacements.
+        arguments: Arguments of a xacro.
     """
-    robot = read_robot_element(path)
+    robot = read_robot(path, folder, arguments or {})
     links = robot.xml.findall("link")
     if len(links) > MOST_LINKS:
         raise KinfeasError(f"{path}: {len(links)} links; at most {MOST_LINKS} are supported")
@@ -48,7 +61,45 @@ def read_description(
                 link.remove(shape)
     if unused:
         raise KinfeasError(f"{path}: no address of a mesh begins with {min(unused)!r}")
+    _remove_zero_efforts(robot)
+    _couple_telescopes(robot)
     return robot
+
+
+def _remove_zero_efforts(robot: Element) -> None:
+    """Remove effort limits of 0, which exporters write for none."""
+    for limit in robot.xml.iterfind("joint/limit[@effort]"):
+        with suppress(ValueError):  # an error of the URDF, later
+            if float(limit.get("effort")) == 0.0:
+                del limit.attrib["effort"]
+
+
+def _couple_telescopes(robot: Element) -> None:
+    """Make joints that slide on alike ones follow the first of them.
+
+    Vendors describe the segments of a telescope as joints; one motor moves all of them.
+    """
+    urdf = urdf_of(robot)
+    leaders: dict[str, str] = {}
+    for element in robot.xml.findall("joint"):
+        joint = urdf.joints[element.get("name")]
+        above = next((j for j in reversed(urdf.path_to(joint.parent)) if j.moves), None)
+        if joint.kind != "prismatic" or joint.mimic or above is None or above.kind != joint.kind:
+            continue
+        alike = (joint.lower, joint.upper) == (above.lower, above.upper)
+        if alike and _axis(urdf, joint) @ _axis(urdf, above) > _PARALLEL:
+            leaders[joint.name] = leaders.get(above.name, above.name)
+            SubElement(element, "mimic", joint=leaders[joint.name])
+
+
+def _telescopes(urdf: Urdf) -> dict[str, list[str]]:
+    """Return the joints that follow a joint below them, by its name."""
+    segments: dict[str, list[str]] = {}
+    for joint in urdf.joints.values():
+        leader = urdf.followed(joint)[0]
+        if joint.mimic and joint.kind == "prismatic" and leader in urdf.path_to(joint.parent):
+            segments.setdefault(leader.name, []).append(joint.name)
+    return segments
 
 
 def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
@@ -100,8 +151,10 @@ def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None
 
 
 def doubts(urdf: Urdf) -> tuple[str, ...]:
-    """Return warnings about a URDF whose lengths or masses are probably wrong."""
+    """Return warnings about a URDF: lengths or masses that are probably wrong, and telescopes."""
     warnings = []
+    for leader, segments in _telescopes(urdf).items():
+        warnings.append(f"{_listed(segments)} follow {leader}, as segments of a telescope")
     sizes = {
         name: max((max(shape.size) for shape in link.shapes), default=0.0)
         for name, link in urdf.links.items()

@@ -1,10 +1,11 @@
-"""Drafts of a robot's YAML and URDF from a vendor's URDF."""
+"""Drafts of a robot's YAML and URDF from a vendor's URDF, xacro or MJCF."""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -24,11 +25,13 @@ from kinfeas.importer.reach import (
     only_fitted,
     overload_fractions,
     overloads_at,
+    sampled,
     touching,
     useful_heights,
     with_pairs,
 )
 from kinfeas.importer.text import Guesses, robot_yaml
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import POSE_DIMENSIONS
 from kinfeas.robots.elements import parse_xml
 from kinfeas.robots.loading import build_robot
@@ -54,9 +57,8 @@ _MAX_TURNS = 4.0 * math.pi + 0.01  # rad; a wider range stands for no limit
 _HALF_TURN = 3.1416
 _VELOCITY = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.1}  # rad/s or m/s, if none is given
 
-# Limits of the shipped robots' bases, and HSR's pose tolerance.
-_BASE_LIMITS = (0.2, 1.0, 1.0, 2.0)
-_POSE_TOLERANCE = PoseTolerance(position=0.1, rotation=0.2094)
+_BASE_LIMITS = (0.2, 1.0, 1.0, 2.0)  # of the shipped robots' bases
+_ROTATION_TOLERANCE = 0.2094  # rad, of HSR
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +87,12 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     *,
     meshes: bool = True,
     mesh_paths: Mapping[str, str] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> Draft:
     """Return the draft of a mobile manipulator.
 
     Args:
-        path: Its URDF, with or without meshes.
+        path: Its URDF, xacro or MJCF, with or without meshes.
         name: Short name of the robot.
         hand: As of `find_arm`.
         base: As of `boxed_urdf`.
@@ -97,23 +100,27 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         on_done: Called with the fraction of all work, 0-1, that has just been done.
         meshes: Whether meshes are read.
         mesh_paths: Beginnings of mesh addresses, and their replacements.
+        arguments: Arguments of a xacro.
 
     Raises:
-        KinfeasError: If the URDF or one of its meshes is invalid, there is no arm or more than one,
+        KinfeasError: If the file or one of its meshes is invalid, there is no arm or more than one,
             or the arm reaches hardly any goal.
     """
     report, source = on_done or (lambda fraction: None), str(path)
-    description = read_description(path, meshes=meshes, mesh_paths=mesh_paths)
-    links = len(description.children("link"))
-    write = partial(boxed_urdf, path, base, robot=description)
-    # A choice between arms comes before the work: fitting meshes takes most of the time.
-    bare = _parsed(write(fitted=()), source)
-    if hand is not None:
-        find_arm(bare, hand, source)
-    elif ends := ends_of_arms(bare, source):
-        find_arm(_parsed(write(fitted=ends), source), None, source)
     originals: dict[str, list[Part]] = {}
-    whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
+    with TemporaryDirectory(prefix="kinfeas-") as folder:
+        description = read_description(
+            path, Path(folder), meshes=meshes, mesh_paths=mesh_paths, arguments=arguments
+        )
+        links = len(description.children("link"))
+        write = partial(boxed_urdf, path, base, robot=description)
+        # A choice between arms comes before the work: fitting meshes takes most of the time.
+        bare = _parsed(write(fitted=()), source)
+        if hand is not None:
+            find_arm(bare, hand, source)
+        elif ends := ends_of_arms(bare, source):
+            find_arm(_parsed(write(fitted=ends), source), None, source)
+        whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
     arm = find_arm(_parsed(whole, source), hand, source)
     text, lifted = on_the_floor(whole, arm, source)
     urdf = _parsed(text, source)
@@ -126,8 +133,8 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     checked = {pair: fraction for pair, fraction in fractions.items() if pair not in ignored}
     false = only_fitted(robot, originals, checked)
     ignored |= false
-    pose_tolerance = _POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None
-    robot = replace(with_pairs(robot, ignored), pose_tolerance=pose_tolerance)
+    tolerance = pose_tolerance(robot)
+    robot = replace(with_pairs(robot, ignored), pose_tolerance=tolerance)
     if overloads := overload_fractions(robot):
         robot = limited(robot)
     home = comfortable(robot)
@@ -137,7 +144,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         spec,
         home={"home": tuple(home.tolist())},
         reach=reach_of(heights, source),
-        pose_tolerance=pose_tolerance,
+        pose_tolerance=tolerance,
         ignored_collisions=tuple(ignored),
         max_gravity_load=robot.max_gravity_load,
     )
@@ -177,6 +184,20 @@ def reach_of(heights: Heights, source: str) -> Reach:
         f"best {heights.fraction[best]:.0%}, {heights.at[best]:g} m above the floor; is the hand "
         "right?"
     )
+
+
+def pose_tolerance(robot: Robot) -> PoseTolerance | None:
+    """Return the pose tolerance of an arm that cannot move its EE in six dimensions, else None.
+
+    The rotation is HSR's. The position is how far this turn about the first joint moves the EE, at
+    its median horizontal distance from there: 0.1 m for HSR.
+    """
+    if freedom(robot) == POSE_DIMENSIONS:
+        return None
+    chain = build_chain(robot)
+    away = forward(chain, sampled(robot))[:, :2] - chain.tree.offset[0, :2]
+    distance = float(np.median(np.linalg.norm(away, axis=1)))
+    return PoseTolerance(round(_ROTATION_TOLERANCE * distance, 3), _ROTATION_TOLERANCE)
 
 
 def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSpec:

@@ -21,6 +21,7 @@ BASELINES = (
     "demonstrated_base",
     "planned_base",
     "geometric_modulation",
+    "planner",
     "whole_body_qp",
 )
 """Entry points of the package: base motions without training, but for `stationary`."""
@@ -42,7 +43,9 @@ def trained_folder(name: str, robot: Robot) -> Path:
     """
     folder = robot.folder / "policies" / name
     if name == PRETRAINED and not folder.is_dir():
-        raise KinfeasError(f"{folder}: no such policy; train one with kinfeas train")
+        raise KinfeasError(
+            f"{folder}: no such policy; train one with kinfeas train, or take a baseline: planner"
+        )
     return folder if name in trained_policies(robot) else Path(name)
 
 

@@ -112,21 +112,23 @@ class Element:
         return make_pose(xyz, Rotation.from_euler("xyz", rpy))
 
 
-def read_xml(path: Path, tag: str) -> Element:
-    """Return the root element `tag` of an XML file without document types and entities."""
-    return parse_xml(read_file(path, MAX_BYTES), tag, str(path))
+def read_xml(path: Path, *tags: str) -> Element:
+    """Return the root element of an XML file, which has one of `tags` and no document type."""
+    return parse_xml(read_file(path, MAX_BYTES), tags, str(path))
 
 
-def parse_xml(content: bytes | str, tag: str, source: str) -> Element:
+def parse_xml(content: bytes | str, tags: str | Sequence[str], source: str) -> Element:
     """Return the root element of XML; errors as in `read_xml`, with the name `source`."""
+    tags = (tags,) if isinstance(tags, str) else tags
     try:
         xml = fromstring(content, forbid_dtd=True)
     except DefusedXmlException as error:
         raise KinfeasError(f"{source}: document types and entities are not allowed") from error
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise KinfeasError(f"{source}: not XML: {error}") from error
-    if xml.tag != tag:
-        raise KinfeasError(f"{source}: the first element must be <{tag}>, not <{xml.tag}>")
+    if xml.tag not in tags:
+        allowed = " or ".join(f"<{tag}>" for tag in tags)
+        raise KinfeasError(f"{source}: the first element must be {allowed}, not <{xml.tag}>")
     return Element(xml, source)
 
 
@@ -164,7 +166,7 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
     scheme, _, rest = name.rpartition("://")
     if scheme in ("package", "model"):
         package, _, inner = rest.lstrip("/").partition("/")
-        candidates: Iterable[Path] = (found / inner for found in _packages(package, folder))
+        candidates: Iterable[Path] = (found / inner for found in packages(package, folder))
         rule = (
             "; packages are looked up by package.xml above the URDF, ROS_PACKAGE_PATH, "
             "AMENT_PREFIX_PATH and folders of that name"
@@ -188,8 +190,8 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
     return path
 
 
-def _packages(name: str, folder: Path) -> Iterator[Path]:
-    """Yield folders that may be the package `name` of a URDF in `folder`."""
+def packages(name: str, folder: Path) -> Iterator[Path]:
+    """Yield folders that may be the package `name` of a file in `folder`, an absolute path."""
     above = (folder, *folder.parents)
     for parent in above:
         if _package_name(parent / "package.xml") == name:

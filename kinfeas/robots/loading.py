@@ -33,12 +33,11 @@ def load_robot(name_or_path: str | Path) -> Robot:
 
 
 def check_no_urdf(name_or_path: object) -> None:
-    """Raise `KinfeasError` if a robot is a URDF or xacro in place of a folder."""
+    """Raise `KinfeasError` if a robot is a URDF, xacro or MJCF in place of a folder."""
     path = Path(str(name_or_path))
-    if path.suffix.lower() in (".urdf", ".xacro"):
+    if path.suffix.lower() in (".urdf", ".xacro", ".xml"):
         raise KinfeasError(
-            f"{path}: a robot is a folder; `kinfeas robot import FILE.urdf --out DIR` makes one "
-            "(xacro FILE.xacro > FILE.urdf comes first)"
+            f"{path}: a robot is a folder; `kinfeas robot import {path} --out DIR` makes one"
         )
 
 

@@ -30,12 +30,16 @@ def parse_urdf(path: Path) -> Urdf:
 
 
 def read_robot_xml(path: Path) -> Element:
-    """Return the element <robot> of a robot's URDF.
+    """Return the element <robot> of a robot's URDF, `without_base_joints`."""
+    return without_base_joints(read_xml(path, "robot"))
 
-    Links above the base are left out: bare frames down to the last planar or floating joint, which
-    stands for the motion of the base.
+
+def without_base_joints(robot: Element) -> Element:
+    """Return an element <robot> from which links above the base were removed.
+
+    These are bare frames down to the last planar or floating joint, which stands for the motion of
+    the base.
     """
-    robot = read_xml(path, "robot")
     links = {link.get("name"): link for link in robot.xml.findall("link")}
     on: dict[Any, list[Any]] = defaultdict(list)
     for joint in robot.xml.findall("joint"):

@@ -133,6 +133,8 @@ INPUT = {
         ("--ee plam_link", "'palm_link'"),
         ("--name a/b", "--name"),
         ("--mesh-path package://scout", "--mesh-path"),
+        ("length=3", "NAME:=VALUE"),
+        ("length:=3", "xacro"),
     ],
     "robot import none.urdf --out new": [("", "none.urdf")],
 }

@@ -1,10 +1,12 @@
+import math
+
 import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.draft import draft_robot
-from kinfeas.robots.urdf_file import parse_urdf
+from kinfeas.robots.urdf_file import parse_urdf, urdf_of
 
 
 def moving(name, parent="base", axis="0 1 0"):
@@ -69,13 +71,13 @@ MESH = '<box size="0.04 0.1 0.04"/>', '<mesh filename="package://dolly/palm.stl"
 
 def test_meshes_are_left_out_or_found_elsewhere(changed):
     path = changed(MESH)
-    bare = read_description(path, meshes=False)
+    bare = read_description(path, path.parent, meshes=False)
     assert not list(bare.xml.iter("mesh"))
     assert len(list(bare.xml.iter("box"))) == 3
-    moved = read_description(path, mesh_paths={"package://dolly": "/elsewhere"})
+    moved = read_description(path, path.parent, mesh_paths={"package://dolly": "/elsewhere"})
     assert [mesh.get("filename") for mesh in moved.xml.iter("mesh")] == ["/elsewhere/palm.stl"]
     with pytest.raises(KinfeasError, match=r"changed\.urdf.*package://doll_"):
-        read_description(path, mesh_paths={"package://doll_": "/elsewhere"})
+        read_description(path, path.parent, mesh_paths={"package://doll_": "/elsewhere"})
 
 
 def test_several_arms_are_an_error_before_meshes_are_read(changed):
@@ -101,3 +103,25 @@ def test_several_arms_are_an_error_before_meshes_are_read(changed):
         draft_robot(path, "dolly", hand="plam")
     with pytest.raises(KinfeasError, match=r"missing\.stl"):
         draft_robot(path, "dolly", hand="c")
+
+
+TELESCOPE = "".join(
+    f'<link name="{link}"/><joint name="{link}_slide" type="prismatic"><parent link="{parent}"/>'
+    f'<child link="{link}"/><axis xyz="{axis}"/>'
+    f'<limit lower="0" upper="{upper}" velocity="1" effort="0"/></joint>'
+    for link, parent, axis, upper in (
+        ("first", "palm", "1 0 0", 0.1), ("second", "first", "1 0 0", 0.1),
+        ("third", "second", "1 0 0", 0.1), ("across", "third", "0 1 0", 0.1),
+        ("longer", "across", "0 1 0", 0.2),
+    )
+)  # fmt: skip
+
+
+def test_segments_of_a_telescope_follow_the_first_without_effort_limits_of_0(changed, tmp_path):
+    path = changed(("</robot>", f"{TELESCOPE}</robot>"))
+    urdf = urdf_of(read_description(path, tmp_path))
+    assert urdf.joints["first_slide"].effort == math.inf
+    assert {j.name: urdf.followed(j)[0].name for j in urdf.joints.values() if j.mimic} == {
+        "second_slide": "first_slide", "third_slide": "first_slide",
+    }  # fmt: skip
+    assert any("second_slide, third_slide follow first_slide" in text for text in doubts(urdf))

@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
-from kinfeas.importer.draft import draft_robot, reach_of, stated
+from kinfeas.importer.draft import draft_robot, pose_tolerance, reach_of, stated
 from kinfeas.importer.reach import Heights
 from kinfeas.importer.text import warnings
 from kinfeas.kinematics.forward import forward
@@ -101,3 +101,10 @@ def test_drafts_with_little_room_have_a_warning(dolly, few):
     draft = draft_robot(dolly, "dolly")
     assert not warnings(draft.spec, draft.guesses, free=0.6)
     assert warnings(draft.spec, draft.guesses, free=0.4)
+
+
+def test_the_pose_tolerance_is_that_of_the_arm():
+    hsr, lekiwi = (pose_tolerance(load_robot(name)) for name in ("hsr", "lekiwi"))
+    assert hsr.position == pytest.approx(0.1, abs=0.005)
+    assert lekiwi.position < 0.04
+    assert pose_tolerance(load_robot("pr2")) is None

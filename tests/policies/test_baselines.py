@@ -110,20 +110,31 @@ def test_modulation_never_leaves_the_ring():
         assert outer.max() < 1.05
 
 
-def test_the_model_of_the_qp_agrees_with_our_kinematics(robot):
-    pin = pytest.importorskip("pinocchio")
+@pytest.mark.parametrize("name", ["hsr", "tiago", "stretch3"])  # stretch3 has a telescope
+def test_the_model_of_the_qp_agrees_with_our_kinematics(name):
+    pin, robot = pytest.importorskip("pinocchio"), load_robot(name)
     model, chain, carried = qp.build_model(robot), build_chain(robot), command_size(robot.base)
-    data, frame = model.createData(), model.getFrameId("ee")
+    data, frame, tree = model.createData(), model.getFrameId("ee"), chain.tree
+    by_variable = np.eye(len(robot.arm))[tree.variable] * tree.multiplier[:, np.newaxis]
     for q in spread_configurations(robot, 20):
-        full = np.concatenate([np.zeros(carried), q])
+        full = np.concatenate([np.zeros(carried), by_variable @ q])
         found = pin.computeFrameJacobian(
             model, data, full, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         )
         x, y, z = forward(chain, q)[:3]
         np.testing.assert_allclose(data.oMf[frame].translation, [x, y, z], atol=1e-9)
-        np.testing.assert_allclose(found[:, carried:], jacobian(chain, q), atol=1e-9)
+        np.testing.assert_allclose(found[:, carried:] @ by_variable, jacobian(chain, q), atol=1e-9)
         base = [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0]][: carried - 1]
         np.testing.assert_allclose(found[:, :carried].T, [*base, [-y, x, 0, 0, 0, 1]], atol=1e-9)
+
+
+def test_the_qp_drives_a_robot_with_a_telescope_along_with_its_ee():
+    pytest.importorskip("pink")
+    robot = load_robot("stretch3")
+    policy, along = qp.whole_body_qp(robot), 0.1 * np.array([np.cos(0.7), np.sin(0.7)])
+    for direction in (-1.0, 1.0):
+        action = policy.act(moving(robot, direction * along))[0]
+        assert direction * action[0] * robot.base.max_velocity > 0.03
 
 
 def test_barriers_keep_the_base_of_the_qp_off_obstacles(robot):

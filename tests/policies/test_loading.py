@@ -22,7 +22,10 @@ def trained(hsr, tmp_path):
     return folder
 
 
-@pytest.mark.parametrize("name", sorted({*BASELINES} - {"geometric_modulation"}))  # takes long
+LONG = {"geometric_modulation", "planner"}  # baselines that take long
+
+
+@pytest.mark.parametrize("name", sorted({*BASELINES} - LONG))
 def test_baselines_keep_the_contract_of_policies(hsr, name):
     check_policy(load_policy(name, hsr), hsr)
 

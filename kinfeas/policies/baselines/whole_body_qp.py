@@ -10,16 +10,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.control.filters.half_spaces import VelocityConstraints
 from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.control.observation import HORIZON
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array, relative
 from kinfeas.kinematics.drive import command_size
-from kinfeas.kinematics.forward import build_chain
+from kinfeas.kinematics.forward import Tree, build_chain
 from kinfeas.robots.robot import Robot
 
 _POSITION_COST, _ROTATION_COST = 10.0, 4.0
@@ -93,11 +93,6 @@ class Barriers:
 def whole_body_qp(robot: Robot) -> WholeBodyQp:
     """Return the baseline that solves whole-body differential IK as a QP."""
     require("pinocchio", "pink", "qpsolvers", _SOLVER)
-    tree = build_chain(robot).tree
-    if len(tree.variable) != len(robot.arm) or not np.all(tree.multiplier == 1.0):
-        raise KinfeasError(
-            f"whole_body_qp does not support robot {robot.name!r}: its arm has mimic joints"
-        )
     return WholeBodyQp(robot)
 
 
@@ -105,7 +100,8 @@ def build_model(robot: Robot) -> Any:
     """Return Pinocchio's model of base and arm with the EE as frame `ee`.
 
     The base is at the origin of the model. Its two or three joints move it as its drive can:
-    forward, to the left unless the drive is differential, and about the vertical axis.
+    forward, to the left unless the drive is differential, and about the vertical axis. Joints that
+    follow another one have no limits of their own.
     """
     import pinocchio as pin
 
@@ -118,14 +114,34 @@ def build_model(robot: Robot) -> Any:
     for i, (kind, speed) in enumerate(zip(carriers, speeds, strict=True)):
         bounds = _bounds(speed, -np.inf, np.inf)
         parent = model.addJoint(parent, kind, pin.SE3.Identity(), f"base_{i}", *bounds)
-    for i, joint in enumerate(robot.arm):
+    first = _first(tree)
+    for i, variable in enumerate(tree.variable):
         kind = pin.JointModelPZ() if tree.prismatic[i] else pin.JointModelRZ()
         pose = pin.SE3(tree.rotation[i], tree.offset[i])
-        bounds = _bounds(joint.velocity, joint.lower, joint.upper)
-        parent = model.addJoint(parent, kind, pose, joint.name, *bounds)
+        bounds = _bounds(np.inf, -np.inf, np.inf)
+        if first[i] == i:
+            joint, scale = robot.arm[variable], tree.multiplier[i]
+            ends = sorted(scale * end + tree.bias[i] for end in (joint.lower, joint.upper))
+            bounds = _bounds(abs(scale) * joint.velocity, *ends)
+        parent = model.addJoint(parent, kind, pose, f"arm_{i}", *bounds)
     end = pin.SE3(chain.ee_rotation, chain.ee_offset)
     model.addFrame(pin.Frame("ee", parent, 0, end, pin.FrameType.OP_FRAME))
     return model
+
+
+def _first(tree: Tree) -> NDArray[np.intp]:
+    """Return the first joint with the variable of each joint, shape (m,)."""
+    return np.array([tree.variable.tolist().index(v) for v in tree.variable], dtype=np.intp)
+
+
+def _coupling(tree: Tree, carried: int) -> Array:
+    """Return a matrix whose product with velocities of base and joints is 0, (followers, v)."""
+    first = _first(tree)
+    followers = np.flatnonzero(first != np.arange(len(first)))
+    matrix = np.eye(carried + len(first))[carried + followers]
+    ratios = tree.multiplier[followers] / tree.multiplier[first[followers]]
+    matrix[np.arange(len(followers)), carried + first[followers]] = -ratios
+    return matrix
 
 
 def _bounds(velocity: float, lower: float, upper: float) -> list[Array]:
@@ -142,20 +158,23 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array |
     from pink import Configuration, solve_ik
     from pink.exceptions import NoSolutionFound
     from pink.limits import ConfigurationLimit, VelocityLimit
-    from pink.tasks import FrameTask, PostureTask
+    from pink.tasks import FrameTask, LinearHolonomicTask, PostureTask
 
-    model = build_model(robot)
+    model, tree = build_model(robot), build_chain(robot).tree
     data, carried = model.createData(), command_size(robot.base)
     lower, upper, speeds = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit
     bounded = np.flatnonzero(np.isfinite(upper))
     middle = (lower[bounded] + upper[bounded]) / 2.0
+    coupling, start = _coupling(tree, carried), np.concatenate([np.zeros(carried), tree.bias])
+    coupled = LinearHolonomicTask(coupling, np.zeros(len(coupling)), start)
+    constraints = [coupled] if len(coupling) else None
     ee = FrameTask("ee", _POSITION_COST, _ROTATION_COST)
     posture = PostureTask(_posture_costs(lower, upper, carried), gain=_POSTURE_GAIN)
     limits = (ConfigurationLimit(model), VelocityLimit(model))
     rest, q = np.zeros(model.nq), np.zeros(model.nq)
 
     def step(target: Array, joints: Array, barriers: list[Barriers]) -> Array | None:
-        q[carried:] = joints
+        q[carried:] = tree.multiplier * joints[tree.variable] + tree.bias
         np.clip(q, lower, upper, out=q)
         rest[:] = q
         rest[bounded] = middle
@@ -165,8 +184,9 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array |
         try:
             rules = (*limits, *barriers)
             velocity = solve_ik(
-                body, (ee, posture), HORIZON, _SOLVER, _DAMPING, rules, safety_break=False
-            )
+                body, (ee, posture), HORIZON, _SOLVER, _DAMPING, rules,
+                constraints=constraints, safety_break=False,
+            )  # fmt: skip
         except NoSolutionFound:
             return None
         action: Array = np.clip(velocity[:carried] / speeds[:carried], -1.0, 1.0)

@@ -105,3 +105,24 @@ def test_a_base_beside_its_path_returns_to_it(name, rate):
         assert np.abs(command).max() <= 1.0
         pose = integrate(pose, base_twist(base, pose, command, dt), dt)
     assert_near(pose, planar_pose(*path[-1:].T), 0.01, 0.03)
+
+
+@pytest.mark.parametrize(("task", "filters", "expected"), [
+    ("ggr", (), ["PathPlanner", "FeasibilityFilter"]),
+    ("ggr", ("time_scaling", "path_planner"),
+     ["FeasibilityFilter", "TimeScalingFilter", "PathPlanner"]),
+    ("joystick", (), []),
+])  # fmt: skip
+def test_the_baseline_planner_brings_its_filters(task, filters, expected):
+    world = world_of("fetch", task, filters)
+    for name, kinds in (("planner", expected), ("stationary", None)):
+        world.loop.set_policy(load_policy(name, world.robot))
+        built = [type(command_filter).__name__ for command_filter in world.loop.filters]
+        assert len(built) == len(filters) if kinds is None else built == kinds
+
+
+@pytest.mark.slow
+def test_the_baseline_planner_drives_an_imported_robot():
+    world = world_of("lekiwi", filters=())
+    records = run_episodes(world, load_policy("planner", world.robot), 3)
+    assert records.success.sum() >= 2
