@@ -55,7 +55,7 @@ class BasePathSettings:
     sensitive_cost: float = 0.3  # cost of the logarithm of `Proposal.sensitivity`
     largest_effort: float = 1.3  # joint displacement by the Jacobian, of its limit, that IK tries
     tried: int = 150  # robots that try IK
-    margin_cost: float = 1.0
+    margin_cost: float = 5.0
     joint_margin: float = 0.05  # distance from joint limits, of half their range, where ...
     clearance: float = (
         0.01  # ... and of shapes from each other, metres; less where no robot goes on
