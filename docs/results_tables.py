@@ -31,23 +31,14 @@ IMAGES = DOCS / "images"
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
-FILTERS = {
-    "pr2": ("pretrained", "feasibility filter"),
-    "tiago": ("pretrained", "path planner"),
-}
-"""Policy and row of the best filters of a robot."""
-ROWS = {
-    "**{}**, ours": ("sac", "", "success"),
-    "{}, paper": ("sac", "", "paper_success"),
-    "{}, `whole_body_qp`": ("whole_body_qp", "", "success"),
-    "{}, ceiling": ("sac", "", "ceiling"),
-}
-"""Policy, row and metric of the README's rows by their heads."""
+PLANNED = ("pretrained", "path planner")
+DEFAULT = {"pr2": ("sac", ""), "tiago": PLANNED, "hsr": ("sac", "")}
+"""Policy and row with the filters that are a robot's default."""
 LEARNED = {
     ("sac", ""): "SAC, 3 seeds",
     ("pretrained", ""): "pretrained",
     ("pretrained", "feasibility filter"): "pretrained, feasibility filter",
-    ("pretrained", "path planner"): "pretrained, path planner",
+    PLANNED: "pretrained, path planner",
 }
 """Rows of learned policies in docs/results.md."""
 PHYSICS = {
@@ -156,16 +147,21 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
     """Return the README with the rows of a record."""
     analytic, with_physics = plain(record), plain(physics)
     for robot, name in ROBOTS.items():
-        rows = {head.format(name): (analytic, *chosen) for head, chosen in ROWS.items()}
-        if robot in FILTERS:
-            policy, row = FILTERS[robot]
-            rows[f"**{name}**, {row}"] = analytic, policy, row, "success"
-        policy, row = IN_PYBULLET[robot]
-        best = PHYSICS[policy, row].format(f"**{name}** in PyBullet")
-        rows[best] = with_physics, policy, row, "success"
-        rows[f"{name} in PyBullet, paper"] = with_physics, policy, row, "paper_success"
+        default, in_pybullet = DEFAULT[robot], IN_PYBULLET[robot]
+        rows = {
+            f"**{name}**, ours": (analytic, *default, "success"),
+            f"{name}, paper": (analytic, "sac", "", "paper_success"),
+            f"{name}, `whole_body_qp`": (analytic, "whole_body_qp", "", "success"),
+            f"{name}, ceiling": (analytic, "sac", "", "ceiling"),
+            PHYSICS[in_pybullet].format(f"**{name}** in PyBullet"): (
+                with_physics, *in_pybullet, "success",
+            ),
+            f"{name} in PyBullet, paper": (with_physics, *in_pybullet, "paper_success"),
+        }  # fmt: skip
+        if default == PLANNED:
+            rows[f"{name}, policy alone"] = analytic, "sac", "", "success"
         for head, (cells, policy, row, key) in rows.items():
-            values = [_share(cells[robot, task, policy, row], key) for task in TASKS]
+            values = [_success(cells[robot, task, policy, row], key) for task in TASKS]
             page = _fill(page, head, values)
     return page
 

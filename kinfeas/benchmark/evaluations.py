@@ -148,7 +148,7 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
         if not case.variant and row.has(case.robot, case.task)
         for evaluation in learned
     ]
-    baselines = [replace(base, policy=name, source=name)
+    baselines = [_unplanned(benchmark, replace(base, policy=name, source=name))
                  for name, tasks in benchmark.baselines.items() if case.task in tasks]  # fmt: skip
     policies = [*learned, *rows, *baselines]
     if benchmark.backend == "analytic":
@@ -160,6 +160,17 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
         for at in range(0, case.episodes, PART)
     ]  # fmt: skip
     return [case, *(_without_physics(benchmark, evaluation) for evaluation in policies), *parts]
+
+
+def _unplanned(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
+    """Return an evaluation without the path planner, which would act in place of the policy."""
+    used = read_settings(case.robot, benchmark.backend, case.settings).world.filters
+    filters = tuple(spec for spec in used if spec.name != "path_planner")
+    return (
+        case
+        if filters == used
+        else replace(case, settings=nested(case.settings, _filters(filters)))
+    )
 
 
 def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
