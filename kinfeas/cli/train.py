@@ -102,14 +102,13 @@ def describe(now: "Progress") -> str:
     if now.evaluating is not None:
         done, episodes = now.evaluating
         return f"{now.steps:,} steps, evaluating {done}/{episodes} episodes"
-    left = now.seconds * (1.0 - now.fraction) / max(now.fraction, 1e-9)
     # NaN and -1 mean unknown.
     recent = f"{now.success:.0%}" if now.success >= 0.0 else "-"
     best = f", best evaluation {now.best:.1%} (mean of success and within 5 cm)"
     return (
         f"{now.steps:,} steps, {now.steps / max(now.seconds, 1e-9):,.0f}/s, "
         f"success while learning {recent}{best if now.best >= 0.0 else ''}, "
-        f"{left / 60.0:.1f} min left"
+        f"{now.left_seconds / 60.0:.1f} min left"
     )
 
 
