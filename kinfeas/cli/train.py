@@ -46,7 +46,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Recipes are sections of the robot: train, with --world pybullet or mujoco train_physics,
     with --init as well finetune_physics. Settings: every key of the recipe, such as
-    learner.batch_size=256.
+    learner.batch_size=256. train_physics begins in the analytic world.
 
     A resumed run equals one that was never interrupted. Only in PyBullet, and with several
     processes, episodes in progress restart.

@@ -75,7 +75,7 @@ class Progress:
     cpu: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     other_seconds: float = 0.0
     analytic: bool = False
-    left_seconds: float = math.nan
+    left_seconds: float = 0.0
 
     @property
     def success(self) -> float:
