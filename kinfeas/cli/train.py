@@ -46,7 +46,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Recipes are sections of the robot: train, with --world pybullet or mujoco train_physics,
     with --init as well finetune_physics. Settings: every key of the recipe, such as
-    learner.batch_size=256.
+    learner.batch_size=256. train_physics begins in the analytic world.
 
     A resumed run equals one that was never interrupted. Only in PyBullet, and with several
     processes, episodes in progress restart.
@@ -102,14 +102,13 @@ def describe(now: "Progress") -> str:
     if now.evaluating is not None:
         done, episodes = now.evaluating
         return f"{now.steps:,} steps, evaluating {done}/{episodes} episodes"
-    left = now.seconds * (1.0 - now.fraction) / max(now.fraction, 1e-9)
     # NaN and -1 mean unknown.
     recent = f"{now.success:.0%}" if now.success >= 0.0 else "-"
     best = f", best evaluation {now.best:.1%} (mean of success and within 5 cm)"
     return (
         f"{now.steps:,} steps, {now.steps / max(now.seconds, 1e-9):,.0f}/s, "
         f"success while learning {recent}{best if now.best >= 0.0 else ''}, "
-        f"{left / 60.0:.1f} min left"
+        f"{now.left_seconds / 60.0:.1f} min left"
     )
 
 

@@ -54,6 +54,8 @@ class Progress:
             which the EE was never more than 5 cm off, 0-1; -1 before the first one.
         evaluations: Number of evaluations.
         recent: Whether each of the last training episodes was without a failure.
+        analytic: Whether the run is in its part in the analytic world; see `ScheduleConfig`.
+        left_seconds: Wall-clock time to the end of the run, as far as its speed stays.
         evaluating: Episodes done and episodes in all of the evaluation that runs now.
         updates: Gradient steps in this process.
         parts: Wall-clock seconds of parts in this process: `step`, of which `update` of the
@@ -72,6 +74,8 @@ class Progress:
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     cpu: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     other_seconds: float = 0.0
+    analytic: bool = False
+    left_seconds: float = 0.0
 
     @property
     def success(self) -> float:
@@ -80,7 +84,7 @@ class Progress:
 
     def saved(self) -> dict[str, object]:
         """Return the fields of a checkpoint."""
-        names = ("steps", "seconds", "best", "evaluations", "other_seconds")
+        names = ("steps", "seconds", "best", "evaluations", "other_seconds", "analytic")
         return {**{name: getattr(self, name) for name in names}, "recent": list(self.recent)}
 
 
@@ -94,6 +98,7 @@ class _Saved:
     evaluations: _Tally
     recent: tuple[bool, ...]
     other_seconds: NotNegative = 0.0
+    analytic: bool = False
 
 
 def check_new(out: Path) -> None:

@@ -56,6 +56,7 @@ from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv
 from kinfeas.training.worlds import (
     FRESH_SEED,
     PeriodicEvaluator,
+    part_of,
     periodic_evaluator,
     training_world,
 )
@@ -118,13 +119,13 @@ class _Run:
         check_trackers(config)
         self.config, self.out = config, out
         self.limited = evaluation_seconds(config, 1) < math.inf
-        self.env: EpisodesVecEnv = (
-            WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)
-            if config.processes == 1
-            else ProcessVecEnv(config)
-        )
+        analytic = config.world.backend != "analytic" and config.schedule.analytic > 0.0
+        self.progress = Progress(analytic=analytic)
+        self.part = part_of(config, analytic=analytic)
+        self.env = environments(self.part)
+        if analytic:  # shows its errors early
+            training_world(config).close()
         self.learner = make_learner(config.learner, self.env, config.seed)
-        self.progress = Progress()
         self.observation: NDArray[np.float32] | None = None
         self.evaluated_at = -1
 
@@ -148,6 +149,7 @@ class _Run:
                 raise KinfeasError(f"{last}: missing, the run cannot be resumed")
             return
         self.progress = read_progress(self.config, last)
+        self._enter()
         with loading(last):
             read_network(last, self.env.robot)
             self.env.reset()
@@ -192,6 +194,14 @@ class _Run:
                 continue  # an evaluation that counts may have ended the run
             if self.progress.fraction >= 1.0:
                 break
+            if self.progress.analytic and self.progress.fraction >= self.config.schedule.analytic:
+                with uninterrupted():
+                    self.progress.analytic = False
+                    self._enter()
+                    self._compile()
+                    self._clock()
+                    self._save()
+                start = time.monotonic() - self.progress.seconds
             with uninterrupted():
                 own, all_threads = time.thread_time(), time.process_time()
                 with self._timed("step"):
@@ -217,11 +227,19 @@ class _Run:
         if self.limited:
             now = time.monotonic() - self.begun
             self.progress.other_seconds = max(now - self.progress.seconds, 0.0)
-        self.progress.fraction = fraction_done(self.config, self.progress)
+        self.progress.fraction = done = fraction_done(self.config, self.progress)
+        left = self.progress.seconds * (1.0 - done) / max(done, 1e-9)
+        self.progress.left_seconds = max(self._left(), 0.0) if self.limited else left
+
+    def _enter(self) -> None:
+        """Take the environments of the part of the run that it is in."""
+        part = part_of(self.config, analytic=self.progress.analytic)
+        if part != self.part:
+            self.env.close()
+            self.part, self.env = part, environments(part)
 
     def _first(self) -> None:
         """Begin the first episodes, and write what a run needs to be resumed."""
-        self.observation = self.env.reset()
         self._compile()
         if self.config.init is not None:
             self._write("initial", lambda folder: self._write_policy(folder, {"steps": 0}))
@@ -229,14 +247,15 @@ class _Run:
         self._save()
 
     def _compile(self) -> None:
-        """Compile the kernels of a step, which does not count as training time."""
+        """Begin the first episodes; compile the kernels, which does not count as training time."""
+        self.env.reset()
         snapshot = self.env.snapshot()
         self.env.step(np.zeros((self.env.num_envs, flatdim(self.env.action_space))))
         self.observation = self.env.restore(snapshot)
 
     def _step(self) -> None:
         """Step all environments once, and learn from the replay buffer."""
-        config, learner, progress = self.config.learner, self.learner, self.progress
+        config, learner, progress = self.part.learner, self.learner, self.progress
         assert self.observation is not None
         filling = progress.steps < max(config.learning_starts, self.config.num_envs)
         random = filling and self.config.init is None
@@ -260,7 +279,7 @@ class _Run:
         assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = following
-        progress.steps += self.config.num_envs * self.config.action_repeat
+        progress.steps += self.part.num_envs * self.part.action_repeat
         progress.recent.extend(infos[row]["is_success"] for row in ended)
 
     def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs, report: Report | None) -> None:
@@ -379,6 +398,13 @@ class _Run:
     def _write_policy(self, folder: Path, about: dict[str, Any]) -> None:
         network = network_of(self.learner, self.env)
         write_network(network, folder, self.env.robot, about)
+
+
+def environments(config: TrainConfig) -> EpisodesVecEnv:
+    """Return the environments of a run or of a part of it."""
+    if config.processes > 1:
+        return ProcessVecEnv(config)
+    return WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)
 
 
 @contextmanager

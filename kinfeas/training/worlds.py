@@ -12,7 +12,7 @@ from typing import Any
 from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.envs.batch import Batch
 from kinfeas.envs.episodes import OnDone, begin_worker, evaluate_episodes, evaluate_within
-from kinfeas.envs.world import World, evaluation_world
+from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
@@ -38,6 +38,33 @@ def training_world(config: TrainConfig) -> World:
     world.stream = TRAINING
     world.loop.observer.terms = config.observation
     return world
+
+
+def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
+    """Return the settings of a part of a run: in the analytic world, or in the world of the run.
+
+    The analytic part has the control period of that world, and actions of the same duration. Its
+    failures and gradient steps are as many in a second.
+    """
+    if not analytic:
+        return config
+    ratio = WorldConfig.dt / config.world.dt
+
+    def fewer(count: int) -> int:
+        return max(round(count / ratio), 1)
+
+    world = replace(
+        config.world,
+        backend="analytic",
+        backend_parameters={},
+        dt=WorldConfig.dt,
+        time_scale=WorldConfig.time_scale,  # its robots have no inertia
+        arm_settle_timeout=WorldConfig.arm_settle_timeout,
+        max_failures=fewer(config.world.max_failures),
+    )
+    learner = replace(config.learner, gradient_steps=fewer(config.learner.gradient_steps))
+    repeat = fewer(config.action_repeat)
+    return replace(config, world=world, processes=1, action_repeat=repeat, learner=learner)
 
 
 def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:

@@ -265,6 +265,24 @@ def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch):
     assert 220.0 < longer.seconds + longer.other_seconds <= 250.0
 
 
+def test_a_run_with_physics_begins_in_the_analytic_world(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.backends", "engine", Engine)
+    world = {"world.backend": "engine", "world.dt": 0.02, "action_repeat": 5}
+    settings = tiny({**world, "schedule.analytic": 0.5})
+    explore = Mock(side_effect=training.explore)
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "explore", explore)
+        train(settings, tmp_path / "whole")
+    assert explore.call_count == 24  # 8 episodes: 20 actions of one period, then 4 of 5 periods
+    assert [row[0] for row in evaluated(tmp_path / "whole")] == ["160", "320"]
+    with monkeypatch.context() as patch, pytest.raises(KilledError):
+        stop_at(patch, training, "explore", 23, kill)
+        train(settings, tmp_path / "run")
+    resume(tmp_path / "run")
+    assert_same(tmp_path / "run", tmp_path / "whole")
+
+
 def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monkeypatch):
     successes, original = iter([0.5, 0.25, 0.5, 0.4, 0.3]), training.summarize
     offsets, evaluator = [], training.periodic_evaluator
