@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.recipes import load_section
+from kinfeas.control.observation import HORIZON
 from kinfeas.core import registry, spatial
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
@@ -29,6 +30,7 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.planning.base_path import BasePathPlanner
 from kinfeas.policies.baselines.following import FollowBase, FollowEe
 from kinfeas.policies.loading import trained_folder
 from kinfeas.policies.network import read_network
@@ -38,6 +40,9 @@ from kinfeas.sim2real.link.rate import peak_memory_mb
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""
+
+MOTIONS = 100
+"""Motions of `ggr` that are planned."""
 
 ROOM_STEPS = 800
 """Timed steps among solids: more than an episode, so that its start counts, too."""
@@ -100,6 +105,7 @@ def measure_speed(
         "inverse kinematics": lambda: measure_ik(known, effort),
         "environment": lambda: measure_environments(known, effort),
         "rooms": lambda: measure_rooms(robot, effort),
+        "plans": lambda: measure_plans(known),
         "action": lambda: measure_action(known, effort),
         "training": lambda: measure_training(robot, effort),
     }
@@ -126,6 +132,24 @@ def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
             for name, peer in others.items():
                 timing = None if peer is None else time_peer(robot, peer, targets)
                 yield from _figures(f"{name} {kind}", timing)
+
+
+def measure_plans(robot: Robot) -> Iterator[Figure]:
+    """Yield the time of plans of base and arm along whole motions of `ggr`, and how many exist."""
+    world = World(robot, registry.build("kinfeas.tasks", "ggr", {}), WorldConfig(), seed=0)
+    planner, seconds, found = BasePathPlanner(IkSolver(robot)), [], 0
+    world.start(range(MOTIONS))
+    robots = world.loop.robots
+    ways = world.loop.sequence.to_the_end(np.arange(MOTIONS))
+    with one_core():
+        for base, joints, ee in zip(robots.base_pose, robots.joint_positions, ways, strict=True):
+            start = time.perf_counter()
+            found += planner.plan(base, joints, ee, HORIZON, 0.0) is not None
+            seconds.append(time.perf_counter() - start)
+    yield Figure("motion, median", float(np.median([len(ee) for ee in ways])) * HORIZON, "s")
+    for name, share in (("median", 0.5), ("p90", 0.9), ("p99", 0.99)):
+        yield Figure(f"plan of a motion, {name}", float(np.quantile(seconds, share)), "s")
+    yield Figure("plans found", found / MOTIONS, "")
 
 
 def measure_environments(robot: Robot, effort: Effort) -> Iterator[Figure]:
