@@ -17,7 +17,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_path import BasePath, BasePathPlanner
 from kinfeas.robots.robot import Base, Robot, joint_displacement
 
-_OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.1, 0.7
+_OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.05, 0.3
 """Deviations of EE, base and arm from a path beyond which it is planned anew, metres and radians or
 metres."""
 
