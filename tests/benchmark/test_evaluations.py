@@ -48,8 +48,11 @@ def test_pybullet_episodes_come_in_parts_beside_the_analytic_world():
     assert rows["tiago", "ggr", "head_start"] == rows["pr2", "ggr", "no_objects"] == 0
     assert rows["tiago", "door", "no_objects"] == 1
     beside = [job for job in planned if job.backend == "analytic" and job.policy == "pretrained"]
-    feasibility = {"world.filters": [{"name": "feasibility", "parameters": {}}]}
-    assert all(job.settings == feasibility for job in beside)
+    used = {"pr2": ["feasibility"], "tiago": ["path_planner", "feasibility"]}
+    for job in beside:
+        assert [spec["name"] for spec in job.settings["world.filters"]] == used[job.robot]
+    alone = next(job for job in parts if (job.robot, job.policy) == ("tiago", "follow_ee"))
+    assert alone.settings["world"]["filters"] == [{"name": "feasibility", "parameters": {}}]
 
 
 def test_jobs_with_other_results_have_other_files():
