@@ -73,8 +73,7 @@ class TargetController:
     def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
         """Send the EE to a pose (7,) in the world, base or EE frame, by its name.
 
-        `stamp` is when the pose was made, in seconds of the sender's clock; the frame is that of
-        the stamp.
+        `stamp` is the time of the pose and of its frame, in seconds of the sender's clock.
         """
         self._put(pose, stamp, None, frame)
 
@@ -82,7 +81,7 @@ class TargetController:
         """Move the EE by a twist (6,), linear and angular, along the axes of a frame."""
         self._put(twist, stamp, None, frame)
 
-    def set_chunk(
+    def set_chunk(  # noqa: PLR0913 - keywords of a public call
         self,
         poses: ArrayLike,
         times: ArrayLike,
@@ -90,6 +89,7 @@ class TargetController:
         frame: str = "",
         *,
         relative: bool = False,
+        observed: float | None = None,
         keep: float = 0.0,
     ) -> None:
         """Lead the EE along poses (k, 7) at ascending times (k,) in place of the last chunk.
@@ -97,14 +97,17 @@ class TargetController:
         Args:
             poses: Shape (k, 7), or (k, 9) as of `spatial.from_columns`.
             times: Of the sender's clock, or of our `clock` without a stamp.
-            stamp: When the policy's observation was made, seconds of the sender's clock.
-            frame: World, base or EE frame, by its name; the pose of the frame is that of the stamp.
-            relative: Whether poses are relative to the EE, as its frame's name says, too: to the
-                pose that was desired at the stamp, not at the arrival.
-            keep: Seconds from the stamp during which the last chunk stays, as in real-time
+            stamp: When the chunk was sent, by the sender's clock.
+            frame: World, base or EE frame, by its name, at the time of the observation.
+            relative: Whether poses are relative to the EE pose that was desired at the time of the
+                observation, not of the arrival; the same as the name of the EE frame.
+            observed: Time of the policy's observation, by the clock of `times`; by default that of
+                sending. Chunks of older observations than the last one are ignored.
+            keep: Seconds from the observation during which the last chunk stays, as in real-time
                 chunking; at least until the arrival.
         """
-        self._put(poses, stamp, times, self.robot.ee_frame if relative else frame, keep)
+        frame = self.robot.ee_frame if relative else frame
+        self._put(poses, stamp, times, frame, observed, keep)
 
     @property
     def live(self) -> NDArray[np.bool_]:
@@ -143,12 +146,12 @@ class TargetController:
         now = np.array([self._clock()])
         self.base_pose, self.pose, self.running = progress.base_pose[0], progress.desired[0], True
         self._frames.append(float(now[0]), self.base_pose, self.pose)
-        if messages:
+        if messages or self._kept:
             before = self.counts
             for message in messages:
                 self._read(message, now)
+            self._put_kept(now)
             self._watch(before, float(now[0]))
-        self._put_kept(now)
         rows, dt = progress.rows, progress.dt
         self._inbox.wait(rows, progress.time_scale, progress.desired)
         self._inbox.advance(rows, now, dt, progress.motion_seconds)
@@ -177,6 +180,7 @@ class TargetController:
         stamp: float | None,
         times: ArrayLike | None,
         frame: str,
+        observed: float | None = None,
         keep: float = 0.0,
     ) -> None:
         arrival = self._clock()
@@ -187,6 +191,7 @@ class TargetController:
                 np.array(values, dtype=np.float64, ndmin=1),
                 None if times is None else np.array(times, dtype=np.float64, ndmin=1),
                 frame,
+                None if observed is None else float(observed),
                 float(keep),
             )
         except (TypeError, ValueError, OverflowError):
@@ -197,6 +202,8 @@ class TargetController:
 
     def _watch(self, before: dict[str, int], now: float) -> None:
         """Warn once of messages that are all ignored for long; they were counted as `before`."""
+        if self.counts == before:
+            return
         if self.counts["accepted"] > before["accepted"]:
             self._ignored = None
             return
@@ -211,19 +218,21 @@ class TargetController:
 
     def _read(self, message: Message, now: Array) -> None:
         values, times, stamp = message.values, message.times, message.stamp
-        numbers = [0.0 if stamp is None else stamp, message.keep]
+        numbers = [stamp or 0.0, message.observed or 0.0, message.keep]
         if values is None or not (np.isfinite(numbers).all() and np.isfinite(values).all()):
             self._inbox.reject(_ROW)
             return
         if message.frame not in self._frames:
             self._others["frame"] += 1
             return
-        arrival = message.arrival
-        when = arrival if stamp is None else self._sender.sent(stamp, arrival)
-        if when is None:
+        arrival, observed = message.arrival, message.observed
+        sent = arrival if stamp is None else self._sender.sent(stamp, arrival)
+        offset = 0.0 if sent is None or stamp is None else sent - stamp
+        when = sent if sent is None or observed is None else observed + offset
+        if when is None or when - arrival > 0.5 * self.rules.timeout:
             self._others["ahead"] += 1
             return
-        frame = self._frames.at(message.frame, float(now[0]) if stamp is None else when)
+        frame = self._frames.at(message.frame, when)
         if frame is None:
             self._inbox.reject(_ROW, "late")
             return
@@ -233,7 +242,7 @@ class TargetController:
             twist = spatial.compose(np.tile(frame, (2, 1)), points)[:, :3] - frame[:3]
             self._inbox.put_twists(_ROW, now, np.array([when]), twist.reshape(1, 6))
             return
-        chunk = chunk_in_world(values, times, frame, when, 0.0 if stamp is None else when - stamp)
+        chunk = chunk_in_world(values, times, frame, when, offset)
         if chunk is None:
             self._inbox.reject(_ROW)
             return

@@ -27,6 +27,7 @@ class Message(NamedTuple):
     values: Array | None
     times: Array | None = None
     frame: str = ""
+    observed: float | None = None
     keep: float = 0.0
 
 

@@ -1,9 +1,10 @@
 """Targets from ROS topics, with the message types of MoveIt Servo."""
 
-import math
+import time
 from functools import partial
 from typing import Any, ClassVar
 
+from kinfeas.config.quantities import Seconds
 from kinfeas.sim2real.ros.bus import Version, make_bus
 from kinfeas.sim2real.servo.controller import TargetController
 
@@ -11,9 +12,10 @@ from kinfeas.sim2real.servo.controller import TargetController
 class RosSource:
     """Subscribes to geometry_msgs/TwistStamped and PoseStamped, and nav_msgs/Path for chunks.
 
-    Frames are named in the headers; a stamp of zero stands for the arrival. A path has the stamp of
-    the observation in its header, and the times of its poses in theirs; in the EE frame it is
-    relative to the pose that was desired at the observation.
+    Frames are named in the headers; a stamp of zero stands for the arrival. A path has the time of
+    the policy's observation in its header, and the times of its poses in theirs, by a clock that
+    agrees with that of this computer. In the EE frame, it is relative to the pose that was desired
+    at the observation.
 
     Attributes:
         version: Version of ROS.
@@ -26,11 +28,11 @@ class RosSource:
         twist: str = "/servo_node/delta_twist_cmds",
         pose: str = "/servo_node/pose_target_cmds",
         chunk: str = "/servo_node/pose_chunk_cmds",
-        keep: float = 0.0,
+        keep: Seconds = 0.0,
     ) -> None:
         """Use topics with the names that MoveIt Servo has by default.
 
-        The last chunk stays for `keep` seconds from the stamp of a new one.
+        The last chunk stays for `keep` seconds from the observation of a new one.
         """
         self._topics, self._keep, self._bus = (twist, pose, chunk), keep, make_bus(self.version)
 
@@ -71,10 +73,14 @@ def _take_pose(controller: TargetController, message: Any) -> None:
 
 
 def _take_path(controller: TargetController, keep: float, message: Any) -> None:
-    header, poses = message.header, [_pose(stamped.pose) for stamped in message.poses]
-    times = [stamped.header.stamp.to_sec() for stamped in message.poses]
-    stamp = header.stamp.to_sec() or math.nan  # an invalid one: times need the sender's clock
-    controller.set_chunk(poses, times, stamp, header.frame_id, keep=keep)
+    poses, offset = message.poses, time.monotonic() - time.time()
+    controller.set_chunk(
+        [_pose(stamped.pose) for stamped in poses],
+        [stamped.header.stamp.to_sec() + offset for stamped in poses],
+        frame=message.header.frame_id,
+        observed=message.header.stamp.to_sec() + offset,
+        keep=keep,
+    )
 
 
 def _pose(pose: Any) -> list[float]:
