@@ -163,7 +163,7 @@ class TargetInbox:
         valid &= (np.diff(when, axis=1) > 0.0).all(axis=1)
         usable = np.where(valid[:, np.newaxis, np.newaxis], usable, spatial.IDENTITY)
         usable[:, :, 3:] /= np.linalg.norm(usable[:, :, 3:], axis=2, keepdims=True)
-        aims = _interpolated(now, when, usable)
+        aims = interpolated(now, when, usable)
         recent = now <= self._until[rows]
         near = self._near(self.target[rows], aims)
         near |= recent & self._has_poses[rows] & self._near(self._last_aim[rows], aims)
@@ -180,9 +180,9 @@ class TargetInbox:
         self._poses[accepted, : when.shape[1]] = usable[good]
         self._has_poses[accepted], self._last_aim[accepted] = True, aims[good]
 
-    def reject(self, rows: Rows) -> None:
-        """Count messages that are no poses or twists at all."""
-        self.counts[rows, 1] += 1
+    def reject(self, rows: Rows, rule: str = "invalid") -> None:
+        """Count messages that are no poses or twists at all, or ignored by another of `RULES`."""
+        self.counts[rows, RULES.index(rule)] += 1
 
     def wait(self, rows: Rows, time_scale: Array, desired: Array) -> None:
         """Let targets wait where motions did in their last period.
@@ -213,7 +213,7 @@ class TargetInbox:
             seconds: Its motion time.
         """
         rest, live = self.target[rows], now <= self._until[rows]
-        aims = _interpolated(now + dt, self._times[rows], self._poses[rows])
+        aims = interpolated(now + dt, self._times[rows], self._poses[rows])
         twist = np.where(
             self._has_poses[rows, np.newaxis],
             spatial.twist_between(rest, aims, seconds),
@@ -277,7 +277,7 @@ def _numbers(values: Array) -> NDArray[np.bool_]:
     return np.max(np.abs(values), axis=1, initial=0.0) <= REMOTEST
 
 
-def _interpolated(now: Array, times: Array, poses: Array) -> Array:
+def interpolated(now: Array, times: Array, poses: Array) -> Array:
     """Return poses between those of a chunk, (n, k, 7) at times (n, k), shape (n, 7)."""
     rows, last = np.arange(len(times)), times.shape[1] - 1
     passed = (times <= now[:, np.newaxis]).sum(axis=1)

@@ -24,6 +24,7 @@ UNIT = 1e-2
 """Largest deviation of the norm of a quaternion in an input from 1."""
 
 _POSE, _TWIST = (7,), (6,)
+_DEGENERATE = 1e-3  # least length of a column of a rotation, and of its part across the other one
 
 
 def rotation(pose: Array) -> Rotation:
@@ -42,6 +43,32 @@ def rpy(pose: Array) -> Array:
 def make_pose(position: Array, orientation: Rotation) -> Array:
     """Return the pose at `position`, shape (..., 3) in metres, with an `orientation`."""
     return np.concatenate([position, canonical(orientation.as_quat())], axis=-1)
+
+
+def from_columns(values: Array) -> Array:
+    """Return the poses (..., 7) of positions and two columns of rotation matrices, (..., 9).
+
+    The columns are made orthonormal as by Zhou et al., On the Continuity of Rotation
+    Representations in Neural Networks, CVPR 2019. Rows, as PyTorch3D and UMI have them, are
+    columns of the inverse rotation.
+
+    Raises:
+        KinfeasError: If a column is not finite or zero, or the columns are parallel.
+    """
+    if values.shape[-1:] != (9,):
+        raise KinfeasError(f"the shape must be positions and columns (..., 9), not {values.shape}")
+    x, y = values[..., 3:6], values[..., 6:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        first = np.linalg.norm(x, axis=-1, keepdims=True)
+        x = x / np.maximum(first, _DEGENERATE)
+        y = y - np.sum(x * y, axis=-1, keepdims=True) * x
+        second = np.linalg.norm(y, axis=-1, keepdims=True)
+    lengths = np.stack([first, second])
+    if not ((lengths > _DEGENERATE) & np.isfinite(lengths)).all():
+        raise KinfeasError("the columns of rotations must be finite, not zero and not parallel")
+    y = y / second
+    matrices = np.stack([x, y, np.cross(x, y)], axis=-1)
+    return make_pose(values[..., :3], Rotation.from_matrix(matrices))
 
 
 def canonical(quaternion: Array) -> Array:

@@ -26,7 +26,7 @@ _LOCAL = {"localhost", "127.0.0.1", "::1"}
 
 _PACKAGES = {
     **dict.fromkeys(("Twist", "TwistStamped", "PoseStamped", "TransformStamped"), "geometry_msgs"),
-    **dict.fromkeys(("Odometry", "OccupancyGrid"), "nav_msgs"),
+    **dict.fromkeys(("Odometry", "OccupancyGrid", "Path"), "nav_msgs"),
     **dict.fromkeys(("JointState", "LaserScan"), "sensor_msgs"),
     **dict.fromkeys(("JointTrajectory", "JointTrajectoryPoint"), "trajectory_msgs"),
     "TFMessage": "tf2_msgs",

@@ -240,6 +240,7 @@ geometry_msgs/Transform Vector3 translation Quaternion rotation
 geometry_msgs/TransformStamped Header header string child_frame_id Transform transform
 nav_msgs/Odometry Header header string child_frame_id \
 PoseWithCovariance pose TwistWithCovariance twist
+nav_msgs/Path Header header PoseStamped[] poses
 nav_msgs/MapMetaData Time map_load_time float32 resolution uint32 width uint32 height Pose origin
 nav_msgs/OccupancyGrid Header header MapMetaData info int8[] data
 sensor_msgs/JointState Header header string[] name float64[] position float64[] velocity \

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,27 +21,15 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.servo.messages import Frames, Message, chunk_in_world
 from kinfeas.sim2real.servo.sender_clock import SenderClock
 from kinfeas.tasks.task import MotionSpec, Subgoal
-
-WORLD = ("", "world", "map", "odom")
-"""Names of the world frame."""
 
 _QUEUE = 256  # messages in a control period; older ones are dropped
 _LONG = 2.0  # s after which ignored messages are reported
 _ROW = np.zeros(1, dtype=np.intp)
 
 _log = logging.getLogger(__name__)
-
-
-class _Message(NamedTuple):
-    """Twist (6,) or poses (k, 7) for times (k,), or neither; seconds of the sender and of ours."""
-
-    arrival: float
-    stamp: float | None
-    values: Array | None
-    times: Array | None = None
-    frame: str = ""
 
 
 class TargetController:
@@ -73,7 +61,9 @@ class TargetController:
         self.pose = self.base_pose = spatial.IDENTITY
         self.running = False
         self._inbox = TargetInbox(self.rules, max(2, max_poses))
-        self._queue: deque[_Message] = deque(maxlen=_QUEUE)
+        self._queue: deque[Message] = deque(maxlen=_QUEUE)
+        self._kept: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_QUEUE)
+        self._frames = Frames(robot)
         self._lock = threading.Lock()
         self._sender = SenderClock(self.rules.timeout)
         self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
@@ -83,7 +73,7 @@ class TargetController:
     def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
         """Send the EE to a pose (7,) in the world, base or EE frame, by its name.
 
-        `stamp` is when the pose was made, in seconds of the sender's clock.
+        `stamp` is the time of the pose and of its frame, in seconds of the sender's clock.
         """
         self._put(pose, stamp, None, frame)
 
@@ -91,14 +81,33 @@ class TargetController:
         """Move the EE by a twist (6,), linear and angular, along the axes of a frame."""
         self._put(twist, stamp, None, frame)
 
-    def set_chunk(
-        self, poses: ArrayLike, times: ArrayLike, stamp: float | None = None, frame: str = ""
+    def set_chunk(  # noqa: PLR0913 - keywords of a public call
+        self,
+        poses: ArrayLike,
+        times: ArrayLike,
+        stamp: float | None = None,
+        frame: str = "",
+        *,
+        relative: bool = False,
+        observed: float | None = None,
+        keep: float = 0.0,
     ) -> None:
         """Lead the EE along poses (k, 7) at ascending times (k,) in place of the last chunk.
 
-        Times are of the sender's clock, or of our `clock` without a stamp.
+        Args:
+            poses: Shape (k, 7), or (k, 9) as of `spatial.from_columns`.
+            times: Of the sender's clock, or of our `clock` without a stamp.
+            stamp: When the chunk was sent, by the sender's clock.
+            frame: World, base or EE frame, by its name, at the time of the observation.
+            relative: Whether poses are relative to the EE pose that was desired at the time of the
+                observation, not of the arrival; the same as the name of the EE frame.
+            observed: Time of the policy's observation, by the clock of `times`; by default that of
+                sending. Chunks of older observations than the last one are ignored.
+            keep: Seconds from the observation during which the last chunk stays, as in real-time
+                chunking; at least until the arrival.
         """
-        self._put(poses, stamp, times, frame)
+        frame = self.robot.ee_frame if relative else frame
+        self._put(poses, stamp, times, frame, observed, keep)
 
     @property
     def live(self) -> NDArray[np.bool_]:
@@ -123,6 +132,8 @@ class TargetController:
         """Rest where the EE is; earlier messages are dropped."""
         with self._lock:
             self._queue.clear()
+        self._kept.clear()
+        self._frames.clear()
         self._inbox.start(desired)
 
     def targets(self, progress: Progress) -> Array:
@@ -134,10 +145,12 @@ class TargetController:
             self._queue.clear()
         now = np.array([self._clock()])
         self.base_pose, self.pose, self.running = progress.base_pose[0], progress.desired[0], True
-        if messages:
+        self._frames.append(float(now[0]), self.base_pose, self.pose)
+        if messages or self._kept:
             before = self.counts
             for message in messages:
                 self._read(message, now)
+            self._put_kept(now)
             self._watch(before, float(now[0]))
         rows, dt = progress.rows, progress.dt
         self._inbox.wait(rows, progress.time_scale, progress.desired)
@@ -162,25 +175,35 @@ class TargetController:
         return period if self.live[0] else period.commanded(np.zeros_like(period.command))
 
     def _put(
-        self, values: ArrayLike, stamp: float | None, times: ArrayLike | None, frame: str
+        self,
+        values: ArrayLike,
+        stamp: float | None,
+        times: ArrayLike | None,
+        frame: str,
+        observed: float | None = None,
+        keep: float = 0.0,
     ) -> None:
         arrival = self._clock()
         try:  # copies, since the sender may write into its arrays
-            message = _Message(
+            message = Message(
                 arrival,
                 None if stamp is None else float(stamp),
                 np.array(values, dtype=np.float64, ndmin=1),
                 None if times is None else np.array(times, dtype=np.float64, ndmin=1),
                 frame,
+                None if observed is None else float(observed),
+                float(keep),
             )
         except (TypeError, ValueError, OverflowError):
-            message = _Message(arrival, None, None)
+            message = Message(arrival, None, None)
         with self._lock:
             self._others["dropped"] += self.running and len(self._queue) == _QUEUE
             self._queue.append(message)
 
     def _watch(self, before: dict[str, int], now: float) -> None:
         """Warn once of messages that are all ignored for long; they were counted as `before`."""
+        if self.counts == before:
+            return
         if self.counts["accepted"] > before["accepted"]:
             self._ignored = None
             return
@@ -193,46 +216,47 @@ class TargetController:
             why = ", ".join(f"{n} {rule}" for rule, n in new.items() if n)
             _log.warning("all messages are ignored, for %.1f s: %s", now - since, why)
 
-    def _read(self, message: _Message, now: Array) -> None:
+    def _read(self, message: Message, now: Array) -> None:
         values, times, stamp = message.values, message.times, message.stamp
-        frame = self._frame(message.frame)
-        stamped = stamp is None or math.isfinite(stamp)
-        if values is None or not (stamped and np.isfinite(values).all()):
+        numbers = [stamp or 0.0, message.observed or 0.0, message.keep]
+        if values is None or not (np.isfinite(numbers).all() and np.isfinite(values).all()):
             self._inbox.reject(_ROW)
             return
-        if frame is None:
+        if message.frame not in self._frames:
             self._others["frame"] += 1
             return
-        arrival = message.arrival
-        when = arrival if stamp is None else self._sender.sent(stamp, arrival)
-        if when is None:
+        arrival, observed = message.arrival, message.observed
+        sent = arrival if stamp is None else self._sender.sent(stamp, arrival)
+        offset = 0.0 if sent is None or stamp is None else sent - stamp
+        when = sent if sent is None or observed is None else observed + offset
+        if when is None or when - arrival > 0.5 * self.rules.timeout:
             self._others["ahead"] += 1
             return
-        sent = np.array([when])
+        frame = self._frames.at(message.frame, when)
+        if frame is None:
+            self._inbox.reject(_ROW, "late")
+            return
         if times is None and values.shape == (6,):
             points = np.tile(spatial.IDENTITY, (2, 1))
             points[:, :3] = values.reshape(2, 3)
             twist = spatial.compose(np.tile(frame, (2, 1)), points)[:, :3] - frame[:3]
-            self._inbox.put_twists(_ROW, now, sent, twist.reshape(1, 6))
+            self._inbox.put_twists(_ROW, now, np.array([when]), twist.reshape(1, 6))
             return
-        if times is None and values.shape == (7,):
-            values, times = values[np.newaxis], sent
-        elif times is not None and stamp is not None:
-            times = times + (sent - stamp)
-        if times is None or times.shape != (len(values),) or values.shape != (len(times), 7):
+        chunk = chunk_in_world(values, times, frame, when, offset)
+        if chunk is None:
             self._inbox.reject(_ROW)
             return
-        quaternions = np.clip(values[:, 3:], -2.0, 2.0)  # no overflow
-        unit = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) <= spatial.UNIT
-        if frame is not spatial.IDENTITY and np.isfinite(values).all() and unit.all():
-            values = spatial.compose(frame, values)
-        self._inbox.put_poses(_ROW, now, sent, times[np.newaxis], values[np.newaxis])
+        self._kept.append((when + message.keep, np.array([when]), *chunk))
+        self._put_kept(now)
 
-    def _frame(self, name: str) -> Array | None:
-        """Return the world pose of a frame; None if it is unknown."""
-        name = name.lstrip("/") if isinstance(name, str) else "?"
-        frames = {self.robot.base.frame: self.base_pose, self.robot.ee_frame: self.pose}
-        return spatial.IDENTITY if name in WORLD else frames.get(name)
+    def _put_kept(self, now: Array) -> None:
+        """Take the poses for which the last chunk no longer stays."""
+        for _ in range(len(self._kept)):
+            due, sent, times, poses = self._kept.popleft()
+            if due <= now[0]:
+                self._inbox.put_poses(_ROW, now, sent, times, poses)
+            else:
+                self._kept.append((due, sent, times, poses))
 
 
 class TargetSource(Protocol):

@@ -1,16 +1,21 @@
 """Targets from ROS topics, with the message types of MoveIt Servo."""
 
+import time
 from functools import partial
 from typing import Any, ClassVar
 
+from kinfeas.config.quantities import Seconds
 from kinfeas.sim2real.ros.bus import Version, make_bus
 from kinfeas.sim2real.servo.controller import TargetController
 
 
 class RosSource:
-    """Subscribes to geometry_msgs/TwistStamped and PoseStamped.
+    """Subscribes to geometry_msgs/TwistStamped and PoseStamped, and nav_msgs/Path for chunks.
 
-    Frames are named in the headers; a stamp of zero stands for the arrival.
+    Frames are named in the headers; a stamp of zero stands for the arrival. A path has the time of
+    the policy's observation in its header, and the times of its poses in theirs, by a clock that
+    agrees with that of this computer. In the EE frame, it is relative to the pose that was desired
+    at the observation.
 
     Attributes:
         version: Version of ROS.
@@ -22,16 +27,22 @@ class RosSource:
         self,
         twist: str = "/servo_node/delta_twist_cmds",
         pose: str = "/servo_node/pose_target_cmds",
+        chunk: str = "/servo_node/pose_chunk_cmds",
+        keep: Seconds = 0.0,
     ) -> None:
-        """Use topics with the names that MoveIt Servo has by default."""
-        self._topics, self._bus = (twist, pose), make_bus(self.version)
+        """Use topics with the names that MoveIt Servo has by default.
+
+        The last chunk stays for `keep` seconds from the observation of a new one.
+        """
+        self._topics, self._keep, self._bus = (twist, pose, chunk), keep, make_bus(self.version)
 
     def start(self, controller: TargetController) -> None:
         """Subscribe; raise KinfeasError if there is no ROS to connect to."""
         self._bus.open("kinfeas_servo")
-        messages, (twist, pose) = self._bus.messages, self._topics
+        messages, (twist, pose, chunk) = self._bus.messages, self._topics
         self._bus.subscribe(twist, messages.TwistStamped, partial(_take_twist, controller))
         self._bus.subscribe(pose, messages.PoseStamped, partial(_take_pose, controller))
+        self._bus.subscribe(chunk, messages.Path, partial(_take_path, controller, self._keep))
 
     def close(self) -> None:
         """Release the topics."""
@@ -57,6 +68,21 @@ def _take_twist(controller: TargetController, message: Any) -> None:
 
 
 def _take_pose(controller: TargetController, message: Any) -> None:
-    header, p, q = message.header, message.pose.position, message.pose.orientation
-    pose = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-    controller.set_target(pose, header.stamp.to_sec() or None, header.frame_id)
+    header = message.header
+    controller.set_target(_pose(message.pose), header.stamp.to_sec() or None, header.frame_id)
+
+
+def _take_path(controller: TargetController, keep: float, message: Any) -> None:
+    poses, offset = message.poses, time.monotonic() - time.time()
+    controller.set_chunk(
+        [_pose(stamped.pose) for stamped in poses],
+        [stamped.header.stamp.to_sec() + offset for stamped in poses],
+        frame=message.header.frame_id,
+        observed=message.header.stamp.to_sec() + offset,
+        keep=keep,
+    )
+
+
+def _pose(pose: Any) -> list[float]:
+    p, q = pose.position, pose.orientation
+    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]

@@ -9,6 +9,7 @@ from kinfeas.core.spatial import (
     IDENTITY,
     compose,
     distance,
+    from_columns,
     integrate,
     planar_offset,
     planar_pose,
@@ -86,6 +87,22 @@ def test_twists_are_along_the_axes_of_the_world():
     ahead = integrate(quarter, np.array([0.2, 0.0, 0.0, 0.0, 0.0, np.pi / 4]), 2.0)
     np.testing.assert_allclose(ahead[:3], [1.4, 0.0, 0.0], atol=1e-12)
     assert yaw(ahead) == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_two_columns_need_not_be_orthonormal(shape):
+    poses = random_poses(shape, 1)
+    first, second, _ = np.moveaxis(rotation(poses).as_matrix(), -1, 0)
+    values = np.concatenate([poses[..., :3], 3.0 * first, 0.1 * second - first], axis=-1)
+    np.testing.assert_allclose(from_columns(values), poses, atol=1e-9)
+
+
+@pytest.mark.parametrize("columns", [[0.0] * 6, [1.0, 0.0, 0.0, 2.0, 0.0, 0.0], [np.nan] * 6])
+def test_two_columns_that_are_no_rotation_raise_errors(columns):
+    with pytest.raises(KinfeasError, match="columns"):
+        from_columns(np.array([0.0] * 3 + columns))
+    with pytest.raises(KinfeasError, match="columns"):
+        from_columns(np.array(columns))
 
 
 def test_planar_offset_is_zero_for_unknown_poses():

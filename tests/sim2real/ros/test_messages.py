@@ -39,7 +39,7 @@ def filled(kind, name, rng):
         return kind(**values)
     if kind is list:
         items = {"points": ROS2.JointTrajectoryPoint, "transforms": ROS2.TransformStamped}
-        items |= {"name": str, "joint_names": str, "data": int}
+        items |= {"name": str, "joint_names": str, "data": int, "poses": ROS2.PoseStamped}
         count = 36 if name == "covariance" else 3
         return [filled(items.get(name, float), "", rng) for _ in range(count)]
     if kind is float:

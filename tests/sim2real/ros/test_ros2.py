@@ -6,6 +6,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from kinfeas.control.targets import Progress
 from kinfeas.core import registry, spatial
 from kinfeas.core.backend import SCAN_BEAMS
 from kinfeas.core.errors import Fault, KinfeasError
@@ -17,6 +18,8 @@ from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import stop_base
 from kinfeas.sim2real.ros.ros2 import MESSAGES, Ros2Bus
 from kinfeas.sim2real.ros.topics import read_topics
+from kinfeas.sim2real.servo.controller import TargetController
+from kinfeas.sim2real.servo.ros import Ros2Source
 from tests.builders import wait
 from tests.sim2real.ros_processes import own_domain
 
@@ -197,3 +200,32 @@ def test_a_robot_that_is_not_there_is_an_error():
     with pytest.raises(KinfeasError, match=backend.topics.base.odometry):
         backend.reset(None, None)
     backend.close()
+
+
+def test_a_path_in_the_ee_frame_is_a_relative_chunk():
+    robot, seen = load_robot("tiago"), spatial.planar_pose(1.0, 2.0, np.pi / 2)[np.newaxis]
+    controller, source, policy = TargetController(robot), Ros2Source(), Ros2Bus()
+    rows = np.zeros(1, dtype=np.intp)
+    progress = Progress(rows, rows, seen, seen, np.ones(1), 0.02, 0.02)
+    controller.start(seen, [np.random.default_rng(0)], rows)
+    controller.targets(progress)
+    source.start(controller)
+    policy.open("policy")
+    publisher = policy.publisher("/servo_node/pose_chunk_cmds", MESSAGES.Path)
+
+    def arrived():
+        now, path = time.time(), MESSAGES.Path()
+        path.header.frame_id, path.header.stamp = robot.ee_frame, MESSAGES.Time.from_sec(now)
+        for seconds in (0.0, 1.0):
+            pose = MESSAGES.PoseStamped()
+            pose.header.stamp = MESSAGES.Time.from_sec(now + seconds)
+            pose.pose.position.x = 0.01
+            path.poses.append(pose)
+        publisher.publish(path)
+        time.sleep(0.02)
+        return controller.targets(progress)[0, 1] == pytest.approx(2.01, abs=1e-6)
+
+    wait(arrived)
+    np.testing.assert_allclose(controller.targets(progress)[0, [0, 2]], [1.0, 0.0], atol=1e-6)
+    for bus in (source, policy):
+        bus.close()

@@ -136,6 +136,57 @@ def test_time_scaling_waits_at_the_end_of_the_reach(solver):
     assert outcome.time_scale[0] == 1.0
 
 
+def columns(poses):
+    """Return poses (k, 7) with two columns of rotation matrices, neither of length one, (k, 9)."""
+    matrices = spatial.rotation(poses).as_matrix()
+    return np.concatenate([poses[:, :3], 1.5 * matrices[:, :, 0], matrices[:, :, 1]], axis=1)
+
+
+@pytest.mark.parametrize("rotations", [lambda poses: poses, columns], ids=["quaternions", "6-D"])
+def test_a_relative_chunk_begins_at_the_pose_of_its_observation(solver, rotations):
+    """It arrives 0.2 s after the observation, and the last chunk stays until 0.3 s."""
+    controller, clock, loop = begin(solver)
+    begun, times = clock.monotonic, np.linspace(0.1, 2.0, 20)
+    first = np.tile(loop.desired[0], (20, 1))
+    first[:, 2] += 0.1 * times
+    controller.set_chunk(first, begun + times)
+    for _ in range(25):
+        step(clock, loop)
+    observed, seen = clock.monotonic, loop.desired[0]
+    for _ in range(10):
+        step(clock, loop)
+    actions = np.tile(spatial.planar_pose(0.0, 0.0, 0.4), (20, 1))
+    actions[:, :2] = np.linspace(0.0, [0.1, 0.05], 20)
+    chunk = rotations(actions), observed + times
+    controller.set_chunk(*chunk, relative=True, observed=observed, keep=0.3)
+    while clock.monotonic < observed + 0.3 - 1.5 * DT:
+        step(clock, loop)
+    assert loop.desired[0, 2] > seen[2] + 0.02
+    np.testing.assert_allclose(loop.desired[0, [0, 1, 3, 4, 5, 6]], seen[[0, 1, 3, 4, 5, 6]])
+    for _ in range(110):
+        step(clock, loop)
+    metres, radians = spatial.distance(loop.desired[0], spatial.compose(seen, actions[-1]))
+    assert metres < 1e-4
+    assert radians < 1e-3
+
+
+def test_chunks_of_wrong_times_and_rotations_are_ignored(solver):
+    controller, clock, loop = begin(solver)
+    for _ in range(300):
+        step(clock, loop)
+    now, chunk = clock.monotonic, np.tile(spatial.IDENTITY, (2, 1))
+    times, parallel = now + np.array([0.1, 0.2]), np.tile([0.0] * 3 + [1.0, 0.0, 0.0] * 2, (2, 1))
+    for poses, observed in (
+        (chunk, now - 0.2), (chunk, now - 0.3), (chunk, now - 5.9), (chunk, now + 0.1),
+        (chunk, math.nan), (parallel, now), (np.full((2, 9), 1e300), now), (chunk[:, :6], now),
+    ):  # fmt: skip
+        controller.set_chunk(poses, times, relative=True, observed=observed)
+    controller.set_chunk(chunk, times, keep=math.inf)
+    step(clock, loop)
+    counts = {name: count for name, count in controller.counts.items() if count}
+    assert counts == {"accepted": 1, "repeated": 1, "late": 1, "ahead": 1, "invalid": 5}
+
+
 UP = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
 
 
