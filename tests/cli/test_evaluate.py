@@ -25,7 +25,7 @@ def test_options_of_physics(evaluate):
     words += ("--robot", "tiago")
     figures = evaluate(*SHORT, *words, "--head-start", "0.2", "--time-scale", "0.5")
     assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
-    assert (figures["task_success"], figures["filters"]) == (None, ["feasibility"])
+    assert (figures["task_success"], figures["filters"]) == (None, ["path_planner", "feasibility"])
     assert figures["base_collisions"] is not None
     names = ["obstacle_distance", "feasibility"]
     assert evaluate(*SHORT, *words, "--filters", ",".join(names))["filters"] == names

@@ -138,7 +138,7 @@ def _run_onnx(file, seen):
 
 
 FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
-    **{f"plain-{r}-{t}": partial(episodes, r, t, 20) for r in ROBOTS for t in TASKS},
+    **{f"plain-{r}-{t}": partial(episodes, r, t, 20, []) for r in ROBOTS for t in TASKS},
     **{
         f"feasibility_filter-{r}-{t}": partial(episodes, r, t, 10, FEASIBILITY_FILTER)
         for r in ROBOTS
