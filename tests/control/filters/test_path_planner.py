@@ -77,9 +77,12 @@ def test_with_targets_that_are_not_known_in_advance_the_policy_acts():
     np.testing.assert_array_equal(planned.max_deviation, alone.max_deviation)
 
 
-def test_a_robot_elsewhere_does_not_begin_a_plan(pr2):
+@pytest.mark.parametrize(
+    ("base", "deviation"), [((8.0, 0.0, 0.0), "8.00 m"), ((0.0, 0.0, 2.0), "2.00 rad")]
+)
+def test_a_robot_elsewhere_does_not_begin_a_plan(pr2, base, deviation):
     solver, task = IkSolver(pr2), load_task("ggr", {})
-    robots = np.tile([8.0, 0.0, 0.0, *pr2.home["home"]], (2, 1))
+    robots = np.tile([*base, *pr2.home["home"]], (2, 1))
     path = BasePath(np.empty((2, 7)), 1.0, 0.0, np.arange(2.0), robots, np.ones(2))
     loop = assemble(
         solver, build_subgoals(task.subgoals), AnalyticBackend(),
@@ -87,7 +90,7 @@ def test_a_robot_elsewhere_does_not_begin_a_plan(pr2):
     )  # fmt: skip
     rng = np.random.default_rng(0)
     loop.start(stacked([task.sample(solver, rng)]), [rng])
-    with pytest.raises(KinfeasError, match="not at the start of the plan"):
+    with pytest.raises(KinfeasError, match=f"not at the start of the plan.*{deviation}"):
         loop.step()
 
 
