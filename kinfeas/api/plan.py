@@ -162,6 +162,8 @@ def plan(  # noqa: PLR0913 - options of the command
         step = HORIZON
     else:
         ee = ee_poses(path, "path")
+        if len(ee) < 2:
+            raise KinfeasError("'path' must have at least 2 poses")
         if state is not None:
             _check_start(placer.solver, state, ee[0])
     if not 1e-3 <= step <= 10.0:

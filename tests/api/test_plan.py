@@ -86,6 +86,8 @@ def test_long_motions_and_other_files_are_errors(tmp_path):
         kinfeas.plan("hsr", path)
     with pytest.raises(KinfeasError, match="'file'"):
         kinfeas.plan("hsr", path, settings={"file": "other.csv"})
+    with pytest.raises(KinfeasError, match="2 poses"):
+        kinfeas.plan("hsr", [FIRST])
     with pytest.raises(KinfeasError, match="'start'"):
         kinfeas.plan("hsr", path, joints=[0.0] * 5)
 
