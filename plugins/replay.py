@@ -26,6 +26,7 @@ class Replay(PathMotion):
         gain: Rate at which errors decay, 1/s.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
+        waits: Whether the motion waits for an EE that is away from it; otherwise the EE catches up.
     """
 
     def __init__(
@@ -36,10 +37,12 @@ class Replay(PathMotion):
         gain: Positive = 1.0,
         max_velocity: Positive = 0.1,
         max_angular_velocity: Positive = 0.1,
+        waits: bool = True,
     ) -> None:
         time, ee_pose, object_pose = read_recording(Path(file), frame)
         duration = float(time[-1] - time[0])
         knots = in_frame(resampled(time, ee_pose, even_fractions(duration)), frame, object_pose)
+        scales = {} if waits else {"position_scale": np.inf, "rotation_scale": np.inf}
         super().__init__(
             path=PosePath(knots),
             duration=duration,
@@ -47,6 +50,7 @@ class Replay(PathMotion):
             gain=gain,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
+            **scales,
         )
 
 

@@ -56,6 +56,7 @@ from kinfeas.tasks.task import MotionSpec, Task
 
 T = TypeVar("T", bound=DeployConfig)
 GROUP = "kinfeas.target_sources"
+_CATCH_UP = 0.2  # least speed with which the EE may come to the start of a plan, m/s and rad/s
 _log = logging.getLogger(__name__)
 
 
@@ -117,7 +118,8 @@ def deploy(  # noqa: PLR0913 - options of the command
     config = _read_config(DeployConfig, "deploy", model, guards, filters, settings, late=late)
     follower: tuple[CommandFilter, ...] = ()
     if plan is not None:
-        if any(each is not None for each in (policy, goal, rpy, quaternion, generator, task)):
+        excluded = (policy, goal, rpy, quaternion, generator, task)
+        if any(each is not None for each in excluded) or config.generator or config.task:
             raise KinfeasError("'plan' excludes a policy, a goal, 'generator' and 'task'")
         policy, (motion_task, follower) = (
             "stationary",
@@ -272,10 +274,11 @@ def _goal_task(
 
 def _plan_task(file: Name, robot: Name, dt: float) -> tuple[Task, tuple[CommandFilter, ...]]:
     """Return the EE motion of a plan as a task that begins at its start, and what follows it."""
-    plan, parameters = load_plan(file, robot), {"file": str(file), "frame": "world"}
+    plan = load_plan(file, robot)
+    parameters: Settings = {"file": str(file), "frame": "world", "waits": False}
     seconds = np.diff(plan.time)
     apart = distance(plan.ee_pose[:-1], plan.ee_pose[1:])
-    limits = [max(2.0 * float((each / seconds).max()), 1e-3) for each in apart]
+    limits = [max(2.0 * float((each / seconds).max()), _CATCH_UP) for each in apart]
     names = ("max_velocity", "max_angular_velocity")
     motion = MotionSpec("replay", {**parameters, **dict(zip(names, limits, strict=True))})
     goal, start = plan.ee_pose[-1], (plan.base_pose[0], plan.joint_positions[0])

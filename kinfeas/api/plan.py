@@ -12,8 +12,9 @@ from kinfeas.api import Name
 from kinfeas.api.load import load_robot
 from kinfeas.api.reach import base_pose, ee_poses, surroundings
 from kinfeas.config import Settings
+from kinfeas.config.quantities import FARTHEST
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.sequence import begin_motions
+from kinfeas.control.sequence import LONGEST, begin_motions
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import IDENTITY, Array, compose, distance, make_pose, relative, rotation
@@ -32,6 +33,7 @@ from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
 
 _BASE = ("x", "y", "yaw")
 _AT_START = 0.02  # distance of the EE from the first pose of a path, metres
+_ROUNDING = 1e-6  # of the numbers of a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,11 +155,15 @@ def plan(  # noqa: PLR0913 - options of the command
     placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
     state = None if start is None else _state(placer.solver.robot, start, joints)
     around, names = surroundings(scene, solids)
+    if joints is not None and start is None:
+        raise KinfeasError("'joints' needs 'start'")
     if isinstance(path, str | Path):
         ee = _rolled_out(placer.solver, path, target, state, around, settings)
         step = HORIZON
     else:
         ee = ee_poses(path, "path")
+        if len(ee) < 2:
+            raise KinfeasError("'path' must have at least 2 poses")
         if state is not None:
             _check_start(placer.solver, state, ee[0])
     if not 1e-3 <= step <= 10.0:
@@ -170,7 +176,7 @@ def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> 
     """Return the plan of a file for a robot; a scene is drawn with it.
 
     Raises:
-        KinfeasError: If the file is no plan of the robot.
+        KinfeasError: If the file is no plan of the robot, or beyond the limits of base or arm.
     """
     model, file = load_robot(robot), Path(path)
     joints = [joint.name for joint in model.arm]
@@ -179,11 +185,35 @@ def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> 
         np.stack([values[name] for name in names], axis=1)
         for names in (_BASE, joints, columns("ee_pose"))
     )
-    if not (np.isfinite(base).all() and np.isfinite(arm).all()):
-        raise KinfeasError(f"{file}: base and joints must be finite numbers")
     check_samples(file, values["time"], {"ee_pose": ee})
     ee = make_pose(ee[:, :3], rotation(ee))
-    return Plan(values["time"], base, arm, ee, model, surroundings(scene, None)[0])
+    seconds = values["time"] - values["time"][0]
+    plan = Plan(seconds, base, arm, ee, model, surroundings(scene, None)[0])
+    _check_plan(file, plan)
+    return plan
+
+
+def _check_plan(file: Path, plan: Plan) -> None:
+    """Raise KinfeasError on the first row that the robot cannot carry out."""
+    robot, robots = plan.robot, np.hstack([plan.base, plan.joint_positions])
+    lower, upper = robot.joint_limits
+    arm, within = plan.joint_positions, np.abs(robots) <= FARTHEST
+    within[:, 3:] &= (lower - _ROUNDING <= arm) & (arm <= upper + _ROUNDING)
+    drive = [robot.base.max_velocity, robot.base.max_velocity, robot.base.max_rotation]
+    farthest = np.array([*drive, *robot.max_joint_velocity]) * np.diff(plan.time)[:, np.newaxis]
+    slow = np.ones_like(within)
+    slow[1:] = np.abs(np.diff(robots, axis=0)) <= 1.001 * farthest + _ROUNDING
+    names = (*_BASE, *plan.joint_names)
+    for holds, rule in ((within, "is beyond its limits"), (slow, "exceeds the maximum velocity")):
+        if not holds.all():
+            row, column = np.argwhere(~holds)[0].tolist()
+            raise KinfeasError(f"{file}, row {row + 1}: {names[column]!r} {rule}")
+    ee = compose(plan.base_pose, forward(IkSolver(robot).chain, arm))
+    tolerance = 0.0 if robot.pose_tolerance is None else robot.pose_tolerance.position
+    far = distance(ee, plan.ee_pose)[0] > _AT_START + tolerance
+    if far.any():
+        row = int(far.argmax()) + 1
+        raise KinfeasError(f"{file}, row {row}: base and arm do not reach the EE pose")
 
 
 def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None) -> State:
@@ -214,9 +244,11 @@ def _rolled_out(
     settings: Settings | None,
 ) -> Array:
     """Return the EE poses of a file or a generator every `HORIZON` seconds, shape (k, 7)."""
-    if Path(path).suffix:
-        poses = read_waypoints(Path(path))[0]
-        motion = MotionSpec("waypoints", {"file": str(path), "frame": "world", **(settings or {})})
+    if isinstance(path, Path) or Path(path).suffix:
+        poses, parameters = read_waypoints(Path(path))[0], {"file": str(path), "frame": "world"}
+        if fixed := parameters.keys() & (settings or {}).keys():
+            raise KinfeasError(f"{min(fixed)!r} is no setting of a plan")
+        motion = MotionSpec("waypoints", {**parameters, **(settings or {})})
         first, goal = poses[0], poses[-1]
     else:
         if target is None or state is None:
@@ -232,7 +264,10 @@ def _rolled_out(
     )
     if solids is not None:
         sequence.avoid(solids, None, (start.base_pose, start.joint_positions))
-    return sequence.to_the_end(np.arange(1))[0]
+    (ee,) = sequence.to_the_end(np.arange(1))
+    if len(ee) * HORIZON >= LONGEST:
+        raise KinfeasError(f"{path}: the EE motion takes longer than {LONGEST:g} s")
+    return ee
 
 
 def _header(seconds: float, frame: str) -> dict[str, object]:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot
-from kinfeas.config.quantities import Count, Vector
+from kinfeas.config.quantities import FARTHEST, Count, Position
 from kinfeas.core.checks import are_unit
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
@@ -73,18 +73,15 @@ def ee_poses(poses: ArrayLike, name: str) -> Array:
         raise KinfeasError(f"{name!r} must be numbers x y z qx qy qz qw: {error}") from error
     if array.ndim != 2 or array.shape[1] != 7 or not len(array):
         raise KinfeasError(f"{name!r} must be of shape (n, 7), not {array.shape}")
-    if not (np.abs(array) <= 1e4).all() or not are_unit(array):
-        raise KinfeasError(f"{name!r} must be finite with unit quaternions xyzw")
+    if not (np.abs(array) <= FARTHEST).all() or not are_unit(array):
+        raise KinfeasError(f"{name!r} must be within {FARTHEST:g} m, with unit quaternions xyzw")
     array[:, 3:] /= np.linalg.norm(array[:, 3:], axis=1, keepdims=True)
     return array
 
 
 def base_pose(planar: Sequence[float], name: str) -> Array:
     """Return the pose, shape (7,), of x, y and yaw, metres and radians; or raise an error."""
-    x, y, heading = np.array(checked(Vector, list(planar), name))
-    if not np.isfinite([x, y, heading]).all():
-        raise KinfeasError(f"{name!r} must be finite numbers x y yaw")
-    return planar_pose(x, y, heading)
+    return planar_pose(*np.array(checked(Position, list(planar), name)))
 
 
 def surroundings(

@@ -15,7 +15,7 @@ from kinfeas.api.load import load_robot
 from kinfeas.api.plan import plan
 from kinfeas.api.reach import facts, reach
 from kinfeas.config import from_mapping
-from kinfeas.config.quantities import Metres, Vector
+from kinfeas.config.quantities import FARTHEST, Distance, Metres, Radians, Share, Vector
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.planning.reach import BasePlacer
@@ -25,7 +25,10 @@ from kinfeas.viz.access import Access
 _MOST_BYTES = 4_000_000
 _log = logging.getLogger(__name__)
 
-Row = Annotated[tuple[Metres, ...], Len(11, 11)]
+Extent = Annotated[float, Interval(gt=0.0, le=FARTHEST)]
+Row = tuple[
+    Metres, Metres, Radians, Extent, Extent, Metres, Metres, Share, Metres, Metres, Distance
+]  # fmt: skip
 Rows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS)]
 Pose = Annotated[tuple[Metres, ...], Len(7, 7)]
 
@@ -132,4 +135,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _solids(rows: Rows) -> Solids | None:
+    for number, (*_, low, high, _, _, _, _) in enumerate(rows):
+        if low >= high:
+            raise KinfeasError(f"request: 'solids.{number}': the lowest z is not below the highest")
     return Solids.from_table(np.array(rows, dtype=np.float64)) if rows else None

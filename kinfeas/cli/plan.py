@@ -6,6 +6,7 @@ from kinfeas.cli import options
 from kinfeas.cli.options import file_option, option
 from kinfeas.cli.output import print_facts, print_paths, status, write_json
 from kinfeas.cli.reach import START, Planar
+from kinfeas.core.errors import KinfeasError
 
 
 def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -32,6 +33,8 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api.plan import plan as api
 
+    if out.resolve() == path.resolve():
+        raise KinfeasError(f"{out}: is the file of the EE poses")
     settings = options.read_settings(overrides)
     with status("planning"):
         found = api(robot, path, start=start, scene=scene, settings=settings)

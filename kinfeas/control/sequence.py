@@ -49,7 +49,7 @@ _REPLAN_SECONDS = 1.0  # control time between plans around moving solids
 
 _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
-_LONGEST = 300.0  # seconds after which a motion counts as ended where it is looked at in advance
+LONGEST = 300.0  # seconds after which a motion counts as ended where it is looked at in advance
 
 
 class MotionSequence:
@@ -270,7 +270,7 @@ class MotionSequence:
         twin.head_start = twin.settling = twin.dwelling = np.zeros_like(self.subgoal)
         steps = np.zeros(len(rows), dtype=np.intp)
         poses, goal = [self.desired[rows]], self.goal[rows]
-        while not steps.all() and len(poses) * HORIZON < _LONGEST:
+        while not steps.all() and len(poses) * HORIZON < LONGEST:
             step = twin.step_of(HORIZON)
             twin.desired, twin._motions.states = step.desired, step.states
             poses.append(step.desired[rows])

@@ -41,7 +41,7 @@ def read_robot(path: Path, folder: Path, arguments: Mapping[str, str]) -> Elemen
         KinfeasError: If the file is invalid, or arguments are given for another format.
     """
     robot = read_xml(path, "robot", "mujoco")
-    if any("xacro}" in element.tag for element in robot.xml.iter()):
+    if path.suffix == ".xacro" or any("xacro}" in element.tag for element in robot.xml.iter()):
         return without_base_joints(_expanded(path, arguments))
     if arguments:
         raise KinfeasError(f"{path}: only a xacro has arguments, such as {min(arguments)!r}")

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.kernels import inner, kernel, square
@@ -40,6 +41,7 @@ class BaseLattice(NamedTuple):
 LATTICE = BaseLattice()
 
 _TURN = 2.0 * math.pi / LATTICE.headings
+_MOST_CELLS = 10_000_000
 
 
 def lattice_moves(*, omnidirectional: bool) -> NDArray[np.int64]:
@@ -79,11 +81,18 @@ def driving_costs(
         cell: Side of a cell, metres.
         disc: Radius and height of a disc within the base, metres; where it touches a solid, the
             cost is infinite.
+
+    Raises:
+        KinfeasError: If there would be too many cells.
     """
     pose, size, preferred = solids.pose[0], solids.size[0], disc[0] + LATTICE.clearance
     rows = ~solids.velocity[0].any(axis=1) & (size[:, 2] <= disc[1]) & (disc[1] <= size[:, 3])
     prisms = make_prisms(pose[rows], size[rows], solids.cylinder[0, rows])
     nx, ny = (np.ceil((high - low) / cell).astype(np.int64) + 1).tolist()
+    if nx * ny > _MOST_CELLS:
+        raise KinfeasError(
+            f"solids and base are {nx * cell:.0f} x {ny * cell:.0f} m apart, too far"
+        )
     gaps, _ = scan_grid(prisms, low, cell, 0.0, (nx, ny, 0), preferred, 0.0)
     near = 1.0 - gaps / preferred
     return np.where(gaps < disc[0], np.inf, 1.0 + LATTICE.crowded * near * near)

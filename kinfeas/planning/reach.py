@@ -181,6 +181,12 @@ class BasePlacer:
         blocked = start is not None and len(self._search(goal, stages, solids)[0]) > 0
         return "path" if blocked else "solids"
 
+    def touching(self, base: Array, joints: Array, solids: Solids) -> NDArray[np.bool_]:
+        """Return which of k solids each of m robots touches, shape (m, k)."""
+        each = (solids.only(np.array([k])).repeated(len(base)) for k in range(solids.places))
+        robot = self.solver.collision, joints, base
+        return np.stack([collides(*robot, solid).any(axis=1) for solid in each], axis=1)
+
     @cached_property
     def _without(self) -> list[tuple[str, Postures]]:
         """Postures without limits, by the limit if they do not reach a pose either."""
@@ -272,9 +278,7 @@ class BasePlacer:
     def _in_the_way(self, goal: Array, solids: Solids) -> tuple[int, ...]:
         """Return the places of the solids that the robot touches with the fewest of them."""
         base, joints = self._search(goal, (_SETTINGS.without,))
-        each = (solids.only(np.array([k])).repeated(len(base)) for k in range(solids.places))
-        robot = self.solver.collision, joints, base
-        touching = np.stack([collides(*robot, solid).any(axis=1) for solid in each], axis=1)
+        touching = self.touching(base, joints, solids)
         touching = touching[touching.any(axis=1)]
         if not len(touching):
             return ()

@@ -73,7 +73,7 @@ def plan_along(
         if path is not None and (moments := _refined(placer.solver, path, solids)) is not None:
             return moments
     named = names or [f"solid {place}" for place in range(solids.places if solids else 0)]
-    raise KinfeasError(f"no plan was found: {_reason(placer, ee, step, solids, named)}")
+    raise KinfeasError(f"no plan was found: {_reason(placer, ee, step, start, solids, named)}")
 
 
 def _starts(placer: BasePlacer, ee: Array, solids: Solids | None) -> Iterator[State]:
@@ -112,8 +112,18 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
 
 
 def _reason(
-    placer: BasePlacer, ee: Array, step: float, solids: Solids | None, names: Sequence[str]
+    placer: BasePlacer,
+    ee: Array,
+    step: float,
+    start: State | None,
+    solids: Solids | None,
+    names: Sequence[str],
 ) -> str:
+    if start is not None and solids is not None:
+        base, joints = start[0][np.newaxis], start[1][np.newaxis]
+        (touching,) = placer.touching(base, joints, solids)
+        if touching.any():
+            return f"at the start base or arm touches {names[int(touching.argmax())]}"
     for index in np.unique(np.linspace(0, len(ee) - 1, _SETTINGS.examined).astype(int)).tolist():
         reason = placer.place(ee[index], solids, count=1).named(names).reason
         if reason:

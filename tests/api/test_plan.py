@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,37 @@ def test_a_file_has_the_whole_plan(plan, robot, tmp_path):
         kinfeas.load_plan(tmp_path / "plan.csv", other)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("base", 0, 1.0), "row 51: 'x' exceeds"),
+        (("base", 1, np.nan), "row 51: 'y' is beyond"),
+        (("joint_positions", 0, 9.0), "row 51.*joint' is beyond"),
+        (("ee_pose", 2, 0.5), "row 51.*EE pose"),
+    ],
+)
+def test_plans_beyond_the_robot_are_errors(plan, robot, tmp_path, change, message):
+    name, column, offset = change
+    values = getattr(plan, name).copy()
+    values[50:, column] += offset
+    replace(plan, **{name: values}).save(tmp_path / "plan.csv")
+    with pytest.raises(KinfeasError, match=message):
+        kinfeas.load_plan(tmp_path / "plan.csv", robot.folder)
+
+
+def test_long_motions_and_other_files_are_errors(tmp_path):
+    path = tmp_path / "ee.csv"
+    path.write_text("x,y,z,qx,qy,qz,qw\n1,0,0.8,0,0,0,1\n41,0,0.8,0,0,0,1\n")
+    with pytest.raises(KinfeasError, match=r"ee\.csv.*300 s"):
+        kinfeas.plan("hsr", path)
+    with pytest.raises(KinfeasError, match="'file'"):
+        kinfeas.plan("hsr", path, settings={"file": "other.csv"})
+    with pytest.raises(KinfeasError, match="2 poses"):
+        kinfeas.plan("hsr", [FIRST])
+    with pytest.raises(KinfeasError, match="'start'"):
+        kinfeas.plan("hsr", path, joints=[0.0] * 5)
+
+
 def test_plans_begin_where_the_robot_is(hsr):
     at_home = kinfeas.plan("hsr", "linear", target=FIRST, start=(0.0, 0.0, 0.0))
     np.testing.assert_allclose(at_home.base[0], 0.0, atol=1e-9)
@@ -73,3 +106,6 @@ def test_the_error_names_the_pose_out_of_reach_and_the_reason():
     post = Solids.from_table(np.array([[1.5, 0.5, 0, 0.1, 0.1, 0.0, 1.2, 0, 0, 0, 0]]))
     with pytest.raises(KinfeasError, match=r"in the way of base or arm: solid 0"):
         kinfeas.plan("hsr", line(0.1, 0, 0, 0, 0, 0)[30:60], solids=post)
+    here = Solids.from_table(np.array([[0.0, 0.0, 0, 0.1, 0.1, 0.0, 0.3, 0, 0, 0, 0]]))
+    with pytest.raises(KinfeasError, match="at the start base or arm touches solid 0"):
+        kinfeas.plan("hsr", "linear", target=FIRST, start=(0.0, 0.0, 0.0), solids=here)

@@ -46,7 +46,9 @@ INPUT = {
     ],
     "reach": [
         ("", "--pose"),
-        ("--pose 1 0 nan 0 0 0", "finite"),
+        ("--pose 1 0 nan 0 0 0", "'poses'"),
+        ("--pose 1 0 0.8 0 0 0 --scene room --start 1e300 0 0", "start"),
+        ("--pose 1 0 0.8 0 0 0 --scene room --start 9000 9000 0", "m apart"),
         ("--poses none.csv", "none.csv"),
         ("--pose 1 0 0.8 0 0 0 --scene rom", "'room'"),
         ("--pose 1 0 0.8 0 0 0 --robot pr3", "'pr3'"),
@@ -57,6 +59,8 @@ INPUT = {
         ("--path none.csv", "none.csv"),
         ("--path none.txt", "none.txt"),
         ("--path none.csv --html plan.png", "plan.png"),
+        ("--path linear", "linear"),
+        ("--path plan.csv", "plan.csv"),
     ],
     "benchmark --out out --processes 1 --config study.yaml": [
         ("--config benchmark/none", "study"),

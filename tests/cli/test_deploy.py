@@ -38,7 +38,7 @@ def test_goal_is_reached_and_recorded(run, tmp_path):
     assert json.loads((tmp_path / "run.json").read_text())["reason"] == REACHED
 
 
-EE_PATH = "time,x,y,z,qx,qy,qz,qw\n0,1.5,0,0.8,0,0,0,1\n4,1.8,0.2,0.8,0,0,0.0499792,0.9987503\n"
+EE_PATH = "time,x,y,z,qx,qy,qz,qw\n0,2.6,-0.6,0.8,0,0,0,1\n8,2.6,0.6,0.8,0,0,0,1\n"
 
 
 def test_a_plan_is_carried_out_by_base_and_arm(kinfeas, run, tmp_path):
@@ -58,6 +58,8 @@ def test_a_plan_is_carried_out_by_base_and_arm(kinfeas, run, tmp_path):
     elsewhere = (tmp_path / "plan.csv").read_text().replace("arm_lift_joint", "arm_joint")
     (tmp_path / "plan.csv").write_text(elsewhere)
     assert "arm_lift_joint" in kinfeas("deploy", "--plan", "plan.csv", *HSR, code=2).err
+    words = ("--plan", "plan.csv", *HSR, "--set", "generator.gain=2")
+    assert "generator" in kinfeas("deploy", *words, code=2).err
     assert "policy" in kinfeas("deploy", "pretrained", "--plan", "plan.csv", *HSR, code=2).err
 
 

@@ -196,11 +196,13 @@ class PlanFollower:
         elapsed, paths = period.motions.elapsed, {0: self._path}
         if elapsed[0] == 0.0:
             row = np.zeros(1, dtype=np.intp)
-            base, arm = off_path(self._robot, period, row, robots_on(paths, row, elapsed))
-            if base[0] > _OFF_BASE or arm[0] > _OFF_ARM:
+            start = robots_on(paths, row, elapsed)
+            base, arm = off_path(self._robot, period, row, start)
+            turn = np.abs(wrap(start[:, 2] - yaw(period.base_pose[row])))
+            if max(base[0], turn[0], arm[0]) > _OFF_BASE:
                 raise KinfeasError(
                     f"the robot is not at the start of the plan: the base is {base[0]:.2f} m and "
-                    f"a joint {arm[0]:.2f} rad or m away"
+                    f"{turn[0]:.2f} rad, a joint {arm[0]:.2f} rad or m away"
                 )
         return self._follower(period, paths if elapsed[0] < self._path.seconds[-1] else {})
 

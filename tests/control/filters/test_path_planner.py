@@ -8,7 +8,7 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
 from kinfeas.control.filters.path_planner import PlanFollower, follow
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import integrate, planar_pose
+from kinfeas.core.spatial import integrate, planar_pose, yaw
 from kinfeas.core.start import stacked
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
@@ -77,17 +77,20 @@ def test_with_targets_that_are_not_known_in_advance_the_policy_acts():
     np.testing.assert_array_equal(planned.max_deviation, alone.max_deviation)
 
 
-def test_a_robot_elsewhere_does_not_begin_a_plan(pr2):
+@pytest.mark.parametrize("column", [0, 2, 5])
+def test_a_robot_elsewhere_does_not_begin_a_plan(pr2, column):
     solver, task = IkSolver(pr2), load_task("ggr", {})
-    robots = np.tile([8.0, 0.0, 0.0, *pr2.home["home"]], (2, 1))
-    path = BasePath(np.empty((2, 7)), 1.0, 0.0, np.arange(2.0), robots, np.ones(2))
+    rng = np.random.default_rng(0)
+    start = task.sample(solver, rng)
+    robot = np.array([*start.base_pose[:2], yaw(start.base_pose), *start.joint_positions])
+    robot[column] += 0.2
+    path = BasePath(np.empty((2, 7)), 1.0, 0.0, np.arange(2.0), np.tile(robot, (2, 1)), np.ones(2))
     loop = assemble(
         solver, build_subgoals(task.subgoals), AnalyticBackend(),
         filters=(PlanFollower(pr2, 0.1, path),), policy=load_policy("stationary", pr2),
     )  # fmt: skip
-    rng = np.random.default_rng(0)
-    loop.start(stacked([task.sample(solver, rng)]), [rng])
-    with pytest.raises(KinfeasError, match="not at the start of the plan"):
+    loop.start(stacked([start]), [rng])
+    with pytest.raises(KinfeasError, match=r"not at the start of the plan.*0\.20"):
         loop.step()
 
 
