@@ -60,6 +60,7 @@ class BasePathSettings:
     clearance: float = (
         0.01  # ... and of shapes from each other, metres; less where no robot goes on
     )
+    error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
     memory: float = 0.8  # fraction of the costs that counts at the next pose
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
 
@@ -208,6 +209,8 @@ class BasePathPlanner:
             arm.put(rest, self._reached(self.solver, joints, target, base, seconds, solids))
             cost[rest] += SETTINGS.margin_cost
         cost += self._limit_cost(arm.joint_positions)
+        allowed = self.solver.options.position_tolerance
+        cost += SETTINGS.error_cost * np.maximum(arm.position_error - allowed, 0.0)
         reached = replace(tried, joints=arm.joint_positions, cost=cost)
         reached = reached.of(np.flatnonzero(arm.feasible))
         best = self._best(reached, target)
