@@ -62,8 +62,8 @@ over training seeds is at most 1.2 points; intervals are in [study.json](../figu
 """
 OF_ANALYTIC = """\
 500 episodes, pretrained TIAGo 200. In brackets: EE deviation below 5 cm throughout, and goal
-reached. *Ceiling*: reachable goals. The paper's `ggr_restricted` has harder starts, some in self-collision; "any start"
-includes them."""
+reached. *Ceiling*: reachable goals. The paper's `ggr_restricted` has harder starts, some in
+self-collision; "any start" includes them."""
 OF_PHYSICS = """\
 PyBullet, then MuJoCo; with one number PyBullet. Arm contacts are per episode."""
 JUMPS = "Steps in which an arm joint would exceed its velocity limit."
