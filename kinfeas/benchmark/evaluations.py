@@ -166,11 +166,9 @@ def _unplanned(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
     """Return an evaluation without the path planner, which would act in place of the policy."""
     used = read_settings(case.robot, benchmark.backend, case.settings).world.filters
     filters = tuple(spec for spec in used if spec.name != "path_planner")
-    return (
-        case
-        if filters == used
-        else replace(case, settings=nested(case.settings, _filters(filters)))
-    )
+    if filters == used:
+        return case
+    return replace(case, settings=nested(case.settings, _filters(filters)))
 
 
 def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:

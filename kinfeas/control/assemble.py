@@ -1,6 +1,6 @@
 """The assembly of a loop: robot, solver, backend within adapters, filters, motions and policy."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -59,15 +59,17 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
         "executor": executor, "response": response,
     }  # fmt: skip
 
-    def build(command_filter: PluginSpec | CommandFilter) -> CommandFilter:
-        if not isinstance(command_filter, PluginSpec):
-            return command_filter
-        name, parameters = command_filter.name, command_filter.parameters
-        built: CommandFilter = registry.build_with("kinfeas.filters", name, parameters, offered)
-        return built
+    def build(name: str, parameters: Mapping[str, object] | None = None) -> CommandFilter:
+        part: CommandFilter
+        part = registry.build_with("kinfeas.filters", name, parameters or {}, offered)
+        return part
 
+    built = [
+        build(each.name, each.parameters) if isinstance(each, PluginSpec) else each
+        for each in filters
+    ]
     sequence = MotionSequence(subgoals, solver, dt, execution, backend.gripper, stream)
-    loop = Loop(solver, sequence, backend, dt, execution, response, filters, build)
+    loop = Loop(solver, sequence, backend, dt, execution, response, built, build)
     if policy is not None:
         loop.set_policy(policy)
     return loop

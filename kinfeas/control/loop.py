@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config import PluginSpec
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.control.observer import Observer
@@ -88,14 +87,14 @@ class Loop:
         dt: float,
         execution: ExecutionConfig,
         response: ResponseModel,
-        filters: Sequence[PluginSpec | CommandFilter],
-        build_filter: Callable[[PluginSpec | CommandFilter], CommandFilter],
+        filters: Sequence[CommandFilter],
+        build_filter: Callable[[str], CommandFilter],
     ) -> None:
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
         self.execution, self.robot, self._build_filter = execution, solver.robot, build_filter
         self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
-        self._given = tuple(map(build_filter, filters))
-        self._use_filters(self._given)
+        self._given = tuple(filters)
+        self._use_filters(filters)
         self.policy: Policy | None = None
         self._policy_note = plugin_note("policy")
         self.surroundings = Surroundings(backend, solver.collision)
@@ -117,7 +116,7 @@ class Loop:
         self.policy, self.observer.terms = policy, tuple(terms)
         self._policy_note = plugin_note(f"policy {type(policy).__name__}")
         names = getattr(policy, "filters", ()) if self.stream is None else ()
-        own = [self._build_filter(PluginSpec(name)) for name in names]
+        own = [self._build_filter(name) for name in names]
         kinds = [type(command_filter) for command_filter in self._given]
         self._use_filters((*(each for each in own if type(each) not in kinds), *self._given))
 

@@ -53,13 +53,11 @@ class BasePathSettings:
     effort_cost: float = 0.1  # cost of the squared base command
     change_cost: float = 0.3  # cost of its squared change
     sensitive_cost: float = 0.3  # cost of the logarithm of `Proposal.sensitivity`
-    largest_effort: float = 1.3  # joint displacement by the Jacobian, of its limit, that IK tries
+    farthest: float = 1.3  # joint motion by the Jacobian, as a fraction of its limit, that IK tries
     tried: int = 150  # robots that try IK
-    margin_cost: float = 5.0
-    joint_margin: float = 0.05  # distance from joint limits, of half their range, where ...
-    clearance: float = (
-        0.01  # ... and of shapes from each other, metres; less where no robot goes on
-    )
+    joint_margin: float = 0.05  # distance from joint limits, as a fraction of half the range, and
+    clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
+    margin_cost: float = 5.0  # one of these
     error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
     memory: float = 0.8  # fraction of the costs that counts at the next pose
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
@@ -214,7 +212,7 @@ class BasePathPlanner:
         reached = replace(tried, joints=arm.joint_positions, cost=cost)
         reached = reached.of(np.flatnonzero(arm.feasible))
         best = self._best(reached, target)
-        passable = self._passable(self.solver, beam, best, target, seconds, solids)
+        passable = self._passable(beam, best, target, seconds, solids)
         return best.of(np.flatnonzero(passable))
 
     def _proposed(
@@ -227,7 +225,7 @@ class BasePathPlanner:
         proposal = propose(
             self.solver.chain, beam.base, beam.joints, command, near, target, step, limits, seconds
         )
-        parent, tried = np.nonzero(proposal.effort < SETTINGS.largest_effort)
+        parent, tried = np.nonzero(proposal.motion < SETTINGS.farthest)
         before, command = beam.of(parent), command[parent, tried]
         cost = SETTINGS.memory * before.cost
         cost += SETTINGS.effort_cost * np.square(command).sum(axis=1)
@@ -277,13 +275,7 @@ class BasePathPlanner:
         return arm
 
     def _passable(
-        self,
-        solver: IkSolver,
-        beam: _Beam,
-        best: _Beam,
-        target: Array,
-        seconds: float,
-        solids: Solids | None,
+        self, beam: _Beam, best: _Beam, target: Array, seconds: float, solids: Solids | None
     ) -> NDArray[np.bool_]:
         """Return which of the best robots, (m,), also reach the pose halfway to the target."""
         before = beam.of(best.parent)
@@ -292,11 +284,11 @@ class BasePathPlanner:
         halfway = integrate(first, twist_between(first, target, 1.0), 0.5)
         base = self._driven(before, best.command, seconds / 2.0)
         arm = self._reached(
-            solver, before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
+            self.solver, before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
         )
         passable = arm.feasible
         for fraction in (0.25, 0.75):
-            passable &= solver.admissible(before.joints + fraction * displacement)
+            passable &= self.solver.admissible(before.joints + fraction * displacement)
         return passable
 
     def _commands(self, beam: _Beam, rng: np.random.Generator) -> Array:

@@ -19,9 +19,9 @@ class Proposal(NamedTuple):
     """Commands of m robots that try t each."""
 
     base: Array  # x, y and yaw of the base afterwards, shape (m, t, 3), metres and radians
-    effort: Array  # largest joint displacement as a fraction of its limit, shape (m, t)
+    motion: Array  # largest joint displacement as a fraction of `step`, shape (m, t)
     joints: Array  # predicted arm joints, shape (m, t, j)
-    sensitivity: Array  # how far joints move for the EE: squared limits a metre or radian, (m,)
+    sensitivity: Array  # squared joint motion for 1 m or rad of the EE, summed over 6 axes, (m,)
 
 
 @kernel
@@ -86,7 +86,7 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
                     part += columns[j, k] * error[k]
                 out.joints[i, n, j] = joints[i, j] + part * step[j]
                 largest = max(largest, abs(part))
-            out.effort[i, n] = largest
+            out.motion[i, n] = largest
     return out
 
 

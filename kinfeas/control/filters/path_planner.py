@@ -21,6 +21,8 @@ _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.05, 0.3
 """Deviations of EE, base and arm from a path beyond which it is planned anew, metres and radians or
 metres."""
 
+_OFF_START = 0.1  # the same of base, its yaw and joints at which a plan may begin
+
 _REPLAN_SECONDS = 2.0  # control time until a motion may be planned anew; it doubles with each plan
 
 _GAIN, _STEER, _MOVING = 3.0, 3.0, 0.05
@@ -88,8 +90,11 @@ class PathPlanner:
             elif (rests := elapsed == 0.0).any():
                 period = period.slowed(np.where(rests, 0.0, period.time_scale))
                 period = period.commanded(np.where(rests[:, np.newaxis], 0.0, period.command))
+        same = self._subgoal == period.motions.subgoal  # a search may end after its motion
         self._paths = {
-            row: path for row, path in self._paths.items() if elapsed[row] < path.seconds[-1]
+            row: path
+            for row, path in self._paths.items()
+            if same[row] and elapsed[row] < path.seconds[-1]
         }
         return self._follower(period, self._paths)
 
@@ -199,7 +204,7 @@ class PlanFollower:
             start = robots_on(paths, row, elapsed)
             base, arm = off_path(self._robot, period, row, start)
             turn = np.abs(wrap(start[:, 2] - yaw(period.base_pose[row])))
-            if max(base[0], turn[0], arm[0]) > _OFF_BASE:
+            if max(base[0], turn[0], arm[0]) > _OFF_START:
                 raise KinfeasError(
                     f"the robot is not at the start of the plan: the base is {base[0]:.2f} m and "
                     f"{turn[0]:.2f} rad, a joint {arm[0]:.2f} rad or m away"

@@ -1,4 +1,5 @@
 import itertools
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
@@ -92,6 +93,43 @@ def test_a_robot_elsewhere_does_not_begin_a_plan(pr2, column):
     loop.start(stacked([start]), [rng])
     with pytest.raises(KinfeasError, match=r"not at the start of the plan.*0\.20"):
         loop.step()
+
+
+def test_a_path_that_is_found_after_its_motion_is_not_followed(pr2):
+    class Executor:
+        searches = 0
+
+        def submit(self, search, *args):
+            self.searches, self.future = self.searches + 1, Future()
+            self.finish = lambda: self.future.set_result(search(*args))
+            if self.searches == 1:
+                self.finish()
+            return self.future
+
+    solver, task, executor = IkSolver(pr2), load_task("drawer", {}), Executor()
+    rng = np.random.default_rng(0)
+    loop = assemble(
+        solver, build_subgoals(task.subgoals), AnalyticBackend(),
+        filters=(PluginSpec("path_planner"),), policy=load_policy("stationary", pr2),
+        executor=executor,
+    )  # fmt: skip
+    loop.start(stacked([task.sample(solver, rng)]), [rng])
+    for period in range(1500):
+        if period == 30:
+            state = loop.snapshot()
+            pushed = integrate(state["base_pose"], np.array([[0.08, 0, 0, 0, 0, 0]]), 1.0)
+            loop.restore({**state, "base_pose": pushed})
+        loop.step()
+        if loop.sequence.subgoal[0] == 1:
+            break
+    assert executor.searches == 2
+    for step in range(3):
+        if step == 2:
+            executor.finish()
+        assert loop.step().time_scale == step // 2
+        assert not loop.previous_command.any()
+    loop.step()
+    assert executor.searches == 3
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.2])
