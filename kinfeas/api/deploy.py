@@ -121,10 +121,11 @@ def deploy(  # noqa: PLR0913 - options of the command
         excluded = (policy, goal, rpy, quaternion, generator, task)
         if any(each is not None for each in excluded) or config.generator or config.task:
             raise KinfeasError("'plan' excludes a policy, a goal, 'generator' and 'task'")
-        policy, (motion_task, follower) = (
-            "stationary",
-            _plan_task(plan, robot, 1.0 / checked(Rate, rate, "rate")),
-        )
+        policy, dt = "stationary", 1.0 / checked(Rate, rate, "rate")
+        motion_task, follower = _plan_task(plan, robot, dt)
+        # It would plan anew.
+        others = tuple(each for each in config.filters if each.name != "path_planner")
+        config = replace(config, filters=others)
     elif task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)
     elif any(each is not None for each in (goal, rpy, quaternion)) or generator or config.generator:
