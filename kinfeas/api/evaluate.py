@@ -68,18 +68,25 @@ def evaluate(  # noqa: PLR0913 - options of the command
     processes = checked(Processes, processes, "processes")
     if episode >= config.episodes:
         raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
-    ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
 
-    def measure(config: EvalConfig, text: str) -> Summary:
-        count = counter(on_progress, f"{config.episodes} episodes {text}", config.episodes)
-        return evaluation.evaluate(config, driver, str(policy), ceiling, processes, count)
+    def measure(config: EvalConfig, adapters: str) -> Summary:
+        text = f"{config.episodes} episodes {adapters}".rstrip()
+        count = counter(on_progress, text, config.episodes)
+        return evaluation.evaluate(config, driver, str(policy), processes, count)
 
     metrics = cast("Metrics", measure(config, ""))
     if ablation:
         metrics["ablation"] = {
-            label: measure(replace(config, world=replace(config.world, adapters=subset)), label)
+            label: measure(
+                replace(config, world=replace(config.world, adapters=subset)), f", {label}"
+            )
             for label, subset in evaluation.adapter_subsets(config.world.adapters).items()
         }
+    # Last, so that an error of the configuration comes at once.
+    ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
+    if ceiling is not None:
+        for summary in (metrics, *metrics.get("ablation", {}).values()):
+            evaluation.add_ceiling(summary, ceiling)
     if picture or video or replay:
         show_episode(config, driver, episode, picture, video, replay, on_progress)
     return metrics

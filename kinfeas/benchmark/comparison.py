@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinfeas.core.metrics import Proportion
 from kinfeas.envs.world import World
-from kinfeas.evaluation.evaluate import EvalConfig, Summary, evaluate, reachability_of
+from kinfeas.evaluation.evaluate import EvalConfig, Summary, add_ceiling, evaluate, reachability_of
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.policies.loading import QUICK_BASELINES, load_policy
 from kinfeas.viz.episodes import episodes_figure
@@ -30,15 +30,16 @@ def compare(
     has just been done.
     """
     work, robot, task = 2 + len(QUICK_BASELINES), config.robot, config.task
-    ceiling = reachability_of(config, lambda fraction: on_done(fraction / work))
-    assert ceiling is not None  # no stream of targets
     names = (str(run), *QUICK_BASELINES)
     policies = {name: load_policy(name, robot) for name in names}
     count = work * config.episodes
     trained, *baselines = [
-        evaluate(config, policy, name, ceiling, processes, lambda ended: on_done(ended / count))
+        evaluate(config, policy, name, processes, lambda ended: on_done(ended / count))
         for name, policy in policies.items()
     ]
+    ceiling = reachability_of(config, lambda fraction: on_done(fraction / work))
+    assert ceiling is not None  # no stream of targets
+    add_ceiling(trained, ceiling)
     success = _success(trained)
     levels = {metrics["policy"]: _success(metrics).value for metrics in baselines}
     rows = [Row("trained policy", success, trained, ours=True)]

@@ -112,24 +112,22 @@ def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpe
     return subsets
 
 
-def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
+def evaluate(
     config: EvalConfig,
     policy: Policy,
     name: str = "",
-    ceiling: Proportion | None = None,
     processes: int = 1,
     on_done: OnDone | None = None,
     watch: Watch | None = None,
 ) -> Summary:
     """Return the metrics of a policy: fractions in 0-1, distances in metres.
 
-    The ceiling is that of `reachability_of`; further arguments as in `evaluate_episodes`.
+    The ceiling is null, see `add_ceiling`; further arguments as in `evaluate_episodes`.
     """
     records, execution = _run(config, policy, processes, on_done, watch)
     settings = config.world
     own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
-    value, low, high = (ceiling.value, ceiling.low, ceiling.high) if ceiling else (None,) * 3
     return {
         "robot": config.robot.name,
         "task": config.task.name,
@@ -142,9 +140,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
         "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
         **summarize(records),
-        "ceiling": value,
-        "ceiling_low": low,
-        "ceiling_high": high,
+        "ceiling": None,
+        "ceiling_low": None,
+        "ceiling_high": None,
     }
 
 
@@ -186,3 +184,9 @@ def reachability_of(
     return measure_reachability(
         config.robot, config.task, config.episodes, config.seed, config.world.ik, on_done
     ).share
+
+
+def add_ceiling(summary: Summary, ceiling: Proportion) -> None:
+    """Write the ceiling of `reachability_of` beside the metrics."""
+    summary["ceiling"] = ceiling.value
+    summary["ceiling_low"], summary["ceiling_high"] = ceiling.low, ceiling.high

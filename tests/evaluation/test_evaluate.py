@@ -17,6 +17,7 @@ from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.evaluation.evaluate import (
     EvalConfig,
+    add_ceiling,
     configure,
     evaluate,
     reachability_of,
@@ -52,7 +53,9 @@ def test_the_default_world_is_exact_and_ends_no_episode_early():
 
 def test_summary(config, policy):
     ended = []
-    summary = evaluate(config, policy, "follow_ee", Proportion(0.9, 0.8, 0.95), 1, ended.append)
+    summary = evaluate(config, policy, "follow_ee", on_done=ended.append)
+    assert summary["ceiling"] is summary["ceiling_low"] is summary["ceiling_high"] is None
+    add_ceiling(summary, Proportion(0.9, 0.8, 0.95))
     assert json.loads(json.dumps(summary)) == summary
     assert (summary["robot"], summary["task"], summary["policy"]) == ("hsr", "ggr", "follow_ee")
     assert (summary["episodes"], summary["seed"], summary["ceiling"]) == (20, 3, 0.9)
