@@ -59,6 +59,9 @@ class BasePathSettings:
     clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
     margin_cost: float = 5.0  # one of these
     error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
+    off_metres: float = 0.08  # largest displacement of a base, metres, and
+    off_radians: float = 0.1  # rotation that its arm is to make up for; cost of arms that
+    off_cost: float = 5.0  # cannot
     memory: float = 0.8  # fraction of the costs that counts at the next pose
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
 
@@ -117,7 +120,8 @@ class BasePathPlanner:
     A beam search: at each EE pose, every robot of the beam tries random base commands. Those that
     seem best by its Jacobian go to IK, which moves the arm within its velocity limits, and the best
     robot of each cell goes on. Robots with arms far from joint limits, from self-collision and from
-    singularities are better, since these can make up for a base that is not where it should be.
+    singularities are better, and those that reach the pose from a base a little elsewhere, since
+    these can make up for a base that is not where it should be.
     """
 
     def __init__(self, solver: IkSolver) -> None:
@@ -212,8 +216,12 @@ class BasePathPlanner:
         reached = replace(tried, joints=arm.joint_positions, cost=cost)
         reached = reached.of(np.flatnonzero(arm.feasible))
         best = self._best(reached, target)
-        passable = self._passable(beam, best, target, seconds, solids)
-        return best.of(np.flatnonzero(passable))
+        best = best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
+        away = rng.uniform(-1.0, 1.0, (3, len(best.cost)))
+        away *= np.array([[SETTINGS.off_metres], [SETTINGS.off_metres], [SETTINGS.off_radians]])
+        base = compose(best.base, planar_pose(*away))
+        arm = self._reached(self.solver, best.joints, target, base, seconds, solids)
+        return replace(best, cost=best.cost + SETTINGS.off_cost * ~arm.feasible)
 
     def _proposed(
         self, beam: _Beam, target: Array, seconds: float, rng: np.random.Generator
