@@ -105,11 +105,7 @@ class GaussianMixture(PathMotion):
     """
 
     def __init__(
-        self,
-        *,
-        model: str,
-        max_velocity: Positive = 0.1,
-        max_angular_velocity: Positive = 0.1,
+        self, *, model: str, max_velocity: Positive = 0.1, max_angular_velocity: Positive = 0.1
     ) -> None:
         learned = read_model(model, "gaussian_mixture")
         super().__init__(

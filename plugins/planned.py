@@ -240,11 +240,7 @@ class WholeBody(Planned):
         return {**state, "follows": np.zeros(len(target_pose))}
 
     def follow(
-        self,
-        state: State,
-        ee_pose: Array,
-        target_pose: Array,
-        paths: Sequence[WholeBodyPath],
+        self, state: State, ee_pose: Array, target_pose: Array, paths: Sequence[WholeBodyPath]
     ) -> tuple[State, Array]:
         """Return the state of motions along paths, and their waypoints, shape (n, 64, 3 + j)."""
         timed = zip(*map(self._timed, paths), strict=True)

@@ -15,14 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from kinfeas.api import Name
-from kinfeas.api.load import (
-    checked,
-    load_robot,
-    plugin_settings,
-    read_adapters,
-    robot_of,
-    text_of,
-)
+from kinfeas.api.load import checked, load_robot, plugin_settings, read_adapters, robot_of, text_of
 from kinfeas.api.plan import load_plan
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml

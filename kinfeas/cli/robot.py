@@ -10,13 +10,7 @@ import typer
 from kinfeas.api import counter
 from kinfeas.cli import options
 from kinfeas.cli.options import argument, option
-from kinfeas.cli.output import (
-    check_file_path,
-    print_facts,
-    progress,
-    write_drawing,
-    write_json,
-)
+from kinfeas.cli.output import check_file_path, print_facts, progress, write_drawing, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:

@@ -207,10 +207,7 @@ class MotionSequence:
         self._changed()
 
     def avoid(
-        self,
-        solids: Solids,
-        rows: Rows | None = None,
-        robots: tuple[Array, Array] | None = None,
+        self, solids: Solids, rows: Rows | None = None, robots: tuple[Array, Array] | None = None
     ) -> None:
         """Plan the motions of rows around the solids as they stand now.
 

@@ -183,11 +183,7 @@ class CheckedMotion:
         return state
 
     def follow(
-        self,
-        state: State,
-        ee_pose: Array,
-        target_pose: Array,
-        paths: Sequence[WholeBodyPath],
+        self, state: State, ee_pose: Array, target_pose: Array, paths: Sequence[WholeBodyPath]
     ) -> tuple[State, Array]:
         """Return the state of motions along paths, and their waypoints, (n, 64, 3 + j)."""
         assert self._follower is not None

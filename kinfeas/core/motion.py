@@ -127,11 +127,7 @@ class FollowsWholeBodyPath(Protocol):
     """A motion generator that follows motions which a planner finds for base and arm."""
 
     def follow(
-        self,
-        state: State,
-        ee_pose: Array,
-        target_pose: Array,
-        paths: Sequence[WholeBodyPath],
+        self, state: State, ee_pose: Array, target_pose: Array, paths: Sequence[WholeBodyPath]
     ) -> tuple[State, Array]:
         """Return the state of n motions along their paths.
 

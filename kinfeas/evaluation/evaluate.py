@@ -158,11 +158,7 @@ def run(
 
 
 def _run(
-    config: EvalConfig,
-    policy: Policy,
-    processes: int,
-    on_done: OnDone | None,
-    watch: Watch | None,
+    config: EvalConfig, policy: Policy, processes: int, on_done: OnDone | None, watch: Watch | None
 ) -> tuple[EpisodeRecords, ExecutionConfig]:
     """Return the record of each episode, and the execution of motions within the adapters."""
     build = partial(World, config.robot, config.task, config.world, config.seed)

@@ -73,10 +73,7 @@ class BaseGoalPlanner:
     """
 
     def __init__(
-        self,
-        solver: IkSolver,
-        time_scale: float = 1.0,
-        settings: BaseGoalSettings | None = None,
+        self, solver: IkSolver, time_scale: float = 1.0, settings: BaseGoalSettings | None = None
     ) -> None:
         """Plan motions that are carried out at a fraction `time_scale` of their speed."""
         self.robot = robot = solver.robot

@@ -104,11 +104,7 @@ class BasePlacer:
         self._best = float(_manipulability(self.solver, self._postures.joints).max(initial=1e-9))
 
     def place(
-        self,
-        goal: Array,
-        solids: Solids | None = None,
-        start: Array | None = None,
-        count: int = 8,
+        self, goal: Array, solids: Solids | None = None, start: Array | None = None, count: int = 8
     ) -> Placement:
         """Return up to `count` base poses from which the arm reaches an EE pose.
 
@@ -137,11 +133,7 @@ class BasePlacer:
         return self._rated(base, joints[:, np.newaxis], solids, last, single=True)
 
     def place_for_all(
-        self,
-        goals: Array,
-        solids: Solids | None = None,
-        start: Array | None = None,
-        count: int = 8,
+        self, goals: Array, solids: Solids | None = None, start: Array | None = None, count: int = 8
     ) -> Placement:
         """Return base poses from each of which the arm reaches all EE poses, shape (n, 7).
 
@@ -239,13 +231,7 @@ class BasePlacer:
         return base[near], joints[near]
 
     def _rated(
-        self,
-        base: Array,
-        joints: Array,
-        solids: Solids | None,
-        count: int,
-        *,
-        single: bool = False,
+        self, base: Array, joints: Array, solids: Solids | None, count: int, *, single: bool = False
     ) -> Placement:
         """Return the best of m base poses with arms for n EE poses, shape (m, n, j)."""
         lower, upper = self.solver.robot.joint_limits

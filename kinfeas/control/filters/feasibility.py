@@ -82,9 +82,7 @@ class FeasibilityFilter:
             return period.changed(command=command, move=None)
         if changed.size:
             retried = self._step(
-                command[changed],
-                period.of(changed),
-                allow_reconfiguration=allow_reconfiguration,
+                command[changed], period.of(changed), allow_reconfiguration=allow_reconfiguration
             )
             move = replaced(move, changed, retried, command)
         return period.changed(command=command, move=move)
