@@ -55,19 +55,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Deployment:
-    """A run that has ended.
+    """A run that has ended."""
 
-    Attributes:
-        outcome: Its exit code, the reason of its end, and its statistics.
-        about: Header of its record.
-        record: CSV file of its record.
-        targets: Statistics of the targets that a servo has received.
-    """
-
-    outcome: Outcome
-    about: About
-    record: Path
-    targets: dict[str, object]
+    outcome: Outcome  # its exit code, the reason of its end, and its statistics
+    about: About  # header of its record
+    record: Path  # CSV file of its record
+    targets: dict[str, object]  # statistics of the targets that a servo has received
 
 
 def deploy(  # noqa: PLR0913 - options of the command

@@ -36,26 +36,17 @@ _LEAST = 2e-3  # smallest number of a response that is worth a line
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """A robot identified from records.
+    """A robot identified from records."""
 
-    Attributes:
-        robot: Its name, or the path of its YAML.
-        records: Files of the records.
-        estimates: Estimates with 95 % intervals by adapter and parameter, such as
-            `actuator_lag.base`, in SI units.
-        response: Response of the robot: what does not show is left out.
-        adapters: The same as adapters, with the intervals as ranges, the first one innermost.
-        missing: What the records do not show, in sentences.
-        fit: Measured and predicted velocities.
-    """
-
-    robot: str
-    records: tuple[str, ...]
+    robot: str  # its name, or the path of its YAML
+    records: tuple[str, ...]  # files of the records
+    # with 95 % intervals, by adapter and parameter, such as `actuator_lag.base`, in SI units
     estimates: dict[str, Estimate]
-    response: ResponseModel
+    response: ResponseModel  # response of the robot: what does not show is left out
+    # the same as adapters, with the intervals as ranges, the first one innermost
     adapters: tuple[PluginSpec, ...]
-    missing: tuple[str, ...]
-    fit: Fit
+    missing: tuple[str, ...]  # what the records do not show, in sentences
+    fit: Fit  # measured and predicted velocities
 
     @property
     def response_lines(self) -> str:

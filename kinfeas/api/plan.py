@@ -38,15 +38,10 @@ _ROUNDING = 1e-6  # of the numbers of a file
 
 @dataclass(frozen=True, eq=False)
 class Plan(Moments):
-    """Base, arm and EE at t times, within the velocity limits and free of solids.
-
-    Attributes:
-        robot: The robot.
-        solids: In the world, one row; None without any.
-    """
+    """Base, arm and EE at t times, within the velocity limits and free of solids."""
 
     robot: Robot
-    solids: Solids | None = None
+    solids: Solids | None = None  # in the world, one row; None without any
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -120,14 +120,10 @@ class Contacts:
 
     A contact is a triple: link of the robot, other body and link of that body, by the numbers of
     the backend.
-
-    Attributes:
-        base: Contacts of links that the arm does not carry.
-        arm: Contacts of the links of arm and hand.
     """
 
-    base: frozenset[tuple[int, int, int]]
-    arm: frozenset[tuple[int, int, int]]
+    base: frozenset[tuple[int, int, int]]  # contacts of links that the arm does not carry
+    arm: frozenset[tuple[int, int, int]]  # contacts of the links of arm and hand
 
 
 @dataclass(frozen=True)

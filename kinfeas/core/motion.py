@@ -108,18 +108,12 @@ WAYPOINTS = 64
 
 @dataclass(frozen=True)
 class WholeBodyPath:
-    """A motion of the whole robot.
+    """A motion of the whole robot."""
 
-    Attributes:
-        ee: World poses of the EE, shape (k, 7).
-        robot: x, y and unwrapped yaw of the base, then arm joints, shape (k, 3 + j), metres and
-            radians.
-        seconds: Shortest times that base and arm need from each to the next, shape (k - 1,).
-    """
-
-    ee: Array
+    ee: Array  # world poses of the EE, shape (k, 7)
+    # x, y and unwrapped yaw of the base, then arm joints, shape (k, 3 + j), metres and radians
     robot: Array
-    seconds: Array
+    seconds: Array  # shortest times that base and arm need from each to the next, shape (k - 1,)
 
 
 @runtime_checkable

@@ -62,21 +62,13 @@ class _RobotFolder(EntryPoint):
 
 @dataclass(frozen=True)
 class Plugin:
-    """An entry point and its distribution.
+    """An entry point and its distribution."""
 
-    Attributes:
-        group: Key of `GROUPS`.
-        name: Name of the entry.
-        distribution: Name of the distribution.
-        version: Version of the distribution.
-        target: Class or function, as `module:name`.
-    """
-
-    group: str
-    name: str
-    distribution: str
-    version: str
-    target: str = field(default="", compare=False)
+    group: str  # key of `GROUPS`
+    name: str  # name of the entry
+    distribution: str  # name of the distribution
+    version: str  # version of the distribution
+    target: str = field(default="", compare=False)  # class or function, as `module:name`
 
     def __str__(self) -> str:
         origin = f" ({self.distribution} {self.version})" if self.distribution != "?" else ""

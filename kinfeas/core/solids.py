@@ -21,22 +21,15 @@ _SOLIDS = "solids."
 
 @dataclass(frozen=True)
 class Solids:
-    """Solids of n rows, k places each, any of which may be empty.
+    """Solids of n rows, k places each, any of which may be empty."""
 
-    Attributes:
-        pose: World x, y and yaw of each centre, shape (n, k, 3), metres and radians.
-        size: Half extents along the solid's own x and y (of a cylinder, its radius twice), lowest
-            and highest z, shape (n, k, 4), metres. A place with half extents of 0 is empty.
-        cylinder: Whether it is a cylinder instead of a box, shape (n, k).
-        velocity: World velocity at the start, shape (n, k, 2), m/s; 0 if it does not move.
-        span: Path length after which a moving solid turns back, shape (n, k), metres.
-    """
-
-    pose: Array
+    pose: Array  # world x, y and yaw of each centre, shape (n, k, 3), metres and radians
+    # half extents along its own x and y (of a cylinder, its radius twice), lowest and highest z,
+    # shape (n, k, 4), metres; a place with half extents of 0 is empty
     size: Array
-    cylinder: NDArray[np.bool_]
-    velocity: Array
-    span: Array
+    cylinder: NDArray[np.bool_]  # whether it is a cylinder instead of a box, shape (n, k)
+    velocity: Array  # world velocity at the start, shape (n, k, 2), m/s; 0 if it does not move
+    span: Array  # path length after which a moving solid turns back, shape (n, k), metres
 
     @staticmethod
     def empty(n: int, places: int = 0) -> "Solids":

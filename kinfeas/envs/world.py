@@ -78,29 +78,18 @@ def evaluation_world(backend: str = "analytic", robot: str | Path | None = None)
 
 @dataclass(frozen=True)
 class Transition:
-    """The result of a step of n episodes, each of leading shape (n,).
+    """The result of a step of n episodes, each of leading shape (n,)."""
 
-    Attributes:
-        observation: Shape (n, d).
-        reward: Reward of the step.
-        terminated: Whether the episode ended by success, by too many failures, or by a collision
-            of the base with a solid.
-        truncated: Whether it ended by the time limit.
-        reached: Whether the end of the last sub-goal was reached on a feasible step, or that of a
-            stream of targets.
-        outcome: Result of the loop's step.
-        path_length: True path length of the EE in a stream of targets, metres.
-        planned_length: That which the stream asks for, metres.
-    """
-
-    observation: Array
-    reward: Array
+    observation: Array  # shape (n, d)
+    reward: Array  # reward of the step
+    # whether the episode ended by success, by too many failures, or by a collision of the base
     terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]  # whether it ended by the time limit
+    # whether the last sub-goal was reached on a feasible step, or the end of a stream of targets
     reached: NDArray[np.bool_]
-    outcome: Outcome
-    path_length: Array | None = None
-    planned_length: Array | None = None
+    outcome: Outcome  # result of the loop's step
+    path_length: Array | None = None  # true path length of the EE in a stream of targets, metres
+    planned_length: Array | None = None  # that which the stream asks for, metres
 
     @property
     def done(self) -> NDArray[np.bool_]:

@@ -42,26 +42,16 @@ _SETTINGS = ReachSettings()
 
 @dataclass(frozen=True)
 class Placement:
-    """Base poses that reach an EE pose, or n of them together; the best of m first.
+    """Base poses that reach an EE pose, or n of them together; the best of m first."""
 
-    Attributes:
-        base_pose: World poses of the base, shape (m, 7).
-        joint_positions: Arm joints at each, shape (m, j), or (m, n, j) for several EE poses.
-        joint_margin: Distance to the nearest joint limit as a fraction of its range, shape (m,).
-        clearance: Distance that base and arm keep from solids, the largest of 0, 0.02, 0.05 and
-            0.1 m, shape (m,).
-        manipulability: Yoshikawa's measure as a fraction of the robot's largest, shape (m,).
-        limit: Reason for which no base pose was found, one of `LIMITS`; empty if one was.
-        solids: Solids in the way, by their places or names.
-    """
-
-    base_pose: Array
-    joint_positions: Array
-    joint_margin: Array
+    base_pose: Array  # world poses of the base, shape (m, 7)
+    joint_positions: Array  # arm joints at each, shape (m, j), or (m, n, j) for several EE poses
+    joint_margin: Array  # distance to the nearest joint limit as a fraction of its range, (m,)
+    # distance from solids that base and arm keep, the largest of 0, 0.02, 0.05 and 0.1 m, (m,)
     clearance: Array
-    manipulability: Array
-    limit: str = ""
-    solids: tuple[int | str, ...] = ()
+    manipulability: Array  # Yoshikawa's measure as a fraction of the robot's largest, shape (m,)
+    limit: str = ""  # reason for which no base pose was found, one of `LIMITS`; empty if one was
+    solids: tuple[int | str, ...] = ()  # solids in the way, by their places or names
 
     @property
     def reachable(self) -> bool:
