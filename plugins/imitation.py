@@ -131,17 +131,12 @@ class GaussianMixture(PathMotion):
 
 @dataclass(frozen=True)
 class Component:
-    """One Gaussian of the mixture.
+    """One Gaussian of the mixture."""
 
-    Attributes:
-        weight: Weight; those of all components add up to 1.
-        mean: Index, EE x y z and EE rotation vector; with a base also its x, y and yaw. Metres and
-            radians.
-        covariance: Rows and columns in the order of the mean; only the first column is used.
-    """
-
-    weight: PositiveShare
+    weight: PositiveShare  # weight; those of all components add up to 1
+    # index, EE x y z and EE rotation vector; with a base also its x, y and yaw. Metres and radians
     mean: tuple[Number, ...]
+    # rows and columns in the order of the mean; only the first column is used
     covariance: tuple[tuple[Number, ...], ...]
 
     def __post_init__(self) -> None:
@@ -156,38 +151,25 @@ class Component:
 
 @dataclass(frozen=True)
 class Source:
-    """The origin of a model.
+    """The origin of a model."""
 
-    Attributes:
-        demonstrations: Number of demonstrations.
-        command: Command that fitted it.
-    """
-
-    demonstrations: Count
-    command: str
+    demonstrations: Count  # number of demonstrations
+    command: str  # command that fitted it
 
 
 @dataclass(frozen=True)
 class Model:
-    """A learned motion, in the frame of the grasped object; the module's docstring has an example.
+    """A learned motion in the frame of the grasped object; see the example of this module."""
 
-    Attributes:
-        format: Version of the file format.
-        kind: Motion generator: whether the index is that of the length or of the time.
-        duration: Duration of the motion, seconds.
-        goal: Final EE pose in the frame of the object, metres, quaternion x y z w.
-        mean_orientation: Quaternion x y z w that rotation vectors are relative to.
-        fitted_from: Origin of the model.
-        components: Gaussians of the mixture.
-    """
-
-    format: Literal[1]
-    kind: Kind
-    duration: Annotated[float, Interval(ge=SHORTEST, le=LONGEST)]
+    format: Literal[1]  # version of the file format
+    kind: Kind  # motion generator: whether the index is that of the length or of the time
+    duration: Annotated[float, Interval(ge=SHORTEST, le=LONGEST)]  # duration of the motion, seconds
+    # final EE pose in the frame of the object, metres, quaternion x y z w
     goal: tuple[Number, Number, Number, float, float, float, float]
+    # quaternion x y z w that rotation vectors are relative to
     mean_orientation: tuple[float, float, float, float]
-    fitted_from: Source
-    components: tuple[Component, ...]
+    fitted_from: Source  # origin of the model
+    components: tuple[Component, ...]  # Gaussians of the mixture
 
     def __post_init__(self) -> None:
         quaternions = {"goal": self.goal[3:], "mean_orientation": self.mean_orientation}

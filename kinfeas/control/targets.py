@@ -59,24 +59,18 @@ class TargetStream(Protocol):
 
 @dataclass(frozen=True)
 class TargetRules:
-    """Limits of targets, and rules for their messages.
+    """Limits of targets, and rules for their messages."""
 
-    Attributes:
-        timeout: Age of a message, or of the last pose of a chunk, from which on it is ignored. The
-            EE comes to rest if no newer one arrives, seconds.
-        max_jump: Distance from the current target to a pose beyond which it is ignored, metres;
-            unless it is as near to the pose of the last message, which the EE may lag behind.
-        max_turn: The same angle, radians.
-        max_velocity: Limit of the target's velocity, m/s.
-        max_angular_velocity: The same, rad/s.
-        heights: Lowest and highest target, metres; a target beyond only moves back.
-    """
-
+    # age of a message, or of the last pose of a chunk, from which on it is ignored. The EE comes to
+    # rest if no newer one arrives, seconds
     timeout: PositiveSeconds = 0.1
+    # distance from the current target to a pose beyond which it is ignored, metres; unless it is as
+    # near to the pose of the last message, which the EE may lag behind
     max_jump: Positive = 0.5
-    max_turn: Positive = 1.6
-    max_velocity: Positive = 0.2
-    max_angular_velocity: Positive = 0.5
+    max_turn: Positive = 1.6  # the same angle, radians
+    max_velocity: Positive = 0.2  # limit of the target's velocity, m/s
+    max_angular_velocity: Positive = 0.5  # the same, rad/s
+    # lowest and highest target, metres; a target beyond only moves back
     heights: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:

@@ -35,29 +35,19 @@ from kinfeas.tasks.task import (
 
 @dataclass(frozen=True)
 class WorldConfig(ExecutionConfig):
-    """Settings of a world beside robot and task; see `ExecutionConfig` for those of motions.
+    """Settings of a world beside robot and task; see `ExecutionConfig` for those of motions."""
 
-    Attributes:
-        dt: Control period, seconds.
-        max_failures: Steps without an IK solution in one episode beyond which it ends.
-        max_seconds: Motion time of one sub-goal, its dwell included, after which an episode is
-            truncated.
-        adapters: Adapters around the backend, the first one innermost.
-        reward: Weights of the reward.
-        ik: Search effort of IK.
-        filters: Filters of the policy's commands, in this order.
-        backend: Entry point in the group kinfeas.backends.
-        backend_parameters: Keyword parameters of the backend.
-    """
-
-    dt: Annotated[float, Interval(ge=0.001, le=1.0)] = 0.1
+    dt: Annotated[float, Interval(ge=0.001, le=1.0)] = 0.1  # control period, seconds
+    # steps without an IK solution in one episode beyond which it ends
     max_failures: Annotated[int, Interval(ge=0)] = 19
+    # motion time of one sub-goal, its dwell included, after which an episode is truncated
     max_seconds: PositiveSeconds = 300.0
-    adapters: tuple[PluginSpec, ...] = ()
-    reward: RewardConfig = field(default_factory=RewardConfig)
-    ik: IkOptions = field(default_factory=IkOptions)
-    filters: tuple[PluginSpec, ...] = ()
-    backend: str = "analytic"
+    adapters: tuple[PluginSpec, ...] = ()  # adapters around the backend, the first one innermost
+    reward: RewardConfig = field(default_factory=RewardConfig)  # weights of the reward
+    ik: IkOptions = field(default_factory=IkOptions)  # search effort of IK
+    filters: tuple[PluginSpec, ...] = ()  # filters of the policy's commands, in this order
+    backend: str = "analytic"  # entry point in the group kinfeas.backends
+    # keyword parameters of the backend
     backend_parameters: dict[str, object] = field(default_factory=dict)
 
 

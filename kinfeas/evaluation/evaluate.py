@@ -52,15 +52,10 @@ class EvalConfig:
 
 @dataclass(frozen=True)
 class EvalSettings:
-    """Settings of an evaluation, from YAML or the command line.
+    """Settings of an evaluation, from YAML or the command line."""
 
-    Attributes:
-        task: Parameters of the task.
-        world: Settings of the world.
-    """
-
-    task: dict[str, object] = field(default_factory=dict)
-    world: WorldConfig = field(default_factory=evaluation_world)
+    task: dict[str, object] = field(default_factory=dict)  # parameters of the task
+    world: WorldConfig = field(default_factory=evaluation_world)  # settings of the world
 
 
 def read_settings(

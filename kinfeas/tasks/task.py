@@ -26,34 +26,23 @@ _DRAWS, _ROUNDS = 16, 100
 
 @dataclass(frozen=True)
 class MotionSpec:
-    """A motion generator by name.
+    """A motion generator by name."""
 
-    Attributes:
-        generator: Entry-point name in the group kinfeas.motion_generators.
-        parameters: Its keyword parameters.
-    """
-
-    generator: str = "linear"
-    parameters: dict[str, object] = field(default_factory=dict)
+    generator: str = "linear"  # entry-point name in the group kinfeas.motion_generators
+    parameters: dict[str, object] = field(default_factory=dict)  # its keyword parameters
 
 
 @dataclass(frozen=True)
 class Subgoal:
-    """One motion of a task.
+    """One motion of a task."""
 
-    Attributes:
-        motion: Generator of the motion.
-        frame: Frame that it moves: `ee`, or `tip` for the tool tip in the common gripper
-            convention, with x as the approach and y as the finger axis.
-        dwell: Seconds that the EE rests after its arrival, while the base may move; the last
-            sub-goal ends with the arrival.
-        grip: Gripper command after the arrival, in worlds with a gripper.
-    """
-
-    motion: MotionSpec = field(default_factory=MotionSpec)
+    motion: MotionSpec = field(default_factory=MotionSpec)  # generator of the motion
+    # frame that it moves: `ee`, or `tip` for the tool tip in the common gripper convention, with x
+    # as the approach and y as the finger axis
     frame: Frame = "ee"
+    # seconds that the EE rests after its arrival, while the base may move; none after the last one
     dwell: Seconds = 0.0
-    grip: Grip | None = None
+    grip: Grip | None = None  # gripper command after the arrival, in worlds with a gripper
 
 
 class Task(Protocol):
