@@ -140,7 +140,7 @@ def _documented(kind: Any) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     for one in reversed(kind.__mro__):
-        source = inspect.getsource(one) if is_dataclass(one) else ""
+        source = inspect.getsource(one) if "__dataclass_fields__" in vars(one) else ""
         for above, name, beside in re.findall(
             r"((?:^    # .*\n)*)^    (\w+): [^#\n]*(?:  # (.*))?$", source, re.M
         ):

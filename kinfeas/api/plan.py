@@ -14,7 +14,7 @@ from kinfeas.api.reach import base_pose, ee_poses, surroundings
 from kinfeas.config import Settings
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.sequence import LONGEST, begin_motions
+from kinfeas.control.subgoal_motions import LONGEST, begin_motions
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import IDENTITY, Array, compose, distance, make_pose, relative, rotation

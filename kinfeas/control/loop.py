@@ -294,7 +294,7 @@ class Loop:
             joints=self._arm.joint_command,
             desired=self.sequence.arm_target(step, paused),
             solids=self.surroundings.after(self.dt),
-            posture_guide=self.sequence.planned_joints,
+            posture_guide=self.sequence.planned[1],
             step=step,
             time_scale=np.ones(len(self.action)),
             motions=self.sequence,

@@ -92,7 +92,6 @@ class CheckedMotion:
     be exchanged. Exceptions of the generator get a note with its `name`, by default its class.
 
     Attributes:
-        demonstrated: Whether the generator has demonstrated base poses.
         avoids_solids: Whether it plans around solids.
         follows_whole_body: Whether it follows motions that are planned for base and arm.
 
@@ -109,7 +108,6 @@ class CheckedMotion:
         self._ahead = generator.ahead if isinstance(generator, LooksAhead) else None
         self._base_pose = generator.base_pose if isinstance(generator, Demonstrated) else None
         self._follower = generator if isinstance(generator, FollowsWholeBodyPath) else None
-        self.demonstrated = self._base_pose is not None
         self.avoids_solids = isinstance(generator, AvoidsSolids)
         self.follows_whole_body = self._follower is not None
         self.subject = f"motion generator {name or type(generator).__name__}"
