@@ -58,11 +58,14 @@ class MinimumJerk:
     ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         time = np.minimum(state["time"] + dt, state["duration"])
-        displacement = twist_between(state["start_pose"], target_pose, 1.0)
-        s = (time / state["duration"])[:, np.newaxis]
-        covered = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        desired = integrate(state["start_pose"], displacement * covered, 1.0)
-        twist = twist_between(ee_pose, desired, dt)
+        twist = twist_between(ee_pose, self._at(state, target_pose, time), dt)
         scale = slowed(twist, self._max_velocity, self._max_angular_velocity)
         passed = state["time"] + scale * (time - state["time"])
         return twist * scale[:, np.newaxis], {**state, "time": passed}
+
+    def _at(self, state: State, target_pose: Array, time: Array) -> Array:
+        """Return the desired poses at times of the motions, (n,) -> (n, 7)."""
+        displacement = twist_between(state["start_pose"], target_pose, 1.0)
+        s = (time / state["duration"])[:, np.newaxis]
+        covered = s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        return integrate(state["start_pose"], displacement * covered, 1.0)

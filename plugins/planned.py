@@ -21,7 +21,7 @@ from kinfeas.planning.spline import (
     position_at,
 )
 from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.plugins.path import norm, slowed
+from kinfeas.plugins.path import norm
 
 _MOVED = 0.05
 """Metres that a target may move before its path is planned anew; paths bend along until then."""
@@ -29,7 +29,7 @@ _MOVED = 0.05
 _MOMENT = 0.05  # seconds over which the velocity is measured when the path changes
 
 
-class SmoothPath:
+class SmoothPath(MinimumJerk):
     """Motion along a path of its own for each start, from rest to rest.
 
     A path is a cubic B-spline of positions and quaternions. The speed rises and falls along quintic
@@ -45,13 +45,12 @@ class SmoothPath:
     def __init__(
         self, ramp: float, min_duration: float, max_velocity: float, max_angular_velocity: float
     ) -> None:
-        self._ramp = ramp
-        self._max_velocity, self._max_angular_velocity = max_velocity, max_angular_velocity
-        self._straight = MinimumJerk(
+        super().__init__(
             min_duration=min_duration,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
         )
+        self._ramp = ramp
 
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
@@ -63,7 +62,7 @@ class SmoothPath:
         second, (n,), 0 for straight motions; and the twist, (n, 6), by which the motion before
         differs from the beginning of the plan.
         """
-        state = self._straight.start(ee_pose, target_pose, rngs)
+        state = super().start(ee_pose, target_pose, rngs)
         n = len(target_pose)
         return {
             **state,
@@ -74,10 +73,6 @@ class SmoothPath:
             "drift": np.zeros((n, 6)),
         }
 
-    def goal_pose(self, state: State, target_pose: Array) -> Array:
-        """Return the targets, shape (n, 7)."""
-        return np.array(target_pose, dtype=np.float64)
-
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
         """Return whether at most 0.025 m of the paths are left, shape (n,)."""
         fraction = np.empty((len(target_pose), 1))
@@ -85,16 +80,6 @@ class SmoothPath:
         fractions_ahead(state["points"], now, np.array([GOAL_METRES]), fraction)
         finished: NDArray[np.bool_] = fraction[:, 0] >= 1.0
         return finished
-
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
-        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
-        time = np.minimum(state["time"] + dt, state["duration"])
-        twist = twist_between(ee_pose, self._at(state, target_pose, time), dt)
-        scale = slowed(twist, self._max_velocity, self._max_angular_velocity)
-        passed = state["time"] + scale * (time - state["time"])
-        return twist * scale[:, np.newaxis], {**state, "time": passed}
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses that lie ahead on the paths, (n, 7) and (d,) -> (n, d, 7)."""

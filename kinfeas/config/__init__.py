@@ -114,18 +114,14 @@ def dump(config: object, path: Path) -> None:
 def nested(*sources: Settings | None) -> dict[str, Any]:
     """Return settings as nested mappings; the later one of two values of a key counts."""
     data: dict[str, Any] = {}
-    for settings in sources:
-        if not isinstance(settings or {}, Mapping) or not all(map(_is_text, settings or {})):
+    for settings in filter(None, sources):
+        if not isinstance(settings, Mapping) or not all(isinstance(key, str) for key in settings):
             raise KinfeasError(f"settings must be values by key, not {reprlib.repr(settings)}")
-        for path, value in (settings or {}).items():
+        for path, value in settings.items():
             for key in reversed(path.split(".")):
                 value = {key: value}
             data = merged(data, value)
     return data
-
-
-def _is_text(key: object) -> bool:
-    return isinstance(key, str)
 
 
 def merged(data: Any, changes: Any) -> Any:

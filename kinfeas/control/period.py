@@ -106,7 +106,6 @@ class CommandFilter(Protocol):
 
     def __call__(self, period: Period) -> Period:
         """Return the changed period."""
-        ...
 
 
 class KinematicStep:

@@ -32,29 +32,23 @@ class TargetStream(Protocol):
 
     def start(self, desired: Array, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
         """Begin new motions in m `rows`; the desired poses are those of all n, shape (n, 7)."""
-        ...
 
     def targets(self, progress: Progress) -> Array:
         """Begin the next period of some rows; return the targets of all rows in it, (n, 7)."""
-        ...
 
     @property
     def speed(self) -> Array:
         """Asked speed of the EE in the next period, shape (n,), m/s."""
-        ...
 
     @property
     def live(self) -> NDArray[np.bool_]:
         """Whether each target moves by a message that is not too old, shape (n,)."""
-        ...
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
-        ...
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
-        ...
 
 
 @dataclass(frozen=True)

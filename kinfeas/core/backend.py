@@ -146,7 +146,6 @@ class Gripper(Protocol):
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Begin to close or to open the grippers of the m robots `env_ids`."""
-        ...
 
 
 class Scanner(Protocol):
@@ -154,7 +153,6 @@ class Scanner(Protocol):
 
     def scan(self) -> Scan:
         """Return the newest ranges around the bases."""
-        ...
 
 
 class ObstacleSensor(Protocol):
@@ -162,7 +160,6 @@ class ObstacleSensor(Protocol):
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return obstacles closer than `within` metres to the bases, without grasped objects."""
-        ...
 
 
 class ContactSensor(Protocol):
@@ -170,7 +167,6 @@ class ContactSensor(Protocol):
 
     def touching(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
-        ...
 
 
 class Dynamics(Protocol):
@@ -183,7 +179,6 @@ class Dynamics(Protocol):
 
         Earlier factors of the m robots `env_ids` no longer apply. Motors keep their largest forces.
         """
-        ...
 
 
 class Resumable(Protocol):
@@ -191,11 +186,9 @@ class Resumable(Protocol):
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all n robots by name."""
-        ...
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Restore the state of a snapshot and return the measured state."""
-        ...
 
 
 class Staging(Protocol):
@@ -203,7 +196,6 @@ class Staging(Protocol):
 
     def stage(self, task: Any) -> Any:
         """Return a `kinfeas.tasks.task.Task` that also places its objects in the simulator."""
-        ...
 
 
 class Backend(ABC):
@@ -317,10 +309,7 @@ class RealTimeBackend(Backend):
         return None
 
 
-ABILITIES = (
-    "gripper", "scanner", "obstacles", "solids", "contacts", "dynamics", "resumable",
-    "staging", "real_time", "max_batch", "response",
-)  # fmt: skip
+ABILITIES = tuple(Backend.__annotations__)
 """Names of the abilities of a backend, and of what it says of itself."""
 
 

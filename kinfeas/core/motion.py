@@ -34,11 +34,9 @@ class MotionGenerator(Protocol):
             target_pose: Goal of the EE, or pose of the grasped object, shape (n, 7).
             rngs: One source of randomness for each motion, n of them.
         """
-        ...
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7), for current targets."""
-        ...
 
     def twist(
         self, state: State, ee_pose: Array, target_pose: Array, dt: Array
@@ -51,7 +49,6 @@ class MotionGenerator(Protocol):
             target_pose: Current poses of the targets, shape (n, 7).
             dt: Duration of each motion's step in seconds, shape (n,).
         """
-        ...
 
 
 @runtime_checkable
@@ -69,7 +66,6 @@ class FollowsPath(Protocol):
             state: State of n motions.
             target_pose: Current poses of the targets, shape (n, 7).
         """
-        ...
 
 
 @runtime_checkable
@@ -81,7 +77,6 @@ class Demonstrated(Protocol):
 
         Rows without a demonstration are NaN.
         """
-        ...
 
 
 @runtime_checkable
@@ -99,7 +94,6 @@ class AvoidsSolids(Protocol):
             target_pose: Current poses of the targets, shape (n, 7).
             solids: Solids around each motion, n rows.
         """
-        ...
 
 
 WAYPOINTS = 64
@@ -134,7 +128,6 @@ class FollowsWholeBodyPath(Protocol):
             target_pose: Current poses of the targets, shape (n, 7).
             paths: A path for each motion, from about `ee_pose` to the target.
         """
-        ...
 
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead on the paths, shape (n, s, 3 + j), or NaN.
@@ -144,7 +137,6 @@ class FollowsWholeBodyPath(Protocol):
             waypoints: From `follow`, shape (n, 64, 3 + j); NaN for motions without a path.
             seconds: From now on, shape (s,).
         """
-        ...
 
 
 @runtime_checkable
@@ -160,7 +152,6 @@ class LooksAhead(Protocol):
             target_pose: Current poses of the targets, shape (n, 7).
             distances: Lengths of the position's path from here, shape (d,), metres.
         """
-        ...
 
 
 def with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:

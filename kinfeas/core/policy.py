@@ -62,4 +62,3 @@ class Policy(Protocol):
 
     def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        ...

@@ -26,17 +26,14 @@ class SingleMotion(Protocol):
         self, ee_pose: Array, target_pose: Array, rng: np.random.Generator
     ) -> Mapping[str, ArrayLike]:
         """Return the state of a motion that starts at `ee_pose`, shape (7,)."""
-        ...
 
     def goal_pose(self, state: dict[str, Any], target_pose: Array) -> Array:
         """Return the world pose at which the motion ends, shape (7,)."""
-        ...
 
     def twist(
         self, state: dict[str, Any], ee_pose: Array, target_pose: Array, dt: float
     ) -> tuple[Array, Mapping[str, ArrayLike]]:
         """Return the world twist for the next `dt` seconds, shape (6,), and the next state."""
-        ...
 
 
 def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, MotionGenerator]:

@@ -66,7 +66,6 @@ class Task(Protocol):
             solver: The robot's kinematics.
             rng: The only source of randomness, so that an episode is a function of its seed.
         """
-        ...
 
 
 @runtime_checkable
@@ -75,7 +74,6 @@ class StagedTask(Protocol):
 
     def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, as `Task.sample` does, and prepare the robot's row for it."""
-        ...
 
 
 @runtime_checkable
@@ -91,7 +89,6 @@ class StreamTask(Protocol):
 
     def target_stream(self, solver: IkSolver) -> TargetStream:
         """Return the targets of the episodes of a loop."""
-        ...
 
 
 @runtime_checkable
@@ -109,7 +106,6 @@ class ReportsTaskSuccess(Protocol):
             dt: Control period in seconds.
             reached: Whether the episode reached its goal.
         """
-        ...
 
 
 def sample_start(
