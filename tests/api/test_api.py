@@ -95,41 +95,21 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
     assert kinfeas.view(record=run.record)["steps"] == 15
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"policy": "folow_ee"},
-        {"world": "real"},
-        {"episodes": 0},
-        {"settings": {"world.dtt": 1}},
-        {"seed": -1},
-        {"processes": 0},
-        {"settings": {"world.dt": object()}},
-        {"settings": {"world.dt": np.zeros(2)}},
-        {"settings": {5: 1}},
-        {"settings": 5},
-        {"filters": 3},
-        {"policy": object()},
-        {"robot": object()},
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    {"policy": "folow_ee"}, {"world": "real"}, {"episodes": 0}, {"settings": {"world.dtt": 1}},
+    {"seed": -1}, {"processes": 0}, {"settings": {"world.dt": object()}},
+    {"settings": {"world.dt": np.zeros(2)}}, {"settings": {5: 1}}, {"settings": 5}, {"filters": 3},
+    {"policy": object()}, {"robot": object()},
+])  # fmt: skip
 def test_bad_input_is_an_error(arguments):
     with pytest.raises(KinfeasError):
         kinfeas.evaluate(**{"policy": "follow_ee", **arguments})
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"goal": (0.9, 0.1)},
-        {"goal": "abc"},
-        {"quaternion": np.array([0.0, 0.0, 1.0])},
-        {"seconds": -1.0},
-        {"seconds": np.nan},
-        {"rate": 0.0},
-        {"task": "ggr"},
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    {"goal": (0.9, 0.1)}, {"goal": "abc"}, {"quaternion": np.array([0.0, 0.0, 1.0])},
+    {"seconds": -1.0}, {"seconds": np.nan}, {"rate": 0.0}, {"task": "ggr"},
+])  # fmt: skip
 def test_bad_deployments_are_errors(tmp_path, arguments):
     options = {"policy": "follow_ee", "backend": "analytic", "goal": np.array([0.9, 0.1, 0.8])}
     with pytest.raises(KinfeasError):

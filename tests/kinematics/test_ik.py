@@ -251,9 +251,7 @@ def test_targets_out_of_reach_or_not_finite_keep_the_seed(tiago):
 
 
 @pytest.mark.parametrize(("targets", "seeds", "step", "name"), [
-    ((1, 7), (3, 5), 5, "seeds"),
-    ((2, 6), (2, 5), 5, "targets"),
-    ((2, 7), (2, 5), 0, "max_joint"),
+    ((1, 7), (3, 5), 5, "seeds"), ((2, 6), (2, 5), 5, "targets"), ((2, 7), (2, 5), 0, "max_joint"),
 ])  # fmt: skip
 def test_other_shapes_are_errors(hsr, targets, seeds, step, name):
     with pytest.raises(KinfeasError, match=f"^{name}"):

@@ -121,15 +121,12 @@ def test_models_are_found_by_name_and_path_and_have_a_kind(models):
         GaussianMixture(model=models["imitation"])
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("format", 2), ("kind", "spline"), ("goal.6", 2.0), ("mean_orientation", [0.0] * 4),
-        ("components", []), ("components.0.covariance.0.0", 0.0), ("components.0.weight", 0.9),
-        ("components.1.mean.2", math.inf), ("components.1.mean", [0.0] * 8),
-        ("components.1.covariance", [[1.0]]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("key", "value"), [
+    ("format", 2), ("kind", "spline"), ("goal.6", 2.0), ("mean_orientation", [0.0] * 4),
+    ("components", []), ("components.0.covariance.0.0", 0.0), ("components.0.weight", 0.9),
+    ("components.1.mean.2", math.inf), ("components.1.mean", [0.0] * 8),
+    ("components.1.covariance", [[1.0]]),
+])  # fmt: skip
 def test_wrong_models_raise(key, value, models, tmp_path):
     entry = broken = strict_yaml.read(Path(models["imitation"]))
     *above, last = (int(part) if part.isdigit() else part for part in key.split("."))

@@ -73,10 +73,7 @@ def read(tmp_path):
 
 
 @pytest.mark.parametrize("broken", [
-    "",
-    inertial(mass="0"),
-    inertial(ixx="0", iyy="0", izz="0"),
-    inertial(ixy="2"),
+    "", inertial(mass="0"), inertial(ixx="0", iyy="0", izz="0"), inertial(ixy="2"),
     inertial(ixx="1", iyy="0.1", izz="0.1"),
 ])  # fmt: skip
 def test_moving_links_need_a_possible_inertia(read, broken):

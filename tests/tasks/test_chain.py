@@ -71,11 +71,9 @@ def test_pick_place_leads_from_one_table_to_the_other(sample, uniform):
     np.testing.assert_allclose(approach(place), np.tile([0, -1.0, 0], (300, 1)), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("task", "handle", "along"),
-    [(door(), (-0.130, 2.796, 0.618), (0, 1, 0)), (drawer(), (-2.81, 0.015, 0.525), (-1, 0, 0))],
-    ids=lambda task: getattr(task, "name", ""),
-)
+@pytest.mark.parametrize(("task", "handle", "along"), [
+    (door(), (-0.130, 2.796, 0.618), (0, 1, 0)), (drawer(), (-2.81, 0.015, 0.525), (-1, 0, 0)),
+], ids=lambda task: getattr(task, "name", ""))  # fmt: skip
 def test_handles_are_grasped_then_pulled(sample, task, handle, along):
     targets = sample(task, 5).target_poses
     np.testing.assert_allclose(targets[..., :3], np.broadcast_to(handle, (5, 2, 3)))
