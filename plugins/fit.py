@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import strict_yaml
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
 from kinfeas.io.demonstrations import Demonstration, unit_hint
 from kinfeas.plugins.imitation import (
     LONGEST,

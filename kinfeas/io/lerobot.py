@@ -98,7 +98,7 @@ def _frames(demonstration: Demonstration, state: list[str], fps: int) -> dict[st
 
 
 def _at(times: Array, sample_times: Array, poses: Array) -> Any:
-    """Return poses (m, 7) at `times`, interpolated between those (t, 7) at `known` times."""
+    """Return poses (m, 7) at `times`, interpolated between those, (t, 7), of samples."""
     poses_at = interpolated(np.clip(times, sample_times[0], sample_times[-1]), sample_times, poses)
     poses_at[:, 3:] = continuous(poses_at[:, 3:])
     return poses_at.astype(np.float32)

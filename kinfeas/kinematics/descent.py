@@ -43,19 +43,11 @@ class Scratch(NamedTuple):
 def make_scratch(joints, variables):
     """Return scratch memory for a chain of `joints` joints and an arm of `variables` joints."""
     return Scratch(
-        make_frames(joints),
-        np.empty((variables, 6)),
-        np.empty((6, 6)),
-        np.empty(6),
-        np.empty(6),
-        np.empty(variables),
-        np.empty(variables),
-        np.zeros(variables),
-        np.empty(variables, dtype=np.intp),
-        np.empty(variables, dtype=np.bool_),
-        np.empty(variables),
-        np.empty(variables),
-    )
+        make_frames(joints), np.empty((variables, 6)), np.empty((6, 6)), np.empty(6), np.empty(6),
+        np.empty(variables), np.empty(variables), np.zeros(variables),
+        np.empty(variables, dtype=np.intp), np.empty(variables, dtype=np.bool_),
+        np.empty(variables), np.empty(variables),
+    )  # fmt: skip
 
 
 @inlined

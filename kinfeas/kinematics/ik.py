@@ -192,20 +192,14 @@ def _make_problem(solver: IkSolver) -> Problem:
         collision=solver.collision,
         check_collision=options.self_collision and len(solver.collision.pairs) > 0,
         load=solver.gravity.load if solver.gravity.limited else np.empty((0, 6)),
-        lower=lower,
-        upper=upper,
-        velocity=velocity,
-        continuous=continuous,
-        middle=middle,
+        lower=lower, upper=upper, velocity=velocity, continuous=continuous, middle=middle,
         centering=_centering(half, options.centering),
         reach=_reach(chain, middle, half),
         library=library,
         features=library_features(ee_pose[:, :3], rotation(ee_pose).as_matrix(), weight),
-        restarts=min(options.restarts, len(library)),
-        candidates=options.candidates,
-        accept_position=position,
-        accept_rotation=radians,
-    )
+        restarts=min(options.restarts, len(library)), candidates=options.candidates,
+        accept_position=position, accept_rotation=radians,
+    )  # fmt: skip
 
 
 def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:

@@ -6,7 +6,6 @@ from kinfeas.envs import episodes as module
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
-from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain_file import pick_place
 from kinfeas.tasks.ggr import ggr
 
@@ -17,8 +16,8 @@ NEAR = ggr(distance=(0.3, 0.9), heights=(0.6, 0.9))
 
 
 @pytest.fixture(scope="module")
-def world():
-    return World(load_robot("hsr"), NEAR, NOISY, seed=2)
+def world(hsr):
+    return World(hsr, NEAR, NOISY, seed=2)
 
 
 @pytest.fixture(scope="module")

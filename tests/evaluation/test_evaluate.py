@@ -21,7 +21,6 @@ from kinfeas.evaluation.evaluate import (
     configure,
     evaluate,
     reachability_of,
-    read_settings,
     run,
 )
 from kinfeas.evaluation.reachability import WAYPOINTS, draw_waypoints
@@ -35,10 +34,9 @@ from kinfeas.tasks.ggr import ggr
 
 
 @pytest.fixture(scope="module")
-def config():
+def config(hsr):
     world = replace(evaluation_world(), max_seconds=6.0)
-    near = ggr(distance=(0.5, 0.8))
-    return EvalConfig(load_robot("hsr"), near, episodes=20, seed=3, world=world)
+    return EvalConfig(hsr, ggr(distance=(0.5, 0.8)), episodes=20, seed=3, world=world)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +44,8 @@ def policy(config):
     return load_policy("follow_ee", config.robot)
 
 
-def test_the_default_world_is_exact_and_ends_no_episode_early():
-    assert evaluation_world() == WorldConfig(max_failures=99)
-    assert EvalConfig(load_robot("hsr"), ggr()).world == evaluation_world()
+def test_the_default_world_is_exact_and_ends_no_episode_early(hsr):
+    assert evaluation_world() == WorldConfig(max_failures=99) == EvalConfig(hsr, ggr()).world
 
 
 def test_summary(config, policy):
@@ -66,15 +63,17 @@ def test_summary(config, policy):
     assert sum(ended) == 20
 
 
-def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(config):
-    asked = {"world.adapters": [{"name": "actuator_lag"}]}
-    world = configure(config.robot, "ggr", settings=asked).world
-    assert (world.dt, [each.name for each in world.filters]) == (0.02, ["time_scaling"])
-    world = configure(
-        config.robot, "ggr", settings={**asked, "world.dt": 0.1, "world.filters": []}
-    ).world
-    assert (world.dt, world.filters) == (0.1, ())
-    assert configure(config.robot, "ggr", settings={"world.adapters": []}).world.dt == 0.1
+@pytest.mark.parametrize(("adapters", "settings", "dt", "filters"), [
+    (["actuator_lag"], {}, 0.02, ["time_scaling"]), (["base_noise"], {}, 0.02, []),
+    (["actuator_lag"], {"world.dt": 0.1, "world.filters": []}, 0.1, []), ([], {}, 0.1, []),
+    (["command_latency"], {}, 0.02, ["time_scaling"]),
+])  # fmt: skip
+def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
+    hsr, adapters, settings, dt, filters
+):
+    settings = {"world.adapters": [{"name": name} for name in adapters], **settings}
+    world = configure(hsr, "ggr", settings=settings).world
+    assert (world.dt, [each.name for each in world.filters]) == (dt, filters)
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
@@ -190,7 +189,7 @@ DETOUR = [[-0.3, 0.0], [-0.01, 0.0], [-0.3, 0.3], [0.0, 0.0]]
 @pytest.mark.parametrize(("generator", "path", "farthest"), [
     ("waypoints", CIRCLE, 0.3), ("waypoints", DETOUR, 0.4), ("replay", CIRCLE, 0.3),
 ])  # fmt: skip
-def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator, path, farthest):
+def test_motions_that_pass_their_end_are_carried_out(hsr, tmp_path, generator, path, farthest):
     prefix = "ee_" if generator == "replay" else ""
     names = [prefix + name for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
     rows = [f"{5.0 * i},{x},{y},0,0,0,0,1" for i, (x, y) in enumerate(path)]
@@ -200,9 +199,8 @@ def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator,
         "subgoals:\n- {place: spot}\n- {place: spot, motion: {generator: "
         f"{generator}, parameters: {{file: path.csv}}}}}}\n"
     )
-    robot = load_robot("hsr")
-    config = configure(robot, str(tmp_path / "task.yaml"), episodes=2)
-    policy = load_policy("pretrained", robot)
+    config = configure(hsr, str(tmp_path / "task.yaml"), episodes=2)
+    policy = load_policy("pretrained", hsr)
     world = World(config.robot, config.task, config.world, config.seed)
     together = record_episodes(world, policy, 2)
     alone = record_episodes(world, policy, 1, first=1)[0]
@@ -214,12 +212,3 @@ def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator,
         assert episode.reached
         assert away[arrival:].max() == pytest.approx(farthest, abs=0.03)
         assert away[-1] < 0.03
-
-
-def test_adapters_that_do_not_delay_keep_the_filters_of_the_world():
-    settings = {"world.adapters": [{"name": "base_noise"}]}
-    world = read_settings("hsr", "analytic", settings).world
-    assert (world.dt, world.filters) == (0.02, ())
-    settings = {"world.adapters": [{"name": "command_latency"}]}
-    late = read_settings("hsr", "analytic", settings).world
-    assert [each.name for each in late.filters] == ["time_scaling"]
