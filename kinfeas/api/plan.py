@@ -160,7 +160,7 @@ def plan(  # noqa: PLR0913 - options of the command
         if len(ee) < 2:
             raise KinfeasError("'path' must have at least 2 poses")
         if state is not None:
-            _check_start(placer.solver, state, ee[0])
+            _check_start(placer.solver, *state, ee[0])
     if not 1e-3 <= step <= 10.0:
         raise KinfeasError(f"'step' must be 0.001 to 10 s, not {step}")
     moments = plan_along(placer, ee, step, state, around, names)
@@ -218,13 +218,9 @@ def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None)
     return base_pose(start, "start"), arm
 
 
-def _ee_of(solver: IkSolver, state: State) -> Array:
-    return compose(state[0][np.newaxis], forward(solver.chain, state[1][np.newaxis]))[0]
-
-
-def _check_start(solver: IkSolver, state: State, first: Array) -> None:
-    metres = float(distance(_ee_of(solver, state), first)[0])
-    if metres > _AT_START:
+def _check_start(solver: IkSolver, base: Array, joints: Array, first: Array) -> None:
+    ee = compose(base, forward(solver.chain, joints[np.newaxis])[0])
+    if (metres := float(distance(ee, first)[0])) > _AT_START:
         raise KinfeasError(
             f"'path' must begin where the EE is; its first pose is {metres:.2f} m away"
         )

@@ -289,24 +289,21 @@ class Loop:
         robots, step = self.robots, self.sequence.next_step
         paused = self._arm.pauses(robots.joint_positions)
         period = Period(
-            command=self.action,
-            base_pose=robots.base_pose,
-            joints=self._arm.joint_command,
-            desired=self.sequence.arm_target(step, paused),
-            solids=self.surroundings.after(self.dt),
-            posture_guide=self.sequence.planned[1],
-            step=step,
-            time_scale=np.ones(len(self.action)),
-            motions=self.sequence,
-            paused=paused,
+            command=self.action, base_pose=robots.base_pose, joints=self._arm.joint_command,
+            desired=self.sequence.arm_target(step, paused), solids=self.surroundings.after(self.dt),
+            posture_guide=self.sequence.planned[1], step=step,
+            time_scale=np.ones(len(self.action)), motions=self.sequence, paused=paused,
             motion=None if self._predictor is None else self._predictor.motion,
-        )
+        )  # fmt: skip
         return period.commanded(period.command)
 
     def _outcome(
-        self, period: Period, move: Move, joints_before: Array
+        self, period: Period, move: Move, before: Array
     ) -> tuple[Outcome, NDArray[np.bool_]]:
-        """Return the result of a period, and which EEs are at the end of their sub-goal, (n,)."""
+        """Return the result of a period, and which EEs are at the end of their sub-goal, (n,).
+
+        `before` are the joint commands of the period before, shape (n, j).
+        """
         sequence, arm = self.sequence, move.arm
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         near = (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
@@ -314,20 +311,15 @@ class Loop:
         deviation, localised = self._deviation(self.true_state[1]), self._localised_ee
         outcome = Outcome(
             feasible=arm.feasible,
-            position_error=arm.position_error,
-            rotation_error=arm.rotation_error,
+            position_error=arm.position_error, rotation_error=arm.rotation_error,
             deviation=deviation,
             tracking_error=deviation if localised is None else self._deviation(localised),
-            subgoal=sequence.subgoal,
-            goal_distance=goal_distance,
-            goal_angle=goal_angle,
+            subgoal=sequence.subgoal, goal_distance=goal_distance, goal_angle=goal_angle,
             finished=arrived & sequence.last,
-            joint_jump=exceeds_joint_velocity(
-                self.robot, joints_before, arm.joint_positions, self.dt
-            ),
+            joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
             time_scale=period.time_scale,
             collision=self.surroundings.collisions(self.robots) if self.finds_collisions else None,
-        )
+        )  # fmt: skip
         return outcome, arrived
 
     def _deviation(self, ee_pose: Array) -> Array:

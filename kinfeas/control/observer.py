@@ -75,16 +75,11 @@ class Observer:
             planned = spatial.integrate(sequence.desired, twist, HORIZON * self._time_scale)
         return Observation(
             values=observe(state, self.terms),
-            base_pose=base_pose,
-            ee_pose=ee_pose,
-            joint_positions=robots.joint_positions,
-            desired=sequence.desired,
-            planned=planned,
-            demonstrated_base=sequence.demonstrated_base,
-            planned_base=sequence.planned[0],
-            dt=self._dt,
-            obstacles=self._obstacles,
-        )
+            base_pose=base_pose, ee_pose=ee_pose, joint_positions=robots.joint_positions,
+            desired=sequence.desired, planned=planned,
+            demonstrated_base=sequence.demonstrated_base, planned_base=sequence.planned[0],
+            dt=self._dt, obstacles=self._obstacles,
+        )  # fmt: skip
 
     @property
     def base_error(self) -> Array | None:

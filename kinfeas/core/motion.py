@@ -60,12 +60,7 @@ class FollowsPath(Protocol):
     """
 
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
-        """Return whether the motions are at the end of their paths, shape (n,).
-
-        Args:
-            state: State of n motions.
-            target_pose: Current poses of the targets, shape (n, 7).
-        """
+        """Return whether n motions are at the end of their paths, shape (n,); targets (n, 7)."""
 
 
 @runtime_checkable
@@ -86,13 +81,8 @@ class AvoidsSolids(Protocol):
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of n motions that avoid the solids as they stand now.
 
-        Called after `start` and, where solids move, about once a second.
-
-        Args:
-            state: State of n motions.
-            ee_pose: Current desired world pose, shape (n, 7).
-            target_pose: Current poses of the targets, shape (n, 7).
-            solids: Solids around each motion, n rows.
+        Called after `start` and, where solids move, about once a second. `solids` are those around
+        each motion, n rows; other arguments as in `MotionGenerator.twist`.
         """
 
 
@@ -121,12 +111,8 @@ class FollowsWholeBodyPath(Protocol):
 
         The second value has `WAYPOINTS` configurations of each path, shape (n, 64, 3 + j), for
         `robot_ahead`. Called before `replan` of `AvoidsSolids`, which leaves these motions alone.
-
-        Args:
-            state: State of n motions.
-            ee_pose: Current desired world pose, shape (n, 7).
-            target_pose: Current poses of the targets, shape (n, 7).
-            paths: A path for each motion, from about `ee_pose` to the target.
+        There is a path for each motion, from about `ee_pose` to the target; other arguments as in
+        `MotionGenerator.twist`.
         """
 
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
@@ -146,11 +132,8 @@ class LooksAhead(Protocol):
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses that lie ahead on the motions, at most their ends, shape (n, d, 7).
 
-        Args:
-            state: State of n motions.
-            ee_pose: Current desired world pose, shape (n, 7).
-            target_pose: Current poses of the targets, shape (n, 7).
-            distances: Lengths of the position's path from here, shape (d,), metres.
+        Distances are lengths of the position's path from here, shape (d,), metres; other arguments
+        as in `MotionGenerator.twist`.
         """
 
 

@@ -101,16 +101,11 @@ def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
     """
     outcome, failures = transition.outcome, world.failures.copy()
     info: dict[str, NDArray[Any]] = {
-        "subgoal": outcome.subgoal,
-        "feasible": outcome.feasible,
-        "failures": failures,
-        "deviation": outcome.deviation,
-        "goal_distance": outcome.goal_distance,
-        "goal_angle": outcome.goal_angle,
-        "joint_jump": outcome.joint_jump,
-        "reached": transition.reached,
-        "is_success": transition.reached & (failures == 0),
-    }
+        "subgoal": outcome.subgoal, "feasible": outcome.feasible, "failures": failures,
+        "deviation": outcome.deviation, "goal_distance": outcome.goal_distance,
+        "goal_angle": outcome.goal_angle, "joint_jump": outcome.joint_jump,
+        "reached": transition.reached, "is_success": transition.reached & (failures == 0),
+    }  # fmt: skip
     if (sensor := world.backend.contacts) is not None:
         contacts = [sensor.touching(row) for row in range(len(failures))]
         info["base_contacts"] = np.array([len(contact.base) for contact in contacts])

@@ -198,23 +198,13 @@ class World:
         if loop.stream is not None:
             path_length = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
             reached = truncated
+        joints, base_error = loop.robots.joint_positions, loop.observer.base_error
+        earned = reward(self.config.reward, self.robot, outcome, loop.action, joints, base_error)
         return Transition(
-            observation=loop.observation.values,
-            reward=reward(
-                self.config.reward,
-                self.robot,
-                outcome,
-                loop.action,
-                loop.robots.joint_positions,
-                loop.observer.base_error,
-            ),
-            terminated=terminated,
-            truncated=truncated,
-            reached=reached,
-            outcome=outcome,
-            path_length=path_length,
+            observation=loop.observation.values, reward=earned, terminated=terminated,
+            truncated=truncated, reached=reached, outcome=outcome, path_length=path_length,
             planned_length=planned_length,
-        )
+        )  # fmt: skip
 
     def close(self) -> None:
         """Close the backend; it may be called twice."""

@@ -124,21 +124,15 @@ def evaluate(
     own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
     return {
-        "robot": config.robot.name,
-        "task": config.task.name,
-        "policy": name,
-        "seed": config.seed,
+        "robot": config.robot.name, "task": config.task.name, "policy": name, "seed": config.seed,
         "world": settings.backend,
-        "time_scale": execution.time_scale,
-        "head_start": execution.head_start,
+        "time_scale": execution.time_scale, "head_start": execution.head_start,
         "adapters": [adapter.name for adapter in settings.adapters],
         "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
         **summarize(records),
-        "ceiling": None,
-        "ceiling_low": None,
-        "ceiling_high": None,
-    }
+        "ceiling": None, "ceiling_low": None, "ceiling_high": None,
+    }  # fmt: skip
 
 
 def run(

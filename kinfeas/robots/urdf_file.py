@@ -192,22 +192,15 @@ def _joint(name: str, element: Element) -> Joint:
         damping = dynamics.number("damping", 0.0, minimum=0.0)
         friction = dynamics.number("friction", 0.0, minimum=0.0)
     return Joint(
-        name=name,
-        kind=cast("JointKind", kind),
-        parent=element.need("parent").text("link"),
-        child=element.need("child").text("link"),
+        name=name, kind=cast("JointKind", kind),
+        parent=element.need("parent").text("link"), child=element.need("child").text("link"),
         origin=element.origin(),
         axis=(1.0, 0.0, 0.0) if fixed else _axis(element),  # exporters write 0 0 0 for fixed joints
-        lower=lower,
-        upper=upper,
-        soft_lower=soft_lower,
-        soft_upper=soft_upper,
-        velocity=0.0 if fixed else velocity,
-        effort=0.0 if fixed else effort,
-        damping=damping,
-        friction=friction,
+        lower=lower, upper=upper, soft_lower=soft_lower, soft_upper=soft_upper,
+        velocity=0.0 if fixed else velocity, effort=0.0 if fixed else effort,
+        damping=damping, friction=friction,
         mimic=None if fixed or mimic is None else _mimic(mimic),
-    )
+    )  # fmt: skip
 
 
 def _limits(joint: Element, kind: str) -> tuple[float, float]:

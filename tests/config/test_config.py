@@ -128,14 +128,9 @@ def test_wrong_settings_are_named_without_the_file(key, wrong):
 
 
 SCHEMAS = {
-    "train": TrainConfig,
-    "train_physics": TrainConfig,
-    "train_rooms": TrainConfig,
-    "finetune_physics": TrainConfig,
-    "analytic": EvalSettings,
-    "pybullet": EvalSettings,
-    "deploy": DeployConfig,
-    "baselines": BaselineConfig,
+    **dict.fromkeys(("train", "train_physics", "train_rooms", "finetune_physics"), TrainConfig),
+    **dict.fromkeys(("analytic", "pybullet"), EvalSettings),
+    **{"deploy": DeployConfig, "baselines": BaselineConfig},
 }
 
 

@@ -225,7 +225,9 @@ def test_time_scale_changes_the_motion_but_not_the_observation(solver):
     ]
     np.testing.assert_array_equal(slow.observation.values, plain.observation.values)
     # Policies that do not learn read the motion as it will be.
-    full, half = (np.stack(spatial.distance(one.desired, one.observation.planned)) for one in loops)
+    full, half = (
+        np.stack(spatial.distance(loop.desired, loop.observation.planned)) for loop in loops
+    )
     np.testing.assert_allclose(2.0 * half, full)
     start = plain.desired
     rest(plain, 5)
@@ -356,9 +358,8 @@ def test_wrong_commands_of_a_filter_are_errors(solver, change, word):
 
 
 def test_filters_return_a_period(solver):
-    loop = make_loop(solver, 2, filters=[lambda period: period.command])
     with pytest.raises(KinfeasError, match=r"command filter function.*Period.*ndarray"):
-        rest(loop)
+        rest(make_loop(solver, 2, filters=[lambda period: period.command]))
 
 
 def test_exceptions_of_filters_and_policies_name_them(solver):

@@ -103,14 +103,9 @@ def test_a_complete_folder_remains_after_two_kills(tmp_path, monkeypatch):
 
 
 def test_locks_of_folders(tmp_path):
-    with (
-        files.alone(tmp_path),
-        pytest.raises(KinfeasError, match=str(tmp_path)),
-        files.alone(tmp_path),
-    ):
-        pass
-    with files.alone(tmp_path):
-        pass
+    for _ in range(2):
+        with files.alone(tmp_path), pytest.raises(KinfeasError, match=str(tmp_path)):
+            files.alone(tmp_path).__enter__()
     with pytest.raises(KinfeasError, match="none"), files.alone(tmp_path / "none"):
         pass
 
@@ -136,11 +131,9 @@ def table(folder, text):
 
 def test_csv_columns_are_read_by_name(tmp_path):
     path = table(tmp_path, "a, note ,b\n1,x,2\n\n3,y,4.5\n")
-    found = files.read_csv(path, ("b", "a", "time"), ("time",))
-    assert {name: values.tolist() for name, values in found.items()} == {
-        "b": [2.0, 4.5],
-        "a": [1.0, 3.0],
-    }
+    table_columns = files.read_csv(path, ("b", "a", "time"), ("time",))
+    values = {name: column.tolist() for name, column in table_columns.items()}
+    assert values == {"b": [2.0, 4.5], "a": [1.0, 3.0]}
     assert files.read_csv(table(tmp_path, "a,b\n"), ["a"])["a"].shape == (0,)
 
 

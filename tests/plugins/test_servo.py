@@ -8,13 +8,9 @@ from kinfeas.plugins.servo import Servo
 from tests.builders import assert_near
 
 LIMITS = {
-    "max_velocity": 0.2,
-    "max_acceleration": 2.0,
-    "max_jerk": 60.0,
-    "max_angular_velocity": 0.5,
-    "max_angular_acceleration": 6.0,
-    "max_angular_jerk": 150.0,
-}
+    "max_velocity": 0.2, "max_acceleration": 2.0, "max_jerk": 60.0,
+    "max_angular_velocity": 0.5, "max_angular_acceleration": 6.0, "max_angular_jerk": 150.0,
+}  # fmt: skip
 
 
 def poses(rng, n):
