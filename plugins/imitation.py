@@ -233,5 +233,4 @@ def regress(model: Model, index: Array) -> Array:
     likelihood /= likelihood.sum(axis=1, keepdims=True)
     slope = covariance[:, 1:, 0] / variance[:, np.newaxis]
     expected = mean[:, 1:] + slope * away[:, :, np.newaxis]
-    summed: Array = np.sum(likelihood[:, :, np.newaxis] * expected, axis=1)
-    return summed
+    return np.sum(likelihood[:, :, np.newaxis] * expected, axis=1)

@@ -140,8 +140,7 @@ class PathMotion:
 
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
         """Return whether the motions are at the end of the path, shape (n,)."""
-        finished: NDArray[np.bool_] = state["phase"] >= self._end
-        return finished
+        return state["phase"] >= self._end
 
     def twist(
         self, state: State, ee_pose: Array, target_pose: Array, dt: Array

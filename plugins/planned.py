@@ -78,8 +78,7 @@ class SmoothPath(MinimumJerk):
         fraction = np.empty((len(target_pose), 1))
         now = self._fraction(state, state["time"])
         fractions_ahead(state["points"], now, np.array([GOAL_METRES]), fraction)
-        finished: NDArray[np.bool_] = fraction[:, 0] >= 1.0
-        return finished
+        return fraction[:, 0] >= 1.0
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses that lie ahead on the paths, (n, 7) and (d,) -> (n, d, 7)."""
@@ -125,8 +124,7 @@ class SmoothPath(MinimumJerk):
 
     def _fraction(self, state: State, time: Array) -> Array:
         rates = state["first_rate"], state["rate"]
-        fraction: Array = fraction_after(time, state["duration"], *rates, self._ramp)
-        return fraction
+        return fraction_after(time, state["duration"], *rates, self._ramp)
 
     def _at(self, state: State, target_pose: Array, time: Array) -> Array:
         pose = self._on_path(state, target_pose, self._fraction(state, time))
@@ -141,8 +139,7 @@ class SmoothPath(MinimumJerk):
         """
         straight = state["rate"][:, np.newaxis] == 0.0
         origin = np.where(straight, state["start_pose"], state["planned_target"])
-        pose: Array = pose_at(state["points"], fraction, state["rate"], origin, target_pose)
-        return pose
+        return pose_at(state["points"], fraction, state["rate"], origin, target_pose)
 
     def _velocity(self, state: State, target_pose: Array) -> Array:
         soon = np.minimum(state["time"] + _MOMENT, state["duration"])
@@ -237,8 +234,7 @@ class WholeBody(Planned):
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead, (s,) -> (n, s, 3 + j), or NaN."""
         time = np.minimum(state["time"] + seconds[:, np.newaxis], state["duration"])
-        robot: Array = position_at(waypoints, self._fraction(state, time))
-        return robot.swapaxes(0, 1)
+        return position_at(waypoints, self._fraction(state, time)).swapaxes(0, 1)
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of motions around the solids; whole-body paths go on."""

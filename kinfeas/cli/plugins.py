@@ -235,9 +235,8 @@ def _robot_facts(name: str) -> dict[str, Any]:
         "name", "urdf_path", "base", "arm", "ee_frame", "tool_tip", "reach",
         "pose_tolerance", "gripper", "home",
     )  # fmt: skip
-    facts: dict[str, Any] = to_jsonable_python(
+    return to_jsonable_python(
         {key: getattr(robot, key) for key in keys},
         inf_nan_mode="null",
         fallback=lambda array: array.tolist(),
     )
-    return facts

@@ -80,8 +80,7 @@ def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None
         KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.
     """
     changes = nested(settings)
-    config: T = _validated(cls, merged(data, changes), source, changes=changes)
-    return config
+    return _validated(cls, merged(data, changes), source, changes=changes)
 
 
 def convert(kind: Any, value: object, source: str, key: str) -> Any:

@@ -84,8 +84,7 @@ class MotionSequence(SubgoalMotions):
     @property
     def resting(self) -> NDArray[np.bool_]:
         """Whether each row's desired pose rests now, shape (n,)."""
-        resting: NDArray[np.bool_] = self.head_start > 0
-        return resting | ((self.settling == 0) & (self.dwelling > 0))
+        return (self.head_start > 0) | ((self.settling == 0) & (self.dwelling > 0))
 
     def prepare(self) -> None:
         """Compute goals and the next step, which stay until something changes."""

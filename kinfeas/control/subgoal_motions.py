@@ -302,8 +302,7 @@ class SubgoalMotions:
 
     @property
     def _target(self) -> Array:
-        target: Array = self._targets[np.arange(len(self.subgoal)), self.subgoal]
-        return target
+        return self._targets[np.arange(len(self.subgoal)), self.subgoal]
 
     def _changed(self) -> None:
         self.revision += 1

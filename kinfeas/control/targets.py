@@ -228,8 +228,7 @@ class TargetInbox:
 
     def _near(self, pose: Array, other: Array) -> NDArray[np.bool_]:
         metres, radians = spatial.distance(pose, other)
-        near: NDArray[np.bool_] = (metres <= self.rules.max_jump) & (radians <= self.rules.max_turn)
-        return near
+        return (metres <= self.rules.max_jump) & (radians <= self.rules.max_turn)
 
     def _admitted(
         self,
@@ -256,8 +255,7 @@ class TargetInbox:
         rules = self.rules
         linear = np.linalg.norm(twist[:, :3], axis=1) / rules.max_velocity
         angular = np.linalg.norm(twist[:, 3:], axis=1) / rules.max_angular_velocity
-        slowing: Array = 1.0 / np.maximum(1.0, np.maximum(linear, angular))
-        return slowing
+        return 1.0 / np.maximum(1.0, np.maximum(linear, angular))
 
 
 def _numbers(values: Array) -> NDArray[np.bool_]:

@@ -74,8 +74,7 @@ class Solids:
     @property
     def filled(self) -> NDArray[np.bool_]:
         """Whether a place holds a solid, shape (n, k)."""
-        filled: NDArray[np.bool_] = np.all(self.size[..., :2] > 0.0, axis=-1)
-        return filled
+        return np.all(self.size[..., :2] > 0.0, axis=-1)
 
     def of(self, rows: NDArray[np.intp]) -> "Solids":
         """Return the solids of some rows."""
@@ -138,8 +137,7 @@ class Solids:
         Args:
             points: Points of each row in the world, shape (n, m, 3), metres.
         """
-        planar, vertical = solid_kernels.gaps(points, self.pose, self.size, self.cylinder)
-        return planar, vertical
+        return solid_kernels.gaps(points, self.pose, self.size, self.cylinder)
 
     def swept(self, first: float, last: float) -> "Solids":
         """Return solids that fill the room of these between two times, seconds from now."""

@@ -94,8 +94,7 @@ class Record:
     @property
     def later(self) -> NDArray[np.bool_]:
         """Whether each line is later than the line before: the last of a run may have its time."""
-        later: NDArray[np.bool_] = np.diff(self.time, prepend=-np.inf) > 0.0
-        return later
+        return np.diff(self.time, prepend=-np.inf) > 0.0
 
 
 class Recorder:

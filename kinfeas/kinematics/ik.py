@@ -263,5 +263,4 @@ def spread(count: int, dimensions: int, first: int = 0) -> Array:
     for _ in range(64):  # a fixed point of x^(d + 1) = x + 1
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
     steps = ratio ** -np.arange(1.0, dimensions + 1.0)
-    points: Array = (0.5 + np.arange(first, first + count)[:, np.newaxis] * steps) % 1.0
-    return points
+    return (0.5 + np.arange(first, first + count)[:, np.newaxis] * steps) % 1.0

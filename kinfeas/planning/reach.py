@@ -248,8 +248,7 @@ class BasePlacer:
             touching = collides(self.solver.collision, joints[at, pose], base[at], grown)
             free[at, pose] = ~touching.any(axis=1)
             clearance[free] = distance
-        least: Array = clearance.min(axis=1)
-        return least
+        return clearance.min(axis=1)
 
     def _in_the_way(self, goal: Array, solids: Solids) -> tuple[int, ...]:
         """Return the places of the solids that the robot touches with the fewest of them."""
@@ -273,5 +272,4 @@ def _manipulability(solver: IkSolver, joints: Array) -> Array:
     matrix = jacobian(solver.chain, joints)
     transposed = matrix.swapaxes(-1, -2)
     square = matrix @ transposed if matrix.shape[-1] >= POSE_DIMENSIONS else transposed @ matrix
-    measure: Array = np.sqrt(np.linalg.det(square).clip(0.0))
-    return measure
+    return np.sqrt(np.linalg.det(square).clip(0.0))

@@ -58,6 +58,8 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, path: Path) -> Rob
         name: _configuration(arm, positions, f"{source}: 'home.{name}'")
         for name, positions in spec.home.items()
     }
+    for name in spec.counterbalanced:
+        _check_known(name, spec.arm, "arm joint", f"{source}: 'counterbalanced'")
     return Robot(
         name=spec.name, folder=path.parent, urdf_path=urdf_path, urdf=urdf,
         ee_frame=spec.ee_frame, tool_tip=np.array(spec.tool_tip),
@@ -66,7 +68,7 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, path: Path) -> Rob
         arm=arm, fixed_joints=_fixed_joints(spec, urdf, source), home=home,
         reach=spec.reach, pose_tolerance=spec.pose_tolerance,
         ignored_collisions=_pairs(spec, urdf, f"{source}: 'ignored_collisions'"),
-        gripper=_gripper(spec, urdf, source), counterbalanced=_counterbalanced(spec, source),
+        gripper=_gripper(spec, urdf, source), counterbalanced=frozenset(spec.counterbalanced),
         max_gravity_load=spec.max_gravity_load, response=spec.response,
     )  # fmt: skip
 
@@ -172,9 +174,3 @@ def _gripper(spec: RobotSpec, urdf: Urdf, source: str) -> Gripper | None:
         for key, position in (("closed", closed), ("open", opened)):
             _check_within(position, joint.lower, joint.upper, f"{source}: 'gripper.{key}', {name}")
     return spec.gripper
-
-
-def _counterbalanced(spec: RobotSpec, source: str) -> frozenset[str]:
-    for name in spec.counterbalanced:
-        _check_known(name, spec.arm, "arm joint", f"{source}: 'counterbalanced'")
-    return frozenset(spec.counterbalanced)

@@ -47,7 +47,9 @@ def without_base_joints(robot: Element) -> Element:
     children = {_link_of(joint, "child") for joints in on.values() for joint in joints}
     link = next((name for name in links if name not in children), None)
     above: list[Any] = []
-    while link in links and len(on[link]) == 1 and not _has_shapes(links[link]):
+    while link in links and len(on[link]) == 1:
+        if any(links[link].find(tag) is not None for tag in ("visual", "collision")):
+            break
         (joint,) = on.pop(link)
         above += [links[link], joint]
         if joint.get("type") in _BASE_JOINTS:
@@ -57,10 +59,6 @@ def without_base_joints(robot: Element) -> Element:
             break
         link = _link_of(joint, "child")
     return robot
-
-
-def _has_shapes(link: Any) -> bool:
-    return any(link.find(tag) is not None for tag in ("visual", "collision"))
 
 
 def _link_of(joint: Any, tag: str) -> Any:
