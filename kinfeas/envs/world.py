@@ -117,15 +117,10 @@ class World:
             self.task = self.backend.staging.stage(task)
         self._staged = isinstance(self.task, StagedTask)
         self.loop = assemble(
-            self.solver,
-            build_subgoals(task.subgoals),
-            self.backend,
-            dt=config.dt,
-            execution=config,
-            adapters=config.adapters,
-            filters=config.filters,
+            self.solver, build_subgoals(task.subgoals), self.backend, dt=config.dt,
+            execution=config, adapters=config.adapters, filters=config.filters,
             stream=target_stream(task, self.solver),
-        )
+        )  # fmt: skip
         seconds = task.seconds if isinstance(task, StreamTask) else config.max_seconds
         time_scale = self.loop.execution.time_scale
         self._max_steps = max(1, round(seconds / time_scale / config.dt))

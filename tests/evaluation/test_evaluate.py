@@ -11,7 +11,7 @@ import pytest
 
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.metrics import Proportion, join
+from kinfeas.core.metrics import Proportion
 from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
@@ -91,17 +91,6 @@ def test_the_same_seed_gives_the_same_figures(config, policy):
     assert first == evaluate(few, policy)
     assert first != evaluate(replace(few, seed=4), policy)
     assert first["ceiling"] is None
-
-
-def test_parts_join_to_the_whole(config, policy):
-    whole = run(config, policy)
-    world = World(config.robot, config.task, config.world, config.seed)
-    parts = [run_episodes(world, policy, count, first=at) for at, count in ((0, 8), (8, 12))]
-    for key, values in vars(whole).items():
-        np.testing.assert_array_equal(getattr(join(parts), key), values, err_msg=key)
-    touched = [replace(part, base_collisions=np.ones(len(part.reached))) for part in parts]
-    mixed = join([parts[0], touched[1]]), join([touched[0], parts[1]])
-    assert [records.base_collisions.sum() for records in mixed] == [12, 8]
 
 
 @pytest.mark.slow
