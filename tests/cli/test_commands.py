@@ -47,18 +47,30 @@ def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, compone
     assert str(tmp_path) not in text
 
 
-SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"
-
-
-@pytest.fixture
-def record(kinfeas, tmp_path):
+def test_replay_of_a_run(kinfeas, tmp_path):
     words = ("--robot", "hsr", "--backend", "analytic", "--goal", "1", "0", "0.8", "--seed", "5")
     (tmp_path / "noise.yaml").write_text("adapters: [{name: base_noise, linear: 0.05}]")
     words += ("--adapters", "noise.yaml", "--filters", "time_scaling")
     words += ("--set", "generator.gain=0.5", "--set", "guards.max_distance=3")
     kinfeas("deploy", "pretrained", *words, "--no-real-time", "--seconds", "0.2",
             "--record", "run.csv")  # fmt: skip
-    return tmp_path / "run.csv"
+    words = ("--record", "run.csv", "--picture", "run.png", "--json", "out.json")
+    facts = kinfeas("view", *words, code=0).facts
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    assert facts["events"][0]["event"] == "start"
+    assert (facts["seconds"], facts["steps"]) == (pytest.approx(0.2), 10)
+    assert (facts["seed"], facts["guards"]["max_distance"]) == (5, 3.0)
+    assert facts["adapters"] == [{"name": "base_noise", "parameters": {"linear": 0.05}}]
+    assert facts["filters"] == [{"name": "time_scaling", "parameters": {}}]
+    assert facts["generators"] == [{"name": "linear", "parameters": {"gain": 0.5}}]
+    kinfeas("dataset", "run.csv", "--kind", "csv", "--out", "shown", code=0)
+    assert len(read_demonstration(tmp_path / "shown" / "001.csv").time) == 11
+    record = tmp_path / "run.csv"
+    record.write_bytes(record.read_bytes()[:-300])
+    kinfeas("view", "--record", "run.csv", code=0)
+
+
+SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"
 
 
 def test_own_scene_as_table_picture_and_page(kinfeas, tmp_path):
@@ -83,22 +95,6 @@ def test_base_poses_of_an_ee_pose_or_the_object_in_the_way(kinfeas, tmp_path):
     (answer,) = outcome.facts
     assert (answer["reachable"], answer["solids"]) == (False, ["pick_table"])
     assert "pick_table" in outcome.out
-
-
-def test_replay_of_a_run(kinfeas, record, tmp_path):
-    words = ("--record", "run.csv", "--picture", "run.png", "--json", "out.json")
-    facts = kinfeas("view", *words, code=0).facts
-    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
-    assert facts["events"][0]["event"] == "start"
-    assert (facts["seconds"], facts["steps"]) == (pytest.approx(0.2), 10)
-    assert (facts["seed"], facts["guards"]["max_distance"]) == (5, 3.0)
-    assert facts["adapters"] == [{"name": "base_noise", "parameters": {"linear": 0.05}}]
-    assert facts["filters"] == [{"name": "time_scaling", "parameters": {}}]
-    assert facts["generators"] == [{"name": "linear", "parameters": {"gain": 0.5}}]
-    kinfeas("dataset", "run.csv", "--kind", "csv", "--out", "shown", code=0)
-    assert len(read_demonstration(tmp_path / "shown" / "001.csv").time) == 11
-    record.write_bytes(record.read_bytes()[:-300])
-    kinfeas("view", "--record", "run.csv", code=0)
 
 
 def test_other_commands_take_an_imported_robot(kinfeas, tmp_path, monkeypatch):

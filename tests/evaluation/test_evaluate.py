@@ -133,13 +133,9 @@ def test_workers_end_at_once_with_their_parent(number, printed):
 TASKS = pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)
 
 
-@pytest.fixture
-def world(hsr):
-    return World(hsr, ggr(), WorldConfig(max_failures=99, max_seconds=6.0), seed=4)
-
-
-def test_recordings_agree_with_the_records(world):
-    policy = FollowEe(world.robot.base)
+def test_recordings_agree_with_the_records(hsr):
+    world = World(hsr, ggr(), WorldConfig(max_failures=99, max_seconds=6.0), seed=4)
+    policy = FollowEe(hsr.base)
     recordings = record_episodes(world, policy, 3, first=5)
     records = run_episodes(world, policy, 3, first=5)
     assert [episode.episode for episode in recordings] == [5, 6, 7]

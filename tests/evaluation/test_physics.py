@@ -23,12 +23,8 @@ def policy(config):
     return load_policy("follow_ee", config.robot)
 
 
-@pytest.fixture(scope="module")
-def records(config, policy):
-    return run(config, policy)
-
-
-def test_records(records):
+def test_records(config, policy):
+    records = run(config, policy)
     assert np.all((records.steps > 0) & (records.steps <= 200))
     assert np.all(records.max_deviation >= records.mean_deviation)
     np.testing.assert_array_equal(records.task_done, records.reached)  # a task without objects

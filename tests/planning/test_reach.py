@@ -15,11 +15,6 @@ AHEAD = np.array([1.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module")
-def placer(robot):
-    return BasePlacer(robot)
-
-
-@pytest.fixture(scope="module")
 def of_pr2(pr2):
     return BasePlacer(pr2)
 
@@ -35,7 +30,8 @@ def poses(count):
     return make_pose(position, Rotation.random(count, rng=rng))
 
 
-def test_base_poses_reach_and_are_free_with_the_best_first(placer):
+def test_base_poses_reach_and_are_free_with_the_best_first(robot):
+    placer = BasePlacer(robot)
     solids = boxes(
         [0.5, 0, 0.3, 0.3, 0, 0.7], [-1, 1, 0.2, 0.5, 0, 1.5], [1, 0.8, 0.3, 0.1, 0, 0.6]
     )
@@ -51,8 +47,8 @@ def test_base_poses_reach_and_are_free_with_the_best_first(placer):
             placement.base_pose, placement.joint_positions, placement.clearance, strict=True
         ):
             grown = solids.wider(clearance, clearance)
-            robot = placer.solver.collision, joints[np.newaxis], base[np.newaxis]
-            assert not collides(*robot, grown).any()
+            shapes = placer.solver.collision, joints[np.newaxis], base[np.newaxis]
+            assert not collides(*shapes, grown).any()
             assert placer.solver.admissible(joints)
         assert (np.diff(placement.margin) <= 0.0).all()
         again = placer.place(goal, solids, count=5)
