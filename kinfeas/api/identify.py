@@ -51,12 +51,12 @@ class Identified:
     @property
     def response_lines(self) -> str:
         """The response as a section of `robot.yaml`."""
-        known = {
+        measured = {
             name: float(f"{value:.3g}")
             for name, value in asdict(self.response).items()
             if value is not None and value >= _LEAST
         }
-        return strict_yaml.to_text({"response": known})
+        return strict_yaml.to_text({"response": measured})
 
     @property
     def adapter_lines(self) -> str:
@@ -108,7 +108,7 @@ def identify(
     Raises:
         KinfeasError: If a record is invalid, of another robot, or shows no motion.
     """
-    paths = [Path(records)] if isinstance(records, str | Path) else [Path(one) for one in records]
+    paths = [Path(records)] if isinstance(records, str | Path) else list(map(Path, records))
     if not paths:
         raise KinfeasError("give at least one record")
     if out is not None and Path(out).suffix not in (".yaml", ".yml"):
@@ -120,18 +120,18 @@ def identify(
     if len(periods) > 1:
         raise KinfeasError(f"records with different control periods: {periods} s")
     fitted = fit(logs, walk)
-    found = Identified(
+    result = Identified(
         name, tuple(map(str, paths)), fitted.estimates, fitted.response,
         adapter_list(fitted.estimates), fitted.missing, fitted,
     )  # fmt: skip
     if out is not None:
-        write_file(Path(out), found.adapter_lines.encode())
+        write_file(Path(out), result.adapter_lines.encode())
     if picture is not None:
         from kinfeas.viz.identification import velocities_figure
         from kinfeas.viz.style import png
 
         write_file(Path(picture), png(velocities_figure(fitted)))
-    return found
+    return result
 
 
 def _robot_of(path: Path) -> str:

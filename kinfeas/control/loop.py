@@ -93,7 +93,7 @@ class Loop:
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
         self.execution, self.robot, self._build_filter = execution, solver.robot, build_filter
         self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
-        self._given = tuple(filters)
+        self._loop_filters = tuple(filters)
         self._use_filters(filters)
         self.policy: Policy | None = None
         self._policy_note = plugin_note("policy")
@@ -117,8 +117,8 @@ class Loop:
         self._policy_note = plugin_note(f"policy {type(policy).__name__}")
         names = getattr(policy, "filters", ()) if self.stream is None else ()
         own = [self._build_filter(name) for name in names]
-        kinds = [type(command_filter) for command_filter in self._given]
-        self._use_filters((*(each for each in own if type(each) not in kinds), *self._given))
+        kinds = [type(command_filter) for command_filter in self._loop_filters]
+        self._use_filters((*(each for each in own if type(each) not in kinds), *self._loop_filters))
 
     def start(
         self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
