@@ -30,8 +30,8 @@ def records(world, policy):
     return run_episodes(world, policy, 24)
 
 
-def assert_equal(found, records, rows=slice(None)):
-    for key, values in vars(found).items():
+def assert_equal(result, records, rows=slice(None)):
+    for key, values in vars(result).items():
         expected = getattr(records, key)
         np.testing.assert_array_equal(values, expected if expected is None else expected[rows])
 

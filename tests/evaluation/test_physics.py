@@ -40,9 +40,9 @@ def test_a_head_start_holds_the_ee(config, policy):
 def test_task_success_is_unknown_without_the_objects(config, policy):
     for objects in (True, False):
         world = replace(config.world, max_seconds=0.5, backend_parameters={"objects": objects})
-        found = run(EvalConfig(config.robot, load_task("door"), 1, 2, world), policy)
-        assert (found.task_done is not None) == objects
-        assert not objects or not found.task_done.any()
+        done = run(EvalConfig(config.robot, load_task("door"), 1, 2, world), policy)
+        assert (done.task_done is not None) == objects
+        assert not objects or not done.task_done.any()
 
 
 @pytest.mark.parametrize("name", ["drawer", "pick_place"])

@@ -60,8 +60,8 @@ def write(folder, text):
 
 
 def read(folder):
-    found = files.find_folder(folder)
-    texts = {(found / name).read_text() for name in "ab"}
+    result = files.find_folder(folder)
+    texts = {(result / name).read_text() for name in "ab"}
     assert len(texts) == 1, "a folder of two versions"
     return texts.pop()
 

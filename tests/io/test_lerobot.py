@@ -104,12 +104,12 @@ def test_folders_that_exist_are_kept(shown, folder):
 @pytest.mark.skipif(PYTHON is None, reason="needs KINFEAS_LEROBOT_PYTHON, Python with LeRobot")
 def test_lerobot_reads_the_dataset(shown, folder, tmp_path):
     home = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "home")}
-    found = subprocess.run(
+    done = subprocess.run(
         [str(PYTHON), "-c", _READ, str(folder)],
         env=os.environ | home, cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert found.returncode == 0, found.stderr
-    facts = json.loads(found.stdout.splitlines()[-1])
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout.splitlines()[-1])
     table, state, action = read(folder)
     assert (facts["episodes"], facts["frames"]) == (3, len(table))
     assert (facts["fps"], facts["robot"]) == (25, "pr2")

@@ -145,14 +145,14 @@ def knots(shown, **options):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_learns_the_demonstrated_path_and_the_mean_end(kind):
-    found = fit(door_demonstrations(scatter=0.0), kind)
-    path = learned_path(found.model).knots
+    result = fit(door_demonstrations(scatter=0.0), kind)
+    path = learned_path(result.model).knots
     radius = np.hypot(path[:, 0] + RADIUS, path[:, 1])
     assert np.abs(radius - RADIUS).max() < 0.008
     assert np.abs(path[:, 2]).max() < 1e-6
-    assert max(found.position_residual) < 0.004
-    assert max(found.rotation_residual) < 0.02
-    assert found.length == pytest.approx(RADIUS * ANGLE, rel=0.02)
+    assert max(result.position_residual) < 0.004
+    assert max(result.rotation_residual) < 0.02
+    assert result.length == pytest.approx(RADIUS * ANGLE, rel=0.02)
     shown = door_demonstrations()
     ends = np.stack([relative(one.ee_pose[-1], one.object_pose[0]) for one in shown])
     mean = make_pose(ends[:, :3].mean(axis=0), Rotation.from_quat(ends[:, 3:]).mean())

@@ -42,16 +42,16 @@ def approach(targets):
 
 @pytest.mark.parametrize("task", [pick_place(), door(), drawer()], ids=lambda task: task.name)
 def test_starts(hsr, sample, uniform, task):
-    found = sample(task)
-    assert found.target_poses.shape == (300, len(task.subgoals), 7)
-    x, y = found.base_pose[:, 0], found.base_pose[:, 1]
+    starts = sample(task)
+    assert starts.target_poses.shape == (300, len(task.subgoals), 7)
+    x, y = starts.base_pose[:, 0], starts.base_pose[:, 1]
     assert uniform(x, -0.75, 0.75)
     assert uniform(y, -0.75, 0.75)
-    way = found.target_poses[:, 0, :2] - found.base_pose[:, :2]
-    turn = wrap(yaw(found.base_pose) - np.arctan2(way[:, 1], way[:, 0]))
+    way = starts.target_poses[:, 0, :2] - starts.base_pose[:, :2]
+    turn = wrap(yaw(starts.base_pose) - np.arctan2(way[:, 1], way[:, 0]))
     assert uniform(turn, -np.pi / 2, np.pi / 2)
-    assert not self_collides(hsr.collision, found.joint_positions).any()
-    assert forward(hsr.chain, found.joint_positions)[:, 2].std() > 0.1
+    assert not self_collides(hsr.collision, starts.joint_positions).any()
+    assert forward(hsr.chain, starts.joint_positions)[:, 2].std() > 0.1
 
 
 def test_pick_place_leads_from_one_table_to_the_other(sample, uniform):
