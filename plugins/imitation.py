@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.config.quantities import Count, Positive, PositiveShare
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.motion import State
+from kinfeas.core.motion import State, TwistAndState
 from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
 from kinfeas.io.files import is_path
 from kinfeas.plugins.path import PathMotion, PosePath, slowed
@@ -115,9 +115,7 @@ class GaussianMixture(PathMotion):
             max_angular_velocity=max_angular_velocity,
         )
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         phase = np.minimum(state["phase"] + dt / self.duration, 1.0)
         twist = twist_between(ee_pose, compose(target_pose, self.path.at(phase)), dt)

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Positive
 from kinfeas.core.metrics import GOAL_METRES
-from kinfeas.core.motion import State, WholeBodyPath, merged, of_rows
+from kinfeas.core.motion import Rngs, State, WholeBodyPath, merged, of_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, continuous, distance, integrate, twist_between
 from kinfeas.planning.ee_path import EePathSettings, plan_ee_paths
@@ -52,9 +52,7 @@ class SmoothPath(MinimumJerk):
         )
         self._ramp = ramp
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return straight motions.
 
         The keys are those of `minimum_jerk`; the target of the plan, shape (n, 7); its control
@@ -211,9 +209,7 @@ class WholeBody(Planned):
     does there. Without one, the motion is that of `planned`, whose parameters it has.
     """
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return straight motions.
 
         The keys are those of `planned`, and 1 where there is a whole-body path, shape (n,).
@@ -279,20 +275,16 @@ class RandomSpline(SmoothPath):
         super().__init__(ramp, ramp, max_velocity, max_angular_velocity)
         self._bends, self._spread = bends, np.array([spread, spread, spread / 3.0])
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return motions along random curves, a state as that of `SmoothPath`."""
         state = super().start(ee_pose, target_pose, rngs)
-        knots = np.linspace(0.0, 1.0, self._bends + 2)
+        knots, fine = np.linspace(0.0, 1.0, self._bends + 2), np.linspace(0.0, 1.0, 16 * POINTS)
         points = state["points"].copy()
         for row, rng in enumerate(rngs):
             begin, end = ee_pose[row, :3], target_pose[row, :3]
             bends = begin + knots[:, np.newaxis] * (end - begin)
             bends[1:-1] += self._spread * rng.uniform(-1.0, 1.0, (self._bends, 3))
-            points[row, :, :3] = _even(
-                CubicSpline(knots, bends)(np.linspace(0.0, 1.0, 16 * POINTS))
-            )
+            points[row, :, :3] = _even(CubicSpline(knots, bends)(fine))
         rest = np.zeros((len(rngs), 6))
         return self._begin(state, (ee_pose, target_pose), points, rest)
 

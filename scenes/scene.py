@@ -143,11 +143,9 @@ def _check_primitives(urdf: Urdf, file: Path) -> None:
                 f"{file}: link {link.name!r} has a collision mesh; objects of a scene have boxes, "
                 "cylinders and spheres"
             )
-    for joint in urdf.joints.values():
+    for name, joint in urdf.joints.items():
         if joint.mimic is not None:
-            raise KinfeasError(
-                f"{file}: joint {joint.name!r} has <mimic>, which scenes do not support"
-            )
+            raise KinfeasError(f"{file}: joint {name!r} has <mimic>, which scenes do not support")
 
 
 def _check_joints(urdf: Urdf, positions: Mapping[str, float], where: str) -> None:

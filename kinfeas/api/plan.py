@@ -220,10 +220,8 @@ def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None)
 
 def _check_start(solver: IkSolver, base: Array, joints: Array, first: Array) -> None:
     ee = compose(base, forward(solver.chain, joints[np.newaxis])[0])
-    if (metres := float(distance(ee, first)[0])) > _AT_START:
-        raise KinfeasError(
-            f"'path' must begin where the EE is; its first pose is {metres:.2f} m away"
-        )
+    if (gap := float(distance(ee, first)[0])) > _AT_START:
+        raise KinfeasError(f"'path' must begin where the EE is; its first pose is {gap:.2f} m away")
 
 
 def _rolled_out(

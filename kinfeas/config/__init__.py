@@ -158,9 +158,8 @@ def index_in(entries: Sequence[object], key: object, source: str) -> int:
 
 def to_options(settings: Settings) -> list[str]:
     """Return the words of a command line that make these settings."""
-    return [
-        word for key, value in settings.items() for word in ("--set", f"{key}={json.dumps(value)}")
-    ]
+    pairs = [("--set", f"{key}={json.dumps(value)}") for key, value in settings.items()]
+    return [word for pair in pairs for word in pair]
 
 
 @cache

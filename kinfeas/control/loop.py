@@ -20,7 +20,7 @@ from kinfeas.core.backend import Backend, Resumable, RobotState
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
-from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.motion import Rngs, Rows, with_rows
 from kinfeas.core.policy import Observation, Policy
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
@@ -120,9 +120,7 @@ class Loop:
         kinds = [type(command_filter) for command_filter in self._loop_filters]
         self._use_filters((*(each for each in own if type(each) not in kinds), *self._loop_filters))
 
-    def start(
-        self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
-    ) -> None:
+    def start(self, start: Start, rngs: Rngs, rows: Rows | None = None) -> None:
         """Begin new episodes.
 
         Args:

@@ -14,7 +14,7 @@ from kinfeas.control.surroundings import Surroundings
 from kinfeas.control.targets import Progress, TargetStream
 from kinfeas.core import spatial
 from kinfeas.core.backend import Gripper, RobotState
-from kinfeas.core.motion import Rows
+from kinfeas.core.motion import Rngs, Rows
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver
 
@@ -62,20 +62,14 @@ class MotionSequence(SubgoalMotions):
         self._dwell_periods = np.array([_periods(subgoal.dwell, dt) for subgoal in subgoals])
         self._settle_periods = np.array([settle if subgoal.grip else 0 for subgoal in subgoals])
 
-    def start(
-        self,
-        ee_pose: Array,
-        target_poses: Array,
-        rngs: Sequence[np.random.Generator],
-        rows: Rows | None = None,
-    ) -> None:
+    def start(self, ee_pose: Array, targets: Array, rngs: Rngs, rows: Rows | None = None) -> None:
         """Begin the first sub-goal, as `SubgoalMotions.start` does, after the head start."""
-        super().start(ee_pose, target_poses, rngs, rows)
+        super().start(ee_pose, targets, rngs, rows)
         none = np.zeros(len(rngs), dtype=np.intp)
         times = self._head_starts(rngs), none, none, none, np.ones(len(rngs))
         self._put(dict(zip(self.TIMES, times, strict=True)), rows)
 
-    def start_stream(self, rngs: Sequence[np.random.Generator], rows: Rows, base: Array) -> None:
+    def start_stream(self, rngs: Rngs, rows: Rows, base: Array) -> None:
         """Begin the targets of m rows that move, if any do; bases of all n rows, shape (n, 7)."""
         if self.stream is not None:
             self.stream.start(self.desired, rngs, rows)
@@ -204,7 +198,7 @@ class MotionSequence(SubgoalMotions):
             if ended.grip is not None and rows.size:
                 self._gripper.grip(ended.grip, rows)
 
-    def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
+    def _head_starts(self, rngs: Rngs) -> NDArray[np.intp]:
         """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
         first, jitter = self._execution.head_start, self._execution.head_start_jitter
         drawn = [jitter * rng.random() if jitter else 0.0 for rng in rngs]

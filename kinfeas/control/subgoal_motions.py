@@ -15,7 +15,7 @@ from kinfeas.control.observation import HORIZON
 from kinfeas.control.whole_body_motion import WholeBodyMotions
 from kinfeas.core import spatial
 from kinfeas.core.metrics import GOAL_RADIANS
-from kinfeas.core.motion import Rows, State, with_rows
+from kinfeas.core.motion import Rngs, Rows, State, with_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
@@ -77,25 +77,19 @@ class SubgoalMotions:
         self.whole_body = WholeBodyMotions(solver, dt, time_scale, generators)
         self.revision = 0
 
-    def start(
-        self,
-        ee_pose: Array,
-        target_poses: Array,
-        rngs: Sequence[np.random.Generator],
-        rows: Rows | None = None,
-    ) -> None:
+    def start(self, ee_pose: Array, targets: Array, rngs: Rngs, rows: Rows | None = None) -> None:
         """Begin the first sub-goal.
 
         Args:
             ee_pose: World pose of the EE in m rows, shape (m, 7).
-            target_poses: Targets of their sub-goals, shape (m, sub-goals, 7).
+            targets: Targets of their sub-goals, shape (m, sub-goals, 7).
             rngs: One source of randomness for each of them.
             rows: Which of the n rows begin anew; all of them by default, which also sets n.
         """
         n = len(rngs)
         none = np.zeros(n, dtype=np.intp)
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        fresh = ee_pose, none, seeds, target_poses, np.zeros(n)
+        fresh = ee_pose, none, seeds, targets, np.zeros(n)
         self._put(dict(zip(SubgoalMotions.ROWS, fresh, strict=True)), rows)
         if rows is None:
             self._motions.clear(none)
@@ -319,10 +313,7 @@ class SubgoalMotions:
 
 
 def begin_motions(
-    solver: IkSolver,
-    subgoals: Sequence[SubgoalMotion],
-    start: Start,
-    rngs: Sequence[np.random.Generator],
+    solver: IkSolver, subgoals: Sequence[SubgoalMotion], start: Start, rngs: Rngs
 ) -> SubgoalMotions:
     """Return the motions of n episodes at their start, in steps of `HORIZON`."""
     motions = SubgoalMotions(subgoals, solver, HORIZON, 1.0)
@@ -332,10 +323,7 @@ def begin_motions(
 
 
 def subgoal_ends(
-    solver: IkSolver,
-    subgoals: Sequence[SubgoalMotion],
-    start: Start,
-    rngs: Sequence[np.random.Generator],
+    solver: IkSolver, subgoals: Sequence[SubgoalMotion], start: Start, rngs: Rngs
 ) -> Array:
     """Return the EE poses at the ends of all sub-goals, shape (n, sub-goals, 7).
 

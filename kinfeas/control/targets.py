@@ -218,9 +218,7 @@ class TargetInbox:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
-        return {
-            k: values.copy() for k, values in vars(self).items() if isinstance(values, np.ndarray)
-        }
+        return {k: x.copy() for k, x in vars(self).items() if isinstance(x, np.ndarray)}
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""

@@ -16,7 +16,9 @@ from kinfeas.core.motion import (
     FollowsWholeBodyPath,
     LooksAhead,
     MotionGenerator,
+    Rngs,
     State,
+    TwistAndState,
     WholeBodyPath,
 )
 from kinfeas.core.solids import Solids
@@ -114,9 +116,7 @@ class CheckedMotion:
         self._every_step, self._checked = every_step, set[str]()
         self._layout: Layout | None = None
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the state of n motions, shapes (n, 7), (n, 7), n; there is at least one."""
         with plugin_note(self.subject):
             state = self.generator.start(ee_pose, target_pose, rngs)
@@ -145,9 +145,7 @@ class CheckedMotion:
             raise self.error(f"must return booleans of shape ({n},) from finished")
         return finished
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         with plugin_note(self.subject):
             answer = self.generator.twist(state, ee_pose, target_pose, dt)

@@ -12,6 +12,8 @@ from kinfeas.core.spatial import Array
 
 State = dict[str, Array]
 Rows = NDArray[np.intp]  # indices along the leading axis
+Rngs = Sequence[np.random.Generator]  # one source of randomness for each motion
+TwistAndState = tuple[Array, State]  # world twists, shape (n, 6), and the state after them
 
 
 class MotionGenerator(Protocol):
@@ -24,9 +26,7 @@ class MotionGenerator(Protocol):
     parameters, and does not depend on the robot or the frame that it moves.
     """
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the state of n motions that begin at `ee_pose`, without shared memory.
 
         Args:
@@ -38,9 +38,7 @@ class MotionGenerator(Protocol):
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7), for current targets."""
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
 
         Args:

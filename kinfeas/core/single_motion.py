@@ -2,14 +2,14 @@
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.motion import MotionGenerator, State
+from kinfeas.core.motion import MotionGenerator, Rngs, State, TwistAndState
 from kinfeas.core.spatial import Array
 
 Parameters = ParamSpec("Parameters")
@@ -80,9 +80,7 @@ class RowByRow:
 
     single: SingleMotion
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the state of n motions; shapes (n, 7), (n, 7), n. No motion has no keys."""
         rows = zip(ee_pose, target_pose, rngs, strict=True)
         states = [self.single.start(ee.copy(), target.copy(), rng) for ee, target, rng in rows]
@@ -92,9 +90,7 @@ class RowByRow:
         """Return the world poses at which the motions end, shape (n, 7)."""
         return _poses(self.single.goal_pose, state, target_pose)
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist, shape (n, 6), and the next state."""
         rows = zip(ee_pose, target_pose, dt.tolist(), strict=True)
         twists, states = [], []

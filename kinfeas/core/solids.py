@@ -55,9 +55,7 @@ class Solids:
 
         A line has the values of pose, size, cylinder (0 or 1), velocity and span.
         """
-        return np.column_stack(
-            [getattr(self, field.name)[0, self.filled[0]] for field in fields(self)]
-        )
+        return np.column_stack([values[0, self.filled[0]] for values in vars(self).values()])
 
     @property
     def places(self) -> int:

@@ -252,9 +252,8 @@ class _Tally:
         for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
             self._add_collisions(outcome.collision, row, episode)
             if transition.done[row]:
-                self.task_done[episode] = self._task_done(
-                    row, reached=bool(transition.reached[row])
-                )
+                reached = bool(transition.reached[row])
+                self.task_done[episode] = self._task_done(row, reached=reached)
 
     def _add_collisions(self, collision: NDArray[np.bool_] | None, row: int, episode: int) -> None:
         base, arm = (False, False) if collision is None else collision[row].tolist()

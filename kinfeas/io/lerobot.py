@@ -56,9 +56,7 @@ def write_lerobot_dataset(
         "observation.environment_state": [f"{name}.pos" for name in columns("object_pose")],
         "action": EE,
     }
-    episodes = _numbered(
-        [_frames(demonstration, state, fps) for demonstration in demonstrations], fps
-    )
+    episodes = _numbered([_frames(motion, state, fps) for motion in demonstrations], fps)
     whole = {name: np.concatenate([episode[name] for episode in episodes]) for name in episodes[0]}
     about = {"robot_type": robot, "fps": fps, **_description(whole, names, len(episodes))}
     stats = {name: _statistics(values) for name, values in whole.items()}

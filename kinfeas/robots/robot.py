@@ -145,6 +145,4 @@ def _position(robot: Robot, joint: Joint) -> list[object]:
 
 def _rounded(*values: float) -> list[object]:
     # JSON has no infinity; the sum turns -0 into 0.
-    return [
-        float(np.round(value, _DIGITS)) + 0.0 if math.isfinite(value) else None for value in values
-    ]
+    return [float(np.round(x, _DIGITS)) + 0.0 if math.isfinite(x) else None for x in values]

@@ -23,9 +23,7 @@ from tests.builders import assert_near, at, random_poses, rngs
 
 LAG = PluginSpec("actuator_lag", {"base": 0.15, "arm": 0.03})
 LIMITS = PluginSpec("acceleration_limit", {"linear": 1.0, "angular": 2.0})
-JERKS = PluginSpec(
-    "acceleration_limit", {**LIMITS.parameters, "linear_jerk": 9, "angular_jerk": 20}
-)
+JERKS = PluginSpec(LIMITS.name, {**LIMITS.parameters, "linear_jerk": 9, "angular_jerk": 20})
 WHOLE = (
     PluginSpec("command_latency", {"seconds": 0.2}),
     PluginSpec("sensor_latency", {"seconds": 0.1}),

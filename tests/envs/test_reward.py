@@ -87,9 +87,8 @@ def test_limit_penalty_falls_from_the_limit_to_the_margin(exact_robot):
 @pytest.mark.parametrize("margin", [1e-9, 0.2])
 def test_a_joint_beyond_its_limit_costs_as_one_at_it(exact_robot, margin):
     config = replace(NOTHING, limit_penalty=0.1, limit_margin=margin)
-    np.testing.assert_allclose(
-        near_a_limit(exact_robot, config, [1.0, 1.0 + 1e-9, 1.01, 4.0]), -0.1
-    )
+    rewards = near_a_limit(exact_robot, config, [1.0, 1.0 + 1e-9, 1.01, 4.0])
+    np.testing.assert_allclose(rewards, -0.1)
 
 
 def test_continuous_joints_have_no_limit(pr2):

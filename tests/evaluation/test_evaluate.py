@@ -165,9 +165,7 @@ def test_waypoints_are_those_of_the_world(robot, solver, task):
         assert np.all(np.abs(missed).max(axis=2).min(axis=1) == 0.0)
 
 
-CIRCLE = [
-    [r * (np.cos(a) - 1.0), r * np.sin(a)] for r, a in ((0.15, a / 4 * np.pi) for a in range(9))
-]
+CIRCLE = [[0.15 * (np.cos(a) - 1.0), 0.15 * np.sin(a)] for a in np.arange(9) / 4 * np.pi]
 DETOUR = [[-0.3, 0.0], [-0.01, 0.0], [-0.3, 0.3], [0.0, 0.0]]
 
 

@@ -318,9 +318,8 @@ print(hashlib.sha256(found.joint_positions.tobytes()).hexdigest())
 def test_compiled_and_cached_kernels_give_the_same_bits(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", SCRIPT]
-    first, second = (
-        subprocess.check_output(command, env=environment, timeout=600) for _ in range(2)
-    )
+    options = {"env": environment, "timeout": 600}
+    first, second = (subprocess.check_output(command, **options) for _ in range(2))
     assert len(first) > 60
     assert second == first
 

@@ -32,9 +32,8 @@ def poses(count):
 
 def test_base_poses_reach_and_are_free_with_the_best_first(robot):
     placer = BasePlacer(robot)
-    solids = boxes(
-        [0.5, 0, 0.3, 0.3, 0, 0.7], [-1, 1, 0.2, 0.5, 0, 1.5], [1, 0.8, 0.3, 0.1, 0, 0.6]
-    )
+    high = [-1, 1, 0.2, 0.5, 0, 1.5]
+    solids = boxes([0.5, 0, 0.3, 0.3, 0, 0.7], high, [1, 0.8, 0.3, 0.1, 0, 0.6])
     options, reached = placer.solver.options, 0
     for goal in poses(12):
         placement = placer.place(goal, solids, count=5)
