@@ -165,12 +165,8 @@ def _step_within_limits(limits, q, damping, scratch):
     that would move back within its bounds is released, each joint once, and the rest is solved
     again.
     """
-    step, unbounded, side, released = (
-        scratch.step,
-        scratch.unbounded,
-        scratch.side,
-        scratch.released,
-    )
+    step, unbounded = scratch.step, scratch.unbounded
+    side, released = scratch.side, scratch.released
     side[:], released[:] = 0, False
     for _ in range(3 * len(q)):
         _solve_damped(scratch, damping)
