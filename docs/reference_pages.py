@@ -134,9 +134,18 @@ def _parameter_table(factory: Any, passed: tuple[str, ...] = ()) -> str:
 
 
 def _documented(kind: Any) -> dict[str, str]:
-    """Return the texts of the sections Attributes and Args of a class and those above it."""
+    """Return the texts of fields and parameters of a class and those above it.
+
+    They are in sections Attributes and Args, and in comments beside or above fields.
+    """
     found: dict[str, str] = {}
     for one in reversed(kind.__mro__):
+        source = inspect.getsource(one) if "__dataclass_fields__" in vars(one) else ""
+        for above, name, beside in re.findall(
+            r"((?:^    # .*\n)*)^    (\w+): [^#\n]*(?:  # (.*))?$", source, re.M
+        ):
+            if text := " ".join(f"{above}{beside}".replace("# ", " ").split()):
+                found[name] = f"{text[0].upper()}{text[1:]}."
         for text in (one.__doc__, one.__dict__.get("__init__", one).__doc__):
             section = re.search(
                 r"(?:Attributes|Args):\n((?:\n| +.*\n?)+)", inspect.cleandoc(text or "")

@@ -21,17 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import strict_yaml
+from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import (
-    Array,
-    canonical,
-    distance,
-    make_pose,
-    relative,
-    rotation,
-    wrap,
-    yaw,
-)
 from kinfeas.io.demonstrations import Demonstration, unit_hint
 from kinfeas.plugins.imitation import (
     LONGEST,
@@ -82,8 +73,8 @@ class _Path:
     Both are at even steps of the index; an unknown base is NaN. Duration in seconds.
     """
 
-    ee_pose: Array
-    base: Array
+    ee_pose: spatial.Array
+    base: spatial.Array
     duration: float
 
 
@@ -118,21 +109,21 @@ def fit(
             f"allowed{unit_hint(demonstrations[0].time)}"
         )
     goals = np.stack([path.ee_pose[-1] for path in paths])
-    mean_orientation = rotation(np.concatenate([path.ee_pose for path in paths])).mean()
+    mean_orientation = spatial.rotation(np.concatenate([path.ee_pose for path in paths])).mean()
     features = _features(paths, mean_orientation)
     model = Model(
         format=1,
         kind=kind,
         duration=_plain(duration if kind == "imitation" else _CLOCK),
-        goal=_plain(make_pose(goals[:, :3].mean(axis=0), rotation(goals).mean())),
-        mean_orientation=_plain(canonical(mean_orientation.as_quat())),
+        goal=_plain(spatial.make_pose(goals[:, :3].mean(axis=0), spatial.rotation(goals).mean())),
+        mean_orientation=_plain(spatial.canonical(mean_orientation.as_quat())),
         fitted_from=Source(len(paths), command),
         components=_mixture(features, components, seed),
     )
     learned = learned_path(model).at(np.linspace(0.0, 1.0, _SAMPLES))
-    apart = np.array([distance(learned, path.ee_pose) for path in paths])
+    apart = np.array([spatial.distance(learned, path.ee_pose) for path in paths])
     metres, radians = apart.mean(axis=2).T.tolist()
-    length, turned = (float(step.sum()) for step in distance(learned[:-1], learned[1:]))
+    length, turned = (float(step.sum()) for step in spatial.distance(learned[:-1], learned[1:]))
     sides = _sides(features, len(paths), length + _METRES_PER_RADIAN * turned)
     bases = tuple(demonstration.has_base for demonstration in demonstrations)
     return Fit(model, duration, length, tuple(metres), tuple(radians), sides, tuple(called), bases)
@@ -146,8 +137,8 @@ def write_model(model: Model, path: Path) -> None:
 def _sampled(demonstration: Demonstration, kind: Kind, name: str) -> _Path:
     """Return a demonstration at even steps of the index; `name` is its name in errors."""
     frame = demonstration.object_pose[:1]
-    ee_pose = relative(demonstration.ee_pose, frame)
-    metres, radians = distance(ee_pose[:-1], ee_pose[1:])
+    ee_pose = spatial.relative(demonstration.ee_pose, frame)
+    metres, radians = spatial.distance(ee_pose[:-1], ee_pose[1:])
     steps = metres + _METRES_PER_RADIAN * radians
     if steps.sum() < _STILL:
         raise KinfeasError(f"{name}: the EE does not move")
@@ -167,17 +158,17 @@ def _sampled(demonstration: Demonstration, kind: Kind, name: str) -> _Path:
     return _Path(sampled, base, duration)
 
 
-def _planar(base_pose: Array, frame: Array) -> Array:
+def _planar(base_pose: spatial.Array, frame: spatial.Array) -> spatial.Array:
     """Return x, y and unwrapped yaw of the base in the frame below the object, shape (t, 3)."""
     if not np.isfinite(base_pose).all():
         return np.full((len(base_pose), 3), np.nan)
-    pose = relative(below(base_pose), below(frame))
-    return np.stack([pose[:, 0], pose[:, 1], np.unwrap(yaw(pose))], axis=-1)
+    pose = spatial.relative(below(base_pose), below(frame))
+    return np.stack([pose[:, 0], pose[:, 1], np.unwrap(spatial.yaw(pose))], axis=-1)
 
 
-def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> Array:
+def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> spatial.Array:
     ee_pose = np.concatenate([path.ee_pose for path in paths])
-    rotation_vector = (mean_orientation.inv() * rotation(ee_pose)).as_rotvec()
+    rotation_vector = (mean_orientation.inv() * spatial.rotation(ee_pose)).as_rotvec()
     if np.linalg.norm(rotation_vector, axis=1).max() > _MAX_ROTATION:
         raise KinfeasError(
             f"the EE turns more than {_MAX_ROTATION:g} rad away from its mean orientation; "
@@ -189,16 +180,16 @@ def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> Array:
     return features if np.isnan(base).any() else np.concatenate([features, base], axis=1)
 
 
-def _bases(paths: Sequence[_Path]) -> Array:
+def _bases(paths: Sequence[_Path]) -> spatial.Array:
     """Return x, y and yaw of the base, shape (paths * m, 3), without jumps of 2 pi."""
     began = np.array([path.base[0, 2] for path in paths])
-    shift = wrap(began - began[0]) + began[0] - began
+    shift = spatial.wrap(began - began[0]) + began[0] - began
     bases = np.stack([path.base for path in paths])
     bases[:, :, 2] += shift[:, np.newaxis]
     return bases.reshape(-1, 3)
 
 
-def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ...]:
+def _mixture(features: spatial.Array, components: int, seed: int) -> tuple[Component, ...]:
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 
@@ -213,7 +204,7 @@ def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ..
     )
 
 
-def _sides(features: Array, count: int, length: float) -> tuple[int, ...]:
+def _sides(features: spatial.Array, count: int, length: float) -> tuple[int, ...]:
     """Return the path, 0 or 1, of each of `count` demonstrations; all 0 if they follow the same.
 
     Two clusters count as two paths if their mean silhouette is that of a strong structure (Kaufman

@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.config.quantities import Count, Positive, PositiveShare
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.motion import State
+from kinfeas.core.motion import State, TwistAndState
 from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
 from kinfeas.io.files import is_path
 from kinfeas.plugins.path import PathMotion, PosePath, slowed
@@ -105,11 +105,7 @@ class GaussianMixture(PathMotion):
     """
 
     def __init__(
-        self,
-        *,
-        model: str,
-        max_velocity: Positive = 0.1,
-        max_angular_velocity: Positive = 0.1,
+        self, *, model: str, max_velocity: Positive = 0.1, max_angular_velocity: Positive = 0.1
     ) -> None:
         learned = read_model(model, "gaussian_mixture")
         super().__init__(
@@ -119,9 +115,7 @@ class GaussianMixture(PathMotion):
             max_angular_velocity=max_angular_velocity,
         )
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         phase = np.minimum(state["phase"] + dt / self.duration, 1.0)
         twist = twist_between(ee_pose, compose(target_pose, self.path.at(phase)), dt)
@@ -135,17 +129,12 @@ class GaussianMixture(PathMotion):
 
 @dataclass(frozen=True)
 class Component:
-    """One Gaussian of the mixture.
+    """One Gaussian of the mixture."""
 
-    Attributes:
-        weight: Weight; those of all components add up to 1.
-        mean: Index, EE x y z and EE rotation vector; with a base also its x, y and yaw. Metres and
-            radians.
-        covariance: Rows and columns in the order of the mean; only the first column is used.
-    """
-
-    weight: PositiveShare
+    weight: PositiveShare  # weight; those of all components add up to 1
+    # index, EE x y z and EE rotation vector; with a base also its x, y and yaw. Metres and radians
     mean: tuple[Number, ...]
+    # rows and columns in the order of the mean; only the first column is used
     covariance: tuple[tuple[Number, ...], ...]
 
     def __post_init__(self) -> None:
@@ -160,38 +149,25 @@ class Component:
 
 @dataclass(frozen=True)
 class Source:
-    """The origin of a model.
+    """The origin of a model."""
 
-    Attributes:
-        demonstrations: Number of demonstrations.
-        command: Command that fitted it.
-    """
-
-    demonstrations: Count
-    command: str
+    demonstrations: Count  # number of demonstrations
+    command: str  # command that fitted it
 
 
 @dataclass(frozen=True)
 class Model:
-    """A learned motion, in the frame of the grasped object; the module's docstring has an example.
+    """A learned motion in the frame of the grasped object; see the example of this module."""
 
-    Attributes:
-        format: Version of the file format.
-        kind: Motion generator: whether the index is that of the length or of the time.
-        duration: Duration of the motion, seconds.
-        goal: Final EE pose in the frame of the object, metres, quaternion x y z w.
-        mean_orientation: Quaternion x y z w that rotation vectors are relative to.
-        fitted_from: Origin of the model.
-        components: Gaussians of the mixture.
-    """
-
-    format: Literal[1]
-    kind: Kind
-    duration: Annotated[float, Interval(ge=SHORTEST, le=LONGEST)]
+    format: Literal[1]  # version of the file format
+    kind: Kind  # motion generator: whether the index is that of the length or of the time
+    duration: Annotated[float, Interval(ge=SHORTEST, le=LONGEST)]  # duration of the motion, seconds
+    # final EE pose in the frame of the object, metres, quaternion x y z w
     goal: tuple[Number, Number, Number, float, float, float, float]
+    # quaternion x y z w that rotation vectors are relative to
     mean_orientation: tuple[float, float, float, float]
-    fitted_from: Source
-    components: tuple[Component, ...]
+    fitted_from: Source  # origin of the model
+    components: tuple[Component, ...]  # Gaussians of the mixture
 
     def __post_init__(self) -> None:
         quaternions = {"goal": self.goal[3:], "mean_orientation": self.mean_orientation}
@@ -255,5 +231,4 @@ def regress(model: Model, index: Array) -> Array:
     likelihood /= likelihood.sum(axis=1, keepdims=True)
     slope = covariance[:, 1:, 0] / variance[:, np.newaxis]
     expected = mean[:, 1:] + slope * away[:, :, np.newaxis]
-    summed: Array = np.sum(likelihood[:, :, np.newaxis] * expected, axis=1)
-    return summed
+    return np.sum(likelihood[:, :, np.newaxis] * expected, axis=1)

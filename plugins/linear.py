@@ -1,12 +1,10 @@
 """The `linear` motion: straight to the goal, slowing down near it."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.motion import State
+from kinfeas.core.motion import Rngs, State, TwistAndState
 from kinfeas.core.spatial import Array, twist_between
 from kinfeas.plugins.path import norm
 
@@ -50,9 +48,7 @@ class Linear:
                 f"min_velocity must be at most max_velocity, {max_velocity}, not {min_velocity}"
             )
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return an empty state: the motion depends on the current poses alone."""
         return {}
 
@@ -60,9 +56,7 @@ class Linear:
         """Return the targets, shape (n, 7)."""
         return np.array(target_pose, dtype=np.float64)
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         rest = twist_between(ee_pose, target_pose, 1.0)
         metres = np.maximum(norm(rest[:, :3]), _TINY)

@@ -1,11 +1,9 @@
 """The `minimum_jerk` motion: point to point with least jerk."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from kinfeas.config.quantities import Positive
-from kinfeas.core.motion import State
+from kinfeas.core.motion import Rngs, State, TwistAndState
 from kinfeas.core.spatial import Array, integrate, twist_between
 from kinfeas.plugins.path import norm, slowed
 
@@ -38,9 +36,7 @@ class MinimumJerk:
         self._max_velocity = max_velocity
         self._max_angular_velocity = max_angular_velocity
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return start poses, shape (n, 7), durations and times in seconds, both (n,)."""
         begin = np.array(ee_pose, dtype=np.float64)
         displacement = twist_between(begin, target_pose, 1.0)
@@ -53,16 +49,17 @@ class MinimumJerk:
         """Return the targets, shape (n, 7)."""
         return np.array(target_pose, dtype=np.float64)
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         time = np.minimum(state["time"] + dt, state["duration"])
-        displacement = twist_between(state["start_pose"], target_pose, 1.0)
-        s = (time / state["duration"])[:, np.newaxis]
-        covered = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        desired = integrate(state["start_pose"], displacement * covered, 1.0)
-        twist = twist_between(ee_pose, desired, dt)
+        twist = twist_between(ee_pose, self._at(state, target_pose, time), dt)
         scale = slowed(twist, self._max_velocity, self._max_angular_velocity)
         passed = state["time"] + scale * (time - state["time"])
         return twist * scale[:, np.newaxis], {**state, "time": passed}
+
+    def _at(self, state: State, target_pose: Array, time: Array) -> Array:
+        """Return the desired poses at times of the motions, (n,) -> (n, 7)."""
+        displacement = twist_between(state["start_pose"], target_pose, 1.0)
+        s = (time / state["duration"])[:, np.newaxis]
+        covered = s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        return integrate(state["start_pose"], displacement * covered, 1.0)

@@ -1,7 +1,6 @@
 """Paths of the EE, the phase dynamic system that follows them, and limits of velocity."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -9,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
-from kinfeas.core.motion import State
+from kinfeas.core.motion import Rngs, State, TwistAndState
 from kinfeas.core.spatial import (
     IDENTITY,
     Array,
@@ -128,9 +127,7 @@ class PathMotion:
         ]
         self._end = max(beyond) / len(parts) - _ROUNDING
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the state of n motions, phases of 0."""
         return {"phase": np.zeros(len(target_pose))}
 
@@ -140,21 +137,16 @@ class PathMotion:
 
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
         """Return whether the motions are at the end of the path, shape (n,)."""
-        finished: NDArray[np.bool_] = state["phase"] >= self._end
-        return finished
+        return state["phase"] >= self._end
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         frame, phase = self._frame(target_pose), state["phase"]
         here = compose(frame, self.path.at(phase))
         error = twist_between(here, ee_pose, 1.0)
         metres, radians = norm(error[:, :3]), norm(error[:, 3:])
-        nearness = np.exp(
-            -((metres / self.position_scale) ** 2) - (radians / self.rotation_scale) ** 2
-        )
-        advance = np.minimum(nearness * dt / self.duration, 1.0 - phase)
+        psi = np.exp(-((metres / self.position_scale) ** 2) - (radians / self.rotation_scale) ** 2)
+        advance = np.minimum(psi * dt / self.duration, 1.0 - phase)
         there = compose(frame, self.path.at(phase + advance))
         # A step longer than 1 / gain would overshoot the path.
         gain = np.minimum(self.gain, 1.0 / dt)[:, np.newaxis]

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Positive
 from kinfeas.core.metrics import GOAL_METRES
-from kinfeas.core.motion import State, WholeBodyPath, merged, of_rows
+from kinfeas.core.motion import Rngs, State, WholeBodyPath, merged, of_rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, continuous, distance, integrate, twist_between
 from kinfeas.planning.ee_path import EePathSettings, plan_ee_paths
@@ -21,7 +21,7 @@ from kinfeas.planning.spline import (
     position_at,
 )
 from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.plugins.path import norm, slowed
+from kinfeas.plugins.path import norm
 
 _MOVED = 0.05
 """Metres that a target may move before its path is planned anew; paths bend along until then."""
@@ -29,7 +29,7 @@ _MOVED = 0.05
 _MOMENT = 0.05  # seconds over which the velocity is measured when the path changes
 
 
-class SmoothPath:
+class SmoothPath(MinimumJerk):
     """Motion along a path of its own for each start, from rest to rest.
 
     A path is a cubic B-spline of positions and quaternions. The speed rises and falls along quintic
@@ -45,17 +45,14 @@ class SmoothPath:
     def __init__(
         self, ramp: float, min_duration: float, max_velocity: float, max_angular_velocity: float
     ) -> None:
-        self._ramp = ramp
-        self._max_velocity, self._max_angular_velocity = max_velocity, max_angular_velocity
-        self._straight = MinimumJerk(
+        super().__init__(
             min_duration=min_duration,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
         )
+        self._ramp = ramp
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return straight motions.
 
         The keys are those of `minimum_jerk`; the target of the plan, shape (n, 7); its control
@@ -63,7 +60,7 @@ class SmoothPath:
         second, (n,), 0 for straight motions; and the twist, (n, 6), by which the motion before
         differs from the beginning of the plan.
         """
-        state = self._straight.start(ee_pose, target_pose, rngs)
+        state = super().start(ee_pose, target_pose, rngs)
         n = len(target_pose)
         return {
             **state,
@@ -74,27 +71,12 @@ class SmoothPath:
             "drift": np.zeros((n, 6)),
         }
 
-    def goal_pose(self, state: State, target_pose: Array) -> Array:
-        """Return the targets, shape (n, 7)."""
-        return np.array(target_pose, dtype=np.float64)
-
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
         """Return whether at most 0.025 m of the paths are left, shape (n,)."""
         fraction = np.empty((len(target_pose), 1))
         now = self._fraction(state, state["time"])
         fractions_ahead(state["points"], now, np.array([GOAL_METRES]), fraction)
-        finished: NDArray[np.bool_] = fraction[:, 0] >= 1.0
-        return finished
-
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
-        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
-        time = np.minimum(state["time"] + dt, state["duration"])
-        twist = twist_between(ee_pose, self._at(state, target_pose, time), dt)
-        scale = slowed(twist, self._max_velocity, self._max_angular_velocity)
-        passed = state["time"] + scale * (time - state["time"])
-        return twist * scale[:, np.newaxis], {**state, "time": passed}
+        return fraction[:, 0] >= 1.0
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses that lie ahead on the paths, (n, 7) and (d,) -> (n, d, 7)."""
@@ -140,8 +122,7 @@ class SmoothPath:
 
     def _fraction(self, state: State, time: Array) -> Array:
         rates = state["first_rate"], state["rate"]
-        fraction: Array = fraction_after(time, state["duration"], *rates, self._ramp)
-        return fraction
+        return fraction_after(time, state["duration"], *rates, self._ramp)
 
     def _at(self, state: State, target_pose: Array, time: Array) -> Array:
         pose = self._on_path(state, target_pose, self._fraction(state, time))
@@ -156,8 +137,7 @@ class SmoothPath:
         """
         straight = state["rate"][:, np.newaxis] == 0.0
         origin = np.where(straight, state["start_pose"], state["planned_target"])
-        pose: Array = pose_at(state["points"], fraction, state["rate"], origin, target_pose)
-        return pose
+        return pose_at(state["points"], fraction, state["rate"], origin, target_pose)
 
     def _velocity(self, state: State, target_pose: Array) -> Array:
         soon = np.minimum(state["time"] + _MOMENT, state["duration"])
@@ -229,9 +209,7 @@ class WholeBody(Planned):
     does there. Without one, the motion is that of `planned`, whose parameters it has.
     """
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return straight motions.
 
         The keys are those of `planned`, and 1 where there is a whole-body path, shape (n,).
@@ -240,11 +218,7 @@ class WholeBody(Planned):
         return {**state, "follows": np.zeros(len(target_pose))}
 
     def follow(
-        self,
-        state: State,
-        ee_pose: Array,
-        target_pose: Array,
-        paths: Sequence[WholeBodyPath],
+        self, state: State, ee_pose: Array, target_pose: Array, paths: Sequence[WholeBodyPath]
     ) -> tuple[State, Array]:
         """Return the state of motions along paths, and their waypoints, shape (n, 64, 3 + j)."""
         timed = zip(*map(self._timed, paths), strict=True)
@@ -256,8 +230,7 @@ class WholeBody(Planned):
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead, (s,) -> (n, s, 3 + j), or NaN."""
         time = np.minimum(state["time"] + seconds[:, np.newaxis], state["duration"])
-        robot: Array = position_at(waypoints, self._fraction(state, time))
-        return robot.swapaxes(0, 1)
+        return position_at(waypoints, self._fraction(state, time)).swapaxes(0, 1)
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of motions around the solids; whole-body paths go on."""
@@ -302,20 +275,16 @@ class RandomSpline(SmoothPath):
         super().__init__(ramp, ramp, max_velocity, max_angular_velocity)
         self._bends, self._spread = bends, np.array([spread, spread, spread / 3.0])
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return motions along random curves, a state as that of `SmoothPath`."""
         state = super().start(ee_pose, target_pose, rngs)
-        knots = np.linspace(0.0, 1.0, self._bends + 2)
+        knots, fine = np.linspace(0.0, 1.0, self._bends + 2), np.linspace(0.0, 1.0, 16 * POINTS)
         points = state["points"].copy()
         for row, rng in enumerate(rngs):
             begin, end = ee_pose[row, :3], target_pose[row, :3]
             bends = begin + knots[:, np.newaxis] * (end - begin)
             bends[1:-1] += self._spread * rng.uniform(-1.0, 1.0, (self._bends, 3))
-            points[row, :, :3] = _even(
-                CubicSpline(knots, bends)(np.linspace(0.0, 1.0, 16 * POINTS))
-            )
+            points[row, :, :3] = _even(CubicSpline(knots, bends)(fine))
         rest = np.zeros((len(rngs), 6))
         return self._begin(state, (ee_pose, target_pose), points, rest)
 

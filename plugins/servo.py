@@ -1,11 +1,9 @@
 """The `servo` motion: follows a moving target within limits of velocity, acceleration and jerk."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from kinfeas.config.quantities import Positive, Seconds
-from kinfeas.core.motion import State
+from kinfeas.core.motion import Rngs, State, TwistAndState
 from kinfeas.core.spatial import Array, integrate, twist_between
 from kinfeas.plugins.path import slowed
 
@@ -51,9 +49,7 @@ class Servo:
         self._tau = np.repeat([linear, angular], 3)
         self._lookahead = lookahead
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the outputs of both filters at rest."""
         return {"filtered": np.zeros((len(ee_pose), 6)), "velocity": np.zeros((len(ee_pose), 6))}
 
@@ -61,9 +57,7 @@ class Servo:
         """Return the pose that a target at the current velocity will have after `lookahead`."""
         return integrate(target_pose, state["velocity"], self._lookahead)
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the mean filtered twist of the next `dt` seconds."""
         first, second = state["filtered"], state["velocity"]
         # Where the EE would come to rest without further commands.

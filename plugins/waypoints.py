@@ -125,8 +125,7 @@ def _ramped(time: Array, duration: float, ramp: float) -> Array:
     """
     rising = np.minimum(time, ramp) ** 2 / (2.0 * ramp)
     falling = np.maximum(time - (duration - ramp), 0.0) ** 2 / (2.0 * ramp)
-    progress: Array = rising + np.maximum(time - ramp, 0.0) - falling
-    return progress
+    return rising + np.maximum(time - ramp, 0.0) - falling
 
 
 @dataclass(frozen=True)

@@ -17,55 +17,35 @@ Side = Annotated[float, Interval(gt=0.0, le=FARTHEST)]
 
 @dataclass(frozen=True)
 class ObjectSpec:
-    """The YAML block of an object.
+    """The YAML block of an object."""
 
-    Attributes:
-        urdf: File relative to the scene's folder, or the name of a shipped one.
-        position: World position of its root link, metres.
-        rpy: Roll, pitch and yaw of its root link about the world's axes, radians.
-        fixed: Whether the root link is fixed to the world.
-        joints: Joint positions, rad or m; by default the ones nearest to zero.
-    """
-
-    urdf: Path
-    position: Position = (0.0, 0.0, 0.0)
+    urdf: Path  # file relative to the scene's folder, or the name of a shipped one
+    position: Position = (0.0, 0.0, 0.0)  # world position of its root link, metres
+    # roll, pitch and yaw of its root link about the world's axes, radians
     rpy: Angles = (0.0, 0.0, 0.0)
-    fixed: bool = True
+    fixed: bool = True  # whether the root link is fixed to the world
+    # joint positions, rad or m; by default the ones nearest to zero
     joints: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class HandleSpec:
-    """The YAML block of a handle.
+    """The YAML block of a handle."""
 
-    Attributes:
-        object: Name of an object.
-        link: Name of one of its links.
-        position: Position in the link's frame, metres.
-        rpy: Orientation there, so that x is the approach and z up, radians.
-    """
-
-    object: str
-    link: str
-    position: Position = (0.0, 0.0, 0.0)
-    rpy: Angles = (0.0, 0.0, 0.0)
+    object: str  # name of an object
+    link: str  # name of one of its links
+    position: Position = (0.0, 0.0, 0.0)  # position in the link's frame, metres
+    rpy: Angles = (0.0, 0.0, 0.0)  # orientation there, so that x is the approach and z up, radians
 
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """The YAML file of a scene.
+    """The YAML file of a scene."""
 
-    Attributes:
-        name: Name of the scene.
-        size: Size of the floor along x and y, around the origin, metres.
-        objects: Objects by name.
-        handles: Handles of objects by name.
-    """
-
-    name: str
-    size: tuple[Side, Side]
-    objects: dict[str, ObjectSpec]
-    handles: dict[str, HandleSpec] = field(default_factory=dict)
+    name: str  # name of the scene
+    size: tuple[Side, Side]  # size of the floor along x and y, around the origin, metres
+    objects: dict[str, ObjectSpec]  # objects by name
+    handles: dict[str, HandleSpec] = field(default_factory=dict)  # handles of objects by name
 
 
 @dataclass(frozen=True, eq=False)

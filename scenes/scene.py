@@ -114,8 +114,7 @@ def _object(spec: ObjectSpec, path: Path, where: str, urdfs: dict[Path, Urdf]) -
     if file not in urdfs:
         urdfs[file] = urdf_of(read_xml(file, "robot"))
     urdf = urdfs[file]
-    _check_shapes(urdf, file)
-    _check_mimics(urdf, file)
+    _check_primitives(urdf, file)
     check_inertia(file, urdf, fixed=spec.fixed)
     _check_joints(urdf, spec.joints, f"{where}.joints'")
     pose = _pose(spec.position, spec.rpy)
@@ -135,7 +134,7 @@ def _find_urdf(name: Path, beside: Path, where: str) -> Path:
     raise KinfeasError(f"{where}: there is no file {str(beside / name)!r}; shipped are {shipped}")
 
 
-def _check_shapes(urdf: Urdf, file: Path) -> None:
+def _check_primitives(urdf: Urdf, file: Path) -> None:
     if not any(link.shapes or link.mesh_collisions for link in urdf.links.values()):
         raise KinfeasError(f"{file}: has no <collision>")
     for link in urdf.links.values():
@@ -144,14 +143,9 @@ def _check_shapes(urdf: Urdf, file: Path) -> None:
                 f"{file}: link {link.name!r} has a collision mesh; objects of a scene have boxes, "
                 "cylinders and spheres"
             )
-
-
-def _check_mimics(urdf: Urdf, file: Path) -> None:
-    for joint in urdf.joints.values():
+    for name, joint in urdf.joints.items():
         if joint.mimic is not None:
-            raise KinfeasError(
-                f"{file}: joint {joint.name!r} has <mimic>, which scenes do not support"
-            )
+            raise KinfeasError(f"{file}: joint {name!r} has <mimic>, which scenes do not support")
 
 
 def _check_joints(urdf: Urdf, positions: Mapping[str, float], where: str) -> None:
@@ -188,13 +182,12 @@ def furniture_solids(scene: Scene, grasped: tuple[str, str] | None = None) -> So
     and so are the links that move with the `grasped` one, an object and its link: solids do not
     turn.
     """
-    lines = []
+    lines, (grasped_name, link) = [], grasped or (None, "")
     for name, scene_object in scene.objects.items():
-        moved = (
-            _moved_with(scene_object, grasped[1]) if grasped and grasped[0] == name else frozenset()
-        )
+        joint = moving_joint(scene_object.urdf, link) if name == grasped_name else None
+        moved = scene_object.urdf.below(joint) if joint else frozenset()
         if scene_object.fixed:
-            lines += [_line(shape) for link, shape in scene_object.shapes() if link not in moved]
+            lines += [_line(shape) for part, shape in scene_object.shapes() if part not in moved]
     solids = Solids.empty(1, len(lines))
     for index, (pose, size, cylinder) in enumerate(lines):
         solids.pose[0, index], solids.size[0, index] = pose, size
@@ -208,12 +201,6 @@ def solid_names(scene: Scene) -> list[str]:
     return [name for name, entry in objects if entry.fixed for _ in entry.shapes()]
 
 
-def _moved_with(scene_object: SceneObject, link: str) -> frozenset[str]:
-    """Return the links that the nearest moving joint above a link carries."""
-    joint = moving_joint(scene_object.urdf, link)
-    return frozenset() if joint is None else scene_object.urdf.below(joint)
-
-
 def _line(shape: Shape) -> tuple[list[float], list[float], bool]:
     """Return pose and size of a solid, and whether it is a cylinder, as in `Solids`."""
     high, low = (np.array([shape.reach(side) for side in sign * np.eye(3)]) for sign in (1, -1))
@@ -222,9 +209,7 @@ def _line(shape: Shape) -> tuple[list[float], list[float], bool]:
     matrix = rotation(shape.pose).as_matrix()
     upright = abs(matrix[2, 2]) >= _UPRIGHT
     if shape.kind == "box" and upright:  # also upside down
-        half, heading = (
-            np.array(shape.size[:2]) / 2.0,
-            float(np.arctan2(matrix[1, 0], matrix[0, 0])),
-        )
+        half = np.array(shape.size[:2]) / 2.0
+        heading = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
     cylinder = shape.kind == "sphere" or (shape.kind == "cylinder" and upright)
     return [*shape.pose[:2], heading], [*half, *heights], cylinder

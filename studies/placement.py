@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas.control.sequence import subgoal_ends
+from kinfeas.control.subgoal_motions import subgoal_ends
 from kinfeas.core.metrics import wilson
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose, relative

@@ -15,14 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from kinfeas.api import Name
-from kinfeas.api.load import (
-    checked,
-    load_robot,
-    plugin_settings,
-    read_adapters,
-    robot_of,
-    text_of,
-)
+from kinfeas.api.load import checked, load_robot, plugin_settings, read_adapters, robot_of, text_of
 from kinfeas.api.plan import load_plan
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
@@ -62,19 +55,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Deployment:
-    """A run that has ended.
+    """A run that has ended."""
 
-    Attributes:
-        outcome: Its exit code, the reason of its end, and its statistics.
-        about: Header of its record.
-        record: CSV file of its record.
-        targets: Statistics of the targets that a servo has received.
-    """
-
-    outcome: Outcome
-    about: About
-    record: Path
-    targets: dict[str, object]
+    outcome: Outcome  # its exit code, the reason of its end, and its statistics
+    about: About  # header of its record
+    record: Path  # CSV file of its record
+    targets: dict[str, object]  # statistics of the targets that a servo has received
 
 
 def deploy(  # noqa: PLR0913 - options of the command

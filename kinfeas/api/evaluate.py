@@ -135,32 +135,19 @@ def draw_film(replay: "Replay", path: Name, on_progress: OnProgress | None = Non
 
 @dataclass(frozen=True)
 class Ceiling:
-    """The fraction of reachable goals: an upper bound of the success of every policy.
+    """The fraction of reachable goals: an upper bound of the success of every policy."""
 
-    Attributes:
-        robot: Name of the robot.
-        task: Name of the task.
-        seed: Seed of the goals.
-        episodes: Number of episodes.
-        path: Whether poses on the way to each sub-goal count, too.
-        ceiling: Fraction of episodes of which all sub-goals are reachable.
-        ceiling_low: Lower end of its 95 % interval.
-        ceiling_high: Upper end.
-        base_poses: Numbers of base poses that were tried for a goal.
-        convergence: Fraction that was reachable with each of these numbers.
-        out_of_reach: Episodes in which each sub-goal is out of reach, by the limit.
-    """
-
-    robot: str
-    task: str
-    seed: int
-    episodes: int
-    path: bool
-    ceiling: float
-    ceiling_low: float
-    ceiling_high: float
-    base_poses: tuple[int, ...]
-    convergence: tuple[float, ...]
+    robot: str  # name of the robot
+    task: str  # name of the task
+    seed: int  # seed of the goals
+    episodes: int  # number of episodes
+    path: bool  # whether poses on the way to each sub-goal count, too
+    ceiling: float  # fraction of episodes of which all sub-goals are reachable
+    ceiling_low: float  # lower end of its 95 % interval
+    ceiling_high: float  # upper end
+    base_poses: tuple[int, ...]  # numbers of base poses that were tried for a goal
+    convergence: tuple[float, ...]  # fraction that was reachable with each of these numbers
+    # episodes in which each sub-goal is out of reach, by the limit
     out_of_reach: tuple[dict[str, int], ...]
 
 

@@ -14,12 +14,7 @@ from kinfeas.plugins.imitation import Kind
 
 
 def fit(
-    demonstrations: Name,
-    out: Name,
-    *,
-    kind: Kind = "imitation",
-    components: int = 8,
-    seed: int = 0,
+    demonstrations: Name, out: Name, *, kind: Kind = "imitation", components: int = 8, seed: int = 0
 ) -> Fit:
     """Learn an EE motion from demonstrations, write its model, and return it.
 

@@ -36,36 +36,27 @@ _LEAST = 2e-3  # smallest number of a response that is worth a line
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """A robot identified from records.
+    """A robot identified from records."""
 
-    Attributes:
-        robot: Its name, or the path of its YAML.
-        records: Files of the records.
-        estimates: Estimates with 95 % intervals by adapter and parameter, such as
-            `actuator_lag.base`, in SI units.
-        response: Response of the robot: what does not show is left out.
-        adapters: The same as adapters, with the intervals as ranges, the first one innermost.
-        missing: What the records do not show, in sentences.
-        fit: Measured and predicted velocities.
-    """
-
-    robot: str
-    records: tuple[str, ...]
+    robot: str  # its name, or the path of its YAML
+    records: tuple[str, ...]  # files of the records
+    # with 95 % intervals, by adapter and parameter, such as `actuator_lag.base`, in SI units
     estimates: dict[str, Estimate]
-    response: ResponseModel
+    response: ResponseModel  # response of the robot: what does not show is left out
+    # the same as adapters, with the intervals as ranges, the first one innermost
     adapters: tuple[PluginSpec, ...]
-    missing: tuple[str, ...]
-    fit: Fit
+    missing: tuple[str, ...]  # what the records do not show, in sentences
+    fit: Fit  # measured and predicted velocities
 
     @property
     def response_lines(self) -> str:
         """The response as a section of `robot.yaml`."""
-        known = {
+        measured = {
             name: float(f"{value:.3g}")
             for name, value in asdict(self.response).items()
             if value is not None and value >= _LEAST
         }
-        return strict_yaml.to_text({"response": known})
+        return strict_yaml.to_text({"response": measured})
 
     @property
     def adapter_lines(self) -> str:
@@ -117,7 +108,7 @@ def identify(
     Raises:
         KinfeasError: If a record is invalid, of another robot, or shows no motion.
     """
-    paths = [Path(records)] if isinstance(records, str | Path) else [Path(one) for one in records]
+    paths = [Path(records)] if isinstance(records, str | Path) else list(map(Path, records))
     if not paths:
         raise KinfeasError("give at least one record")
     if out is not None and Path(out).suffix not in (".yaml", ".yml"):
@@ -129,18 +120,18 @@ def identify(
     if len(periods) > 1:
         raise KinfeasError(f"records with different control periods: {periods} s")
     fitted = fit(logs, walk)
-    found = Identified(
+    result = Identified(
         name, tuple(map(str, paths)), fitted.estimates, fitted.response,
         adapter_list(fitted.estimates), fitted.missing, fitted,
     )  # fmt: skip
     if out is not None:
-        write_file(Path(out), found.adapter_lines.encode())
+        write_file(Path(out), result.adapter_lines.encode())
     if picture is not None:
         from kinfeas.viz.identification import velocities_figure
         from kinfeas.viz.style import png
 
         write_file(Path(picture), png(velocities_figure(fitted)))
-    return found
+    return result
 
 
 def _robot_of(path: Path) -> str:

@@ -42,18 +42,12 @@ def load_policy(policy: Name, *, robot: Name | None = None) -> Policy:
 
 @dataclass(frozen=True)
 class PolicyFile:
-    """An exported policy.
+    """An exported policy."""
 
-    Attributes:
-        path: Its file.
-        bytes: Size of the file.
-        metadata: Description of the policy.
-        parity: Largest deviation of its actions from the trained policy's; None if not measured.
-    """
-
-    path: Path
-    bytes: int
-    metadata: PolicyMetadata
+    path: Path  # its file
+    bytes: int  # size of the file
+    metadata: PolicyMetadata  # description of the policy
+    # largest deviation of its actions from the trained policy's; None if not measured
     parity: float | None = None
 
     def facts(self) -> dict[str, object]:

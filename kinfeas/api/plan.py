@@ -14,7 +14,7 @@ from kinfeas.api.reach import base_pose, ee_poses, surroundings
 from kinfeas.config import Settings
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.sequence import LONGEST, begin_motions
+from kinfeas.control.subgoal_motions import LONGEST, begin_motions
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import IDENTITY, Array, compose, distance, make_pose, relative, rotation
@@ -38,15 +38,10 @@ _ROUNDING = 1e-6  # of the numbers of a file
 
 @dataclass(frozen=True, eq=False)
 class Plan(Moments):
-    """Base, arm and EE at t times, within the velocity limits and free of solids.
-
-    Attributes:
-        robot: The robot.
-        solids: In the world, one row; None without any.
-    """
+    """Base, arm and EE at t times, within the velocity limits and free of solids."""
 
     robot: Robot
-    solids: Solids | None = None
+    solids: Solids | None = None  # in the world, one row; None without any
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -165,7 +160,7 @@ def plan(  # noqa: PLR0913 - options of the command
         if len(ee) < 2:
             raise KinfeasError("'path' must have at least 2 poses")
         if state is not None:
-            _check_start(placer.solver, state, ee[0])
+            _check_start(placer.solver, *state, ee[0])
     if not 1e-3 <= step <= 10.0:
         raise KinfeasError(f"'step' must be 0.001 to 10 s, not {step}")
     moments = plan_along(placer, ee, step, state, around, names)
@@ -223,16 +218,10 @@ def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None)
     return base_pose(start, "start"), arm
 
 
-def _ee_of(solver: IkSolver, state: State) -> Array:
-    return compose(state[0][np.newaxis], forward(solver.chain, state[1][np.newaxis]))[0]
-
-
-def _check_start(solver: IkSolver, state: State, first: Array) -> None:
-    metres = float(distance(_ee_of(solver, state), first)[0])
-    if metres > _AT_START:
-        raise KinfeasError(
-            f"'path' must begin where the EE is; its first pose is {metres:.2f} m away"
-        )
+def _check_start(solver: IkSolver, base: Array, joints: Array, first: Array) -> None:
+    ee = compose(base, forward(solver.chain, joints[np.newaxis])[0])
+    if (gap := float(distance(ee, first)[0])) > _AT_START:
+        raise KinfeasError(f"'path' must begin where the EE is; its first pose is {gap:.2f} m away")
 
 
 def _rolled_out(

@@ -89,12 +89,12 @@ class PlanningServer(HTTPServer):
 
     def _plan(self, body: object) -> object:
         request = from_mapping(PlanRequest, body, "request")
-        found = plan(
+        motion = plan(
             self._placer, request.path, step=request.step, start=request.start,
             joints=request.joints, scene=self._scene, solids=_solids(request.solids),
         )  # fmt: skip
-        messages = {"joint_trajectory": found.joint_trajectory(), "base_path": found.base_path()}
-        return {"time": found.time.tolist(), "base": found.base.tolist(), **messages}
+        messages = {"joint_trajectory": motion.joint_trajectory(), "base_path": motion.base_path()}
+        return {"time": motion.time.tolist(), "base": motion.base.tolist(), **messages}
 
 
 class _Handler(BaseHTTPRequestHandler):

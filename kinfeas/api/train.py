@@ -24,19 +24,12 @@ OnTraining = Callable[[Progress], None]
 
 @dataclass(frozen=True)
 class Run:
-    """A training run that has ended.
+    """A training run that has ended."""
 
-    Attributes:
-        folder: Its folder, for `evaluate`, `export` and `load_policy`.
-        metrics: Metrics of its best checkpoint on fresh episodes, as in `evaluation.json`.
-        steps: Environment steps.
-        seconds: Wall-clock time of training.
-    """
-
-    folder: Path
-    metrics: dict[str, Any]
-    steps: int
-    seconds: float
+    folder: Path  # its folder, for `evaluate`, `export` and `load_policy`
+    metrics: dict[str, Any]  # of its best checkpoint on fresh episodes, as in `evaluation.json`
+    steps: int  # environment steps
+    seconds: float  # wall-clock time of training
 
 
 class Options(TypedDict, total=False):

@@ -31,8 +31,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     rpy: Three | None = option(None, "Orientation, rad.  [default: unchanged]", metavar="R P Y"),
     quaternion: Four | None = option(None, "Goal orientation as a quaternion.", metavar="X Y Z W"),
     generator: str | None = option(
-        None,
-        "Motion generator.  [default: linear; with a scene whole_body]",
+        None, "Motion generator.  [default: linear; with a scene whole_body]"
     ),
     task: str | None = option(None, f"In place of --goal. {options.TASK}"),
     rate: options.Rate = 50.0,

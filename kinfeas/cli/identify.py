@@ -62,18 +62,18 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
     elif backend or record or adapters or overrides:
         raise KinfeasError("--backend, --record, --adapters and --set need --drive")
     with status("fitting"):
-        found = api.identify(paths, robot, out=out, picture=picture, prior=prior)
-    _print(found)
-    write_json(found.facts(), json)
+        identified = api.identify(paths, robot, out=out, picture=picture, prior=prior)
+    _print(identified)
+    write_json(identified.facts(), json)
     print_paths(out, picture)
 
 
-def _print(found: "Identified") -> None:
+def _print(identified: "Identified") -> None:
     rows = [
         [name, *(f"{value:.3g}" for value in (each.value, each.low, each.high))]
-        for name, each in found.estimates.items()
+        for name, each in identified.estimates.items()
     ]
-    print_table(f"robot {found.robot}", ["parameter", " estimate", " low", " high"], rows)
-    for sentence in found.missing:
+    print_table(f"robot {identified.robot}", ["parameter", " estimate", " low", " high"], rows)
+    for sentence in identified.missing:
         typer.echo(f"* {sentence}")
-    typer.echo(f"\nFor the robot's robot.yaml:\n\n{found.response_lines}")
+    typer.echo(f"\nFor the robot's robot.yaml:\n\n{identified.response_lines}")

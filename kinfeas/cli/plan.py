@@ -37,21 +37,21 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
         raise KinfeasError(f"{out}: is the file of the EE poses")
     settings = options.read_settings(overrides)
     with status("planning"):
-        found = api(robot, path, start=start, scene=scene, settings=settings)
-    found.save(out)
-    base, joints = found.base[0], found.joint_positions[0]
+        planned = api(robot, path, start=start, scene=scene, settings=settings)
+    planned.save(out)
+    base, joints = planned.base[0], planned.joint_positions[0]
     facts = {
-        "seconds": float(found.time[-1]), "moments": len(found.time), "start": base.tolist(),
-        "start_joints": dict(zip(found.joint_names, joints.tolist(), strict=True)),
+        "seconds": float(planned.time[-1]), "moments": len(planned.time), "start": base.tolist(),
+        "start_joints": dict(zip(planned.joint_names, joints.tolist(), strict=True)),
     }  # fmt: skip
     write_json(
-        {**facts, "joint_trajectory": found.joint_trajectory(), "base_path": found.base_path()},
+        {**facts, "joint_trajectory": planned.joint_trajectory(), "base_path": planned.base_path()},
         json,
     )
     print_facts(f"plan of {robot} along {path}", facts)
     with status("drawing"):
         if picture is not None:
-            found.picture(picture)
+            planned.picture(picture)
         if html is not None:
-            found.html(html)
+            planned.html(html)
     print_paths(out, picture, html)

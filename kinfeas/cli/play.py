@@ -13,10 +13,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyArgument = "pretrained",
     robot: options.PolicyRobotName = None,
     second_policy: str = option("none", "Policy of a second robot."),
-    generator: str = option(
-        "servo",
-        "Motion generator.",
-    ),
+    generator: str = option("servo", "Motion generator."),
     filters: str = option("time_scaling", "Command filters with commas, or none."),
     backend: str = option("analytic", "analytic, pybullet or mujoco."),
     scene: str = option("room", "Scene by name or YAML file, or none."),

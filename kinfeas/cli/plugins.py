@@ -51,13 +51,7 @@ def list_plugins(json: options.JsonPath = None) -> None:
 
 
 @app.command()
-def info(
-    name: str = argument(
-        ...,
-        "Name of a plugin.",
-    ),
-    json: options.JsonPath = None,
-) -> None:
+def info(name: str = argument(..., "Name of a plugin."), json: options.JsonPath = None) -> None:
     """Show documentation and parameters of a plugin.
 
     Robots are shown with their joints, tasks with their sub-goals.
@@ -97,10 +91,7 @@ def new(
 
 @app.command()
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
-    name: str = argument(
-        ...,
-        "Name of a motion generator or policy, or module:Class of a policy.",
-    ),
+    name: str = argument(..., "Name of a motion generator or policy, or module:Class of a policy."),
     overrides: options.Overrides = None,
     duration: float = option(120.0, "Seconds within which motions arrive.", min=0.1),
     dt: float = option(0.1, "Seconds of a step.", min=0.001),
@@ -244,9 +235,8 @@ def _robot_facts(name: str) -> dict[str, Any]:
         "name", "urdf_path", "base", "arm", "ee_frame", "tool_tip", "reach",
         "pose_tolerance", "gripper", "home",
     )  # fmt: skip
-    facts: dict[str, Any] = to_jsonable_python(
+    return to_jsonable_python(
         {key: getattr(robot, key) for key in keys},
         inf_nan_mode="null",
         fallback=lambda array: array.tolist(),
     )
-    return facts

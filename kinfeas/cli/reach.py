@@ -11,9 +11,7 @@ from kinfeas.core.errors import KinfeasError
 
 Pose = tuple[float, float, float, float, float, float]
 Planar = tuple[float, float, float]
-_COLUMNS = [
-    " x, m", " y, m", " yaw, rad", " margin", " joints", " manip.", " clear, m",
-]  # fmt: skip
+_COLUMNS = [" x, m", " y, m", " yaw, rad", " margin", " joints", " manip.", " clear, m"]
 START = "Base pose now: m, m, rad."
 
 

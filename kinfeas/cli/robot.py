@@ -10,13 +10,7 @@ import typer
 from kinfeas.api import counter
 from kinfeas.cli import options
 from kinfeas.cli.options import argument, option
-from kinfeas.cli.output import (
-    check_file_path,
-    print_facts,
-    progress,
-    write_drawing,
-    write_json,
-)
+from kinfeas.cli.output import check_file_path, print_facts, progress, write_drawing, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -64,11 +58,11 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         if path.exists():
             raise KinfeasError(f"{path}: exists; choose another --out")
     replacements = dict(_replacement(text) for text in mesh_path or ())
-    given = dict(_argument(text) for text in arguments or ())
+    xacro_arguments = dict(_argument(text) for text in arguments or ())
     with progress() as on_progress:
         draft = draft_robot(
             file, called, ee, base, drive, counter(on_progress, f"reading {file.name}"),
-            meshes=not no_meshes, mesh_paths=replacements, arguments=given,
+            meshes=not no_meshes, mesh_paths=replacements, arguments=xacro_arguments,
         )  # fmt: skip
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)

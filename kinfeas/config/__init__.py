@@ -80,8 +80,7 @@ def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None
         KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.
     """
     changes = nested(settings)
-    config: T = _validated(cls, merged(data, changes), source, changes=changes)
-    return config
+    return _validated(cls, merged(data, changes), source, changes=changes)
 
 
 def convert(kind: Any, value: object, source: str, key: str) -> Any:
@@ -114,18 +113,14 @@ def dump(config: object, path: Path) -> None:
 def nested(*sources: Settings | None) -> dict[str, Any]:
     """Return settings as nested mappings; the later one of two values of a key counts."""
     data: dict[str, Any] = {}
-    for settings in sources:
-        if not isinstance(settings or {}, Mapping) or not all(map(_is_text, settings or {})):
+    for settings in filter(None, sources):
+        if not isinstance(settings, Mapping) or not all(isinstance(key, str) for key in settings):
             raise KinfeasError(f"settings must be values by key, not {reprlib.repr(settings)}")
-        for path, value in (settings or {}).items():
+        for path, value in settings.items():
             for key in reversed(path.split(".")):
                 value = {key: value}
             data = merged(data, value)
     return data
-
-
-def _is_text(key: object) -> bool:
-    return isinstance(key, str)
 
 
 def merged(data: Any, changes: Any) -> Any:
@@ -163,9 +158,8 @@ def index_in(entries: Sequence[object], key: object, source: str) -> int:
 
 def to_options(settings: Settings) -> list[str]:
     """Return the words of a command line that make these settings."""
-    return [
-        word for key, value in settings.items() for word in ("--set", f"{key}={json.dumps(value)}")
-    ]
+    pairs = [("--set", f"{key}={json.dumps(value)}") for key, value in settings.items()]
+    return [word for pair in pairs for word in pair]
 
 
 @cache

@@ -63,8 +63,8 @@ def read_recipe(
     try:
         path = find_recipe(name, ".", within)
     except KinfeasError:
-        known = no_such(name, [*trainings, *recipes("paper")])
-        raise KinfeasError(f"unknown recipe {name!r}{known}, or a YAML file") from None
+        hint = no_such(name, [*trainings, *recipes("paper")])
+        raise KinfeasError(f"unknown recipe {name!r}{hint}, or a YAML file") from None
     data = strict_yaml.read(path)
     if (extended := data.pop("extends", None)) is None:
         return data, None

@@ -60,9 +60,7 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
     }  # fmt: skip
 
     def build(name: str, parameters: Mapping[str, object] | None = None) -> CommandFilter:
-        part: CommandFilter
-        part = registry.build_with("kinfeas.filters", name, parameters or {}, offered)
-        return part
+        return registry.build_with("kinfeas.filters", name, parameters or {}, offered)
 
     built = [
         build(each.name, each.parameters) if isinstance(each, PluginSpec) else each

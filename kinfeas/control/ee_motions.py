@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.control.execution import SubgoalMotion
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
 from kinfeas.core.spatial import Array
@@ -23,19 +24,33 @@ class Motions(NamedTuple):
 
 
 class EeMotions:
-    """n motions, each made by the generator whose number is in `which`, shape (n,).
+    """n motions, each made by the generator of its sub-goal.
 
     Arrays are replaced, never written into, since others may hold them.
+
+    Attributes:
+        generators: Generators of the sub-goals, each once.
+        states: Their states.
+        which: Numbers of the generators that make the motions, shape (n,).
     """
 
-    def __init__(self, generators: Sequence[CheckedMotion]) -> None:
-        self.generators = tuple(generators)
-        self.states: list[State] = [{} for _ in generators]
-        self.which: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+    def __init__(self, subgoals: Sequence[SubgoalMotion]) -> None:
+        distinct = {
+            id(subgoal.generator): CheckedMotion(subgoal.generator, subgoal.name)
+            for subgoal in subgoals
+        }
+        self.generators, order = tuple(distinct.values()), list(distinct)
+        self._of_subgoal = np.array([order.index(id(subgoal.generator)) for subgoal in subgoals])
+        self.clear(np.empty(0, dtype=np.intp))
 
-    def clear(self, which: NDArray[np.intp]) -> None:
-        """Forget the states; let the generators of these numbers, shape (n,), make the motions."""
-        self.states, self.which = [{} for _ in self.generators], which
+    def clear(self, subgoal: NDArray[np.intp]) -> None:
+        """Forget the states; begin motions of sub-goals of these numbers, shape (n,)."""
+        self.states: list[State] = [{} for _ in self.generators]
+        self.assign(subgoal)
+
+    def assign(self, subgoal: NDArray[np.intp]) -> None:
+        """Let the generators of sub-goals, shape (n,), make the motions from now on."""
+        self.which: NDArray[np.intp] = self._of_subgoal[subgoal]
 
     def of(self, rows: Rows | None = None) -> list[Motions]:
         """Return the motions in some ascending rows, all by default, by their generators."""
@@ -97,9 +112,9 @@ class EeMotions:
             for key, values in state.items()
         }
 
-    def restore(self, snapshot: Mapping[str, NDArray[Any]], which: NDArray[np.intp]) -> None:
+    def restore(self, snapshot: Mapping[str, NDArray[Any]], subgoal: NDArray[np.intp]) -> None:
         """Continue from states that `snapshot` returned."""
-        self.clear(which)
+        self.clear(subgoal)
         for name, values in snapshot.items():
             if name.startswith(_STATES):
                 number, _, key = name.removeprefix(_STATES).partition(".")

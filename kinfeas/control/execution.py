@@ -31,24 +31,20 @@ class SubgoalMotion:
 
 @dataclass(frozen=True)
 class ExecutionConfig:
-    """Execution of motions by robots with inertia.
+    """Execution of motions by robots with inertia."""
 
-    Attributes:
-        time_scale: Speed of the EE motion as a fraction of the planned one; dwells keep their time.
-        head_start: Seconds that the EE rests at first while the base moves already.
-        grasp_settle_time: Motion seconds for which a sub-goal with a grip continues after the
-            arrival, to bring the EE within `GRASP_METRES` of its end.
-        head_start_jitter: Upper bound of the seconds by which each episode's head start is longer.
-        response: Response of the robots to commands; by default as their backend states it.
-        arm_settle_timeout: Longest pause of motion and base, in seconds, while the arm moves to
-            another configuration that is further away than 0.15 s at full joint velocity.
-    """
-
+    # speed of the EE motion as a fraction of the planned one; dwells keep their time
     time_scale: TimeScale = 1.0
-    head_start: Seconds = 0.0
+    head_start: Seconds = 0.0  # seconds that the EE rests at first while the base moves already
+    # motion seconds for which a sub-goal with a grip continues after the arrival, to bring the EE
+    # within `GRASP_METRES` of its end
     grasp_settle_time: Seconds = 0.0
+    # upper bound of the seconds by which each episode's head start is longer
     head_start_jitter: Seconds = 0.0
+    # longest pause of motion and base, in seconds, while the arm moves to another configuration
+    # that is further away than 0.15 s at full joint velocity
     arm_settle_timeout: Seconds = 0.0
+    # response of the robots to commands; by default as their backend states it
     response: ResponseModel | None = None
 
 

@@ -20,7 +20,7 @@ from kinfeas.core.backend import Backend, Resumable, RobotState
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
-from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.motion import Rngs, Rows, with_rows
 from kinfeas.core.policy import Observation, Policy
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
@@ -93,7 +93,7 @@ class Loop:
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
         self.execution, self.robot, self._build_filter = execution, solver.robot, build_filter
         self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
-        self._given = tuple(filters)
+        self._loop_filters = tuple(filters)
         self._use_filters(filters)
         self.policy: Policy | None = None
         self._policy_note = plugin_note("policy")
@@ -117,12 +117,10 @@ class Loop:
         self._policy_note = plugin_note(f"policy {type(policy).__name__}")
         names = getattr(policy, "filters", ()) if self.stream is None else ()
         own = [self._build_filter(name) for name in names]
-        kinds = [type(command_filter) for command_filter in self._given]
-        self._use_filters((*(each for each in own if type(each) not in kinds), *self._given))
+        kinds = [type(command_filter) for command_filter in self._loop_filters]
+        self._use_filters((*(each for each in own if type(each) not in kinds), *self._loop_filters))
 
-    def start(
-        self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
-    ) -> None:
+    def start(self, start: Start, rngs: Rngs, rows: Rows | None = None) -> None:
         """Begin new episodes.
 
         Args:
@@ -289,24 +287,21 @@ class Loop:
         robots, step = self.robots, self.sequence.next_step
         paused = self._arm.pauses(robots.joint_positions)
         period = Period(
-            command=self.action,
-            base_pose=robots.base_pose,
-            joints=self._arm.joint_command,
-            desired=self.sequence.arm_target(step, paused),
-            solids=self.surroundings.after(self.dt),
-            posture_guide=self.sequence.planned_joints,
-            step=step,
-            time_scale=np.ones(len(self.action)),
-            motions=self.sequence,
-            paused=paused,
+            command=self.action, base_pose=robots.base_pose, joints=self._arm.joint_command,
+            desired=self.sequence.arm_target(step, paused), solids=self.surroundings.after(self.dt),
+            posture_guide=self.sequence.planned[1], step=step,
+            time_scale=np.ones(len(self.action)), motions=self.sequence, paused=paused,
             motion=None if self._predictor is None else self._predictor.motion,
-        )
+        )  # fmt: skip
         return period.commanded(period.command)
 
     def _outcome(
-        self, period: Period, move: Move, joints_before: Array
+        self, period: Period, move: Move, before: Array
     ) -> tuple[Outcome, NDArray[np.bool_]]:
-        """Return the result of a period, and which EEs are at the end of their sub-goal, (n,)."""
+        """Return the result of a period, and which EEs are at the end of their sub-goal, (n,).
+
+        `before` are the joint commands of the period before, shape (n, j).
+        """
         sequence, arm = self.sequence, move.arm
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         near = (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
@@ -314,20 +309,15 @@ class Loop:
         deviation, localised = self._deviation(self.true_state[1]), self._localised_ee
         outcome = Outcome(
             feasible=arm.feasible,
-            position_error=arm.position_error,
-            rotation_error=arm.rotation_error,
+            position_error=arm.position_error, rotation_error=arm.rotation_error,
             deviation=deviation,
             tracking_error=deviation if localised is None else self._deviation(localised),
-            subgoal=sequence.subgoal,
-            goal_distance=goal_distance,
-            goal_angle=goal_angle,
+            subgoal=sequence.subgoal, goal_distance=goal_distance, goal_angle=goal_angle,
             finished=arrived & sequence.last,
-            joint_jump=exceeds_joint_velocity(
-                self.robot, joints_before, arm.joint_positions, self.dt
-            ),
+            joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
             time_scale=period.time_scale,
             collision=self.surroundings.collisions(self.robots) if self.finds_collisions else None,
-        )
+        )  # fmt: skip
         return outcome, arrived
 
     def _deviation(self, ee_pose: Array) -> Array:

@@ -170,9 +170,9 @@ def check_terms(names: object, where: str) -> tuple[str, ...]:
     Raises:
         KinfeasError: If they are no list, or a term is unknown or there twice.
     """
-    known = ", ".join(TERMS)
+    terms = ", ".join(TERMS)
     if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
         raise KinfeasError(f"{where} must be a list of names, not {reprlib.repr(names)}")
     if not names or not set(names) <= TERMS.keys() or len(set(names)) < len(names):
-        raise KinfeasError(f"{where} must have some of {known}, each once, not {list(names)}")
+        raise KinfeasError(f"{where} must have some of {terms}, each once, not {list(names)}")
     return tuple(names)

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from kinfeas.control.filters.half_spaces import VelocityConstraints
 from kinfeas.control.response import BaseResponse
-from kinfeas.control.sequence import MotionSequence, MotionStep
+from kinfeas.control.sequence import MotionSequence
+from kinfeas.control.subgoal_motions import MotionStep
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.solids import Solids
@@ -105,7 +106,6 @@ class CommandFilter(Protocol):
 
     def __call__(self, period: Period) -> Period:
         """Return the changed period."""
-        ...
 
 
 class KinematicStep:

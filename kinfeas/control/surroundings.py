@@ -22,14 +22,14 @@ class Surroundings:
 
     def __init__(self, backend: Backend, shapes: CollisionModel) -> None:
         self._backend, self._shapes = backend, shapes
-        self._known = MovingSolids() if backend.real_time and backend.solids is None else None
-        self._solids = backend.solids or self._known
+        self._assumed = MovingSolids() if backend.real_time and backend.solids is None else None
+        self._solids = backend.solids or self._assumed
         self._note = plugin_note(f"backend {backend.name}")
 
     def place(self, solids: Solids | None, rows: Rows) -> None:
         """Put solids around the robots of some rows, None for none."""
-        if self._known is not None:
-            self._known.place(solids, rows, len(rows))
+        if self._assumed is not None:
+            self._assumed.place(solids, rows, len(rows))
         else:
             self._backend.place_solids(solids, rows)
 

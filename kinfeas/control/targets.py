@@ -32,51 +32,39 @@ class TargetStream(Protocol):
 
     def start(self, desired: Array, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
         """Begin new motions in m `rows`; the desired poses are those of all n, shape (n, 7)."""
-        ...
 
     def targets(self, progress: Progress) -> Array:
         """Begin the next period of some rows; return the targets of all rows in it, (n, 7)."""
-        ...
 
     @property
     def speed(self) -> Array:
         """Asked speed of the EE in the next period, shape (n,), m/s."""
-        ...
 
     @property
     def live(self) -> NDArray[np.bool_]:
         """Whether each target moves by a message that is not too old, shape (n,)."""
-        ...
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
-        ...
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
-        ...
 
 
 @dataclass(frozen=True)
 class TargetRules:
-    """Limits of targets, and rules for their messages.
+    """Limits of targets, and rules for their messages."""
 
-    Attributes:
-        timeout: Age of a message, or of the last pose of a chunk, from which on it is ignored. The
-            EE comes to rest if no newer one arrives, seconds.
-        max_jump: Distance from the current target to a pose beyond which it is ignored, metres;
-            unless it is as near to the pose of the last message, which the EE may lag behind.
-        max_turn: The same angle, radians.
-        max_velocity: Limit of the target's velocity, m/s.
-        max_angular_velocity: The same, rad/s.
-        heights: Lowest and highest target, metres; a target beyond only moves back.
-    """
-
+    # age of a message, or of the last pose of a chunk, from which on it is ignored. The EE comes to
+    # rest if no newer one arrives, seconds
     timeout: PositiveSeconds = 0.1
+    # distance from the current target to a pose beyond which it is ignored, metres; unless it is as
+    # near to the pose of the last message, which the EE may lag behind
     max_jump: Positive = 0.5
-    max_turn: Positive = 1.6
-    max_velocity: Positive = 0.2
-    max_angular_velocity: Positive = 0.5
+    max_turn: Positive = 1.6  # the same angle, radians
+    max_velocity: Positive = 0.2  # limit of the target's velocity, m/s
+    max_angular_velocity: Positive = 0.5  # the same, rad/s
+    # lowest and highest target, metres; a target beyond only moves back
     heights: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -230,9 +218,7 @@ class TargetInbox:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
-        return {
-            k: values.copy() for k, values in vars(self).items() if isinstance(values, np.ndarray)
-        }
+        return {k: x.copy() for k, x in vars(self).items() if isinstance(x, np.ndarray)}
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
@@ -240,8 +226,7 @@ class TargetInbox:
 
     def _near(self, pose: Array, other: Array) -> NDArray[np.bool_]:
         metres, radians = spatial.distance(pose, other)
-        near: NDArray[np.bool_] = (metres <= self.rules.max_jump) & (radians <= self.rules.max_turn)
-        return near
+        return (metres <= self.rules.max_jump) & (radians <= self.rules.max_turn)
 
     def _admitted(
         self,
@@ -268,8 +253,7 @@ class TargetInbox:
         rules = self.rules
         linear = np.linalg.norm(twist[:, :3], axis=1) / rules.max_velocity
         angular = np.linalg.norm(twist[:, 3:], axis=1) / rules.max_angular_velocity
-        slowing: Array = 1.0 / np.maximum(1.0, np.maximum(linear, angular))
-        return slowing
+        return 1.0 / np.maximum(1.0, np.maximum(linear, angular))
 
 
 def _numbers(values: Array) -> NDArray[np.bool_]:

@@ -60,23 +60,19 @@ class WholeBodyMotions:
         return spatial.planar_pose(*robot[:, 0, :3].T), robot[:, 1, 3:]
 
     def follow(
-        self,
-        motions: Motions,
-        poses: tuple[Array, Array],
-        ends: tuple[Array, Array],
-        solids: Solids,
+        self, group: Motions, poses: tuple[Array, Array], ends: tuple[Array, Array], solids: Solids
     ) -> State:
         """Plan paths where there are none or they are not free any more; return the next state.
 
         Args:
-            motions: The motions of r rows.
+            group: The motions of r rows.
             poses: World poses of the frames that they move, and of their targets, shapes (r, 7).
             ends: World poses of the EE at their ends, and poses of the frames in that of the EE,
                 shapes (r, 7).
             solids: Solids around each of the r rows.
         """
-        _, generator, rows, state = motions
-        paths = self._paths(motions, ends, solids)
+        _, generator, rows, state = group
+        paths = self._paths(group, ends, solids)
         if not paths:
             return state
         new = np.array(list(paths))

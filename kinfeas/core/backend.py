@@ -120,14 +120,10 @@ class Contacts:
 
     A contact is a triple: link of the robot, other body and link of that body, by the numbers of
     the backend.
-
-    Attributes:
-        base: Contacts of links that the arm does not carry.
-        arm: Contacts of the links of arm and hand.
     """
 
-    base: frozenset[tuple[int, int, int]]
-    arm: frozenset[tuple[int, int, int]]
+    base: frozenset[tuple[int, int, int]]  # contacts of links that the arm does not carry
+    arm: frozenset[tuple[int, int, int]]  # contacts of the links of arm and hand
 
 
 @dataclass(frozen=True)
@@ -150,7 +146,6 @@ class Gripper(Protocol):
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Begin to close or to open the grippers of the m robots `env_ids`."""
-        ...
 
 
 class Scanner(Protocol):
@@ -158,7 +153,6 @@ class Scanner(Protocol):
 
     def scan(self) -> Scan:
         """Return the newest ranges around the bases."""
-        ...
 
 
 class ObstacleSensor(Protocol):
@@ -166,7 +160,6 @@ class ObstacleSensor(Protocol):
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return obstacles closer than `within` metres to the bases, without grasped objects."""
-        ...
 
 
 class ContactSensor(Protocol):
@@ -174,7 +167,6 @@ class ContactSensor(Protocol):
 
     def touching(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
-        ...
 
 
 class Dynamics(Protocol):
@@ -187,7 +179,6 @@ class Dynamics(Protocol):
 
         Earlier factors of the m robots `env_ids` no longer apply. Motors keep their largest forces.
         """
-        ...
 
 
 class Resumable(Protocol):
@@ -195,11 +186,9 @@ class Resumable(Protocol):
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all n robots by name."""
-        ...
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Restore the state of a snapshot and return the measured state."""
-        ...
 
 
 class Staging(Protocol):
@@ -207,7 +196,6 @@ class Staging(Protocol):
 
     def stage(self, task: Any) -> Any:
         """Return a `kinfeas.tasks.task.Task` that also places its objects in the simulator."""
-        ...
 
 
 class Backend(ABC):
@@ -321,10 +309,7 @@ class RealTimeBackend(Backend):
         return None
 
 
-ABILITIES = (
-    "gripper", "scanner", "obstacles", "solids", "contacts", "dynamics", "resumable",
-    "staging", "real_time", "max_batch", "response",
-)  # fmt: skip
+ABILITIES = tuple(Backend.__annotations__)
 """Names of the abilities of a backend, and of what it says of itself."""
 
 

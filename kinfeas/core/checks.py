@@ -16,7 +16,9 @@ from kinfeas.core.motion import (
     FollowsWholeBodyPath,
     LooksAhead,
     MotionGenerator,
+    Rngs,
     State,
+    TwistAndState,
     WholeBodyPath,
 )
 from kinfeas.core.solids import Solids
@@ -92,7 +94,6 @@ class CheckedMotion:
     be exchanged. Exceptions of the generator get a note with its `name`, by default its class.
 
     Attributes:
-        demonstrated: Whether the generator has demonstrated base poses.
         avoids_solids: Whether it plans around solids.
         follows_whole_body: Whether it follows motions that are planned for base and arm.
 
@@ -109,16 +110,13 @@ class CheckedMotion:
         self._ahead = generator.ahead if isinstance(generator, LooksAhead) else None
         self._base_pose = generator.base_pose if isinstance(generator, Demonstrated) else None
         self._follower = generator if isinstance(generator, FollowsWholeBodyPath) else None
-        self.demonstrated = self._base_pose is not None
         self.avoids_solids = isinstance(generator, AvoidsSolids)
         self.follows_whole_body = self._follower is not None
         self.subject = f"motion generator {name or type(generator).__name__}"
         self._every_step, self._checked = every_step, set[str]()
         self._layout: Layout | None = None
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the state of n motions, shapes (n, 7), (n, 7), n; there is at least one."""
         with plugin_note(self.subject):
             state = self.generator.start(ee_pose, target_pose, rngs)
@@ -147,9 +145,7 @@ class CheckedMotion:
             raise self.error(f"must return booleans of shape ({n},) from finished")
         return finished
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         with plugin_note(self.subject):
             answer = self.generator.twist(state, ee_pose, target_pose, dt)
@@ -183,11 +179,7 @@ class CheckedMotion:
         return state
 
     def follow(
-        self,
-        state: State,
-        ee_pose: Array,
-        target_pose: Array,
-        paths: Sequence[WholeBodyPath],
+        self, state: State, ee_pose: Array, target_pose: Array, paths: Sequence[WholeBodyPath]
     ) -> tuple[State, Array]:
         """Return the state of motions along paths, and their waypoints, (n, 64, 3 + j)."""
         assert self._follower is not None

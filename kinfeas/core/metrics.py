@@ -18,47 +18,28 @@ WITHIN = 0.05
 
 @dataclass(frozen=True)
 class EpisodeRecords:
-    """Records of n episodes.
+    """Records of n episodes; values are None where the backend does not measure them."""
 
-    Attributes:
-        reached: Whether the goal, the end of the last sub-goal, was reached, shape (n,).
-        failures: Steps without an IK solution, shape (n,).
-        max_deviation: Largest distance of the EE from the desired position, metres, shape (n,).
-        mean_deviation: Mean of that distance over the episode, metres, shape (n,).
-        final_distance: Distance of the EE from the goal at the end, metres, shape (n,); infinite
-            if the last sub-goal did not begin.
-        joint_jumps: Steps in which a joint moved faster than its limit, shape (n,).
-        steps: Length of the episode, shape (n,).
-        task_done: Whether the objects meet the task's success condition, or the goal was reached if
-            the task has no objects, shape (n,); None if the backend does not measure it.
-        base_collisions: Collisions of the base, shape (n,); None likewise.
-        arm_collisions: Collisions of the arm, shape (n,); None likewise.
-        rms_deviation: Root mean square of the deviation, metres, shape (n,), where the target is a
-            stream.
-        path_length: Length of the EE's true path, metres, shape (n,), likewise.
-        target_path_length: Length of the stream's path, metres, shape (n,), likewise.
-        max_tracking_error: Largest distance in the frame of the robot's localisation, metres, shape
-            (n,); None if that has no errors.
-        mean_tracking_error: Mean of that distance, likewise.
-        response_sums: Sums for `lateness`, shape (n, 2); None for robots without delay.
-    """
-
-    reached: NDArray[np.bool_]
-    failures: NDArray[np.intp]
-    max_deviation: Array
-    mean_deviation: Array
+    reached: NDArray[np.bool_]  # whether the end of the last sub-goal was reached, shape (n,)
+    failures: NDArray[np.intp]  # steps without an IK solution, shape (n,)
+    max_deviation: Array  # largest distance of the EE from the desired position, metres, shape (n,)
+    mean_deviation: Array  # mean of that distance over the episode, metres, shape (n,)
+    # distance of the EE from the goal at the end, metres, (n,); inf before the last sub-goal
     final_distance: Array
-    joint_jumps: NDArray[np.intp]
-    steps: NDArray[np.intp]
+    joint_jumps: NDArray[np.intp]  # steps in which a joint moved faster than its limit, shape (n,)
+    steps: NDArray[np.intp]  # length of the episode, shape (n,)
+    # whether objects meet the task's condition, or without objects the goal was reached, shape (n,)
     task_done: NDArray[np.bool_] | None = None
-    base_collisions: NDArray[np.intp] | None = None
-    arm_collisions: NDArray[np.intp] | None = None
+    base_collisions: NDArray[np.intp] | None = None  # collisions of the base, shape (n,)
+    arm_collisions: NDArray[np.intp] | None = None  # collisions of the arm, shape (n,)
+    # of streams of targets alone: root mean square of the deviation, metres, shape (n,)
     rms_deviation: Array | None = None
-    path_length: Array | None = None
-    target_path_length: Array | None = None
+    path_length: Array | None = None  # length of the EE's true path, metres, shape (n,)
+    target_path_length: Array | None = None  # length of the stream's path, metres, shape (n,)
+    # largest and mean distance in the frame of the localisation, metres, (n,), if that has errors
     max_tracking_error: Array | None = None
     mean_tracking_error: Array | None = None
-    response_sums: Array | None = None
+    response_sums: Array | None = None  # sums for `lateness`, shape (n, 2), of robots with delay
 
     @property
     def success(self) -> NDArray[np.bool_]:

@@ -12,6 +12,8 @@ from kinfeas.core.spatial import Array
 
 State = dict[str, Array]
 Rows = NDArray[np.intp]  # indices along the leading axis
+Rngs = Sequence[np.random.Generator]  # one source of randomness for each motion
+TwistAndState = tuple[Array, State]  # world twists, shape (n, 6), and the state after them
 
 
 class MotionGenerator(Protocol):
@@ -24,9 +26,7 @@ class MotionGenerator(Protocol):
     parameters, and does not depend on the robot or the frame that it moves.
     """
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the state of n motions that begin at `ee_pose`, without shared memory.
 
         Args:
@@ -34,15 +34,11 @@ class MotionGenerator(Protocol):
             target_pose: Goal of the EE, or pose of the grasped object, shape (n, 7).
             rngs: One source of randomness for each motion, n of them.
         """
-        ...
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7), for current targets."""
-        ...
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
 
         Args:
@@ -51,7 +47,6 @@ class MotionGenerator(Protocol):
             target_pose: Current poses of the targets, shape (n, 7).
             dt: Duration of each motion's step in seconds, shape (n,).
         """
-        ...
 
 
 @runtime_checkable
@@ -63,13 +58,7 @@ class FollowsPath(Protocol):
     """
 
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
-        """Return whether the motions are at the end of their paths, shape (n,).
-
-        Args:
-            state: State of n motions.
-            target_pose: Current poses of the targets, shape (n, 7).
-        """
-        ...
+        """Return whether n motions are at the end of their paths, shape (n,); targets (n, 7)."""
 
 
 @runtime_checkable
@@ -81,7 +70,6 @@ class Demonstrated(Protocol):
 
         Rows without a demonstration are NaN.
         """
-        ...
 
 
 @runtime_checkable
@@ -91,15 +79,9 @@ class AvoidsSolids(Protocol):
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of n motions that avoid the solids as they stand now.
 
-        Called after `start` and, where solids move, about once a second.
-
-        Args:
-            state: State of n motions.
-            ee_pose: Current desired world pose, shape (n, 7).
-            target_pose: Current poses of the targets, shape (n, 7).
-            solids: Solids around each motion, n rows.
+        Called after `start` and, where solids move, about once a second. `solids` are those around
+        each motion, n rows; other arguments as in `MotionGenerator.twist`.
         """
-        ...
 
 
 WAYPOINTS = 64
@@ -108,18 +90,12 @@ WAYPOINTS = 64
 
 @dataclass(frozen=True)
 class WholeBodyPath:
-    """A motion of the whole robot.
+    """A motion of the whole robot."""
 
-    Attributes:
-        ee: World poses of the EE, shape (k, 7).
-        robot: x, y and unwrapped yaw of the base, then arm joints, shape (k, 3 + j), metres and
-            radians.
-        seconds: Shortest times that base and arm need from each to the next, shape (k - 1,).
-    """
-
-    ee: Array
+    ee: Array  # world poses of the EE, shape (k, 7)
+    # x, y and unwrapped yaw of the base, then arm joints, shape (k, 3 + j), metres and radians
     robot: Array
-    seconds: Array
+    seconds: Array  # shortest times that base and arm need from each to the next, shape (k - 1,)
 
 
 @runtime_checkable
@@ -127,24 +103,15 @@ class FollowsWholeBodyPath(Protocol):
     """A motion generator that follows motions which a planner finds for base and arm."""
 
     def follow(
-        self,
-        state: State,
-        ee_pose: Array,
-        target_pose: Array,
-        paths: Sequence[WholeBodyPath],
+        self, state: State, ee_pose: Array, target_pose: Array, paths: Sequence[WholeBodyPath]
     ) -> tuple[State, Array]:
         """Return the state of n motions along their paths.
 
         The second value has `WAYPOINTS` configurations of each path, shape (n, 64, 3 + j), for
         `robot_ahead`. Called before `replan` of `AvoidsSolids`, which leaves these motions alone.
-
-        Args:
-            state: State of n motions.
-            ee_pose: Current desired world pose, shape (n, 7).
-            target_pose: Current poses of the targets, shape (n, 7).
-            paths: A path for each motion, from about `ee_pose` to the target.
+        There is a path for each motion, from about `ee_pose` to the target; other arguments as in
+        `MotionGenerator.twist`.
         """
-        ...
 
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead on the paths, shape (n, s, 3 + j), or NaN.
@@ -154,7 +121,6 @@ class FollowsWholeBodyPath(Protocol):
             waypoints: From `follow`, shape (n, 64, 3 + j); NaN for motions without a path.
             seconds: From now on, shape (s,).
         """
-        ...
 
 
 @runtime_checkable
@@ -164,13 +130,9 @@ class LooksAhead(Protocol):
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses that lie ahead on the motions, at most their ends, shape (n, d, 7).
 
-        Args:
-            state: State of n motions.
-            ee_pose: Current desired world pose, shape (n, 7).
-            target_pose: Current poses of the targets, shape (n, 7).
-            distances: Lengths of the position's path from here, shape (d,), metres.
+        Distances are lengths of the position's path from here, shape (d,), metres; other arguments
+        as in `MotionGenerator.twist`.
         """
-        ...
 
 
 def with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:

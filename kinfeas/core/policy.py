@@ -41,23 +41,14 @@ class Observation:
 
 @dataclass(frozen=True)
 class TermInfo:
-    """Description of a term in a policy's file.
+    """Description of a term in a policy's file."""
 
-    Attributes:
-        name: Name of the term.
-        size: Count of numbers.
-        frame: Frame of the numbers; `joint` for joint positions.
-        unit: Their unit.
-        entries: Name of each number, for terms that are no vector.
-        scale: Value of each number at an action of 1.
-    """
-
-    name: str
-    size: int
-    frame: str
-    unit: str
-    entries: tuple[str, ...] = ()
-    scale: tuple[float, ...] = ()
+    name: str  # name of the term
+    size: int  # count of numbers
+    frame: str  # frame of the numbers; `joint` for joint positions
+    unit: str  # their unit
+    entries: tuple[str, ...] = ()  # name of each number, for terms that are no vector
+    scale: tuple[float, ...] = ()  # value of each number at an action of 1
 
 
 class Policy(Protocol):
@@ -71,4 +62,3 @@ class Policy(Protocol):
 
     def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        ...

@@ -62,21 +62,13 @@ class _RobotFolder(EntryPoint):
 
 @dataclass(frozen=True)
 class Plugin:
-    """An entry point and its distribution.
+    """An entry point and its distribution."""
 
-    Attributes:
-        group: Key of `GROUPS`.
-        name: Name of the entry.
-        distribution: Name of the distribution.
-        version: Version of the distribution.
-        target: Class or function, as `module:name`.
-    """
-
-    group: str
-    name: str
-    distribution: str
-    version: str
-    target: str = field(default="", compare=False)
+    group: str  # key of `GROUPS`
+    name: str  # name of the entry
+    distribution: str  # name of the distribution
+    version: str  # version of the distribution
+    target: str = field(default="", compare=False)  # class or function, as `module:name`
 
     def __str__(self) -> str:
         origin = f" ({self.distribution} {self.version})" if self.distribution != "?" else ""
@@ -128,27 +120,6 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
             lacks a method of its group.
     """
     entry = EntryPoint(name, name, group) if ":" in name else _find(group, name)
-    return _build(entry, parameters)
-
-
-def build_with(
-    group: str, name: str, parameters: Mapping[str, object], offered: Mapping[str, object]
-) -> Any:
-    """Return what `build` does, with those of the objects `offered` that the factory names.
-
-    Raises:
-        KinfeasError: Also if a parameter has the name of an object that is offered.
-    """
-    factory = load(group, name)
-    known = inspect.signature(factory).parameters if callable(factory) else {}
-    objects = {key: value for key, value in offered.items() if key in known}
-    for key in objects.keys() & parameters.keys():
-        raise KinfeasError(f"{GROUPS[group]} {name!r}: the run sets the parameter {key!r}")
-    return build(group, name, {**objects, **parameters})
-
-
-def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
-    group = entry.group
     factory, subject = _import(entry), str(_plugin(entry))
     if not callable(factory):
         raise KinfeasError(f"{subject} must be a class or function, not {type(factory).__name__}")
@@ -169,6 +140,22 @@ def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
             f"{subject} must return an object with {', '.join(lacks)}, not {type(built).__name__}"
         )
     return built
+
+
+def build_with(
+    group: str, name: str, parameters: Mapping[str, object], offered: Mapping[str, object]
+) -> Any:
+    """Return what `build` does, with those of the objects `offered` that the factory names.
+
+    Raises:
+        KinfeasError: Also if a parameter has the name of an object that is offered.
+    """
+    factory = load(group, name)
+    named = inspect.signature(factory).parameters if callable(factory) else {}
+    objects = {key: value for key, value in offered.items() if key in named}
+    for key in objects.keys() & parameters.keys():
+        raise KinfeasError(f"{GROUPS[group]} {name!r}: the run sets the parameter {key!r}")
+    return build(group, name, {**objects, **parameters})
 
 
 def from_anywhere(name_or_path: str) -> str:

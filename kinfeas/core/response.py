@@ -16,26 +16,17 @@ class ResponseModel:
 
     A command arrives after its latency, the base's velocity approaches it within the limits, and
     base and arm follow with a first-order lag.
-
-    Attributes:
-        command_latency: Seconds until a command takes effect.
-        sensor_latency: Age of a measurement, seconds, where it is not measured itself.
-        base_lag: Time constant of the base's velocity, seconds.
-        arm_lag: Time constant of the joint positions, seconds.
-        acceleration: Limit of the base's planar acceleration, m/s^2; None for none.
-        rotation_acceleration: The same of its rotation, rad/s^2.
-        jerk: Limit of the base's planar jerk, m/s^3; None for none.
-        rotation_jerk: The same of its rotation, rad/s^3.
     """
 
-    command_latency: Delay = 0.0
-    sensor_latency: Delay = 0.0
-    base_lag: Delay = 0.0
-    arm_lag: Delay = 0.0
+    command_latency: Delay = 0.0  # seconds until a command takes effect
+    sensor_latency: Delay = 0.0  # age of a measurement, seconds, where it is not measured itself
+    base_lag: Delay = 0.0  # time constant of the base's velocity, seconds
+    arm_lag: Delay = 0.0  # time constant of the joint positions, seconds
+    # limit of the base's planar acceleration, m/s^2; None for none
     acceleration: Positive | None = None
-    rotation_acceleration: Positive | None = None
-    jerk: Positive | None = None
-    rotation_jerk: Positive | None = None
+    rotation_acceleration: Positive | None = None  # the same of its rotation, rad/s^2
+    jerk: Positive | None = None  # limit of the base's planar jerk, m/s^3; None for none
+    rotation_jerk: Positive | None = None  # the same of its rotation, rad/s^3
 
     @property
     def immediate(self) -> bool:

@@ -2,14 +2,14 @@
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.motion import MotionGenerator, State
+from kinfeas.core.motion import MotionGenerator, Rngs, State, TwistAndState
 from kinfeas.core.spatial import Array
 
 Parameters = ParamSpec("Parameters")
@@ -26,17 +26,14 @@ class SingleMotion(Protocol):
         self, ee_pose: Array, target_pose: Array, rng: np.random.Generator
     ) -> Mapping[str, ArrayLike]:
         """Return the state of a motion that starts at `ee_pose`, shape (7,)."""
-        ...
 
     def goal_pose(self, state: dict[str, Any], target_pose: Array) -> Array:
         """Return the world pose at which the motion ends, shape (7,)."""
-        ...
 
     def twist(
         self, state: dict[str, Any], ee_pose: Array, target_pose: Array, dt: float
     ) -> tuple[Array, Mapping[str, ArrayLike]]:
         """Return the world twist for the next `dt` seconds, shape (6,), and the next state."""
-        ...
 
 
 def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, MotionGenerator]:
@@ -83,9 +80,7 @@ class RowByRow:
 
     single: SingleMotion
 
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
+    def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the state of n motions; shapes (n, 7), (n, 7), n. No motion has no keys."""
         rows = zip(ee_pose, target_pose, rngs, strict=True)
         states = [self.single.start(ee.copy(), target.copy(), rng) for ee, target, rng in rows]
@@ -95,9 +90,7 @@ class RowByRow:
         """Return the world poses at which the motions end, shape (n, 7)."""
         return _poses(self.single.goal_pose, state, target_pose)
 
-    def twist(
-        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
-    ) -> tuple[Array, State]:
+    def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist, shape (n, 6), and the next state."""
         rows = zip(ee_pose, target_pose, dt.tolist(), strict=True)
         twists, states = [], []

@@ -21,22 +21,15 @@ _SOLIDS = "solids."
 
 @dataclass(frozen=True)
 class Solids:
-    """Solids of n rows, k places each, any of which may be empty.
+    """Solids of n rows, k places each, any of which may be empty."""
 
-    Attributes:
-        pose: World x, y and yaw of each centre, shape (n, k, 3), metres and radians.
-        size: Half extents along the solid's own x and y (of a cylinder, its radius twice), lowest
-            and highest z, shape (n, k, 4), metres. A place with half extents of 0 is empty.
-        cylinder: Whether it is a cylinder instead of a box, shape (n, k).
-        velocity: World velocity at the start, shape (n, k, 2), m/s; 0 if it does not move.
-        span: Path length after which a moving solid turns back, shape (n, k), metres.
-    """
-
-    pose: Array
+    pose: Array  # world x, y and yaw of each centre, shape (n, k, 3), metres and radians
+    # half extents along its own x and y (of a cylinder, its radius twice), lowest and highest z,
+    # shape (n, k, 4), metres; a place with half extents of 0 is empty
     size: Array
-    cylinder: NDArray[np.bool_]
-    velocity: Array
-    span: Array
+    cylinder: NDArray[np.bool_]  # whether it is a cylinder instead of a box, shape (n, k)
+    velocity: Array  # world velocity at the start, shape (n, k, 2), m/s; 0 if it does not move
+    span: Array  # path length after which a moving solid turns back, shape (n, k), metres
 
     @staticmethod
     def empty(n: int, places: int = 0) -> "Solids":
@@ -62,9 +55,7 @@ class Solids:
 
         A line has the values of pose, size, cylinder (0 or 1), velocity and span.
         """
-        return np.column_stack(
-            [getattr(self, field.name)[0, self.filled[0]] for field in fields(self)]
-        )
+        return np.column_stack([values[0, self.filled[0]] for values in vars(self).values()])
 
     @property
     def places(self) -> int:
@@ -81,8 +72,7 @@ class Solids:
     @property
     def filled(self) -> NDArray[np.bool_]:
         """Whether a place holds a solid, shape (n, k)."""
-        filled: NDArray[np.bool_] = np.all(self.size[..., :2] > 0.0, axis=-1)
-        return filled
+        return np.all(self.size[..., :2] > 0.0, axis=-1)
 
     def of(self, rows: NDArray[np.intp]) -> "Solids":
         """Return the solids of some rows."""
@@ -145,8 +135,7 @@ class Solids:
         Args:
             points: Points of each row in the world, shape (n, m, 3), metres.
         """
-        planar, vertical = solid_kernels.gaps(points, self.pose, self.size, self.cylinder)
-        return planar, vertical
+        return solid_kernels.gaps(points, self.pose, self.size, self.cylinder)
 
     def swept(self, first: float, last: float) -> "Solids":
         """Return solids that fill the room of these between two times, seconds from now."""

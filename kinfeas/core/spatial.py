@@ -36,8 +36,7 @@ def rpy(pose: Array) -> Array:
     """Return roll, pitch and yaw about fixed axes, shape (..., 3), radians; any in gimbal lock."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of gimbal lock
-        angles: Array = rotation(pose).as_euler("xyz")
-    return angles
+        return rotation(pose).as_euler("xyz")
 
 
 def make_pose(position: Array, orientation: Rotation) -> Array:
@@ -78,14 +77,12 @@ def canonical(quaternion: Array) -> Array:
 
 def compose(parent: Array, child: Array) -> Array:
     """Return `child`, which is relative to `parent`, in the frame of `parent`; shapes (..., 7)."""
-    composed: Array = _call(pose_kernels.compose, parent, child)
-    return composed
+    return _call(pose_kernels.compose, parent, child)
 
 
 def relative(pose: Array, frame: Array) -> Array:
     """Return `pose` relative to `frame`; both of shape (..., 7), in the same frame."""
-    child: Array = _call(pose_kernels.relative, pose, frame)
-    return child
+    return _call(pose_kernels.relative, pose, frame)
 
 
 def integrate(pose: Array, twist: Array, dt: ArrayLike) -> Array:
@@ -96,8 +93,7 @@ def integrate(pose: Array, twist: Array, dt: ArrayLike) -> Array:
         twist: World-axes twist, shape (..., 6), m/s and rad/s.
         dt: Duration in seconds, shape (...) or one for all.
     """
-    reached: Array = _call(pose_kernels.integrate, pose, twist, dt, last=_TWIST)
-    return reached
+    return _call(pose_kernels.integrate, pose, twist, dt, last=_TWIST)
 
 
 def twist_between(start: Array, end: Array, dt: ArrayLike) -> Array:
@@ -106,8 +102,7 @@ def twist_between(start: Array, end: Array, dt: ArrayLike) -> Array:
     The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s; `dt` may have
     shape (...).
     """
-    twist: Array = _call(pose_kernels.twist_between, start, end, dt, pose_kernels.TWIST)
-    return twist
+    return _call(pose_kernels.twist_between, start, end, dt, pose_kernels.TWIST)
 
 
 def catch_up(pose: Array, target: Array, frame: Array, dt: float) -> tuple[Array, Array]:
@@ -121,34 +116,29 @@ def catch_up(pose: Array, target: Array, frame: Array, dt: float) -> tuple[Array
 
 def distance(a: Array, b: Array) -> tuple[Array, Array]:
     """Return the distance in metres and the angle in [0, pi] between poses; (..., 7) -> (...)."""
-    metres, radians = _call(pose_kernels.distance, a, b)
-    return metres, radians
+    return _call(pose_kernels.distance, a, b)
 
 
 def planar_pose(x: Array, y: Array, yaw: Array) -> Array:
     """Return poses on the floor: `x`, `y` in metres, `yaw` in radians, shape (...) -> (..., 7)."""
-    pose: Array = pose_kernels.planar_pose(x, y, yaw, IDENTITY)
-    return pose
+    return pose_kernels.planar_pose(x, y, yaw, IDENTITY)
 
 
 def planar_offset(pose: Array, frame: Array) -> Array:
     """Return x, y and yaw of poses on the floor in `frame`, (..., 7) -> (..., 3); 0 for NaN."""
-    offset: Array = _call(pose_kernels.planar_offset, pose, frame, pose_kernels.TWIST[:3])
-    return offset
+    return _call(pose_kernels.planar_offset, pose, frame, pose_kernels.TWIST[:3])
 
 
 def yaw(pose: Array) -> Array:
     """Return the heading of planar poses, shape (..., 7) -> (...), radians in (-pi, pi]."""
     if pose.shape[-1:] != _POSE:
         raise KinfeasError(f"the shape must be that of poses (..., 7), not {pose.shape}")
-    angle: Array = pose_kernels.yaw(pose)
-    return angle
+    return pose_kernels.yaw(pose)
 
 
 def wrap(angle: Array) -> Array:
     """Return `angle` in radians, wrapped to (-pi, pi]."""
-    wrapped: Array = pose_kernels.wrap(angle)
-    return wrapped
+    return pose_kernels.wrap(angle)
 
 
 def _call(

@@ -12,19 +12,12 @@ from kinfeas.core.spatial import Array
 
 @dataclass(frozen=True)
 class Start:
-    """Starts and targets of n episodes.
+    """Starts and targets of n episodes."""
 
-    Attributes:
-        base_pose: World pose of the base, shape (n, 7).
-        joint_positions: Arm joints, shape (n, j), radians or metres.
-        target_poses: World target pose of each sub-goal, shape (n, sub-goals, 7).
-        solids: Solids around the robots, n rows, a single row for starts without leading axes; None
-            for none.
-    """
-
-    base_pose: Array
-    joint_positions: Array
-    target_poses: Array
+    base_pose: Array  # world pose of the base, shape (n, 7)
+    joint_positions: Array  # arm joints, shape (n, j), radians or metres
+    target_poses: Array  # world target pose of each sub-goal, shape (n, sub-goals, 7)
+    # solids around the robots, n rows, or one for starts without leading axes; None for none
     solids: Solids | None = None
 
     def of(self, rows: NDArray[np.intp]) -> "Start":

@@ -12,35 +12,21 @@ from kinfeas.envs.world import Transition, World
 
 
 class End(NamedTuple):
-    """The end of an episode.
+    """The end of an episode."""
 
-    Attributes:
-        observation: Last observation, shape (d,).
-        truncated: Whether it ended by the time limit.
-        success: Whether the goal was reached without a failure.
-        failures: Steps without an IK solution.
-    """
-
-    observation: Array
-    truncated: bool
-    success: bool
-    failures: int
+    observation: Array  # last observation, shape (d,)
+    truncated: bool  # whether it ended by the time limit
+    success: bool  # whether the goal was reached without a failure
+    failures: int  # steps without an IK solution
 
 
 class BatchStep(NamedTuple):
-    """The result of a step of n episodes.
+    """The result of a step of n episodes."""
 
-    Attributes:
-        observation: Observations, shape (n, d); of the next episode where one has ended.
-        reward: Mean reward of the control periods of the action, shape (n,).
-        ends: Ends of episodes by row.
-        infos: Result of `step_info` before restarts; empty unless the batch has `infos`.
-    """
-
-    observation: Array
-    reward: Array
-    ends: dict[int, End]
-    infos: dict[str, NDArray[Any]]
+    observation: Array  # observations, shape (n, d); of the next episode where one has ended
+    reward: Array  # mean reward of the control periods of the action, shape (n,)
+    ends: dict[int, End]  # ends of episodes by row
+    infos: dict[str, NDArray[Any]]  # of `step_info` before restarts, if the batch has `infos`
 
 
 @dataclass
@@ -115,16 +101,11 @@ def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
     """
     outcome, failures = transition.outcome, world.failures.copy()
     info: dict[str, NDArray[Any]] = {
-        "subgoal": outcome.subgoal,
-        "feasible": outcome.feasible,
-        "failures": failures,
-        "deviation": outcome.deviation,
-        "goal_distance": outcome.goal_distance,
-        "goal_angle": outcome.goal_angle,
-        "joint_jump": outcome.joint_jump,
-        "reached": transition.reached,
-        "is_success": transition.reached & (failures == 0),
-    }
+        "subgoal": outcome.subgoal, "feasible": outcome.feasible, "failures": failures,
+        "deviation": outcome.deviation, "goal_distance": outcome.goal_distance,
+        "goal_angle": outcome.goal_angle, "joint_jump": outcome.joint_jump,
+        "reached": transition.reached, "is_success": transition.reached & (failures == 0),
+    }  # fmt: skip
     if (sensor := world.backend.contacts) is not None:
         contacts = [sensor.touching(row) for row in range(len(failures))]
         info["base_contacts"] = np.array([len(contact.base) for contact in contacts])

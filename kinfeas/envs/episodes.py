@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, join
@@ -96,14 +97,9 @@ def evaluate_episodes(
     rounds = math.ceil(len(episodes) / (processes * _BATCHES * _batch(world)))
     world.close()
     size = math.ceil(len(episodes) / (processes * rounds))
-    shares = [episodes[at : at + size] for at in range(0, len(episodes), size)]
-    parts = []
-    with worker_pool(min(processes, len(shares))) as pool:
-        for part in pool.map(partial(_run_part, build, policy), shares):
-            parts.append(part)
-            if on_done is not None:
-                on_done(len(part.reached))
-    return join(parts)
+    parts = math.ceil(len(episodes) / size)
+    with worker_pool(min(processes, parts)) as pool:
+        return join(_run_parts(pool, build, policy, episodes, size, on_done))
 
 
 def evaluate_within(  # noqa: PLR0913, PLR0917 - an evaluation and its limits
@@ -119,20 +115,14 @@ def evaluate_within(  # noqa: PLR0913, PLR0917 - an evaluation and its limits
 
     They run in rounds of a few episodes in each process of the pool; the first round always does.
     """
-    end, parts, at, size = time.monotonic() + seconds, list[EpisodeRecords](), 0, _ROUND * processes
-    while at < len(episodes):
+    end, records, size = time.monotonic() + seconds, list[EpisodeRecords](), _ROUND * processes
+    for at in range(0, len(episodes), size):
         begun = time.monotonic()
-        shares = [
-            episodes[i : i + _ROUND] for i in range(at, min(at + size, len(episodes)), _ROUND)
-        ]
-        for part in pool.map(partial(_run_part, build, policy), shares):
-            parts.append(part)
-            if on_done is not None:
-                on_done(len(part.reached))
-        at, now = at + size, time.monotonic()
+        records += _run_parts(pool, build, policy, episodes[at : at + size], _ROUND, on_done)
+        now = time.monotonic()
         if now + (now - begun) > end:
             break
-    return join(parts)
+    return join(records)
 
 
 @contextmanager
@@ -186,6 +176,24 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
+def _run_parts(
+    pool: Executor,
+    build: Callable[[], World],
+    policy: Policy,
+    episodes: range,
+    size: int,
+    on_done: OnDone | None,
+) -> list[EpisodeRecords]:
+    """Return the records of parts of `size` episodes, which the processes of a pool run."""
+    parts = [episodes[at : at + size] for at in range(0, len(episodes), size)]
+    records = []
+    for part in pool.map(partial(_run_part, build, policy), parts):
+        records.append(part)
+        if on_done is not None:
+            on_done(len(part.reached))
+    return records
+
+
 def _run_part(
     build: Callable[[], World],
     policy: Policy,
@@ -228,49 +236,43 @@ class _Tally:
         self.steps[episodes] += 1
         self.deviation_sum[episodes] += outcome.deviation[rows]
         self.tracking_sum[episodes] += outcome.tracking_error[rows]
-        self.tracking_max[episodes] = np.maximum(
-            self.tracking_max[episodes], outcome.tracking_error[rows]
-        )
+        np.maximum.at(self.tracking_max, episodes, outcome.tracking_error[rows])
         if (sums := self.world.loop.response_sums) is not None:
             self.response_sums[episodes] = sums[rows]
         if transition.path_length is not None and transition.planned_length is not None:
             self.deviation_squares[episodes] += outcome.deviation[rows] ** 2
             self.length[episodes] += transition.path_length[rows]
             self.planned_length[episodes] += transition.planned_length[rows]
-        self.deviation_max[episodes] = np.maximum(
-            self.deviation_max[episodes], outcome.deviation[rows]
-        )
+        np.maximum.at(self.deviation_max, episodes, outcome.deviation[rows])
         # An episode that never began the last sub-goal did not end near its goal. A stream has
         # no goal.
         stream = self.world.loop.stream is not None
         end = outcome.deviation if stream else outcome.goal_distance
         self.final[episodes] = np.where(outcome.subgoal == self.last, end, np.inf)[rows]
-        sensor = self.world.backend.contacts
-        if sensor is not None:
-            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
-                contacts = sensor.touching(row)
-                base = {body for _, body, _ in contacts.base}
-                # Geometry, which ends the episode, sees a touch just before the engine does.
-                if not base and outcome.collision is not None and outcome.collision[row, 0]:
-                    base = {-1}
-                self.base.add(episode, base)
-                self.arm.add(episode, {body for _, body, _ in contacts.arm})
-        elif outcome.collision is not None:
-            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
-                self.base.add(episode, {0} if outcome.collision[row, 0] else set())
-                self.arm.add(episode, {0} if outcome.collision[row, 1] else set())
-        self._add_tasks(transition, rows, episodes)
+        for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
+            self._add_collisions(outcome.collision, row, episode)
+            if transition.done[row]:
+                reached = bool(transition.reached[row])
+                self.task_done[episode] = self._task_done(row, reached=reached)
 
-    def _add_tasks(self, transition: Transition, rows: Rows, episodes: Rows) -> None:
-        task = self.world.task
-        if isinstance(task, ReportsTaskSuccess):
-            loop = self.world.loop
-            joints = (loop.robots.true_state or loop.robots).joint_positions
-            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
-                if transition.done[row]:
-                    reached = bool(transition.reached[row])
-                    done = task.task_done(row, joints, loop.dt, reached=reached)
-                    self.task_done[episode] = done
+    def _add_collisions(self, collision: NDArray[np.bool_] | None, row: int, episode: int) -> None:
+        base, arm = (False, False) if collision is None else collision[row].tolist()
+        if (sensor := self.world.backend.contacts) is not None:
+            contacts = sensor.touching(row)
+            bodies = {body for _, body, _ in contacts.base}
+            # Geometry, which ends the episode, sees a touch just before the engine does.
+            self.base.add(episode, bodies or ({-1} if base else set()))
+            self.arm.add(episode, {body for _, body, _ in contacts.arm})
+        elif collision is not None:
+            self.base.add(episode, {0} if base else set())
+            self.arm.add(episode, {0} if arm else set())
+
+    def _task_done(self, row: int, *, reached: bool) -> bool | None:
+        loop, task = self.world.loop, self.world.task
+        if not isinstance(task, ReportsTaskSuccess):
+            return None
+        joints = (loop.robots.true_state or loop.robots).joint_positions
+        return task.task_done(row, joints, loop.dt, reached=reached)
 
     def records(self) -> EpisodeRecords:
         loop, sensor = self.world.loop, self.world.backend.contacts

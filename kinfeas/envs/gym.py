@@ -226,11 +226,8 @@ def make_world(
 
 def observation_space(world: World) -> "spaces.Box[np.float32]":
     """Return the space of the observation of one robot, shape (21 + j,), metres and radians."""
-    bounds = {
-        "ee_position": _FARTHEST,
-        "planned_velocity": _FARTHEST / HORIZON,
-        "goal_position": _FARTHEST,
-    }
+    bounds = {"ee_position": _FARTHEST, "goal_position": _FARTHEST}
+    bounds["planned_velocity"] = _FARTHEST / HORIZON
     sizes = {name: TERMS[name].width(world.robot) for name in OBSERVATION}
     del sizes["joint_positions"]
     fields = np.concatenate([np.full(k, bounds.get(name, 1.0)) for name, k in sizes.items()])

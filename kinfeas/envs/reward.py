@@ -19,30 +19,25 @@ _BASE_METRES = 0.5
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the reward.
+    """Weights of the reward."""
 
-    Attributes:
-        failure: `indicator` costs 1 for each kinematic failure, as in the paper; `graded` costs
-            between 0.2 and 1, growing with the distance that IK could not close.
-        action_penalty: Factor lambda on the squared norm of the action.
-        jump_penalty: Cost of a step in which an arm joint has to move faster than it can.
-        limit_penalty: Cost of a joint at its limit, falling linearly to 0 at `limit_margin`.
-        limit_margin: Distance to the nearest joint limit, as a share of half the joint's range.
-        deviation_penalty: Cost of a step with the EE 5 cm or more from its desired position; less,
-            with the square of the distance, where it is nearer.
-        collision_penalty: Cost of a collision of the base with a solid, which ends the episode; of
-            the arm, a tenth of it.
-        base_penalty: Cost of a step with the base 0.5 m or more from the planned base, which is
-            ahead of it; less, with the square of the distance, where it is nearer.
-    """
-
+    # `indicator` costs 1 for each kinematic failure, as in the paper; `graded` costs between 0.2
+    # and 1, growing with the distance that IK could not close
     failure: Literal["indicator", "graded"] = "graded"
-    action_penalty: NotNegative = 0.001
+    action_penalty: NotNegative = 0.001  # factor lambda on the squared norm of the action
+    # cost of a step in which an arm joint has to move faster than it can
     jump_penalty: NotNegative = 0.1
+    # cost of a joint at its limit, falling linearly to 0 at `limit_margin`
     limit_penalty: NotNegative = 0.02
+    # distance to the nearest joint limit, as a share of half the joint's range
     limit_margin: PositiveShare = 0.2
+    # cost of a step with the EE 5 cm or more from its desired position; less, with the square of
+    # the distance, where it is nearer
     deviation_penalty: NotNegative = 0.0
+    # cost of a collision of the base with a solid, which ends the episode; of the arm a tenth
     collision_penalty: NotNegative = 10.0
+    # cost of a step with the base 0.5 m or more from the planned base, which is ahead of it; less,
+    # with the square of the distance, where it is nearer
     base_penalty: NotNegative = 0.0
 
 

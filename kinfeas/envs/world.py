@@ -35,29 +35,19 @@ from kinfeas.tasks.task import (
 
 @dataclass(frozen=True)
 class WorldConfig(ExecutionConfig):
-    """Settings of a world beside robot and task; see `ExecutionConfig` for those of motions.
+    """Settings of a world beside robot and task; see `ExecutionConfig` for those of motions."""
 
-    Attributes:
-        dt: Control period, seconds.
-        max_failures: Steps without an IK solution in one episode beyond which it ends.
-        max_seconds: Motion time of one sub-goal, its dwell included, after which an episode is
-            truncated.
-        adapters: Adapters around the backend, the first one innermost.
-        reward: Weights of the reward.
-        ik: Search effort of IK.
-        filters: Filters of the policy's commands, in this order.
-        backend: Entry point in the group kinfeas.backends.
-        backend_parameters: Keyword parameters of the backend.
-    """
-
-    dt: Annotated[float, Interval(ge=0.001, le=1.0)] = 0.1
+    dt: Annotated[float, Interval(ge=0.001, le=1.0)] = 0.1  # control period, seconds
+    # steps without an IK solution in one episode beyond which it ends
     max_failures: Annotated[int, Interval(ge=0)] = 19
+    # motion time of one sub-goal, its dwell included, after which an episode is truncated
     max_seconds: PositiveSeconds = 300.0
-    adapters: tuple[PluginSpec, ...] = ()
-    reward: RewardConfig = field(default_factory=RewardConfig)
-    ik: IkOptions = field(default_factory=IkOptions)
-    filters: tuple[PluginSpec, ...] = ()
-    backend: str = "analytic"
+    adapters: tuple[PluginSpec, ...] = ()  # adapters around the backend, the first one innermost
+    reward: RewardConfig = field(default_factory=RewardConfig)  # weights of the reward
+    ik: IkOptions = field(default_factory=IkOptions)  # search effort of IK
+    filters: tuple[PluginSpec, ...] = ()  # filters of the policy's commands, in this order
+    backend: str = "analytic"  # entry point in the group kinfeas.backends
+    # keyword parameters of the backend
     backend_parameters: dict[str, object] = field(default_factory=dict)
 
 
@@ -78,29 +68,18 @@ def evaluation_world(backend: str = "analytic", robot: str | Path | None = None)
 
 @dataclass(frozen=True)
 class Transition:
-    """The result of a step of n episodes, each of leading shape (n,).
+    """The result of a step of n episodes, each of leading shape (n,)."""
 
-    Attributes:
-        observation: Shape (n, d).
-        reward: Reward of the step.
-        terminated: Whether the episode ended by success, by too many failures, or by a collision
-            of the base with a solid.
-        truncated: Whether it ended by the time limit.
-        reached: Whether the end of the last sub-goal was reached on a feasible step, or that of a
-            stream of targets.
-        outcome: Result of the loop's step.
-        path_length: True path length of the EE in a stream of targets, metres.
-        planned_length: That which the stream asks for, metres.
-    """
-
-    observation: Array
-    reward: Array
+    observation: Array  # shape (n, d)
+    reward: Array  # reward of the step
+    # whether the episode ended by success, by too many failures, or by a collision of the base
     terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]  # whether it ended by the time limit
+    # whether the last sub-goal was reached on a feasible step, or the end of a stream of targets
     reached: NDArray[np.bool_]
-    outcome: Outcome
-    path_length: Array | None = None
-    planned_length: Array | None = None
+    outcome: Outcome  # result of the loop's step
+    path_length: Array | None = None  # true path length of the EE in a stream of targets, metres
+    planned_length: Array | None = None  # that which the stream asks for, metres
 
     @property
     def done(self) -> NDArray[np.bool_]:
@@ -138,15 +117,10 @@ class World:
             self.task = self.backend.staging.stage(task)
         self._staged = isinstance(self.task, StagedTask)
         self.loop = assemble(
-            self.solver,
-            build_subgoals(task.subgoals),
-            self.backend,
-            dt=config.dt,
-            execution=config,
-            adapters=config.adapters,
-            filters=config.filters,
+            self.solver, build_subgoals(task.subgoals), self.backend, dt=config.dt,
+            execution=config, adapters=config.adapters, filters=config.filters,
             stream=target_stream(task, self.solver),
-        )
+        )  # fmt: skip
         seconds = task.seconds if isinstance(task, StreamTask) else config.max_seconds
         time_scale = self.loop.execution.time_scale
         self._max_steps = max(1, round(seconds / time_scale / config.dt))
@@ -219,23 +193,13 @@ class World:
         if loop.stream is not None:
             path_length = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
             reached = truncated
+        joints, base_error = loop.robots.joint_positions, loop.observer.base_error
+        earned = reward(self.config.reward, self.robot, outcome, loop.action, joints, base_error)
         return Transition(
-            observation=loop.observation.values,
-            reward=reward(
-                self.config.reward,
-                self.robot,
-                outcome,
-                loop.action,
-                loop.robots.joint_positions,
-                loop.observer.base_error,
-            ),
-            terminated=terminated,
-            truncated=truncated,
-            reached=reached,
-            outcome=outcome,
-            path_length=path_length,
+            observation=loop.observation.values, reward=earned, terminated=terminated,
+            truncated=truncated, reached=reached, outcome=outcome, path_length=path_length,
             planned_length=planned_length,
-        )
+        )  # fmt: skip
 
     def close(self) -> None:
         """Close the backend; it may be called twice."""

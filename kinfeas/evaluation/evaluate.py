@@ -52,15 +52,10 @@ class EvalConfig:
 
 @dataclass(frozen=True)
 class EvalSettings:
-    """Settings of an evaluation, from YAML or the command line.
+    """Settings of an evaluation, from YAML or the command line."""
 
-    Attributes:
-        task: Parameters of the task.
-        world: Settings of the world.
-    """
-
-    task: dict[str, object] = field(default_factory=dict)
-    world: WorldConfig = field(default_factory=evaluation_world)
+    task: dict[str, object] = field(default_factory=dict)  # parameters of the task
+    world: WorldConfig = field(default_factory=evaluation_world)  # settings of the world
 
 
 def read_settings(
@@ -129,21 +124,15 @@ def evaluate(
     own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
     return {
-        "robot": config.robot.name,
-        "task": config.task.name,
-        "policy": name,
-        "seed": config.seed,
+        "robot": config.robot.name, "task": config.task.name, "policy": name, "seed": config.seed,
         "world": settings.backend,
-        "time_scale": execution.time_scale,
-        "head_start": execution.head_start,
+        "time_scale": execution.time_scale, "head_start": execution.head_start,
         "adapters": [adapter.name for adapter in settings.adapters],
         "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
         **summarize(records),
-        "ceiling": None,
-        "ceiling_low": None,
-        "ceiling_high": None,
-    }
+        "ceiling": None, "ceiling_low": None, "ceiling_high": None,
+    }  # fmt: skip
 
 
 def run(
@@ -158,11 +147,7 @@ def run(
 
 
 def _run(
-    config: EvalConfig,
-    policy: Policy,
-    processes: int,
-    on_done: OnDone | None,
-    watch: Watch | None,
+    config: EvalConfig, policy: Policy, processes: int, on_done: OnDone | None, watch: Watch | None
 ) -> tuple[EpisodeRecords, ExecutionConfig]:
     """Return the record of each episode, and the execution of motions within the adapters."""
     build = partial(World, config.robot, config.task, config.world, config.seed)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.control.execution import SubgoalMotion
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.sequence import MotionSequence, begin_motions, subgoal_ends
+from kinfeas.control.subgoal_motions import SubgoalMotions, begin_motions, subgoal_ends
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
@@ -125,13 +125,13 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
     begins.
     """
     subgoals, starts, rngs = _starts(solver, task, episodes, seed)
-    sequence = begin_motions(solver, subgoals, starts, rngs)
+    motions = begin_motions(solver, subgoals, starts, rngs)
     if starts.solids is not None:
-        sequence.avoid(starts.solids, None, (starts.base_pose, starts.joint_positions))
-    steps = list(_follow(sequence))
+        motions.avoid(starts.solids, None, (starts.base_pose, starts.joint_positions))
+    steps = list(_follow(motions))
     desired, subgoal = (np.stack(each, 1) for each in zip(*steps, strict=True))
     moments = [
-        np.concatenate([_spread(row, number) for number in range(len(sequence.subgoals))])
+        np.concatenate([_spread(row, number) for number in range(len(motions.subgoals))])
         for row in subgoal
     ]
     return np.take_along_axis(desired, np.stack(moments)[:, :, np.newaxis], axis=1)
@@ -146,22 +146,22 @@ def _starts(
     return build_subgoals(task.subgoals), stacked(starts), rngs
 
 
-def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]]:
+def _follow(motions: SubgoalMotions) -> Iterator[tuple[Array, NDArray[np.intp]]]:
     """Yield the desired poses after each period, shape (n, 7), and their sub-goals."""
-    left = np.full(len(sequence.subgoal), _MAX_PERIODS)
+    left = np.full(len(motions.subgoal), _MAX_PERIODS)
     finished = np.zeros(len(left), dtype=np.bool_)
     while not finished.all():
-        subgoal = sequence.subgoal
-        sequence.move(sequence.step_of(HORIZON))
-        yield sequence.desired, np.where(finished, -1, subgoal)
-        metres, radians = spatial.distance(sequence.desired, sequence.goal)
+        subgoal = motions.subgoal
+        motions.move(motions.step_of(HORIZON))
+        yield motions.desired, np.where(finished, -1, subgoal)
+        metres, radians = spatial.distance(motions.desired, motions.goal)
         left -= 1
         # A motion that does not arrive must not stop the others.
         near = (metres <= GOAL_METRES) & (radians <= GOAL_RADIANS)
-        ends = sequence.ended(near) | (left <= 0)
-        finished |= ends & sequence.last
+        ends = motions.ended(near) | (left <= 0)
+        finished |= ends & motions.last
         left[ends] = _MAX_PERIODS
-        sequence.begin_next(ends)
+        motions.begin_next(ends)
 
 
 def _spread(subgoal: NDArray[np.intp], number: int) -> NDArray[np.intp]:

@@ -19,35 +19,20 @@ from kinfeas.tasks.chain import ChainTask
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One episode of t - 1 steps: t moments with the start.
+    """One episode of t - 1 steps: t moments with the start."""
 
-    Attributes:
-        episode: Its number.
-        base_pose: World pose of the base, shape (t, 7), without sensor errors.
-        joint_positions: Arm joints, shape (t, j).
-        desired: Desired world pose of the EE, shape (t, 7).
-        ee_pose: Achieved world pose of the EE, shape (t, 7), without sensor errors.
-        feasible: Whether IK found the desired pose, shape (t,); True at the start.
-        goals: World poses of the EE at the ends of the started sub-goals, shape (sub-goals, 7).
-        reached: Whether the episode ended at the goal.
-        dt: Seconds between moments.
-        task_done: Whether the objects met the success condition; None without one.
-        solids: Solids at the start, one row; None without any.
-        scene: Furniture at the start; None without any, or if it is among the solids.
-    """
-
-    episode: int
-    base_pose: Array
-    joint_positions: Array
-    desired: Array
-    ee_pose: Array
-    feasible: NDArray[np.bool_]
-    goals: Array
-    reached: bool
-    dt: float
-    task_done: bool | None = None
-    solids: Solids | None = None
-    scene: Scene | None = None
+    episode: int  # its number
+    base_pose: Array  # world pose of the base, shape (t, 7), without sensor errors
+    joint_positions: Array  # arm joints, shape (t, j)
+    desired: Array  # desired world pose of the EE, shape (t, 7)
+    ee_pose: Array  # achieved world pose of the EE, shape (t, 7), without sensor errors
+    feasible: NDArray[np.bool_]  # whether IK found the desired pose, shape (t,); True at the start
+    goals: Array  # world poses of the EE at the ends of the started sub-goals, shape (sub-goals, 7)
+    reached: bool  # whether the episode ended at the goal
+    dt: float  # seconds between moments
+    task_done: bool | None = None  # whether the objects met the success condition; None without one
+    solids: Solids | None = None  # solids at the start, one row; None without any
+    scene: Scene | None = None  # furniture at the start, unless it is among the solids
 
     @property
     def goal(self) -> Array:

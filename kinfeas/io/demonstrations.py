@@ -20,19 +20,12 @@ _UNIT_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class Demonstration:
-    """Poses in the world at t times.
+    """Poses in the world at t times."""
 
-    Attributes:
-        time: Times in seconds, strictly ascending, shape (t,), t >= 2.
-        ee_pose: Poses of the demonstrating EE, shape (t, 7).
-        base_pose: Poses of its base, shape (t, 7); all NaN if it was not recorded.
-        object_pose: Poses of the grasped object, the frame of the learned motion, shape (t, 7).
-    """
-
-    time: Array
-    ee_pose: Array
-    base_pose: Array
-    object_pose: Array
+    time: Array  # times in seconds, strictly ascending, shape (t,), t >= 2
+    ee_pose: Array  # poses of the demonstrating EE, shape (t, 7)
+    base_pose: Array  # poses of its base, shape (t, 7); all NaN if it was not recorded
+    object_pose: Array  # poses of the grasped object, the frame of the learned motion, shape (t, 7)
 
     @property
     def has_base(self) -> bool:

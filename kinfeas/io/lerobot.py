@@ -56,9 +56,7 @@ def write_lerobot_dataset(
         "observation.environment_state": [f"{name}.pos" for name in columns("object_pose")],
         "action": EE,
     }
-    episodes = _numbered(
-        [_frames(demonstration, state, fps) for demonstration in demonstrations], fps
-    )
+    episodes = _numbered([_frames(motion, state, fps) for motion in demonstrations], fps)
     whole = {name: np.concatenate([episode[name] for episode in episodes]) for name in episodes[0]}
     about = {"robot_type": robot, "fps": fps, **_description(whole, names, len(episodes))}
     stats = {name: _statistics(values) for name, values in whole.items()}
@@ -98,7 +96,7 @@ def _frames(demonstration: Demonstration, state: list[str], fps: int) -> dict[st
 
 
 def _at(times: Array, sample_times: Array, poses: Array) -> Any:
-    """Return poses (m, 7) at `times`, interpolated between those (t, 7) at `known` times."""
+    """Return poses (m, 7) at `times`, interpolated between those, (t, 7), of samples."""
     poses_at = interpolated(np.clip(times, sample_times[0], sample_times[-1]), sample_times, poses)
     poses_at[:, 3:] = continuous(poses_at[:, 3:])
     return poses_at.astype(np.float32)

@@ -23,35 +23,21 @@ _METRICS = {"episodes", "success", "success_low", "success_high"}
 
 @dataclass(frozen=True, kw_only=True)
 class Trained:
-    """Metadata of a trained policy; unknown entries are absent from the file.
+    """Metadata of a trained policy; unknown entries are absent from the file."""
 
-    Attributes:
-        format: Version of the files.
-        robot: Name of the robot that it was trained for.
-        layers: Number of layers of its network.
-        observation: Observation terms in order.
-        action: Action terms in order.
-        kinematics: Hash of the robot's kinematics, from `robots.fingerprint`.
-        config: Configuration of the training.
-        steps: Environment steps of the training.
-        evaluation: Metrics of the evaluation that selected it, which are biased.
-        fresh_evaluation: Metrics of as many other episodes, after the training.
-        seed: Seed of the training, of shipped policies.
-        version: Version of kinfeas, of shipped policies.
-        command: Command of the training, of shipped policies.
-        benchmark: Metrics by task, of shipped policies.
-    """
-
-    format: Literal[1] = 1
-    robot: str
-    layers: Count
-    observation: tuple[TermInfo, ...]
-    action: tuple[TermInfo, ...]
-    kinematics: str | None = None
-    config: dict[str, object] = field(default_factory=dict)
-    steps: int | None = None
+    format: Literal[1] = 1  # version of the files
+    robot: str  # name of the robot that it was trained for
+    layers: Count  # number of layers of its network
+    observation: tuple[TermInfo, ...]  # observation terms in order
+    action: tuple[TermInfo, ...]  # action terms in order
+    kinematics: str | None = None  # hash of the robot's kinematics, from `robots.fingerprint`
+    config: dict[str, object] = field(default_factory=dict)  # configuration of the training
+    steps: int | None = None  # environment steps of the training
+    # metrics of the evaluation that selected it, which are biased
     evaluation: dict[str, Episodes | float] = field(default_factory=dict)
+    # metrics of as many other episodes, after the training
     fresh_evaluation: dict[str, Episodes | float] = field(default_factory=dict)
+    # of shipped policies: seed, version of kinfeas and command of the training; metrics by task
     seed: int | None = None
     version: str | None = None
     command: str | None = None

@@ -33,73 +33,45 @@ _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 @dataclass(frozen=True)
 class About:
-    """Header of a run log.
+    """Header of a run log."""
 
-    Attributes:
-        robot: Name of the robot, or the absolute path of its YAML.
-        task: Name of the task.
-        policy: Name of the policy.
-        backend: Name of the backend.
-        dt: Control period in seconds.
-        joints: Names of the arm joints, at least one.
-        started: Date and time of the start, with time zone.
-        scene: Scene of the task by name or absolute path; empty for the floor alone.
-        objects: World poses of the objects moved at the start of the episode, by name.
-        solids: Solids at the start, as in `Solids.table`.
-        seed: Seed of the run; None if unknown, as in old records.
-        adapters: Adapters around the backend, the first one innermost.
-        filters: Command filters in order.
-        generators: Motion generator of each sub-goal.
-        guards: Limits by name, as in `kinfeas.sim2real.deploy.config.Guards`; null for none.
-    """
-
-    robot: str
-    task: str
-    policy: str
-    backend: str
-    dt: Positive
-    joints: tuple[str, ...]
-    started: str
-    scene: str = ""
+    robot: str  # name of the robot, or the absolute path of its YAML
+    task: str  # name of the task
+    policy: str  # name of the policy
+    backend: str  # name of the backend
+    dt: Positive  # control period in seconds
+    joints: tuple[str, ...]  # names of the arm joints, at least one
+    started: str  # date and time of the start, with time zone
+    scene: str = ""  # scene of the task by name or absolute path; empty for the floor alone
+    # world poses of the objects moved at the start of the episode, by name
     objects: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    # solids at the start, as in `Solids.table`
     solids: tuple[Annotated[tuple[float, ...], Len(11, 11)], ...] = ()
-    seed: int | None = None
-    adapters: tuple[config.PluginSpec, ...] = ()
-    filters: tuple[config.PluginSpec, ...] = ()
-    generators: tuple[config.PluginSpec, ...] = ()
+    seed: int | None = None  # seed of the run; None if unknown, as in old records
+    adapters: tuple[config.PluginSpec, ...] = ()  # around the backend, the first one innermost
+    filters: tuple[config.PluginSpec, ...] = ()  # command filters in order
+    generators: tuple[config.PluginSpec, ...] = ()  # motion generator of each sub-goal
+    # limits by name, as in `kinfeas.sim2real.deploy.config.Guards`; null for none
     guards: dict[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A line of a run log: the command of a control period and the measurement after it.
+    """A line of a run log: the command of a control period and the measurement after it."""
 
-    Attributes:
-        time: Seconds since the start.
-        age: Age of the measurement in seconds; NaN if unknown.
-        base_pose: Measured world pose of the base, shape (7,).
-        joint_positions: Measured arm joints, shape (j,).
-        desired: Desired world pose of the EE, shape (7,).
-        goal: World pose of the EE at the end of the sub-goal, shape (7,).
-        base_twist: Commanded world twist, shape (6,), m/s and rad/s: as sent or, with adapters
-            in between, as given to the outermost one.
-        joint_targets: Commanded arm joints, shape (j,), likewise.
-        feasible: Whether IK found the desired pose.
-        subgoal: Number of the sub-goal.
-        event: Event of the period; empty if none.
-    """
-
-    time: float
-    age: float
-    base_pose: Array
-    joint_positions: Array
-    desired: Array
-    goal: Array
+    time: float  # seconds since the start
+    age: float  # age of the measurement in seconds; NaN if unknown
+    base_pose: Array  # measured world pose of the base, shape (7,)
+    joint_positions: Array  # measured arm joints, shape (j,)
+    desired: Array  # desired world pose of the EE, shape (7,)
+    goal: Array  # world pose of the EE at the end of the sub-goal, shape (7,)
+    # commanded world twist, (6,), m/s and rad/s, and arm joints, (j,): as sent or, with adapters in
+    # between, as given to the outermost one
     base_twist: Array
     joint_targets: Array
-    feasible: bool
-    subgoal: int
-    event: str = ""
+    feasible: bool  # whether IK found the desired pose
+    subgoal: int  # number of the sub-goal
+    event: str = ""  # event of the period; empty if none
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +94,7 @@ class Record:
     @property
     def later(self) -> NDArray[np.bool_]:
         """Whether each line is later than the line before: the last of a run may have its time."""
-        later: NDArray[np.bool_] = np.diff(self.time, prepend=-np.inf) > 0.0
-        return later
+        return np.diff(self.time, prepend=-np.inf) > 0.0
 
 
 class Recorder:

@@ -43,19 +43,11 @@ class Scratch(NamedTuple):
 def make_scratch(joints, variables):
     """Return scratch memory for a chain of `joints` joints and an arm of `variables` joints."""
     return Scratch(
-        make_frames(joints),
-        np.empty((variables, 6)),
-        np.empty((6, 6)),
-        np.empty(6),
-        np.empty(6),
-        np.empty(variables),
-        np.empty(variables),
-        np.zeros(variables),
-        np.empty(variables, dtype=np.intp),
-        np.empty(variables, dtype=np.bool_),
-        np.empty(variables),
-        np.empty(variables),
-    )
+        make_frames(joints), np.empty((variables, 6)), np.empty((6, 6)), np.empty(6), np.empty(6),
+        np.empty(variables), np.empty(variables), np.zeros(variables),
+        np.empty(variables, dtype=np.intp), np.empty(variables, dtype=np.bool_),
+        np.empty(variables), np.empty(variables),
+    )  # fmt: skip
 
 
 @inlined
@@ -173,12 +165,8 @@ def _step_within_limits(limits, q, damping, scratch):
     that would move back within its bounds is released, each joint once, and the rest is solved
     again.
     """
-    step, unbounded, side, released = (
-        scratch.step,
-        scratch.unbounded,
-        scratch.side,
-        scratch.released,
-    )
+    step, unbounded = scratch.step, scratch.unbounded
+    side, released = scratch.side, scratch.released
     side[:], released[:] = 0, False
     for _ in range(3 * len(q)):
         _solve_damped(scratch, damping)

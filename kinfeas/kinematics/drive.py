@@ -27,8 +27,7 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
         action: Fractions of the limits, clipped to [-1, 1], shape (n, 3) or (n, 2).
         dt: Duration in seconds for which the twist will hold.
     """
-    twist: Array = _base_twist(base_pose, action, _limits(base), dt, TWIST)
-    return twist
+    return _base_twist(base_pose, action, _limits(base), dt, TWIST)
 
 
 def world_twist(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
@@ -36,8 +35,7 @@ def world_twist(base: Base, base_pose: Array, velocity: Array, dt: float) -> Arr
 
     The velocity is forward, left and rotation, m/s and rad/s; other arguments as in `base_twist`.
     """
-    twist: Array = _world_twist(base_pose, velocity, _turned_first(base, dt), TWIST)
-    return twist
+    return _world_twist(base_pose, velocity, _turned_first(base, dt), TWIST)
 
 
 def base_velocity(base: Base, base_pose: Array, twist: Array, dt: float) -> Array:
@@ -46,8 +44,7 @@ def base_velocity(base: Base, base_pose: Array, twist: Array, dt: float) -> Arra
     The inverse of `world_twist`, without the components that a base on a floor cannot have.
     """
     seconds = _turned_first(base, dt)
-    velocity: Array = _base_velocity(base_pose, twist, seconds, TWIST[:3])
-    return velocity
+    return _base_velocity(base_pose, twist, seconds, TWIST[:3])
 
 
 def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
@@ -57,8 +54,7 @@ def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> A
     backwards if it points behind, and drives by the part of it that lies along the new heading.
     """
     like = TWIST[: command_size(base)]
-    action: Array = _action_toward(base_pose, velocity, _limits(base), dt, like)
-    return action
+    return _action_toward(base_pose, velocity, _limits(base), dt, like)
 
 
 def _limits(base: Base) -> Array:

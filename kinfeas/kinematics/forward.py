@@ -174,12 +174,9 @@ class Frames(NamedTuple):
 def make_frames(joints):
     """Return empty frames for a chain of `joints` joints."""
     return Frames(
-        np.empty((joints, 3)),
-        np.empty((joints, 3)),
-        np.empty((joints, 3)),
-        np.empty((3, 3)),
+        np.empty((joints, 3)), np.empty((joints, 3)), np.empty((joints, 3)), np.empty((3, 3)),
         np.empty(3),
-    )
+    )  # fmt: skip
 
 
 @inlined

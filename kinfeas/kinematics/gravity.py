@@ -84,8 +84,7 @@ def overloaded(model: GravityModel, joint_positions: Array) -> NDArray[np.bool_]
     """Return which gravity torques exceed their limits at positions (..., v), shape (..., v)."""
     limit = np.full(model.variables, np.inf)
     np.minimum.at(limit, model.tree.variable, model.load[:, _LIMIT])
-    beyond: NDArray[np.bool_] = np.abs(gravity_torques(model, joint_positions)) > limit
-    return beyond
+    return np.abs(gravity_torques(model, joint_positions)) > limit
 
 
 @kernel

@@ -29,39 +29,31 @@ _NO_SOLIDS = solid_arrays(Solids.empty(1), 1)
 
 @dataclass(frozen=True)
 class IkOptions:
-    """Options of the IK solver.
+    """Options of the IK solver."""
 
-    Attributes:
-        library: Number of configurations to restart from, spread over the joint limits.
-        restarts: Largest number of restarts, from those with the EE nearest to the target.
-        candidates: Number of solutions of which the one nearest to the seed is taken.
-        self_collision: Whether solutions in self-collision are rejected. Those that motors cannot
-            hold always are.
-        pose_tolerance: Whether the robot's pose tolerance counts as feasible.
-        position_tolerance: Position error of an exact solution, metres.
-        rotation_tolerance: Rotation error of an exact solution, radians.
-        max_iterations: Largest number of steps of a descent.
-        solid_clearance: Distance that solutions keep from solids, metres. Where arms may be
-            reconfigured, those that are nearer count, too, if there are no others.
-        centering: Pull of a redundant arm's joints towards the middles of their ranges, as a
-            fraction of the largest joint step; 0 for none.
-        joint_margin: Distance that solutions keep from joint limits, as a fraction of half of
-            the range; joints whose seed is nearer may stay there.
-        self_clearance: Distance that the robot's shapes keep from each other, metres, if they do so
-            at its home posture.
-    """
-
+    # number of configurations to restart from, spread over the joint limits
     library: Annotated[int, Interval(ge=1, le=65536)] = 2048
+    # largest number of restarts, from those with the EE nearest to the target
     restarts: Annotated[int, Interval(ge=0, le=65536)] = 24
+    # number of solutions of which the one nearest to the seed is taken
     candidates: Annotated[int, Interval(ge=1, le=65536)] = 3
+    # whether solutions in self-collision are rejected. Those that motors cannot hold always are
     self_collision: bool = True
-    pose_tolerance: bool = True
-    position_tolerance: Positive = 1e-4
-    rotation_tolerance: Positive = 1e-3
+    pose_tolerance: bool = True  # whether the robot's pose tolerance counts as feasible
+    position_tolerance: Positive = 1e-4  # position error of an exact solution, metres
+    rotation_tolerance: Positive = 1e-3  # rotation error of an exact solution, radians
+    # largest number of steps of a descent
     max_iterations: Annotated[int, Interval(ge=1, le=10_000)] = 40
+    # distance that solutions keep from solids, metres. Where arms may be reconfigured, those that
+    # are nearer count, too, if there are no others
     solid_clearance: NotNegative = 0.0
+    # pull of a redundant arm's joints towards the middles of their ranges, as a fraction of the
+    # largest joint step; 0 for none
     centering: Share = 1.0
+    # distance that solutions keep from joint limits, as a fraction of half of the range; joints
+    # whose seed is nearer may stay there
     joint_margin: Share = 0.0
+    # distance that the robot's shapes keep from each other, metres, if they do so at `home`
     self_clearance: NotNegative = 0.0
 
     def thorough(self) -> "IkOptions":
@@ -200,20 +192,14 @@ def _make_problem(solver: IkSolver) -> Problem:
         collision=solver.collision,
         check_collision=options.self_collision and len(solver.collision.pairs) > 0,
         load=solver.gravity.load if solver.gravity.limited else np.empty((0, 6)),
-        lower=lower,
-        upper=upper,
-        velocity=velocity,
-        continuous=continuous,
-        middle=middle,
+        lower=lower, upper=upper, velocity=velocity, continuous=continuous, middle=middle,
         centering=_centering(half, options.centering),
         reach=_reach(chain, middle, half),
         library=library,
         features=library_features(ee_pose[:, :3], rotation(ee_pose).as_matrix(), weight),
-        restarts=min(options.restarts, len(library)),
-        candidates=options.candidates,
-        accept_position=position,
-        accept_rotation=radians,
-    )
+        restarts=min(options.restarts, len(library)), candidates=options.candidates,
+        accept_position=position, accept_rotation=radians,
+    )  # fmt: skip
 
 
 def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
@@ -277,5 +263,4 @@ def spread(count: int, dimensions: int, first: int = 0) -> Array:
     for _ in range(64):  # a fixed point of x^(d + 1) = x + 1
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
     steps = ratio ** -np.arange(1.0, dimensions + 1.0)
-    points: Array = (0.5 + np.arange(first, first + count)[:, np.newaxis] * steps) % 1.0
-    return points
+    return (0.5 + np.arange(first, first + count)[:, np.newaxis] * steps) % 1.0

@@ -78,17 +78,9 @@ def library_features(position: Array, orientation: Array, weight: float) -> NDAr
 
 @kernel
 def solve_batch(
-    problem: Problem,
-    targets,
-    max_joint_step,
-    allow_reconfiguration,
-    guide,
-    solids,
-    clearance,
-    solution,
-    feasible,
-    errors,
-):
+    problem: Problem, targets, max_joint_step, allow_reconfiguration, guide, solids, clearance,
+    solution, feasible, errors,
+):  # fmt: skip
     """Solve row by row; arguments as in `IkSolver.solve`, `max_joint_step` (0,) for none.
 
     `solids` are `SolidArrays`, from which arms keep a clearance, metres; those without solids may
@@ -130,19 +122,9 @@ def solve_batch(
 
 @inlined
 def _solve_from_seed(
-    problem,
-    limits,
-    target,
-    max_joint_step,
-    allow_reconfiguration,
-    near,
-    guide,
-    solution,
-    error,
-    scratch,
-    touching,
-    around,
-):
+    problem, limits, target, max_joint_step, allow_reconfiguration, near, guide, solution, error,
+    scratch, touching, around,
+):  # fmt: skip
     """Descend from the seed if it is near the target; return whether there is a solution.
 
     The first descents stay within `max_joint_step`, towards the guide if there is one, then with

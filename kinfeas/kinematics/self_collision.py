@@ -130,16 +130,10 @@ def make_collision_scratch(model):
     """Return scratch memory with the poses of the shapes on the base."""
     joints, shapes = len(model.tree.variable), len(model.body)
     scratch = CollisionScratch(
-        np.empty((joints, 3)),
-        np.empty((joints, 3, 3)),
-        np.empty((joints, 3)),
-        np.empty((shapes, 3, 3)),
-        np.empty((shapes, 3)),
-        np.empty((SCRATCH_ROWS, 3)),
-        np.empty((5, 3)),
-        np.empty(PRISM),
-        np.empty(model.variables),
-    )
+        np.empty((joints, 3)), np.empty((joints, 3, 3)), np.empty((joints, 3)),
+        np.empty((shapes, 3, 3)), np.empty((shapes, 3)),
+        np.empty((SCRATCH_ROWS, 3)), np.empty((5, 3)), np.empty(PRISM), np.empty(model.variables),
+    )  # fmt: skip
     for s in range(shapes):
         if model.body[s] < 0:
             copy_row(model.offset[s], scratch.position[s])

@@ -73,10 +73,7 @@ class BaseGoalPlanner:
     """
 
     def __init__(
-        self,
-        solver: IkSolver,
-        time_scale: float = 1.0,
-        settings: BaseGoalSettings | None = None,
+        self, solver: IkSolver, time_scale: float = 1.0, settings: BaseGoalSettings | None = None
     ) -> None:
         """Plan motions that are carried out at a fraction `time_scale` of their speed."""
         self.robot = robot = solver.robot
@@ -105,7 +102,8 @@ class BaseGoalPlanner:
         """
         settings = self.settings
         solids = solids.swept(-settings.early, settings.early)
-        ends, arms = self._ends(goal, self._at_arrival(base_pose, goal, solids))
+        arrival = np.hypot(*(goal - base_pose)[:2]) / self._speed[0]
+        ends, arms = self._ends(goal, _later(solids, np.array([float(arrival)])))
         if not len(ends):
             return None
         leave = np.abs(self._displacement(joints, self._rests)).max(axis=1)
@@ -145,10 +143,6 @@ class BaseGoalPlanner:
         then = _later(solids.wider(self.settings.margin), CHECKED_AHEAD)
         base, arm = planar_pose(*robot[:, :3].T), np.ascontiguousarray(robot[:, 3:])
         return not collides(self.solver.collision, arm, base, then).any()
-
-    def _at_arrival(self, base_pose: Array, goal: Array, solids: Solids) -> Solids:
-        seconds = float(np.hypot(*(goal - base_pose)[:2])) / self._speed[0]
-        return _later(solids, np.array([seconds]))
 
     def _ends(self, goal: Array, solids: Solids) -> tuple[Array, Array]:
         """Return base poses x, y, yaw, (p, 3), and arms, (p, j), that reach a goal."""
@@ -260,8 +254,7 @@ def _reached(solver: IkSolver, joints: Array, ee: Array, stray: tuple[float, ...
     targets = relative(ee[:, np.newaxis], planar_pose(*strayed.T)).reshape(-1, 7)
     near = IkSolver(solver.robot, replace(solver.options, restarts=0))
     arm = near.solve(targets, joints.repeat(len(strayed), axis=0))
-    fraction: Array = arm.feasible.reshape(len(ee), -1).mean(axis=1)
-    return fraction
+    return arm.feasible.reshape(len(ee), -1).mean(axis=1)
 
 
 @kernel

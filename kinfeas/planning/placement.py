@@ -214,5 +214,4 @@ def connected(
     labels, _ = ndimage.label(np.isfinite(cost))
     cells = np.rint((np.vstack([start, positions]) - low) / _SETTINGS.cell).astype(np.intp)
     region = labels[cells[:, 0], cells[:, 1]]
-    reached: NDArray[np.bool_] = (region[1:] == region[0]) & (region[0] > 0)
-    return reached
+    return (region[1:] == region[0]) & (region[0] > 0)

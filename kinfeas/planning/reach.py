@@ -42,26 +42,16 @@ _SETTINGS = ReachSettings()
 
 @dataclass(frozen=True)
 class Placement:
-    """Base poses that reach an EE pose, or n of them together; the best of m first.
+    """Base poses that reach an EE pose, or n of them together; the best of m first."""
 
-    Attributes:
-        base_pose: World poses of the base, shape (m, 7).
-        joint_positions: Arm joints at each, shape (m, j), or (m, n, j) for several EE poses.
-        joint_margin: Distance to the nearest joint limit as a fraction of its range, shape (m,).
-        clearance: Distance that base and arm keep from solids, the largest of 0, 0.02, 0.05 and
-            0.1 m, shape (m,).
-        manipulability: Yoshikawa's measure as a fraction of the robot's largest, shape (m,).
-        limit: Reason for which no base pose was found, one of `LIMITS`; empty if one was.
-        solids: Solids in the way, by their places or names.
-    """
-
-    base_pose: Array
-    joint_positions: Array
-    joint_margin: Array
+    base_pose: Array  # world poses of the base, shape (m, 7)
+    joint_positions: Array  # arm joints at each, shape (m, j), or (m, n, j) for several EE poses
+    joint_margin: Array  # distance to the nearest joint limit as a fraction of its range, (m,)
+    # distance from solids that base and arm keep, the largest of 0, 0.02, 0.05 and 0.1 m, (m,)
     clearance: Array
-    manipulability: Array
-    limit: str = ""
-    solids: tuple[int | str, ...] = ()
+    manipulability: Array  # Yoshikawa's measure as a fraction of the robot's largest, shape (m,)
+    limit: str = ""  # reason for which no base pose was found, one of `LIMITS`; empty if one was
+    solids: tuple[int | str, ...] = ()  # solids in the way, by their places or names
 
     @property
     def reachable(self) -> bool:
@@ -104,11 +94,7 @@ class BasePlacer:
         self._best = float(_manipulability(self.solver, self._postures.joints).max(initial=1e-9))
 
     def place(
-        self,
-        goal: Array,
-        solids: Solids | None = None,
-        start: Array | None = None,
-        count: int = 8,
+        self, goal: Array, solids: Solids | None = None, start: Array | None = None, count: int = 8
     ) -> Placement:
         """Return up to `count` base poses from which the arm reaches an EE pose.
 
@@ -137,11 +123,7 @@ class BasePlacer:
         return self._rated(base, joints[:, np.newaxis], solids, last, single=True)
 
     def place_for_all(
-        self,
-        goals: Array,
-        solids: Solids | None = None,
-        start: Array | None = None,
-        count: int = 8,
+        self, goals: Array, solids: Solids | None = None, start: Array | None = None, count: int = 8
     ) -> Placement:
         """Return base poses from each of which the arm reaches all EE poses, shape (n, 7).
 
@@ -239,13 +221,7 @@ class BasePlacer:
         return base[near], joints[near]
 
     def _rated(
-        self,
-        base: Array,
-        joints: Array,
-        solids: Solids | None,
-        count: int,
-        *,
-        single: bool = False,
+        self, base: Array, joints: Array, solids: Solids | None, count: int, *, single: bool = False
     ) -> Placement:
         """Return the best of m base poses with arms for n EE poses, shape (m, n, j)."""
         lower, upper = self.solver.robot.joint_limits
@@ -272,8 +248,7 @@ class BasePlacer:
             touching = collides(self.solver.collision, joints[at, pose], base[at], grown)
             free[at, pose] = ~touching.any(axis=1)
             clearance[free] = distance
-        least: Array = clearance.min(axis=1)
-        return least
+        return clearance.min(axis=1)
 
     def _in_the_way(self, goal: Array, solids: Solids) -> tuple[int, ...]:
         """Return the places of the solids that the robot touches with the fewest of them."""
@@ -297,5 +272,4 @@ def _manipulability(solver: IkSolver, joints: Array) -> Array:
     matrix = jacobian(solver.chain, joints)
     transposed = matrix.swapaxes(-1, -2)
     square = matrix @ transposed if matrix.shape[-1] >= POSE_DIMENSIONS else transposed @ matrix
-    measure: Array = np.sqrt(np.linalg.det(square).clip(0.0))
-    return measure
+    return np.sqrt(np.linalg.det(square).clip(0.0))

@@ -72,7 +72,7 @@ def plan_along(
         path = planner.plan(base, joints, ee, step, 0.0, solids=solids)
         if path is not None and (moments := _refined(placer.solver, path, solids)) is not None:
             return moments
-    named = names or [f"solid {place}" for place in range(solids.places if solids else 0)]
+    named = names or [f"solid {k}" for k in range(solids.places if solids else 0)]
     raise KinfeasError(f"no plan was found: {_reason(placer, ee, step, start, solids, named)}")
 
 

@@ -166,7 +166,7 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
     scheme, _, rest = name.rpartition("://")
     if scheme in ("package", "model"):
         package, _, inner = rest.lstrip("/").partition("/")
-        candidates: Iterable[Path] = (found / inner for found in packages(package, folder))
+        candidates: Iterable[Path] = (location / inner for location in packages(package, folder))
         rule = (
             "; packages are looked up by package.xml above the URDF, ROS_PACKAGE_PATH, "
             "AMENT_PREFIX_PATH and folders of that name"

@@ -54,29 +54,23 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, path: Path) -> Rob
     _check_chain(spec, urdf, source)
     arm = tuple(_arm_joint(spec, urdf.joints[name], source) for name in spec.arm)
     rotation = np.array(spec.gripper_rotation)
+    home = {
+        name: _configuration(arm, positions, f"{source}: 'home.{name}'")
+        for name, positions in spec.home.items()
+    }
+    for name in spec.counterbalanced:
+        _check_known(name, spec.arm, "arm joint", f"{source}: 'counterbalanced'")
     return Robot(
-        name=spec.name,
-        folder=path.parent,
-        urdf_path=urdf_path,
-        urdf=urdf,
-        ee_frame=spec.ee_frame,
-        tool_tip=np.array(spec.tool_tip),
+        name=spec.name, folder=path.parent, urdf_path=urdf_path, urdf=urdf,
+        ee_frame=spec.ee_frame, tool_tip=np.array(spec.tool_tip),
         gripper_rotation=rotation / np.linalg.norm(rotation),
         base=Base(**vars(spec.base), frame=urdf.root),
-        arm=arm,
-        fixed_joints=_fixed_joints(spec, urdf, source),
-        home={
-            name: _configuration(arm, positions, f"{source}: 'home.{name}'")
-            for name, positions in spec.home.items()
-        },
-        reach=spec.reach,
-        pose_tolerance=spec.pose_tolerance,
+        arm=arm, fixed_joints=_fixed_joints(spec, urdf, source), home=home,
+        reach=spec.reach, pose_tolerance=spec.pose_tolerance,
         ignored_collisions=_pairs(spec, urdf, f"{source}: 'ignored_collisions'"),
-        gripper=_gripper(spec, urdf, source),
-        counterbalanced=_counterbalanced(spec, source),
-        max_gravity_load=spec.max_gravity_load,
-        response=spec.response,
-    )
+        gripper=_gripper(spec, urdf, source), counterbalanced=frozenset(spec.counterbalanced),
+        max_gravity_load=spec.max_gravity_load, response=spec.response,
+    )  # fmt: skip
 
 
 def _check_known(name: str, names: Collection[str], kind: str, where: str) -> None:
@@ -180,9 +174,3 @@ def _gripper(spec: RobotSpec, urdf: Urdf, source: str) -> Gripper | None:
         for key, position in (("closed", closed), ("open", opened)):
             _check_within(position, joint.lower, joint.upper, f"{source}: 'gripper.{key}', {name}")
     return spec.gripper
-
-
-def _counterbalanced(spec: RobotSpec, source: str) -> frozenset[str]:
-    for name in spec.counterbalanced:
-        _check_known(name, spec.arm, "arm joint", f"{source}: 'counterbalanced'")
-    return frozenset(spec.counterbalanced)

@@ -98,8 +98,7 @@ def _read_only(values: ArrayLike) -> NDArray[Any]:
 
 def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
     """Return the displacement of each joint, (..., j), in (-pi, pi] for continuous joints."""
-    displacement: Array = pose_kernels.joint_displacement(before, after, robot.continuous)
-    return displacement
+    return pose_kernels.joint_displacement(before, after, robot.continuous)
 
 
 def exceeds_joint_velocity(
@@ -107,8 +106,7 @@ def exceeds_joint_velocity(
 ) -> NDArray[np.bool_]:
     """Return whether a joint, shape (..., j), exceeds its velocity limit in `dt` seconds, (...)."""
     longest = robot.max_joint_velocity * dt * _ROUNDING
-    jumps: NDArray[np.bool_] = pose_kernels.moves_farther(before, after, robot.continuous, longest)
-    return jumps
+    return pose_kernels.moves_farther(before, after, robot.continuous, longest)
 
 
 def fingerprint(robot: Robot) -> str:
@@ -147,6 +145,4 @@ def _position(robot: Robot, joint: Joint) -> list[object]:
 
 def _rounded(*values: float) -> list[object]:
     # JSON has no infinity; the sum turns -0 into 0.
-    return [
-        float(np.round(value, _DIGITS)) + 0.0 if math.isfinite(value) else None for value in values
-    ]
+    return [float(np.round(x, _DIGITS)) + 0.0 if math.isfinite(x) else None for x in values]

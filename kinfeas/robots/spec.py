@@ -25,64 +25,41 @@ Effort = Annotated[float, Interval(gt=0.0, le=1e5)]
 
 @dataclass(frozen=True)
 class BaseSpec:
-    """The block `base`.
+    """The block `base`."""
 
-    Attributes:
-        drive: Whether the base can drive sideways.
-        max_velocity: Limit of the speed, m/s.
-        max_rotation: Limit of the angular speed, rad/s.
-        max_acceleration: Limit of the acceleration, m/s^2.
-        max_rotation_acceleration: Limit of the angular acceleration, rad/s^2.
-    """
-
-    drive: Drive
-    max_velocity: Velocity
-    max_rotation: Velocity
-    max_acceleration: Acceleration
-    max_rotation_acceleration: Acceleration
+    drive: Drive  # whether the base can drive sideways
+    max_velocity: Velocity  # limit of the speed, m/s
+    max_rotation: Velocity  # limit of the angular speed, rad/s
+    max_acceleration: Acceleration  # limit of the acceleration, m/s^2
+    max_rotation_acceleration: Acceleration  # limit of the angular acceleration, rad/s^2
 
 
 @dataclass(frozen=True)
 class ArmJointSpec:
-    """A block within `arm`.
+    """A block within `arm`."""
 
-    Attributes:
-        soft_limits: Limits within those of the URDF, rad or m; the URDF's if null.
-        velocity: Velocity limit, rad/s or m/s; the URDF's if null.
-    """
-
+    # limits within those of the URDF, rad or m; the URDF's if null
     soft_limits: tuple[float, float] | None = None
-    velocity: JointVelocity | None = None
+    velocity: JointVelocity | None = None  # velocity limit, rad/s or m/s; the URDF's if null
 
 
 @dataclass(frozen=True)
 class PoseTolerance:
-    """Pose error that still counts as feasible.
+    """Pose error that still counts as feasible."""
 
-    Attributes:
-        position: Position error, metres.
-        rotation: Rotation error, radians.
-    """
-
-    position: Annotated[float, Interval(gt=0.0, le=1.0)]
-    rotation: Annotated[float, Interval(gt=0.0, le=math.pi)]
+    position: Annotated[float, Interval(gt=0.0, le=1.0)]  # position error, metres
+    rotation: Annotated[float, Interval(gt=0.0, le=math.pi)]  # rotation error, radians
 
 
 @dataclass(frozen=True)
 class Gripper:
-    """A two-finger gripper; mimic joints of the fingers move along.
+    """A two-finger gripper; mimic joints of the fingers move along."""
 
-    Attributes:
-        fingers: Joint of each finger.
-        closed: Their position when closed, rad or m; one number, or one for each.
-        open: Their position when open, likewise.
-        effort: Effort limit of each, N m or N.
-    """
-
-    fingers: tuple[str, str]
+    fingers: tuple[str, str]  # joint of each finger
+    # their position when closed, rad or m; one number, or one for each
     closed: float | tuple[float, float]
-    open: float | tuple[float, float]
-    effort: Effort
+    open: float | tuple[float, float]  # their position when open, likewise
+    effort: Effort  # effort limit of each, N m or N
 
     def __post_init__(self) -> None:
         if self.fingers[0] == self.fingers[1]:
@@ -110,15 +87,10 @@ class Gripper:
 
 @dataclass(frozen=True)
 class Reach:
-    """Heights of the EE above the floor at which the robot reaches most poses.
+    """Heights of the EE above the floor at which the robot reaches most poses."""
 
-    Attributes:
-        low: Lowest height, metres.
-        high: Highest height, metres.
-    """
-
-    low: Metres
-    high: Metres
+    low: Metres  # lowest height, metres
+    high: Metres  # highest height, metres
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
@@ -133,48 +105,33 @@ class Reach:
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """The file `robot.yaml`.
+    """The file `robot.yaml`."""
 
-    Attributes:
-        name: Short name, stored in trained policies.
-        ee_frame: EE link: the frame of motions and IK.
-        tool_tip: Position of the tool tip in the EE frame, metres.
-        gripper_rotation: Quaternion x y z w from the common gripper convention (x is the approach,
-            y the finger axis) to the EE frame.
-        base: Drive and limits of the base.
-        arm: Joints of IK from the root to the EE, including a lift.
-        home: Arm configurations by name, rad or m; one is named `home`.
-        reach: Heights of EE goals; tasks derive theirs from it.
-        urdf: Path of the URDF, relative to this file.
-        fixed_joints: Positions of other joints, rad or m, by default as close to 0 as possible;
-            required between root and EE.
-        pose_tolerance: Error allowed during motions, for arms with fewer than six joints.
-        ignored_collisions: Pairs of links that may touch; adjacent links always may.
-        gripper: Two fingers; none if null.
-        counterbalanced: Arm joints with spring-compensated load: with physics, and for
-            `max_gravity_load`.
-        max_gravity_load: Largest gravity torque of a posture as a fraction of the effort limits in
-            the URDF; IK, `ceiling` and the planners leave other postures out. Not checked if null,
-            nor for joints without an effort limit.
-        response: How late the robot carries out commands and is measured, as `kinfeas identify`
-            finds it.
-    """
-
-    name: str
-    ee_frame: str
-    tool_tip: tuple[Metres, Metres, Metres]
+    name: str  # short name, stored in trained policies
+    ee_frame: str  # EE link: the frame of motions and IK
+    tool_tip: tuple[Metres, Metres, Metres]  # position of the tool tip in the EE frame, metres
+    # quaternion x y z w from the common gripper convention (x is the approach, y the finger axis)
+    # to the EE frame
     gripper_rotation: tuple[float, float, float, float]
-    base: BaseSpec
-    arm: dict[str, ArmJointSpec]
-    home: dict[str, tuple[float, ...]]
-    reach: Reach
-    urdf: Path = Path("robot.urdf")
+    base: BaseSpec  # drive and limits of the base
+    arm: dict[str, ArmJointSpec]  # joints of IK from the root to the EE, including a lift
+    home: dict[str, tuple[float, ...]]  # arm configurations by name, rad or m; one is named `home`
+    reach: Reach  # heights of EE goals; tasks derive theirs from it
+    urdf: Path = Path("robot.urdf")  # path of the URDF, relative to this file
+    # positions of other joints, rad or m, by default nearest to 0; required between root and EE
     fixed_joints: dict[str, float] = field(default_factory=dict)
+    # error allowed during motions, for arms with fewer than six joints
     pose_tolerance: PoseTolerance | None = None
+    # pairs of links that may touch; adjacent links always may
     ignored_collisions: tuple[tuple[str, str], ...] = ()
-    gripper: Gripper | None = None
+    gripper: Gripper | None = None  # two fingers; none if null
+    # arm joints with spring-compensated load: with physics, and for `max_gravity_load`
     counterbalanced: tuple[str, ...] = ()
+    # largest gravity torque of a posture as a fraction of the effort limits in the URDF; IK,
+    # `ceiling` and the planners leave other postures out. Not checked if null, nor for joints
+    # without an effort limit
     max_gravity_load: GravityLoad | None = None
+    # how late the robot carries out commands and is measured, as `kinfeas identify` finds it
     response: ResponseModel = field(default_factory=ResponseModel)
 
     def __post_init__(self) -> None:

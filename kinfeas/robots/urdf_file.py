@@ -47,7 +47,9 @@ def without_base_joints(robot: Element) -> Element:
     children = {_link_of(joint, "child") for joints in on.values() for joint in joints}
     link = next((name for name in links if name not in children), None)
     above: list[Any] = []
-    while link in links and len(on[link]) == 1 and not _has_shapes(links[link]):
+    while link in links and len(on[link]) == 1:
+        if any(links[link].find(tag) is not None for tag in ("visual", "collision")):
+            break
         (joint,) = on.pop(link)
         above += [links[link], joint]
         if joint.get("type") in _BASE_JOINTS:
@@ -57,10 +59,6 @@ def without_base_joints(robot: Element) -> Element:
             break
         link = _link_of(joint, "child")
     return robot
-
-
-def _has_shapes(link: Any) -> bool:
-    return any(link.find(tag) is not None for tag in ("visual", "collision"))
 
 
 def _link_of(joint: Any, tag: str) -> Any:
@@ -192,22 +190,15 @@ def _joint(name: str, element: Element) -> Joint:
         damping = dynamics.number("damping", 0.0, minimum=0.0)
         friction = dynamics.number("friction", 0.0, minimum=0.0)
     return Joint(
-        name=name,
-        kind=cast("JointKind", kind),
-        parent=element.need("parent").text("link"),
-        child=element.need("child").text("link"),
+        name=name, kind=cast("JointKind", kind),
+        parent=element.need("parent").text("link"), child=element.need("child").text("link"),
         origin=element.origin(),
         axis=(1.0, 0.0, 0.0) if fixed else _axis(element),  # exporters write 0 0 0 for fixed joints
-        lower=lower,
-        upper=upper,
-        soft_lower=soft_lower,
-        soft_upper=soft_upper,
-        velocity=0.0 if fixed else velocity,
-        effort=0.0 if fixed else effort,
-        damping=damping,
-        friction=friction,
+        lower=lower, upper=upper, soft_lower=soft_lower, soft_upper=soft_upper,
+        velocity=0.0 if fixed else velocity, effort=0.0 if fixed else effort,
+        damping=damping, friction=friction,
         mimic=None if fixed or mimic is None else _mimic(mimic),
-    )
+    )  # fmt: skip
 
 
 def _limits(joint: Element, kind: str) -> tuple[float, float]:

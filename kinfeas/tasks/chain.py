@@ -30,14 +30,10 @@ _ROUNDS = 200
 
 @dataclass(frozen=True)
 class Place:
-    """A world pose, drawn once for each episode.
+    """A world pose, drawn once for each episode."""
 
-    Attributes:
-        position: Metres.
-        rpy: Roll, pitch and yaw about the world's x, y and z axes, one after the other, radians.
-    """
-
-    position: tuple[Length, Length, Length]
+    position: tuple[Length, Length, Length]  # metres
+    # roll, pitch and yaw about the world's x, y and z axes, one after the other, radians
     rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -56,77 +52,52 @@ class Place:
 
 @dataclass(frozen=True)
 class BaseStart:
-    """Start of the base.
+    """Start of the base."""
 
-    Attributes:
-        square: Side of the square around the origin from which the position is drawn, metres.
-        heading: Largest angle between the heading and the direction to the first target, radians.
-    """
-
+    # side of the square around the origin from which the position is drawn, metres
     square: Distance = 1.5
+    # largest angle between the heading and the direction to the first target, radians
     heading: Annotated[float, Interval(ge=0.0, le=float(np.pi))] = float(np.pi / 2.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainSubgoal(Subgoal):
-    """One motion of a chain, and its target.
+    """One motion of a chain, and its target."""
 
-    Attributes:
-        place: Name of a place, or of a handle of the scene.
-        offset: From there to the motion's target, along the place's own axes, metres.
-    """
-
-    place: str
+    place: str  # name of a place, or of a handle of the scene
+    # from there to the motion's target, along the place's own axes, metres
     offset: Position = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Move:
-    """Pose of an object in an episode.
+    """Pose of an object in an episode."""
 
-    Attributes:
-        place: Name of the place of a sub-goal.
-        offset: From there to the object, along the place's own axes, metres.
-        turn: Of the object about the place's z axis, radians.
-    """
-
-    place: str
+    place: str  # name of the place of a sub-goal
+    # from there to the object, along the place's own axes, metres
     offset: Position = (0.0, 0.0, 0.0)
-    turn: Radians = 0.0
+    turn: Radians = 0.0  # of the object about the place's z axis, radians
 
 
 @dataclass(frozen=True)
 class GraspedObject:
-    """The object that the gripper grasps.
+    """The object that the gripper grasps."""
 
-    Attributes:
-        object: Name of an object of the scene.
-        link: Its link.
-        revolute: Whether the link can turn in the gripper, as a bar can.
-    """
-
-    object: str
-    link: str
-    revolute: bool = False
+    object: str  # name of an object of the scene
+    link: str  # its link
+    revolute: bool = False  # whether the link can turn in the gripper, as a bar can
 
 
 @dataclass(frozen=True)
 class SuccessCondition:
-    """Success of a task: an object on another one, or one of its joints open.
+    """Success of a task: an object on another one, or one of its joints open."""
 
-    Attributes:
-        object: Name of an object of the scene.
-        parent: Name of the object below it.
-        joint: Its joint.
-        threshold: Position beyond which the joint is open, rad or m; downwards if below 0.
-        reached: Whether the EE must have reached its last goal, too.
-    """
-
-    object: str
-    parent: str | None = None
-    joint: str | None = None
+    object: str  # name of an object of the scene
+    parent: str | None = None  # name of the object below it
+    joint: str | None = None  # its joint
+    # position beyond which the joint is open, rad or m; downwards if below 0
     threshold: float = 0.0
-    reached: bool = False
+    reached: bool = False  # whether the EE must have reached its last goal, too
 
     def __post_init__(self) -> None:
         if (self.parent is None) == (self.joint is None):
@@ -135,40 +106,26 @@ class SuccessCondition:
 
 @dataclass(frozen=True)
 class TaskScene:
-    """Objects of a task, in worlds that have them.
+    """Objects of a task, in worlds that have them."""
 
-    Attributes:
-        name: The scene, by its name or the path of its YAML.
-        success: Condition of the task's success.
-        grasped_object: Object that the gripper grasps; none by default.
-        moves: Poses of objects that an episode moves, by their names.
-    """
-
-    name: str
-    success: SuccessCondition
-    grasped_object: GraspedObject | None = None
+    name: str  # the scene, by its name or the path of its YAML
+    success: SuccessCondition  # condition of the task's success
+    grasped_object: GraspedObject | None = None  # object that the gripper grasps; none by default
+    # poses of objects that an episode moves, by their names
     moves: dict[str, Move] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class ChainTask:
-    """Move along a chain of sub-goals, from a random arm configuration.
+    """Move along a chain of sub-goals, from a random arm configuration."""
 
-    Attributes:
-        name: Task name.
-        subgoals: The motions, at least one.
-        places: Their targets, by name, beside the handles of the scene.
-        start: Start of the base.
-        scene: Objects, in worlds that have them.
-        clutter: Largest number of random solids on the floor. The furniture is solid then, too;
-            None for neither.
-    """
-
-    name: str
-    subgoals: tuple[ChainSubgoal, ...]
+    name: str  # task name
+    subgoals: tuple[ChainSubgoal, ...]  # the motions, at least one
+    # their targets, by name, beside the handles of the scene
     places: dict[str, Place] = field(default_factory=dict)
-    start: BaseStart = field(default_factory=BaseStart)
-    scene: TaskScene | None = None
+    start: BaseStart = field(default_factory=BaseStart)  # start of the base
+    scene: TaskScene | None = None  # objects, in worlds that have them
+    # largest number of random solids on the floor, beside solid furniture; None for neither
     clutter: Annotated[int, Interval(ge=0, le=MOST_SOLIDS)] | None = None
 
     def __post_init__(self) -> None:

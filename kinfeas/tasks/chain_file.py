@@ -39,8 +39,7 @@ def _read(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, object]:
     if base is None:
         return data
     below = _read(Path(str(base)), (*extended_by, path.resolve()))
-    changed: dict[str, object] = _changed(below, data, str(path))
-    return changed
+    return _changed(below, data, str(path))
 
 
 def pick_place(**parameters: object) -> ChainTask:

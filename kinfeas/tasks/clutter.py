@@ -101,8 +101,7 @@ def touches_robot(solver: IkSolver, start: Start, solids: Solids) -> NDArray[np.
     alone = Solids(**{name: np.swapaxes(values, 0, 1) for name, values in vars(solids).items()})
     n = len(alone.pose)
     joints, base = np.tile(start.joint_positions, (n, 1)), np.tile(start.base_pose, (n, 1))
-    touching: NDArray[np.bool_] = np.any(collides(solver.collision, joints, base, alone), axis=1)
-    return touching
+    return np.any(collides(solver.collision, joints, base, alone), axis=1)
 
 
 def free_places(solver: IkSolver, goal: Array, moments: Solids) -> Array:

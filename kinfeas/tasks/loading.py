@@ -19,8 +19,7 @@ def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None)
     """
     if is_path(name_or_path):
         return read_chain(Path(name_or_path), parameters)
-    task: Task = registry.build("kinfeas.tasks", name_or_path, parameters or {})
-    return task
+    return registry.build("kinfeas.tasks", name_or_path, parameters or {})
 
 
 def task_name(name_or_path: str) -> str:

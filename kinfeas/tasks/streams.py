@@ -145,9 +145,8 @@ class SimulatedStream:
         self._begun = snapshot["begun"].copy()
         self._drawn = self._draw(self._seeds, self._begun)
         for name, inbox in self._inboxes.items():
-            inbox.restore(
-                {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
-            )
+            own = {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
+            inbox.restore(own)
 
     def _draw(self, seeds: NDArray[np.uint64], begun: Array) -> dict[str, Array]:
         """Return messages of episodes: times (m, k), and twists (m, k, 6) or path and offsets."""

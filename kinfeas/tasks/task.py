@@ -26,34 +26,23 @@ _DRAWS, _ROUNDS = 16, 100
 
 @dataclass(frozen=True)
 class MotionSpec:
-    """A motion generator by name.
+    """A motion generator by name."""
 
-    Attributes:
-        generator: Entry-point name in the group kinfeas.motion_generators.
-        parameters: Its keyword parameters.
-    """
-
-    generator: str = "linear"
-    parameters: dict[str, object] = field(default_factory=dict)
+    generator: str = "linear"  # entry-point name in the group kinfeas.motion_generators
+    parameters: dict[str, object] = field(default_factory=dict)  # its keyword parameters
 
 
 @dataclass(frozen=True)
 class Subgoal:
-    """One motion of a task.
+    """One motion of a task."""
 
-    Attributes:
-        motion: Generator of the motion.
-        frame: Frame that it moves: `ee`, or `tip` for the tool tip in the common gripper
-            convention, with x as the approach and y as the finger axis.
-        dwell: Seconds that the EE rests after its arrival, while the base may move; the last
-            sub-goal ends with the arrival.
-        grip: Gripper command after the arrival, in worlds with a gripper.
-    """
-
-    motion: MotionSpec = field(default_factory=MotionSpec)
+    motion: MotionSpec = field(default_factory=MotionSpec)  # generator of the motion
+    # frame that it moves: `ee`, or `tip` for the tool tip in the common gripper convention, with x
+    # as the approach and y as the finger axis
     frame: Frame = "ee"
+    # seconds that the EE rests after its arrival, while the base may move; none after the last one
     dwell: Seconds = 0.0
-    grip: Grip | None = None
+    grip: Grip | None = None  # gripper command after the arrival, in worlds with a gripper
 
 
 class Task(Protocol):
@@ -77,7 +66,6 @@ class Task(Protocol):
             solver: The robot's kinematics.
             rng: The only source of randomness, so that an episode is a function of its seed.
         """
-        ...
 
 
 @runtime_checkable
@@ -86,7 +74,6 @@ class StagedTask(Protocol):
 
     def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, as `Task.sample` does, and prepare the robot's row for it."""
-        ...
 
 
 @runtime_checkable
@@ -102,7 +89,6 @@ class StreamTask(Protocol):
 
     def target_stream(self, solver: IkSolver) -> TargetStream:
         """Return the targets of the episodes of a loop."""
-        ...
 
 
 @runtime_checkable
@@ -120,7 +106,6 @@ class ReportsTaskSuccess(Protocol):
             dt: Control period in seconds.
             reached: Whether the episode reached its goal.
         """
-        ...
 
 
 def sample_start(

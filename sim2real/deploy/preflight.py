@@ -10,7 +10,7 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
 from kinfeas.control.loop import Loop
 from kinfeas.control.period import CommandFilter
-from kinfeas.control.sequence import subgoal_ends
+from kinfeas.control.subgoal_motions import subgoal_ends
 from kinfeas.core import registry, spatial
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError

@@ -60,15 +60,13 @@ def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
 def test_evaluations_with_adapters_have_the_settings_of_a_deployment():
     options = {"robot": "hsr", "adapters": "pr2_like", "episodes": 2}
     late = kinfeas.evaluate("follow_ee", settings=SHORT, **options)
-    own = kinfeas.evaluate(
-        "follow_ee", filters="none", settings=SHORT | {"world.dt": 0.1}, **options
-    )
+    changed = SHORT | {"world.dt": 0.1}
+    own = kinfeas.evaluate("follow_ee", filters="none", settings=changed, **options)
     assert (late["filters"], own["filters"]) == (["time_scaling"], [])
     assert (late["mean_steps"], own["mean_steps"]) == (50.0, 10.0)
     assert isinstance(late["lateness_s"], float)
-    assert (
-        kinfeas.evaluate("follow_ee", robot="hsr", episodes=2, settings=SHORT)["lateness_s"] is None
-    )
+    exact = kinfeas.evaluate("follow_ee", robot="hsr", episodes=2, settings=SHORT)
+    assert exact["lateness_s"] is None
 
 
 class Targets:
@@ -95,41 +93,21 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
     assert kinfeas.view(record=run.record)["steps"] == 15
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"policy": "folow_ee"},
-        {"world": "real"},
-        {"episodes": 0},
-        {"settings": {"world.dtt": 1}},
-        {"seed": -1},
-        {"processes": 0},
-        {"settings": {"world.dt": object()}},
-        {"settings": {"world.dt": np.zeros(2)}},
-        {"settings": {5: 1}},
-        {"settings": 5},
-        {"filters": 3},
-        {"policy": object()},
-        {"robot": object()},
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    {"policy": "folow_ee"}, {"world": "real"}, {"episodes": 0}, {"settings": {"world.dtt": 1}},
+    {"seed": -1}, {"processes": 0}, {"settings": {"world.dt": object()}},
+    {"settings": {"world.dt": np.zeros(2)}}, {"settings": {5: 1}}, {"settings": 5}, {"filters": 3},
+    {"policy": object()}, {"robot": object()},
+])  # fmt: skip
 def test_bad_input_is_an_error(arguments):
     with pytest.raises(KinfeasError):
         kinfeas.evaluate(**{"policy": "follow_ee", **arguments})
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"goal": (0.9, 0.1)},
-        {"goal": "abc"},
-        {"quaternion": np.array([0.0, 0.0, 1.0])},
-        {"seconds": -1.0},
-        {"seconds": np.nan},
-        {"rate": 0.0},
-        {"task": "ggr"},
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    {"goal": (0.9, 0.1)}, {"goal": "abc"}, {"quaternion": np.array([0.0, 0.0, 1.0])},
+    {"seconds": -1.0}, {"seconds": np.nan}, {"rate": 0.0}, {"task": "ggr"},
+])  # fmt: skip
 def test_bad_deployments_are_errors(tmp_path, arguments):
     options = {"policy": "follow_ee", "backend": "analytic", "goal": np.array([0.9, 0.1, 0.8])}
     with pytest.raises(KinfeasError):

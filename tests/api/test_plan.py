@@ -61,15 +61,12 @@ def test_a_file_has_the_whole_plan(plan, robot, tmp_path):
         kinfeas.load_plan(tmp_path / "plan.csv", other)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("base", 0, 1.0), "row 51: 'x' exceeds"),
-        (("base", 1, np.nan), "row 51: 'y' is beyond"),
-        (("joint_positions", 0, 9.0), "row 51.*joint' is beyond"),
-        (("ee_pose", 2, 0.5), "row 51.*EE pose"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (("base", 0, 1.0), "row 51: 'x' exceeds"),
+    (("base", 1, np.nan), "row 51: 'y' is beyond"),
+    (("joint_positions", 0, 9.0), "row 51.*joint' is beyond"),
+    (("ee_pose", 2, 0.5), "row 51.*EE pose"),
+])  # fmt: skip
 def test_plans_beyond_the_robot_are_errors(plan, robot, tmp_path, change, message):
     name, column, offset = change
     values = getattr(plan, name).copy()

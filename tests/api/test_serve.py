@@ -45,26 +45,23 @@ def test_base_poses_and_plans_are_answered(post):
     assert (status, "solid" in answer["error"]) == (400, True)
 
 
-@pytest.mark.parametrize(
-    ("path", "data", "headers", "status"),
-    [
-        ("/reach", {"poses": [AHEAD]}, {"Origin": "http://example.org"}, 403),
-        ("/reach", {"poses": [AHEAD]}, {"Host": "example.org"}, 403),
-        ("/reach", {"poses": [AHEAD]}, {"Content-Type": "text/plain"}, 415),
-        ("/reach", b"{}", {"Content-Length": "4000001"}, 413),
-        ("/none", {"poses": [AHEAD]}, {}, 404),
-        ("/reach", b"{", {}, 400),
-        ("/reach", {"poses": [AHEAD], "robot": "pr2"}, {}, 400),
-        ("/reach", {"poses": [AHEAD], "scene": "/etc/passwd"}, {}, 400),
-        ("/reach", {"poses": [[float("nan"), *AHEAD[1:]]]}, {}, 400),
-        ("/reach", {"poses": [AHEAD], "solids": [[1, 2]]}, {}, 400),
-        ("/reach", {"poses": [AHEAD], "solids": [[1, 0, 0, -1, 1, 0, 1, 0, 0, 0, 0]]}, {}, 400),
-        ("/reach", {"poses": [AHEAD], "solids": [[1, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0]]}, {}, 400),
-        ("/reach", {"poses": [AHEAD], "start": [9000, 9000, 0]}, {}, 400),
-        ("/plan", {"path": [AHEAD]}, {}, 400),
-        ("/plan", {"path": [AHEAD, AHEAD], "joints": [0.0], "start": [0, 0, 0]}, {}, 400),
-    ],
-)
+@pytest.mark.parametrize(("path", "data", "headers", "status"), [
+    ("/reach", {"poses": [AHEAD]}, {"Origin": "http://example.org"}, 403),
+    ("/reach", {"poses": [AHEAD]}, {"Host": "example.org"}, 403),
+    ("/reach", {"poses": [AHEAD]}, {"Content-Type": "text/plain"}, 415),
+    ("/reach", b"{}", {"Content-Length": "4000001"}, 413),
+    ("/none", {"poses": [AHEAD]}, {}, 404),
+    ("/reach", b"{", {}, 400),
+    ("/reach", {"poses": [AHEAD], "robot": "pr2"}, {}, 400),
+    ("/reach", {"poses": [AHEAD], "scene": "/etc/passwd"}, {}, 400),
+    ("/reach", {"poses": [[float("nan"), *AHEAD[1:]]]}, {}, 400),
+    ("/reach", {"poses": [AHEAD], "solids": [[1, 2]]}, {}, 400),
+    ("/reach", {"poses": [AHEAD], "solids": [[1, 0, 0, -1, 1, 0, 1, 0, 0, 0, 0]]}, {}, 400),
+    ("/reach", {"poses": [AHEAD], "solids": [[1, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0]]}, {}, 400),
+    ("/reach", {"poses": [AHEAD], "start": [9000, 9000, 0]}, {}, 400),
+    ("/plan", {"path": [AHEAD]}, {}, 400),
+    ("/plan", {"path": [AHEAD, AHEAD], "joints": [0.0], "start": [0, 0, 0]}, {}, 400),
+])  # fmt: skip
 def test_other_requests_are_errors(post, path, data, headers, status):
     answer = post(path, data, **headers)
     assert answer[0] == status

@@ -1,9 +1,11 @@
 """Commands run in this process, as a shell would see them."""
 
+import json
 import os
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,6 +33,11 @@ class Outcome:
     out: str
     err: str
 
+    @property
+    def facts(self):
+        """What a command with `--json out.json` wrote."""
+        return json.loads(Path("out.json").read_text())
+
 
 @pytest.fixture
 def kinfeas(monkeypatch, capfd, tmp_path):
@@ -38,7 +45,9 @@ def kinfeas(monkeypatch, capfd, tmp_path):
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments: str, code: int | None = None) -> Outcome:
-        capfd.readouterr()  # what was printed before is not the command's
+        # What was printed and written before is not the command's.
+        capfd.readouterr()
+        Path("out.json").unlink(missing_ok=True)
         monkeypatch.setattr(sys, "argv", ["kinfeas", *arguments])
         with pytest.raises(SystemExit) as end:
             main.main()

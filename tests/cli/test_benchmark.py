@@ -36,9 +36,8 @@ def run(kinfeas, tmp_path):
 
     def benchmark(*arguments, **checks):
         config = () if "--config" in arguments else ("--config", "study.yaml")
-        return kinfeas(
-            "benchmark", "--out", "out", "--processes", "1", *config, *arguments, **checks
-        )
+        words = ("--out", "out", "--processes", "1", *config, *arguments)
+        return kinfeas("benchmark", *words, **checks)
 
     return benchmark
 
@@ -51,12 +50,9 @@ def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, mo
         assert (out / name).is_file()
         assert f"out/{name}" in outcome.out
     assert "A very small one." in outcome.out
-    entries = json.loads((tmp_path / "out.json").read_text())
-    assert entries == json.loads((out / "table.json").read_text())
-    assert [(entry["policy"], entry["seeds"]) for entry in entries] == [
-        ("sac", 2),
-        ("follow_ee", 1),
-    ]
+    assert outcome.facts == json.loads((out / "table.json").read_text())
+    seeds = [(entry["policy"], entry["seeds"]) for entry in outcome.facts]
+    assert seeds == [("sac", 2), ("follow_ee", 1)]
     assert sorted(path.name for path in (out / "runs").iterdir()) == ["hsr-0", "hsr-1"]
     about = json.loads((out / "pretrained" / "hsr" / "policy.json").read_text())
     assert about["config"]["robot"] == "hsr"
@@ -69,11 +65,10 @@ def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, mo
         assert (out / "table.json").read_bytes() == before
 
 
-def test_physics_beside_the_analytic_world(run, tmp_path):
+def test_physics_beside_the_analytic_world(run):
     engine = default_engine()
     words = ("--config", "physics.yaml", "--world", engine, "--episodes", "2")
-    run(*words, "--json", "out.json", code=0)
-    entries = json.loads((tmp_path / "out.json").read_text())
+    entries = run(*words, "--json", "out.json", code=0).facts
     rows = [(entry["policy"], entry["row"]) for entry in entries]
     assert rows == [("pretrained", ""), ("pretrained", "late"), ("follow_ee", "")]
     assert {entry["world"] for entry in entries} == {engine}

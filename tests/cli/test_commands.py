@@ -19,15 +19,14 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 def test_export_and_check_show_the_same_metadata(kinfeas, tmp_path):
     shutil.copytree(load_robot("hsr").folder / "policies" / "pretrained", tmp_path / "run")
-    kinfeas("export", "run", "--robot", "hsr", "--out", "hsr.onnx", "--json", "out.json", code=0)
-    exported = json.loads((tmp_path / "out.json").read_text())
+    words = ("--robot", "hsr", "--json", "out.json")
+    exported = kinfeas("export", "run", "--out", "hsr.onnx", *words, code=0).facts
     assert 0.0 <= exported.pop("parity") <= 1e-5
-    words = ("export", "--check", "hsr.onnx", "--json", "check.json")
-    outcome = kinfeas(*words, "--robot", "hsr", code=0)
-    assert json.loads((tmp_path / "check.json").read_text()) == exported
+    outcome = kinfeas("export", "--check", "hsr.onnx", *words, code=0)
+    assert outcome.facts == exported
     assert "arm_lift_joint" in outcome.out
     assert "not compared" not in outcome.out
-    assert "not compared" in kinfeas(*words, code=0).out
+    assert "not compared" in kinfeas("export", "--check", "hsr.onnx", code=0).out
 
 
 @pytest.mark.parametrize(
@@ -36,10 +35,10 @@ def test_export_and_check_show_the_same_metadata(kinfeas, tmp_path):
 )
 def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, components):
     write_demonstrations(tmp_path / "shown", 4)
-    words = ("--demonstrations", "shown", "--out", "door.yaml", "--json", "door.json")
-    kinfeas("fit", *words, "--kind", kind, "--components", str(components), code=0)
+    words = ("--demonstrations", "shown", "--out", "door.yaml", "--json", "out.json")
+    words += ("--kind", kind, "--components", str(components))
+    figures = kinfeas("fit", *words, code=0).facts
     generator(model="./door.yaml")
-    figures = json.loads((tmp_path / "door.json").read_text())
     assert (figures["demonstrations"], figures["base"]) == (4, True)
     assert figures["components"] == components
     assert max(figures["position_residual_m"]) < 0.04
@@ -48,18 +47,30 @@ def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, compone
     assert str(tmp_path) not in text
 
 
-SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"
-
-
-@pytest.fixture
-def record(kinfeas, tmp_path):
+def test_replay_of_a_run(kinfeas, tmp_path):
     words = ("--robot", "hsr", "--backend", "analytic", "--goal", "1", "0", "0.8", "--seed", "5")
     (tmp_path / "noise.yaml").write_text("adapters: [{name: base_noise, linear: 0.05}]")
     words += ("--adapters", "noise.yaml", "--filters", "time_scaling")
     words += ("--set", "generator.gain=0.5", "--set", "guards.max_distance=3")
     kinfeas("deploy", "pretrained", *words, "--no-real-time", "--seconds", "0.2",
             "--record", "run.csv")  # fmt: skip
-    return tmp_path / "run.csv"
+    words = ("--record", "run.csv", "--picture", "run.png", "--json", "out.json")
+    facts = kinfeas("view", *words, code=0).facts
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    assert facts["events"][0]["event"] == "start"
+    assert (facts["seconds"], facts["steps"]) == (pytest.approx(0.2), 10)
+    assert (facts["seed"], facts["guards"]["max_distance"]) == (5, 3.0)
+    assert facts["adapters"] == [{"name": "base_noise", "parameters": {"linear": 0.05}}]
+    assert facts["filters"] == [{"name": "time_scaling", "parameters": {}}]
+    assert facts["generators"] == [{"name": "linear", "parameters": {"gain": 0.5}}]
+    kinfeas("dataset", "run.csv", "--kind", "csv", "--out", "shown", code=0)
+    assert len(read_demonstration(tmp_path / "shown" / "001.csv").time) == 11
+    record = tmp_path / "run.csv"
+    record.write_bytes(record.read_bytes()[:-300])
+    kinfeas("view", "--record", "run.csv", code=0)
+
+
+SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"
 
 
 def test_own_scene_as_table_picture_and_page(kinfeas, tmp_path):
@@ -75,39 +86,22 @@ def test_own_scene_as_table_picture_and_page(kinfeas, tmp_path):
 
 
 def test_base_poses_of_an_ee_pose_or_the_object_in_the_way(kinfeas, tmp_path):
-    words = ("reach", "--robot", "hsr", "--scene", "room", "--json", "reach.json")
-    kinfeas(*words, "--pose", "1", "0", "0.8", *"000", "--picture", "map.png", code=0)
-    (answer,) = json.loads((tmp_path / "reach.json").read_text())
+    words = ("reach", "--robot", "hsr", "--scene", "room", "--json", "out.json")
+    pose = ("--pose", "1", "0", "0.8", *"000")
+    (answer,) = kinfeas(*words, *pose, "--picture", "map.png", code=0).facts
     assert (len(answer["base_pose"]), answer["limit"]) == (8, "")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
-    told = kinfeas(*words, "--pose", "3", "0", "0.55", *"000", code=0)
-    (answer,) = json.loads((tmp_path / "reach.json").read_text())
+    outcome = kinfeas(*words, "--pose", "3", "0", "0.55", *"000", code=0)
+    (answer,) = outcome.facts
     assert (answer["reachable"], answer["solids"]) == (False, ["pick_table"])
-    assert "pick_table" in told.out
-
-
-def test_replay_of_a_run(kinfeas, record, tmp_path):
-    kinfeas("view", "--record", "run.csv", "--picture", "run.png", "--json", "run.json", code=0)
-    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
-    facts = json.loads((tmp_path / "run.json").read_text())
-    assert facts["events"][0]["event"] == "start"
-    assert (facts["seconds"], facts["steps"]) == (pytest.approx(0.2), 10)
-    assert (facts["seed"], facts["guards"]["max_distance"]) == (5, 3.0)
-    assert facts["adapters"] == [{"name": "base_noise", "parameters": {"linear": 0.05}}]
-    assert facts["filters"] == [{"name": "time_scaling", "parameters": {}}]
-    assert facts["generators"] == [{"name": "linear", "parameters": {"gain": 0.5}}]
-    kinfeas("dataset", "run.csv", "--kind", "csv", "--out", "shown", code=0)
-    assert len(read_demonstration(tmp_path / "shown" / "001.csv").time) == 11
-    record.write_bytes(record.read_bytes()[:-300])
-    kinfeas("view", "--record", "run.csv", code=0)
+    assert "pick_table" in outcome.out
 
 
 def test_other_commands_take_an_imported_robot(kinfeas, tmp_path, monkeypatch):
     monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)  # the full number takes a minute
     monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
     words = ("robot", "import", str(EXAMPLES / "own_robot" / "robot.urdf"), "--out", "new")
-    kinfeas(*words, "--json", "new.json", "--picture", "new.png", code=0)
-    facts = json.loads((tmp_path / "new.json").read_text())
+    facts = kinfeas(*words, "--json", "out.json", "--picture", "new.png", code=0).facts
     robot = load_robot(tmp_path / "new")
     assert list(facts["arm"]) == [joint.name for joint in robot.arm]
     assert len(facts["heights_m"]) == len(facts["reachable"])
@@ -126,11 +120,10 @@ RELAXED = (
 def test_the_ee_follows_a_source_of_the_working_directory(kinfeas, tmp_path):
     pytest.importorskip("mujoco")
     shutil.copy(EXAMPLES / "target_source.py", tmp_path / "circles.py")
-    kinfeas(
+    facts = kinfeas(
         "servo", "--robot", "pr2", "--backend", "mujoco", "--source", "circles:Circle",
-        "--seconds", "2", "--record", "run.csv", "--json", "run.json", *RELAXED, code=0,
-    )  # fmt: skip
-    facts = json.loads((tmp_path / "run.json").read_text())
+        "--seconds", "2", "--record", "run.csv", "--json", "out.json", *RELAXED, code=0,
+    ).facts  # fmt: skip
     assert (facts["failures"], facts["time_scale"]) == (0, 1.0)
     lines = [line.split(",") for line in (tmp_path / "run.csv").read_text().splitlines()[1:]]
     column = lines[0].index("desired.y")
@@ -179,13 +172,13 @@ def test_a_target_source_that_fails_ends_the_run_and_is_named(
     done = kinfeas(
         "servo", "--robot", "hsr", "--backend", "analytic", "--source", "broken:Source",
         "--set", f"source.fails={fails}", "--seconds", "0.5", "--record", "run.csv", *RELAXED,
-        "--json", "run.json", code=code,
+        "--json", "out.json", code=code,
     )  # fmt: skip
     assert "target source 'broken:Source'" in done.err
     assert error in done.err
     if fails != "start":
         assert not read_record(tmp_path / "run.csv").base_twist[-1].any()
-        assert "messages" in json.loads((tmp_path / "run.json").read_text())
+        assert "messages" in done.facts
 
 
 def test_output_files_are_checked_in_advance(tmp_path):

@@ -1,4 +1,3 @@
-import json
 import signal
 import subprocess
 import sys
@@ -25,17 +24,16 @@ def run(kinfeas, tmp_path):
     def deploy(*arguments, **checks):
         path = tmp_path / "run.csv"
         path.unlink(missing_ok=True)
-        done = kinfeas("deploy", *arguments, "--record", "run.csv", "--json", "run.json", **checks)
+        done = kinfeas("deploy", *arguments, "--record", "run.csv", "--json", "out.json", **checks)
         return done, read_record(path)
 
     return deploy
 
 
-def test_goal_is_reached_and_recorded(run, tmp_path):
+def test_goal_is_reached_and_recorded(run):
     done, record = run("pretrained", *HSR, *GOAL, *QUICK, "--rpy", "0", "1.2", "-0.3", code=0)
     assert REACHED in done.out
-    assert record.event[-1] == REACHED
-    assert json.loads((tmp_path / "run.json").read_text())["reason"] == REACHED
+    assert done.facts["reason"] == record.event[-1] == REACHED
 
 
 EE_PATH = "time,x,y,z,qx,qy,qz,qw\n0,2.6,-0.6,0.8,0,0,0,1\n8,2.6,0.6,0.8,0,0,0,1\n"
@@ -45,9 +43,9 @@ EE_PATH = "time,x,y,z,qx,qy,qz,qw\n0,2.6,-0.6,0.8,0,0,0,1\n8,2.6,0.6,0.8,0,0,0,1
 def test_a_plan_is_carried_out_by_base_and_arm(kinfeas, run, tmp_path, robot):
     (tmp_path / "ee.csv").write_text(EE_PATH)
     words = ("--robot", robot, "--path", "ee.csv", "--out", "plan.csv", "--scene", "room")
-    kinfeas("plan", *words, "--picture", "plan.png", "--json", "plan.json", code=0)
+    done = kinfeas("plan", *words, "--picture", "plan.png", "--json", "out.json", code=0)
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
-    assert set(json.loads((tmp_path / "plan.json").read_text())) > {"joint_trajectory", "base_path"}
+    assert done.facts.keys() > {"joint_trajectory", "base_path"}
     plan, own = load_plan("plan.csv", robot), ("--robot", robot, "--no-real-time")
     _, record = run("--plan", "plan.csv", *own, "--backend", "analytic", code=0)
     assert record.feasible.all()
@@ -67,11 +65,11 @@ def test_a_plan_is_carried_out_by_base_and_arm(kinfeas, run, tmp_path, robot):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_task_with_physics_is_recorded_with_its_furniture(run, tmp_path, engine):
+def test_task_with_physics_is_recorded_with_its_furniture(run, engine):
     pytest.importorskip(engine)
     words = ("--backend", engine, "--task", "pick_place", "--seconds", "0.1")
-    _, record = run("follow_ee", *HSR, *words, code=4)
-    assert json.loads((tmp_path / "run.json").read_text())["task_done"] is False
+    done, record = run("follow_ee", *HSR, *words, code=4)
+    assert done.facts["task_done"] is False
     assert record.about.scene == "room"
     assert set(record.about.objects) == set(load_task("pick_place").scene.moves)
 

@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 
 import pytest
@@ -9,23 +8,22 @@ from tests.cli.conftest import check_one_line
 
 
 @pytest.fixture
-def info(kinfeas, tmp_path):
+def info(kinfeas):
     """Return a function that returns the JSON of `kinfeas plugins info NAME`."""
 
     def run(name):
-        outcome = kinfeas("plugins", "info", name, "--json", "info.json")
+        outcome = kinfeas("plugins", "info", name, "--json", "out.json")
         assert (outcome.code, outcome.err) == (0, "")
         assert f" {Path(name).stem}, from " in outcome.out
-        return json.loads((tmp_path / "info.json").read_text())[0]
+        return outcome.facts[0]
 
     return run
 
 
-def test_list_has_every_group(kinfeas, tmp_path):
-    outcome = kinfeas("plugins", "list", "--json", "plugins.json", code=0)
-    plugins = json.loads((tmp_path / "plugins.json").read_text())
-    assert {plugin["group"] for plugin in plugins} == set(GROUPS)
-    own = [plugin for plugin in plugins if plugin["distribution"] == "kinfeas"]
+def test_list_has_every_group(kinfeas):
+    outcome = kinfeas("plugins", "list", "--json", "out.json", code=0)
+    assert {plugin["group"] for plugin in outcome.facts} == set(GROUPS)
+    own = [plugin for plugin in outcome.facts if plugin["distribution"] == "kinfeas"]
     assert all(plugin["description"] and plugin["error"] is None for plugin in own)
     assert all(kind[:-1] in outcome.out for kind in GROUPS.values())
 
@@ -42,26 +40,25 @@ def test_info_on_parameters(info):
 
 
 def test_check_reports_every_rule(kinfeas, tmp_path):
-    kinfeas("plugins", "check", "linear", "--picture", "a.png", "--json", "a.json", code=0)
+    words = ("--picture", "a.png", "--json", "out.json")
+    report = kinfeas("plugins", "check", "linear", *words, code=0).facts
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    report = json.loads((tmp_path / "a.json").read_text())
     assert report["passed"] is True
     assert [rule["rule"] for rule in report["rules"]] == list(RULES)
 
 
-def test_check_of_a_policy(kinfeas, tmp_path):
-    kinfeas("plugins", "check", "follow_ee", "--robot", "hsr", "--json", "a.json", code=0)
-    assert json.loads((tmp_path / "a.json").read_text())["passed"] is True
+def test_check_of_a_policy(kinfeas):
+    words = ("--robot", "hsr", "--json", "out.json")
+    assert kinfeas("plugins", "check", "follow_ee", *words, code=0).facts["passed"] is True
     check_one_line(kinfeas("plugins", "check", "follow_ee", "--set", "gain=1"), "follow_ee")
     check_one_line(kinfeas("plugins", "check", "follow_ee"), "--robot")
 
 
-def test_check_of_a_generator_that_breaks_rules(kinfeas, tmp_path):
+def test_check_of_a_generator_that_breaks_rules(kinfeas):
     settings = ["--set", "max_velocity=0.4", "--set", "max_angular_velocity=null"]
-    words = [*settings, "--duration", "9", "--json", "a.json"]
+    words = [*settings, "--duration", "9", "--json", "out.json"]
     outcome = kinfeas("plugins", "check", "linear", *words)
     check_one_line(outcome)
-    report = json.loads((tmp_path / "a.json").read_text())
-    assert report["passed"] is False
-    broken = {rule["rule"] for rule in report["rules"] if rule["broken"]}
+    assert outcome.facts["passed"] is False
+    broken = {rule["rule"] for rule in outcome.facts["rules"] if rule["broken"]}
     assert {"angular_velocity", "arrival"} <= broken

@@ -24,12 +24,12 @@ def test_the_winner_is_a_recipe_that_train_takes(kinfeas, tmp_path):
     words = ("sweep", "mine.yaml", "--out", "my out", "--processes", "1")
     outcome = kinfeas(*words, "--json", "out.json", code=0)
     assert (tmp_path / "my out" / "sweep.png").read_bytes().startswith(b"\x89PNG")
-    trials = json.loads((tmp_path / "out.json").read_text())
+    trials = outcome.facts
     assert [trial["number"] for trial in trials] == [0, 1, 2]
     assert "--config 'my out/best.yaml'" in outcome.out
     kinfeas("train", "--config", "my out/best.yaml", "--seed", "1", "--out", "again", code=0)
     assert config.load(TrainConfig, tmp_path / "again" / "config.yaml").seed == 1
-    kinfeas(*words, "--set", "trials=4", "--json", "out.json", code=0)
-    assert json.loads((tmp_path / "out.json").read_text())[:3] == trials
+    more = kinfeas(*words, "--set", "trials=4", "--json", "out.json", code=0)
+    assert more.facts[:3] == trials
     check_one_line(kinfeas(*words, "--set", "seed=4"), "my out")
     check_one_line(kinfeas("sweep", "none"), "none")

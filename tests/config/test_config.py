@@ -78,13 +78,9 @@ def test_file_and_back_is_the_identity(tmp_path_factory, recipe):
 
 
 @pytest.mark.parametrize(("key", "value", "named"), [
-    ("steps", 0, "steps"),
-    ("rate", float("nan"), "rate"),
-    ("layers", [1, "b"], "layers.1"),
-    ("noise", {"base": 2}, "noise.base"),
-    ("noise", {"lag": 101}, "noise"),
-    ("stages", [{}, {"lags": 1}], "stages.1.lags"),
-    ("stps", 1, "stps"),
+    ("steps", 0, "steps"), ("rate", float("nan"), "rate"), ("layers", [1, "b"], "layers.1"),
+    ("noise", {"base": 2}, "noise.base"), ("noise", {"lag": 101}, "noise"),
+    ("stages", [{}, {"lags": 1}], "stages.1.lags"), ("stps", 1, "stps"),
 ])  # fmt: skip
 def test_error_names_file_and_key_in_one_line(key, value, named):
     with pytest.raises(KinfeasError, match=r"^recipe.yaml: ") as caught:
@@ -132,14 +128,9 @@ def test_wrong_settings_are_named_without_the_file(key, wrong):
 
 
 SCHEMAS = {
-    "train": TrainConfig,
-    "train_physics": TrainConfig,
-    "train_rooms": TrainConfig,
-    "finetune_physics": TrainConfig,
-    "analytic": EvalSettings,
-    "pybullet": EvalSettings,
-    "deploy": DeployConfig,
-    "baselines": BaselineConfig,
+    **dict.fromkeys(("train", "train_physics", "train_rooms", "finetune_physics"), TrainConfig),
+    **dict.fromkeys(("analytic", "pybullet"), EvalSettings),
+    **{"deploy": DeployConfig, "baselines": BaselineConfig},
 }
 
 

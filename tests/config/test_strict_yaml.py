@@ -19,14 +19,8 @@ PLAIN = st.recursive(
 
 
 @pytest.mark.parametrize(("text", "value"), [
-    ("1e-3", 1e-3),
-    ("1000_000", "1000_000"),
-    (".inf", math.inf),
-    ("off", "off"),
-    ("010", "010"),
-    ("2024-01-01", "2024-01-01"),
-    ("", None),
-    ("{a: [1, b]}", {"a": [1, "b"]}),
+    ("1e-3", 1e-3), ("1000_000", "1000_000"), (".inf", math.inf), ("off", "off"), ("010", "010"),
+    ("2024-01-01", "2024-01-01"), ("", None), ("{a: [1, b]}", {"a": [1, "b"]}),
 ])  # fmt: skip
 def test_scalars_are_those_of_yaml_1_2(text, value):
     parsed = strict_yaml.parse(text, "x")
@@ -35,12 +29,9 @@ def test_scalars_are_those_of_yaml_1_2(text, value):
 
 
 @pytest.mark.parametrize(("text", "named"), [
-    ("a: 1\nb: [", "line 2"),
-    ("a: 1\nb: 2\na: 3", "line 3: duplicate key 'a'"),
-    ("a: 1\nb: &x [1]\nc: *x", "line 2"),
-    ("!!python/object/apply:os.getcwd []", "os.getcwd"),
-    ("a: 1\n---\nb: 2", "line 2"),
-    ("[" * 5000, "broken YAML"),
+    ("a: 1\nb: [", "line 2"), ("a: 1\nb: 2\na: 3", "line 3: duplicate key 'a'"),
+    ("a: 1\nb: &x [1]\nc: *x", "line 2"), ("!!python/object/apply:os.getcwd []", "os.getcwd"),
+    ("a: 1\n---\nb: 2", "line 2"), ("[" * 5000, "broken YAML"),
 ])  # fmt: skip
 def test_broken_text_is_an_error_of_one_line(text, named):
     with pytest.raises(KinfeasError, match=r"^file.yaml: broken YAML") as caught:

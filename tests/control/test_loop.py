@@ -225,7 +225,7 @@ def test_time_scale_changes_the_motion_but_not_the_observation(solver):
     ]
     np.testing.assert_array_equal(slow.observation.values, plain.observation.values)
     # Policies that do not learn read the motion as it will be.
-    full, half = (np.stack(spatial.distance(one.desired, one.observation.planned)) for one in loops)
+    full, half = (np.stack(spatial.distance(x.desired, x.observation.planned)) for x in loops)
     np.testing.assert_allclose(2.0 * half, full)
     start = plain.desired
     rest(plain, 5)
@@ -257,9 +257,8 @@ def test_base_and_motion_pause_while_an_arm_reconfigures(solver):
             resumed.restore(loop.snapshot())
             loop = resumed
         there = period == 7
-        loop.backend.disturb = lambda robots, away=1.0 - there: robots.shift(
-            joints=away * first_arm
-        )
+        off = (1.0 - there) * first_arm
+        loop.backend.disturb = lambda robots, off=off: robots.shift(joints=off)
         before = loop.desired
         loop.step(np.ones((2, loop.command_size)))
         moves.append(np.any(loop.desired != before, axis=1).tolist())
@@ -356,9 +355,8 @@ def test_wrong_commands_of_a_filter_are_errors(solver, change, word):
 
 
 def test_filters_return_a_period(solver):
-    loop = make_loop(solver, 2, filters=[lambda period: period.command])
     with pytest.raises(KinfeasError, match=r"command filter function.*Period.*ndarray"):
-        rest(loop)
+        rest(make_loop(solver, 2, filters=[lambda period: period.command]))
 
 
 def test_exceptions_of_filters_and_policies_name_them(solver):

@@ -23,9 +23,7 @@ from tests.builders import assert_near, at, random_poses, rngs
 
 LAG = PluginSpec("actuator_lag", {"base": 0.15, "arm": 0.03})
 LIMITS = PluginSpec("acceleration_limit", {"linear": 1.0, "angular": 2.0})
-JERKS = PluginSpec(
-    "acceleration_limit", {**LIMITS.parameters, "linear_jerk": 9, "angular_jerk": 20}
-)
+JERKS = PluginSpec(LIMITS.name, {**LIMITS.parameters, "linear_jerk": 9, "angular_jerk": 20})
 WHOLE = (
     PluginSpec("command_latency", {"seconds": 0.2}),
     PluginSpec("sensor_latency", {"seconds": 0.1}),
@@ -65,8 +63,8 @@ class Drive:
 
     def begin(self, rows):
         """Begin some rows anew, or all."""
-        chosen = slice(None) if rows is None else rows
-        state = self.backend.reset(self.start[chosen], self.targets[chosen], rows)
+        subset = slice(None) if rows is None else rows
+        state = self.backend.reset(self.start[subset], self.targets[subset], rows)
         self.predicted, self.truth = (
             [self.predictor.start(self.change(state), rows)],
             [state.true_state or state],
@@ -90,14 +88,14 @@ class Drive:
     @property
     def errors(self):
         """Largest errors of predicted bases, metres and radians, and of joints."""
-        delay, found = round(self.predictor.delay / self.dt * self.parts), []
+        delay, errors = round(self.predictor.delay / self.dt * self.parts), []
         arrived = self.truth[delay :: self.parts]
         for predicted, true in zip(self.predicted, arrived, strict=False):
             apart = distance(predicted.base_pose, true.base_pose)
             before, after = true.joint_positions, predicted.joint_positions
             joints = joint_displacement(self.robot, before, after)
-            found.append([np.max(apart[0]), np.max(apart[1]), np.abs(joints).max()])
-        return np.max(found, axis=0)
+            errors.append([np.max(apart[0]), np.max(apart[1]), np.abs(joints).max()])
+        return np.max(errors, axis=0)
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.1])

@@ -66,14 +66,9 @@ def test_poses_of_a_chunk_are_reached_at_their_times():
 
 
 @pytest.mark.parametrize(("rule", "sent", "pose"), [
-    ("invalid", 1.0, at(np.nan)),
-    ("invalid", np.nan, at()),
-    ("invalid", 1.0, at(1e300)),
-    ("invalid", 1.0, np.zeros(7)),
-    ("late", 0.85, at()),
-    ("repeated", 0.98, at()),
-    ("jump", 1.0, at(0.6)),
-    ("jump", 1.0, spatial.planar_pose(0.0, 0.0, 3.0)),
+    ("invalid", 1.0, at(np.nan)), ("invalid", np.nan, at()), ("invalid", 1.0, at(1e300)),
+    ("invalid", 1.0, np.zeros(7)), ("late", 0.85, at()), ("repeated", 0.98, at()),
+    ("jump", 1.0, at(0.6)), ("jump", 1.0, spatial.planar_pose(0.0, 0.0, 3.0)),
 ])  # fmt: skip
 def test_a_rule_ignores_a_message(rule, sent, pose):
     box = inbox()

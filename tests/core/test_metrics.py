@@ -67,8 +67,15 @@ def test_summary():
 
 
 def test_joined_records_of_runs_with_and_without_solids():
-    joined = join([RECORDS, MEASURED])
-    np.testing.assert_array_equal(joined.steps, np.tile(RECORDS.steps, 2))
-    np.testing.assert_array_equal(joined.base_collisions, [0, 0, 0, 0, 0, 2, 0, 0])
-    assert joined.base_collisions.dtype == MEASURED.base_collisions.dtype
-    assert join([RECORDS]).base_collisions is None
+    for parts, collisions in (
+        ([RECORDS, MEASURED], [0, 0, 0, 0, 0, 2, 0, 0]),
+        ([MEASURED, RECORDS], [0, 2, 0, 0, 0, 0, 0, 0]),
+    ):
+        joined = join(parts)
+        np.testing.assert_array_equal(joined.steps, np.tile(RECORDS.steps, 2))
+        np.testing.assert_array_equal(joined.base_collisions, collisions)
+        assert joined.base_collisions.dtype == MEASURED.base_collisions.dtype
+    whole = join([replace(MEASURED, base_collisions=None)] * 2)
+    for key, values in vars(MEASURED).items():
+        expected = None if key == "base_collisions" else np.concatenate([values, values])
+        np.testing.assert_array_equal(getattr(whole, key), expected, err_msg=key)

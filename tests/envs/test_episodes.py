@@ -6,7 +6,6 @@ from kinfeas.envs import episodes as module
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
-from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain_file import pick_place
 from kinfeas.tasks.ggr import ggr
 
@@ -17,8 +16,8 @@ NEAR = ggr(distance=(0.3, 0.9), heights=(0.6, 0.9))
 
 
 @pytest.fixture(scope="module")
-def world():
-    return World(load_robot("hsr"), NEAR, NOISY, seed=2)
+def world(hsr):
+    return World(hsr, NEAR, NOISY, seed=2)
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +30,8 @@ def records(world, policy):
     return run_episodes(world, policy, 24)
 
 
-def assert_equal(found, records, rows=slice(None)):
-    for key, values in vars(found).items():
+def assert_equal(result, records, rows=slice(None)):
+    for key, values in vars(result).items():
         expected = getattr(records, key)
         np.testing.assert_array_equal(values, expected if expected is None else expected[rows])
 

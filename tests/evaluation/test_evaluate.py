@@ -11,7 +11,7 @@ import pytest
 
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.metrics import Proportion, join
+from kinfeas.core.metrics import Proportion
 from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
@@ -21,7 +21,6 @@ from kinfeas.evaluation.evaluate import (
     configure,
     evaluate,
     reachability_of,
-    read_settings,
     run,
 )
 from kinfeas.evaluation.reachability import WAYPOINTS, draw_waypoints
@@ -35,10 +34,9 @@ from kinfeas.tasks.ggr import ggr
 
 
 @pytest.fixture(scope="module")
-def config():
+def config(hsr):
     world = replace(evaluation_world(), max_seconds=6.0)
-    near = ggr(distance=(0.5, 0.8))
-    return EvalConfig(load_robot("hsr"), near, episodes=20, seed=3, world=world)
+    return EvalConfig(hsr, ggr(distance=(0.5, 0.8)), episodes=20, seed=3, world=world)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +44,8 @@ def policy(config):
     return load_policy("follow_ee", config.robot)
 
 
-def test_the_default_world_is_exact_and_ends_no_episode_early():
-    assert evaluation_world() == WorldConfig(max_failures=99)
-    assert EvalConfig(load_robot("hsr"), ggr()).world == evaluation_world()
+def test_the_default_world_is_exact_and_ends_no_episode_early(hsr):
+    assert evaluation_world() == WorldConfig(max_failures=99) == EvalConfig(hsr, ggr()).world
 
 
 def test_summary(config, policy):
@@ -66,15 +63,17 @@ def test_summary(config, policy):
     assert sum(ended) == 20
 
 
-def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(config):
-    asked = {"world.adapters": [{"name": "actuator_lag"}]}
-    world = configure(config.robot, "ggr", settings=asked).world
-    assert (world.dt, [each.name for each in world.filters]) == (0.02, ["time_scaling"])
-    world = configure(
-        config.robot, "ggr", settings={**asked, "world.dt": 0.1, "world.filters": []}
-    ).world
-    assert (world.dt, world.filters) == (0.1, ())
-    assert configure(config.robot, "ggr", settings={"world.adapters": []}).world.dt == 0.1
+@pytest.mark.parametrize(("adapters", "settings", "dt", "filters"), [
+    (["actuator_lag"], {}, 0.02, ["time_scaling"]), (["base_noise"], {}, 0.02, []),
+    (["actuator_lag"], {"world.dt": 0.1, "world.filters": []}, 0.1, []), ([], {}, 0.1, []),
+    (["command_latency"], {}, 0.02, ["time_scaling"]),
+])  # fmt: skip
+def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
+    hsr, adapters, settings, dt, filters
+):
+    settings = {"world.adapters": [{"name": name} for name in adapters], **settings}
+    world = configure(hsr, "ggr", settings=settings).world
+    assert (world.dt, [each.name for each in world.filters]) == (dt, filters)
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
@@ -92,17 +91,6 @@ def test_the_same_seed_gives_the_same_figures(config, policy):
     assert first == evaluate(few, policy)
     assert first != evaluate(replace(few, seed=4), policy)
     assert first["ceiling"] is None
-
-
-def test_parts_join_to_the_whole(config, policy):
-    whole = run(config, policy)
-    world = World(config.robot, config.task, config.world, config.seed)
-    parts = [run_episodes(world, policy, count, first=at) for at, count in ((0, 8), (8, 12))]
-    for key, values in vars(whole).items():
-        np.testing.assert_array_equal(getattr(join(parts), key), values, err_msg=key)
-    touched = [replace(part, base_collisions=np.ones(len(part.reached))) for part in parts]
-    mixed = join([parts[0], touched[1]]), join([touched[0], parts[1]])
-    assert [records.base_collisions.sum() for records in mixed] == [12, 8]
 
 
 @pytest.mark.slow
@@ -145,13 +133,9 @@ def test_workers_end_at_once_with_their_parent(number, printed):
 TASKS = pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)
 
 
-@pytest.fixture
-def world(hsr):
-    return World(hsr, ggr(), WorldConfig(max_failures=99, max_seconds=6.0), seed=4)
-
-
-def test_recordings_agree_with_the_records(world):
-    policy = FollowEe(world.robot.base)
+def test_recordings_agree_with_the_records(hsr):
+    world = World(hsr, ggr(), WorldConfig(max_failures=99, max_seconds=6.0), seed=4)
+    policy = FollowEe(hsr.base)
     recordings = record_episodes(world, policy, 3, first=5)
     records = run_episodes(world, policy, 3, first=5)
     assert [episode.episode for episode in recordings] == [5, 6, 7]
@@ -181,16 +165,14 @@ def test_waypoints_are_those_of_the_world(robot, solver, task):
         assert np.all(np.abs(missed).max(axis=2).min(axis=1) == 0.0)
 
 
-CIRCLE = [
-    [r * (np.cos(a) - 1.0), r * np.sin(a)] for r, a in ((0.15, a / 4 * np.pi) for a in range(9))
-]
+CIRCLE = [[0.15 * (np.cos(a) - 1.0), 0.15 * np.sin(a)] for a in np.arange(9) / 4 * np.pi]
 DETOUR = [[-0.3, 0.0], [-0.01, 0.0], [-0.3, 0.3], [0.0, 0.0]]
 
 
 @pytest.mark.parametrize(("generator", "path", "farthest"), [
     ("waypoints", CIRCLE, 0.3), ("waypoints", DETOUR, 0.4), ("replay", CIRCLE, 0.3),
 ])  # fmt: skip
-def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator, path, farthest):
+def test_motions_that_pass_their_end_are_carried_out(hsr, tmp_path, generator, path, farthest):
     prefix = "ee_" if generator == "replay" else ""
     names = [prefix + name for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
     rows = [f"{5.0 * i},{x},{y},0,0,0,0,1" for i, (x, y) in enumerate(path)]
@@ -200,9 +182,8 @@ def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator,
         "subgoals:\n- {place: spot}\n- {place: spot, motion: {generator: "
         f"{generator}, parameters: {{file: path.csv}}}}}}\n"
     )
-    robot = load_robot("hsr")
-    config = configure(robot, str(tmp_path / "task.yaml"), episodes=2)
-    policy = load_policy("pretrained", robot)
+    config = configure(hsr, str(tmp_path / "task.yaml"), episodes=2)
+    policy = load_policy("pretrained", hsr)
     world = World(config.robot, config.task, config.world, config.seed)
     together = record_episodes(world, policy, 2)
     alone = record_episodes(world, policy, 1, first=1)[0]
@@ -214,12 +195,3 @@ def test_motions_that_pass_their_end_are_carried_out_wholly(tmp_path, generator,
         assert episode.reached
         assert away[arrival:].max() == pytest.approx(farthest, abs=0.03)
         assert away[-1] < 0.03
-
-
-def test_adapters_that_do_not_delay_keep_the_filters_of_the_world():
-    settings = {"world.adapters": [{"name": "base_noise"}]}
-    world = read_settings("hsr", "analytic", settings).world
-    assert (world.dt, world.filters) == (0.02, ())
-    settings = {"world.adapters": [{"name": "command_latency"}]}
-    late = read_settings("hsr", "analytic", settings).world
-    assert [each.name for each in late.filters] == ["time_scaling"]

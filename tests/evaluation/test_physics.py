@@ -13,68 +13,60 @@ from kinfeas.tasks.loading import load_task
 
 
 @pytest.fixture(scope="module")
-def chosen(engine):
+def config(engine, hsr):
     world = replace(evaluation_world(engine, "hsr"), max_seconds=4.0)
-    return EvalConfig(load_robot("hsr"), ggr(distance=(0.5, 0.8)), episodes=3, seed=3, world=world)
+    return EvalConfig(hsr, ggr(distance=(0.5, 0.8)), episodes=3, seed=3, world=world)
 
 
 @pytest.fixture(scope="module")
-def policy(chosen):
-    return load_policy("follow_ee", chosen.robot)
+def policy(config):
+    return load_policy("follow_ee", config.robot)
 
 
-@pytest.fixture(scope="module")
-def records(chosen, policy):
-    return run(chosen, policy)
-
-
-def test_records(records):
+def test_records(config, policy):
+    records = run(config, policy)
     assert np.all((records.steps > 0) & (records.steps <= 200))
     assert np.all(records.max_deviation >= records.mean_deviation)
     np.testing.assert_array_equal(records.task_done, records.reached)  # a task without objects
     np.testing.assert_array_equal(records.base_collisions, 0)
 
 
-def test_a_head_start_holds_the_ee(chosen, policy):
-    waiting = run(replace(chosen, world=replace(chosen.world, head_start=4.0)), policy)
+def test_a_head_start_holds_the_ee(config, policy):
+    waiting = run(replace(config, world=replace(config.world, head_start=4.0)), policy)
     assert not waiting.reached.any()
     assert np.all(waiting.mean_deviation < 0.01)
 
 
-def test_task_success_is_unknown_without_the_objects(chosen, policy):
+def test_task_success_is_unknown_without_the_objects(config, policy):
     for objects in (True, False):
-        world = replace(chosen.world, max_seconds=0.5, backend_parameters={"objects": objects})
-        found = run(EvalConfig(chosen.robot, load_task("door"), 1, 2, world), policy)
-        assert (found.task_done is not None) == objects
-        assert not objects or not found.task_done.any()
+        world = replace(config.world, max_seconds=0.5, backend_parameters={"objects": objects})
+        done = run(EvalConfig(config.robot, load_task("door"), 1, 2, world), policy)
+        assert (done.task_done is not None) == objects
+        assert not objects or not done.task_done.any()
 
 
 @pytest.mark.parametrize("name", ["drawer", "pick_place"])
-def test_an_episode_is_the_same_to_the_bit_in_any_row(name, engine):
-    robot = load_robot("hsr")
+def test_an_episode_is_the_same_to_the_bit_in_any_row(name, engine, hsr):
     config = replace(evaluation_world(engine, "hsr"), max_seconds=2.0)
-    policy, parts = load_policy("pretrained", robot), []
+    policy, parts = load_policy("pretrained", hsr), []
     for first, count in ((0, 3), (2, 1)):
-        world = World(robot, load_task(name), config, 1)
+        world = World(hsr, load_task(name), config, 1)
         parts.append(run_episodes(world, policy, count, first=first))
         world.close()
     for key, values in vars(parts[0]).items():
         other = vars(parts[1])[key]
-        if values is None:  # not measured in this task
-            assert other is None
-        else:
-            np.testing.assert_array_equal(values[2:], other, err_msg=key)
+        expected = values if values is None else values[2:]  # not measured in this task
+        np.testing.assert_array_equal(other, expected, err_msg=key)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["hsr", "tiago", "pr2"])
 @pytest.mark.parametrize("task", ["drawer", "door"])
 def test_packaged_policies_do_their_tasks(robot, task, engine):
-    known = load_robot(robot)
-    world = evaluation_world(engine, robot)
-    found = run(EvalConfig(known, load_task(task), 2, 1, world), load_policy("pretrained", known))
-    assert found.reached.any()
-    np.testing.assert_array_equal(found.task_done, found.reached)
+    model, world = load_robot(robot), evaluation_world(engine, robot)
+    records = run(EvalConfig(model, load_task(task), 2, 1, world), load_policy("pretrained", model))
+    assert records.reached.any()
+    np.testing.assert_array_equal(records.task_done, records.reached)
 
 
 def collisions(dt, *touched):

@@ -44,9 +44,9 @@ def test_what_is_written_is_read_back(tmp_path_factory, samples, seed):
 def test_the_base_may_be_missing(tmp_path):
     full, path = demonstration(), tmp_path / "one.csv"
     write_demonstration(replace(full, base_pose=np.full((5, 7), np.nan)), path)
-    found = read_demonstration(path)
-    assert found.base_pose.shape == (5, 7)
-    assert not found.has_base
+    result = read_demonstration(path)
+    assert result.base_pose.shape == (5, 7)
+    assert not result.has_base
 
 
 @pytest.mark.parametrize(("rows", "place"), [

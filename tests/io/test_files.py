@@ -6,50 +6,40 @@ from pathlib import Path
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import (
-    alone,
-    find_folder,
-    read_csv,
-    read_file,
-    read_json,
-    reading,
-    replacing,
-    write_file,
-    write_folder,
-)
+from kinfeas.io import files
 
 
 def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):
     path = tmp_path / "file"
     for content in (b"1", b"22"):
-        write_file(path, content)
+        files.write_file(path, content)
         assert path.read_bytes() == content
     (tmp_path / "folder" / "inner").mkdir(parents=True)
     for wrong in (tmp_path / "folder", tmp_path / "none" / "file", path / "file"):
         with pytest.raises(KinfeasError, match=str(wrong)):
-            write_file(wrong, b"333")
+            files.write_file(wrong, b"333")
     assert sorted(one.name for one in tmp_path.iterdir()) == ["file", "folder"]
     assert path.read_bytes() == b"22"
 
 
 def test_reads_files_up_to_a_limit(tmp_path):
     (tmp_path / "file").write_bytes(b"1234")
-    assert read_file(tmp_path / "file", 4) == b"1234"
+    assert files.read_file(tmp_path / "file", 4) == b"1234"
     os.mkfifo(tmp_path / "pipe")
     for wrong in ("none", ".", "pipe", "/dev/zero", "a\0.yaml", "\ud800.yaml"):
         with pytest.raises(KinfeasError) as caught:
-            read_file(tmp_path / wrong, 9)
+            files.read_file(tmp_path / wrong, 9)
         assert str(caught.value).isprintable()
     with pytest.raises(KinfeasError, match="file"):
-        read_file(tmp_path / "file", 3)
-    with pytest.raises(KinfeasError, match="odd"), reading(Path("odd")):
+        files.read_file(tmp_path / "file", 3)
+    with pytest.raises(KinfeasError, match="odd"), files.reading(Path("odd")):
         b"\xff".decode()
 
 
 def test_a_file_that_is_not_finished_changes_nothing(tmp_path):
     path = tmp_path / "film.gif"
     path.write_bytes(b"old")
-    with pytest.raises(KinfeasError, match=r"film\.gif.*full"), replacing(path) as new:
+    with pytest.raises(KinfeasError, match=r"film\.gif.*full"), files.replacing(path) as new:
         assert new.name == path.name
         new.write_bytes(b"ne")
         raise OSError(28, "full")
@@ -66,12 +56,12 @@ def write(folder, text):
         (fresh / "a").write_text(text)
         (fresh / "b").write_text(text)
 
-    write_folder(folder, fill)
+    files.write_folder(folder, fill)
 
 
 def read(folder):
-    found = find_folder(folder)
-    texts = {(found / name).read_text() for name in "ab"}
+    result = files.find_folder(folder)
+    texts = {(result / name).read_text() for name in "ab"}
     assert len(texts) == 1, "a folder of two versions"
     return texts.pop()
 
@@ -113,11 +103,10 @@ def test_a_complete_folder_remains_after_two_kills(tmp_path, monkeypatch):
 
 
 def test_locks_of_folders(tmp_path):
-    with alone(tmp_path), pytest.raises(KinfeasError, match=str(tmp_path)), alone(tmp_path):
-        pass
-    with alone(tmp_path):
-        pass
-    with pytest.raises(KinfeasError, match="none"), alone(tmp_path / "none"):
+    for _ in range(2):
+        with files.alone(tmp_path), pytest.raises(KinfeasError, match=str(tmp_path)):
+            files.alone(tmp_path).__enter__()
+    with pytest.raises(KinfeasError, match="none"), files.alone(tmp_path / "none"):
         pass
 
 
@@ -127,7 +116,7 @@ def test_links_and_rights_are_kept(tmp_path):
     target.write_bytes(b"old")
     target.chmod(0o640)
     link.symlink_to("folder/target")
-    write_file(link, b"new")
+    files.write_file(link, b"new")
     assert target.read_bytes() == b"new"
     assert link.readlink() == Path("folder/target")
     assert stat.S_IMODE(target.stat().st_mode) == 0o640
@@ -142,19 +131,17 @@ def table(folder, text):
 
 def test_csv_columns_are_read_by_name(tmp_path):
     path = table(tmp_path, "a, note ,b\n1,x,2\n\n3,y,4.5\n")
-    found = read_csv(path, ("b", "a", "time"), ("time",))
-    assert {name: values.tolist() for name, values in found.items()} == {
-        "b": [2.0, 4.5],
-        "a": [1.0, 3.0],
-    }
-    assert read_csv(table(tmp_path, "a,b\n"), ["a"])["a"].shape == (0,)
+    table_columns = files.read_csv(path, ("b", "a", "time"), ("time",))
+    values = {name: column.tolist() for name, column in table_columns.items()}
+    assert values == {"b": [2.0, 4.5], "a": [1.0, 3.0]}
+    assert files.read_csv(table(tmp_path, "a,b\n"), ["a"])["a"].shape == (0,)
 
 
 @pytest.mark.parametrize(("text", "place"), [("", ": column 'a'"), ("a\n1\nx", ", row 2, a: ")])
 def test_csv_errors_name_row_and_column(tmp_path, text, place):
     path = table(tmp_path, text)
     with pytest.raises(KinfeasError, match=f"^{path}{place}"):
-        read_csv(path, ["a"])
+        files.read_csv(path, ["a"])
 
 
 @pytest.mark.parametrize(
@@ -164,4 +151,4 @@ def test_files_that_are_no_json_mapping(tmp_path, content):
     path = tmp_path / "a.json"
     path.write_bytes(content)
     with pytest.raises(KinfeasError, match=f"^{path}: "):
-        read_json(path)
+        files.read_json(path)

@@ -44,12 +44,24 @@ def folder(shown, tmp_path):
     return tmp_path / "set"
 
 
-def test_actions_are_the_poses_of_the_next_frame(shown, folder):
+def read(folder):
+    """Return the table of a dataset, and its states and actions."""
     table = parquet.read_table(folder / "data/chunk-000/file-000.parquet")
-    state, action = (np.stack(table[key].to_numpy()) for key in ("observation.state", "action"))
-    episode, time = (table[key].to_numpy() for key in ("episode_index", "timestamp"))
+    return table, *(np.stack(table[key].to_numpy()) for key in ("observation.state", "action"))
+
+
+def check_actions(folder):
+    """Check that actions are the poses of the next frame in the same episode."""
+    table, state, action = read(folder)
+    episode = table["episode_index"].to_numpy()
     same = episode[1:] == episode[:-1]
     np.testing.assert_array_equal(action[:-1][same], state[1:, :7][same])
+
+
+def test_actions_are_the_poses_of_the_next_frame(shown, folder):
+    check_actions(folder)
+    table, state, _ = read(folder)
+    episode, time = (table[key].to_numpy() for key in ("episode_index", "timestamp"))
     for number, one in enumerate(shown):
         mine = episode == number
         np.testing.assert_allclose(time[mine], np.arange(mine.sum()) / 25.0, atol=1e-4)
@@ -68,7 +80,8 @@ def test_quaternions_do_not_change_their_sign_within_an_episode(tmp_path):
     poses = [planar_pose(0.0 * time, 0.0 * time, angle) for angle in turned]
     shown = [Demonstration(time, pose, pose, pose) for pose in poses]
     write_lerobot_dataset(shown, tmp_path / "set", "Turn.")
-    table = parquet.read_table(tmp_path / "set/data/chunk-000/file-000.parquet")
+    check_actions(tmp_path / "set")
+    table = read(tmp_path / "set")[0]
     episode = table["episode_index"].to_numpy()
     features = {"observation.state": 2, "observation.environment_state": 1, "action": 1}
     for name, count in features.items():
@@ -76,9 +89,6 @@ def test_quaternions_do_not_change_their_sign_within_an_episode(tmp_path):
         step = np.abs(np.diff(values[..., 3:], axis=0)).max(axis=(1, 2))
         assert step[episode[1:] == episode[:-1]].max() < 0.05
         assert name == "action" or (values[frames(episode) == 0, :, 6] >= 0.0).all()
-    state, action = (np.stack(table[key].to_numpy()) for key in ("observation.state", "action"))
-    same = episode[1:] == episode[:-1]
-    np.testing.assert_array_equal(action[:-1][same], state[1:, :7][same])
 
 
 def frames(episode):
@@ -94,19 +104,18 @@ def test_folders_that_exist_are_kept(shown, folder):
 @pytest.mark.skipif(PYTHON is None, reason="needs KINFEAS_LEROBOT_PYTHON, Python with LeRobot")
 def test_lerobot_reads_the_dataset(shown, folder, tmp_path):
     home = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "home")}
-    found = subprocess.run(
+    done = subprocess.run(
         [str(PYTHON), "-c", _READ, str(folder)],
         env=os.environ | home, cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert found.returncode == 0, found.stderr
-    read = json.loads(found.stdout.splitlines()[-1])
-    table = parquet.read_table(folder / "data/chunk-000/file-000.parquet")
-    state, action = (np.stack(table[key].to_numpy()) for key in ("observation.state", "action"))
-    assert (read["episodes"], read["frames"]) == (3, len(table))
-    assert (read["fps"], read["robot"]) == (25, "pr2")
-    assert read["tasks"] == ["Open the door."] * 4
-    assert read["names"] == [f"ee_{axis}.pos" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-    np.testing.assert_array_equal(np.array(read["state"])[:, 1], state[:4])
-    np.testing.assert_array_equal(np.array(read["action"])[:, 0], action[:4])
-    np.testing.assert_allclose(read["last"], shown[-1].object_pose[-1], atol=1e-6)
-    np.testing.assert_allclose(read["mean"], action.mean(axis=0), atol=1e-5)
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout.splitlines()[-1])
+    table, state, action = read(folder)
+    assert (facts["episodes"], facts["frames"]) == (3, len(table))
+    assert (facts["fps"], facts["robot"]) == (25, "pr2")
+    assert facts["tasks"] == ["Open the door."] * 4
+    assert facts["names"] == [f"ee_{axis}.pos" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    np.testing.assert_array_equal(np.array(facts["state"])[:, 1], state[:4])
+    np.testing.assert_array_equal(np.array(facts["action"])[:, 0], action[:4])
+    np.testing.assert_allclose(facts["last"], shown[-1].object_pose[-1], atol=1e-6)
+    np.testing.assert_allclose(facts["mean"], action.mean(axis=0), atol=1e-5)

@@ -60,7 +60,7 @@ def test_invalid_entries_are_named(tmp_path, key, value):
 
 @pytest.mark.parametrize("missing", ["evaluation", "steps"])
 def test_the_best_checkpoint_has_an_evaluation(tmp_path, missing):
-    told = {"steps": 9, "evaluation": FIGURES}
-    del told[missing]
+    entries = {"steps": 9, "evaluation": FIGURES}
+    del entries[missing]
     with pytest.raises(KinfeasError, match=f"^{tmp_path}: "):
-        read_best(write(tmp_path, **told))
+        read_best(write(tmp_path, **entries))

@@ -105,9 +105,8 @@ class Primitives:
             (link.name, shape) for link in robot.urdf.links.values() for shape in link.shapes
         ]
         kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
-        self.objects = [
-            fcl.CollisionObject(kinds[shape.kind](*shape.size)) for _, shape in self.shapes
-        ]
+        geometries = [kinds[shape.kind](*shape.size) for _, shape in self.shapes]
+        self.objects = list(map(fcl.CollisionObject, geometries))
         self.radius = np.array([_radius(shape) for _, shape in self.shapes])
 
     def place(self, joint_positions: Array) -> Array:

@@ -66,15 +66,15 @@ def test_solutions_can_be_held(weak_tiago):
     np.testing.assert_array_equal(strong.admissible(joints) & ~beyond, held)
     targets, seeds = forward(solver.chain, joints[held]), joints[~held][: held.sum()]
     targets = targets[: len(seeds)]
-    found, free = solver.solve(targets, seeds), strong.solve(targets, seeds)
-    assert found.feasible.mean() > 0.9
-    assert not overloaded(solver.gravity, found.joint_positions[found.feasible]).any()
+    result, free = solver.solve(targets, seeds), strong.solve(targets, seeds)
+    assert result.feasible.mean() > 0.9
+    assert not overloaded(solver.gravity, result.joint_positions[result.feasible]).any()
     assert overloaded(solver.gravity, free.joint_positions[free.feasible]).any()
     # The search also goes on where the seed itself would be a solution.
     here = joints[strong.admissible(joints) & beyond][:100]
-    found = solver.solve(forward(solver.chain, here), here, np.full(here.shape[1], 0.1))
-    assert not overloaded(solver.gravity, found.joint_positions[found.feasible]).any()
-    assert found.feasible.any()
+    result = solver.solve(forward(solver.chain, here), here, np.full(here.shape[1], 0.1))
+    assert not overloaded(solver.gravity, result.joint_positions[result.feasible]).any()
+    assert result.feasible.any()
 
 
 def test_starts_and_proposed_postures_can_be_held(weak_tiago):

@@ -226,9 +226,9 @@ def test_arms_beyond_a_limit_stay_within_the_step_and_come_back(robot):
     ends = np.clip(seeds + rng.uniform(-0.5, 0.5, seeds.shape) * step, low, high)
     targets = forward(solver.chain, ends)
     for allowed in (False, True):
-        found = solver.solve(targets, seeds, step, allow_reconfiguration=allowed)
-        assert found.feasible.mean() > 0.97
-        joints = found.joint_positions
+        solution = solver.solve(targets, seeds, step, allow_reconfiguration=allowed)
+        assert solution.feasible.mean() > 0.97
+        joints = solution.joint_positions
         assert np.all((joints >= low) & (joints <= high))
         near = (displacement(robot, seeds, joints) <= step * (1.0 + 1e-9)).all(axis=1)
         assert near.all() if not allowed else near.mean() > 0.97
@@ -251,9 +251,7 @@ def test_targets_out_of_reach_or_not_finite_keep_the_seed(tiago):
 
 
 @pytest.mark.parametrize(("targets", "seeds", "step", "name"), [
-    ((1, 7), (3, 5), 5, "seeds"),
-    ((2, 6), (2, 5), 5, "targets"),
-    ((2, 7), (2, 5), 0, "max_joint"),
+    ((1, 7), (3, 5), 5, "seeds"), ((2, 6), (2, 5), 5, "targets"), ((2, 7), (2, 5), 0, "max_joint"),
 ])  # fmt: skip
 def test_other_shapes_are_errors(hsr, targets, seeds, step, name):
     with pytest.raises(KinfeasError, match=f"^{name}"):
@@ -265,9 +263,9 @@ def test_self_collision_can_be_left_out(tiago):
     joints = draw(tiago.robot, 500)
     touching = joints[self_collides(blind.collision, joints)]
     targets = forward(blind.chain, touching)
-    found, kept = blind.solve(targets, touching), tiago.solve(targets, touching)
-    assert found.feasible.all()
-    assert self_collides(blind.collision, found.joint_positions).all()  # the seeds themselves
+    solution, kept = blind.solve(targets, touching), tiago.solve(targets, touching)
+    assert solution.feasible.all()
+    assert self_collides(blind.collision, solution.joint_positions).all()  # the seeds themselves
     check_solutions(tiago, kept.joint_positions[kept.feasible])
 
 
@@ -320,9 +318,8 @@ print(hashlib.sha256(found.joint_positions.tobytes()).hexdigest())
 def test_compiled_and_cached_kernels_give_the_same_bits(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", SCRIPT]
-    first, second = (
-        subprocess.check_output(command, env=environment, timeout=600) for _ in range(2)
-    )
+    options = {"env": environment, "timeout": 600}
+    first, second = (subprocess.check_output(command, **options) for _ in range(2))
     assert len(first) > 60
     assert second == first
 

@@ -10,13 +10,9 @@ class Pairs(Primitives):
     def __init__(self, robot, judge):
         super().__init__(robot, judge)
         checked = {frozenset(pair) for pair in checked_links(robot)}
-        self.pairs = np.array(
-            [
-                pair
-                for pair in combinations(range(len(self.shapes)), 2)
-                if frozenset(self.shapes[i][0] for i in pair) in checked
-            ]
-        )
+        links = [link for link, _ in self.shapes]
+        pairs = combinations(range(len(links)), 2)
+        self.pairs = np.array([(i, k) for i, k in pairs if {links[i], links[k]} in checked])
 
     def touch(self, joint_positions):
         """Return whether any pair touches; bounding spheres rule most of them out."""

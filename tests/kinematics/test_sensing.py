@@ -53,13 +53,13 @@ def test_a_parallel_wall_has_the_corners_of_the_base(pr2):
     model, wall = build_collision_model(pr2), Solids.empty(1, 1)
     front = model.offset[0, 0] + model.size[0, 0]
     wall.pose[0, 0, 0], wall.size[0, 0] = front + 0.3, [0.1, 2.0, 0.0, 0.2]
-    found = base_obstacles(base_prisms(model), at(), wall, 1.0)
-    points = found.closest_point[0, np.isfinite(found.distance[0])]
-    np.testing.assert_allclose(found.distance.min(), 0.2, atol=1e-9)
+    obstacles = base_obstacles(base_prisms(model), at(), wall, 1.0)
+    points = obstacles.closest_point[0, np.isfinite(obstacles.distance[0])]
+    np.testing.assert_allclose(obstacles.distance.min(), 0.2, atol=1e-9)
     assert {tuple(point.round(3)) for point in points} == {
         (round(front, 3), side) for side in model.size[0, 1].round(3) * np.array([-1.0, 1.0])
     }
-    np.testing.assert_allclose(found.normal[0], [[1.0, 0.0]] * len(points), atol=1e-12)
+    np.testing.assert_allclose(obstacles.normal[0], [[1.0, 0.0]] * len(points), atol=1e-12)
     wall.size[0, 0, 2:] = [1.5, 2.0]
     above = base_obstacles(base_prisms(model), at(), wall, 1.0)
     assert above.distance.size == 0

@@ -71,8 +71,8 @@ def test_a_wall_within_the_margin_counts_as_touched(hsr):
     front = np.max(model.offset[0, 0] + model.size[0, 0])
     solids.pose[:, 0, 0] = front + 0.1 + MARGIN + np.array([-1e-5, 1e-5])
     solids.size[:, 0] = [0.1, 2.0, 0.0, 0.15]
-    found = collides(model, joints, planar_pose(*np.zeros((3, 2))), solids)
-    np.testing.assert_array_equal(found[:, 0], [True, False])
+    result = collides(model, joints, planar_pose(*np.zeros((3, 2))), solids)
+    np.testing.assert_array_equal(result[:, 0], [True, False])
 
 
 def test_ik_finds_solutions_beside_solids(robot):
@@ -86,14 +86,14 @@ def test_ik_finds_solutions_beside_solids(robot):
         origin = planar_pose(*np.zeros((3, n)))
         return collides(solver.collision, positions, origin, solids)[:, 1]
 
-    found, blind = solver.solve(targets, seeds, solids=solids), solver.solve(targets, seeds)
+    result, blind = solver.solve(targets, seeds, solids=solids), solver.solve(targets, seeds)
     assert touching(blind.joint_positions).mean() > 0.05
-    assert not touching(found.joint_positions)[found.feasible].any()
-    assert not self_collides(solver.collision, found.joint_positions[found.feasible]).any()
-    assert found.feasible[~touching(joints)].mean() > 0.95
+    assert not touching(result.joint_positions)[result.feasible].any()
+    assert not self_collides(solver.collision, result.joint_positions[result.feasible]).any()
+    assert result.feasible[~touching(joints)].mean() > 0.95
     some = np.arange(5, 9)
     part = solver.solve(targets[some], seeds[some], solids=solids.of(some))
-    np.testing.assert_array_equal(part.joint_positions, found.joint_positions[some])
+    np.testing.assert_array_equal(part.joint_positions, result.joint_positions[some])
     for places in (0, 3):
         nothing = solver.solve(targets, seeds, solids=Solids.empty(n, places))
         np.testing.assert_array_equal(nothing.joint_positions, blind.joint_positions)

@@ -39,8 +39,8 @@ def starts_of(planner, task):
 
 
 def plan(planner, start, solids=None):
-    given = start.base_pose, start.joint_positions, start.target_poses[0]
-    return planner.plan(*given, solids or start.solids)
+    state = start.base_pose, start.joint_positions, start.target_poses[0]
+    return planner.plan(*state, solids or start.solids)
 
 
 def test_paths_lead_from_the_start_to_the_goal_within_the_limits(planned):

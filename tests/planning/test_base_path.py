@@ -30,10 +30,10 @@ def planned(solver):
 
     def plan(twist, seconds=20.0, solids=None, clearance=0.0, **given):
         time = np.arange(0.0, seconds + 1e-6, HORIZON)[:, np.newaxis]
-        way = integrate(ee, np.array(twist) * time, 1.0)
+        poses = integrate(ee, np.array(twist) * time, 1.0)
         options = replace(solver.options, solid_clearance=clearance)
         planner = BasePathPlanner(IkSolver(robot, options))
-        return planner.plan(AT_ORIGIN, joints, way, HORIZON, 5.0, solids=solids, **given), joints
+        return planner.plan(AT_ORIGIN, joints, poses, HORIZON, 5.0, solids=solids, **given), joints
 
     return plan
 
@@ -44,8 +44,8 @@ def test_arm_and_base_bring_the_ee_along_its_motion(planned, solver):
     np.testing.assert_allclose(path.robot[0], [0.0, 0.0, 0.0, *joints])
     assert path.seconds[[0, -1]] == pytest.approx([5.0, 25.0])
     base, arm = planar_pose(*path.robot[:, :3].T), path.robot[:, 3:]
-    wanted = np.stack([path.ee_at(seconds) for seconds in path.seconds])
-    metres, radians = distance(compose(base, forward(solver.chain, arm)), wanted)
+    desired = np.stack([path.ee_at(seconds) for seconds in path.seconds])
+    metres, radians = distance(compose(base, forward(solver.chain, arm)), desired)
     tolerance = robot.pose_tolerance
     assert metres.max() <= (0.01 if tolerance is None else tolerance.position)
     assert radians.max() <= (0.05 if tolerance is None else tolerance.rotation)
@@ -53,8 +53,8 @@ def test_arm_and_base_bring_the_ee_along_its_motion(planned, solver):
     seconds = np.diff(path.seconds) / path.time_scale[1:]
     turned = np.abs(joint_displacement(robot, arm[:-1], arm[1:])).T / seconds
     assert (turned <= robot.max_joint_velocity[:, np.newaxis]).all()
-    way = np.linalg.norm(np.diff(path.robot[:, :2], axis=0), axis=1)
-    assert (way <= robot.base.max_velocity * seconds).all()
+    poses = np.linalg.norm(np.diff(path.robot[:, :2], axis=0), axis=1)
+    assert (poses <= robot.base.max_velocity * seconds).all()
 
 
 def test_between_its_times_a_path_is_straight(planned):

@@ -8,7 +8,6 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.planning.placement import STAGES, at_goals, connected, reachable
-from kinfeas.robots.loading import load_robot
 
 
 def made_by_the_arm(solver, count):
@@ -40,42 +39,37 @@ def by_chance(solver, goals, tries):
     return reached
 
 
-@pytest.fixture(scope="module")
-def hsr():
-    return IkSolver(load_robot("hsr"))
-
-
 def test_poses_of_the_arm_are_reachable(robot):
     # Arms of few joints reach a pose exactly from hardly any base pose.
     nearly = IkOptions(pose_tolerance=False, position_tolerance=0.025, rotation_tolerance=0.2)
     solver = IkSolver(robot, nearly)
-    found = reachable(solver, made_by_the_arm(solver, 30))
-    assert found.reached.all()
-    assert found.share.low < found.share.value == 1.0
-    assert found.convergence[0] > 0.9  # the best proposals come first
+    result = reachable(solver, made_by_the_arm(solver, 30))
+    assert result.reached.all()
+    assert result.share.low < result.share.value == 1.0
+    assert result.convergence[0] > 0.9  # the best proposals come first
 
 
 def test_goals_have_the_tolerances_of_success(robot):
     asked, exact = IkOptions(restarts=6), IkOptions(pose_tolerance=False)
-    found = at_goals(robot, asked)
+    ik = at_goals(robot, asked)
     assert at_goals(robot, exact) is exact
     if robot.pose_tolerance is None:
-        assert found is asked
+        assert ik is asked
     else:
-        assert (found.pose_tolerance, found.position_tolerance, found.restarts) == (False, 0.025, 6)
+        assert (ik.pose_tolerance, ik.position_tolerance, ik.restarts) == (False, 0.025, 6)
 
 
 def test_finds_all_that_random_base_poses_find(hsr):
-    goals = at_height(20, 0.1, 1.4)
-    found = reachable(hsr, goals)
-    assert not np.any(by_chance(hsr, goals, 300) & ~found.reached)
-    assert len(found.convergence) == len(STAGES)
-    assert list(found.convergence) == sorted(found.convergence)
-    assert found.convergence[-1] == found.share.value == found.reached.mean()
+    solver, goals = IkSolver(hsr), at_height(20, 0.1, 1.4)
+    result = reachable(solver, goals)
+    assert not np.any(by_chance(solver, goals, 300) & ~result.reached)
+    assert len(result.convergence) == len(STAGES)
+    assert list(result.convergence) == sorted(result.convergence)
+    assert result.convergence[-1] == result.share.value == result.reached.mean()
     # Neither the place on the floor nor the other goals matter.
     moved = spatial.compose(spatial.planar_pose(*np.full((3, 20), 2.0)), goals)
-    np.testing.assert_array_equal(reachable(hsr, moved).reached, found.reached)
-    np.testing.assert_array_equal(reachable(hsr, goals[3:7]).reached, found.reached[3:7])
+    np.testing.assert_array_equal(reachable(solver, moved).reached, result.reached)
+    np.testing.assert_array_equal(reachable(solver, goals[3:7]).reached, result.reached[3:7])
 
 
 START, BEYOND, BESIDE = np.zeros(2), [3.0, 0.0], [0.0, 3.0]

@@ -15,11 +15,6 @@ AHEAD = np.array([1.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module")
-def placer(robot):
-    return BasePlacer(robot)
-
-
-@pytest.fixture(scope="module")
 def of_pr2(pr2):
     return BasePlacer(pr2)
 
@@ -35,10 +30,10 @@ def poses(count):
     return make_pose(position, Rotation.random(count, rng=rng))
 
 
-def test_base_poses_reach_and_are_free_with_the_best_first(placer):
-    solids = boxes(
-        [0.5, 0, 0.3, 0.3, 0, 0.7], [-1, 1, 0.2, 0.5, 0, 1.5], [1, 0.8, 0.3, 0.1, 0, 0.6]
-    )
+def test_base_poses_reach_and_are_free_with_the_best_first(robot):
+    placer = BasePlacer(robot)
+    high = [-1, 1, 0.2, 0.5, 0, 1.5]
+    solids = boxes([0.5, 0, 0.3, 0.3, 0, 0.7], high, [1, 0.8, 0.3, 0.1, 0, 0.6])
     options, reached = placer.solver.options, 0
     for goal in poses(12):
         placement = placer.place(goal, solids, count=5)
@@ -51,8 +46,8 @@ def test_base_poses_reach_and_are_free_with_the_best_first(placer):
             placement.base_pose, placement.joint_positions, placement.clearance, strict=True
         ):
             grown = solids.wider(clearance, clearance)
-            robot = placer.solver.collision, joints[np.newaxis], base[np.newaxis]
-            assert not collides(*robot, grown).any()
+            shapes = placer.solver.collision, joints[np.newaxis], base[np.newaxis]
+            assert not collides(*shapes, grown).any()
             assert placer.solver.admissible(joints)
         assert (np.diff(placement.margin) <= 0.0).all()
         again = placer.place(goal, solids, count=5)
@@ -63,17 +58,12 @@ def test_base_poses_reach_and_are_free_with_the_best_first(placer):
 TABLE, WALLED_IN = [1.0, 0.0, 0.5, 0.5, 0.7, 0.9], ([3.0, 0.0, 0.05, 9.0, 0.0, 1.0],)
 
 
-@pytest.mark.parametrize(
-    ("limit", "height", "rpy", "solids", "places"),
-    [
-        ("height", 2.4, (0, 0, 0), (), ()),
-        ("height", -0.4, (0, 0, 0), (), ()),
-        ("orientation", 0.1, (0, -1.5, 0), (), ()),
-        ("solids", 0.8, (0, 0, 0), ([9, 9, 1, 1, 0, 1], TABLE), (1,)),
-        ("path", 0.8, (0, 0, 0), WALLED_IN, ()),
-        ("", 0.8, (0, 0, 0), ([9, 9, 1, 1, 0, 1],), ()),
-    ],
-)
+@pytest.mark.parametrize(("limit", "height", "rpy", "solids", "places"), [
+    ("height", 2.4, (0, 0, 0), (), ()), ("height", -0.4, (0, 0, 0), (), ()),
+    ("orientation", 0.1, (0, -1.5, 0), (), ()),
+    ("solids", 0.8, (0, 0, 0), ([9, 9, 1, 1, 0, 1], TABLE), (1,)),
+    ("path", 0.8, (0, 0, 0), WALLED_IN, ()), ("", 0.8, (0, 0, 0), ([9, 9, 1, 1, 0, 1],), ()),
+])  # fmt: skip
 def test_the_reason_is_named(of_pr2, limit, height, rpy, solids, places):
     goal = make_pose(np.array([1.0, 0.0, height]), Rotation.from_euler("xyz", rpy))
     start = np.array([5.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])

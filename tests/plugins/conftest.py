@@ -13,14 +13,12 @@ KINDS = ("imitation", "gaussian_mixture")
 DT = 0.1
 RADIUS, ANGLE = 0.312, np.deg2rad(96.0)
 
-WAYPOINTS = np.array(
-    [
-        [-0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0],
-        [-0.15, 0.1, 0.25, 0.0, np.sin(0.3), 0.0, np.cos(0.3)],
-        [-0.1, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0],
-        [0.0, 0.05, 0.0, 0.0, 0.0, np.sin(0.5), np.cos(0.5)],
-    ]
-)
+WAYPOINTS = np.array([
+    [-0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0],
+    [-0.15, 0.1, 0.25, 0.0, np.sin(0.3), 0.0, np.cos(0.3)],
+    [-0.1, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0],
+    [0.0, 0.05, 0.0, 0.0, 0.0, np.sin(0.5), np.cos(0.5)],
+])  # fmt: skip
 
 
 def door_demonstrations(n=6, seed=0, scatter=1.0, base=True):

@@ -121,15 +121,12 @@ def test_models_are_found_by_name_and_path_and_have_a_kind(models):
         GaussianMixture(model=models["imitation"])
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("format", 2), ("kind", "spline"), ("goal.6", 2.0), ("mean_orientation", [0.0] * 4),
-        ("components", []), ("components.0.covariance.0.0", 0.0), ("components.0.weight", 0.9),
-        ("components.1.mean.2", math.inf), ("components.1.mean", [0.0] * 8),
-        ("components.1.covariance", [[1.0]]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("key", "value"), [
+    ("format", 2), ("kind", "spline"), ("goal.6", 2.0), ("mean_orientation", [0.0] * 4),
+    ("components", []), ("components.0.covariance.0.0", 0.0), ("components.0.weight", 0.9),
+    ("components.1.mean.2", math.inf), ("components.1.mean", [0.0] * 8),
+    ("components.1.covariance", [[1.0]]),
+])  # fmt: skip
 def test_wrong_models_raise(key, value, models, tmp_path):
     entry = broken = strict_yaml.read(Path(models["imitation"]))
     *above, last = (int(part) if part.isdigit() else part for part in key.split("."))
@@ -148,14 +145,14 @@ def knots(shown, **options):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_learns_the_demonstrated_path_and_the_mean_end(kind):
-    found = fit(door_demonstrations(scatter=0.0), kind)
-    path = learned_path(found.model).knots
+    result = fit(door_demonstrations(scatter=0.0), kind)
+    path = learned_path(result.model).knots
     radius = np.hypot(path[:, 0] + RADIUS, path[:, 1])
     assert np.abs(radius - RADIUS).max() < 0.008
     assert np.abs(path[:, 2]).max() < 1e-6
-    assert max(found.position_residual) < 0.004
-    assert max(found.rotation_residual) < 0.02
-    assert found.length == pytest.approx(RADIUS * ANGLE, rel=0.02)
+    assert max(result.position_residual) < 0.004
+    assert max(result.rotation_residual) < 0.02
+    assert result.length == pytest.approx(RADIUS * ANGLE, rel=0.02)
     shown = door_demonstrations()
     ends = np.stack([relative(one.ee_pose[-1], one.object_pose[0]) for one in shown])
     mean = make_pose(ends[:, :3].mean(axis=0), Rotation.from_quat(ends[:, 3:]).mean())

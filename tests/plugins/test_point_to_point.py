@@ -35,14 +35,11 @@ def test_linear_follows_the_straight_line_and_the_slerp_in_step():
         assert (on_the_way.inv() * rotation(poses[:, row])).magnitude().max() < 1e-7
 
 
-@pytest.mark.parametrize(
-    ("metres", "radians", "twist"),
-    [
-        (3.0, 0.0, (0.1, 0.0)), (0.5, 0.0, (0.05, 0.0)), (0.004, 0.0, (0.001, 0.0)),
-        (0.5, 2.0, (0.025, 0.1)), (0.0, 2.0, (0.0, 0.1)), (0.0, 0.5, (0.0, 0.05)),
-        (0.0, 0.004, (0.0, 0.001)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("metres", "radians", "twist"), [
+    (3.0, 0.0, (0.1, 0.0)), (0.5, 0.0, (0.05, 0.0)), (0.004, 0.0, (0.001, 0.0)),
+    (0.5, 2.0, (0.025, 0.1)), (0.0, 2.0, (0.0, 0.1)), (0.0, 0.5, (0.0, 0.05)),
+    (0.0, 0.004, (0.0, 0.001)),
+])  # fmt: skip
 def test_linear_speed_follows_distance_and_angle(metres, radians, twist):
     start, goal = pair(np.array([metres, 0.0, 0.0]), np.array([0.0, 0.0, radians]))
     expected = [[twist[0], 0.0, 0.0, 0.0, 0.0, twist[1]]]

@@ -8,13 +8,9 @@ from kinfeas.plugins.servo import Servo
 from tests.builders import assert_near
 
 LIMITS = {
-    "max_velocity": 0.2,
-    "max_acceleration": 2.0,
-    "max_jerk": 60.0,
-    "max_angular_velocity": 0.5,
-    "max_angular_acceleration": 6.0,
-    "max_angular_jerk": 150.0,
-}
+    "max_velocity": 0.2, "max_acceleration": 2.0, "max_jerk": 60.0,
+    "max_angular_velocity": 0.5, "max_angular_acceleration": 6.0, "max_angular_jerk": 150.0,
+}  # fmt: skip
 
 
 def poses(rng, n):
@@ -25,13 +21,13 @@ def poses(rng, n):
 
 def follow(motion, pose, targets, dt):
     """Return poses (t, n, 7) and velocities (t, n, 6) at the ends of steps toward targets."""
-    state, ways, velocities = motion.start(pose, targets[0], []), [], []
+    state, paths, velocities = motion.start(pose, targets[0], []), [], []
     for target, seconds in zip(targets, dt, strict=True):
         twist, state = motion.twist(state, pose, target, seconds)
         pose = spatial.integrate(pose, twist, seconds)
-        ways.append(pose)
+        paths.append(pose)
         velocities.append(state["velocity"])
-    return np.array(ways), np.array(velocities)
+    return np.array(paths), np.array(velocities)
 
 
 @given(seed=st.integers(0, 2**32 - 1), hold=st.integers(1, 20))
@@ -56,11 +52,11 @@ def test_an_ee_stays_within_a_box_of_targets_and_reaches_the_last_one(seed):
     targets[steps // 3 :] = targets[-1]
     dt = rng.uniform(0.001, 0.3, (steps, n))
     start = poses(rng, n)
-    ways, _ = follow(Servo(**LIMITS), start, targets, dt)
+    paths, _ = follow(Servo(**LIMITS), start, targets, dt)
     box = np.concatenate([start[np.newaxis], targets])
-    assert np.all(ways[..., :3] >= box.min(axis=0)[:, :3] - 1e-9)
-    assert np.all(ways[..., :3] <= box.max(axis=0)[:, :3] + 1e-9)
-    assert_near(ways[-1], targets[-1], 1e-4, 1e-3)
+    assert np.all(paths[..., :3] >= box.min(axis=0)[:, :3] - 1e-9)
+    assert np.all(paths[..., :3] <= box.max(axis=0)[:, :3] + 1e-9)
+    assert_near(paths[-1], targets[-1], 1e-4, 1e-3)
 
 
 def test_a_motion_does_not_depend_on_the_control_rate():

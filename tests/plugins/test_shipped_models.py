@@ -16,9 +16,9 @@ SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "simulated_
 def test_the_documented_commands_make_them(name):
     pairs = SCRIPT["demonstrate"](name, 12, seed=0)
     for motion, shown in zip(("grasp", "open"), zip(*pairs, strict=True), strict=True):
-        found = fit(shown, "imitation", 8, 0)
-        assert not any(found.sides)
-        made = found.model
+        result = fit(shown, "imitation", 8, 0)
+        assert not any(result.sides)
+        made = result.model
         shipped = read_model(f"{name}_{motion}", "imitation")
         assert made.duration == pytest.approx(shipped.duration)
         index = np.linspace(0.0, 1.0, 50)

@@ -34,21 +34,16 @@ URDF = """
 
 def crane() -> dict:
     return {
-        "name": "crane",
-        "ee_frame": "hook",
-        "tool_tip": [0.1, 0, 0],
+        "name": "crane", "ee_frame": "hook", "tool_tip": [0.1, 0, 0],
         "gripper_rotation": [0, 0, 0.7071, 0.7071],
         "base": {
-            "drive": "differential",
-            "max_velocity": 0.2,
-            "max_rotation": 1,
-            "max_acceleration": 1,
-            "max_rotation_acceleration": 2,
+            "drive": "differential", "max_velocity": 0.2, "max_rotation": 1,
+            "max_acceleration": 1, "max_rotation_acceleration": 2,
         },
         "arm": {"lift": {}, "swing": {"velocity": 0.5}, "spin": {"velocity": 3}},
         "home": {"home": [0.5, 0.0, 9.0], "low": [0.2, 1.5, 0.0]},
         "reach": {"low": 0.2, "high": 1.2},
-    }
+    }  # fmt: skip
 
 
 def write(folder: Path, spec: dict, urdf: str = URDF) -> Path:
@@ -109,10 +104,8 @@ WITHOUT_SWING = {"arm": {"lift": {}, "spin": {"velocity": 3}}, "home": {"home": 
 @pytest.mark.parametrize(("changes", "positions"), [
     ({}, {"wave": 0.5, "ring": 1.1}),  # as near to 0 as the limits allow
     ({"fixed_joints": {"wave": 0.7}}, {"wave": 0.7, "ring": 1.5}),
-    (
-        WITHOUT_SWING | {"fixed_joints": {"swing": 0.3}},
-        {"swing": 0.3, "wave": 0.5, "ring": 1.1, "grip": 0.3},
-    ),
+    (WITHOUT_SWING | {"fixed_joints": {"swing": 0.3}},
+     {"swing": 0.3, "wave": 0.5, "ring": 1.1, "grip": 0.3}),
 ])  # fmt: skip
 def test_other_joints_are_fixed_or_mimic(tmp_path, changes, positions):
     assert load_robot(write(tmp_path, crane() | changes)).fixed_joints == pytest.approx(positions)
@@ -229,7 +222,6 @@ SAME = {
 
 
 @pytest.mark.parametrize("change", [*OTHER, *SAME])
-def test_only_other_kinematics_have_another_fingerprint(change):
-    pr2 = load_robot("pr2")
+def test_only_other_kinematics_have_another_fingerprint(pr2, change):
     changed = (OTHER | SAME)[change](pr2)
     assert (fingerprint(changed) == fingerprint(pr2)) == (change in SAME)

@@ -82,8 +82,8 @@ def test_a_capsule_is_a_cylinder_with_spheres_at_its_ends(tmp_path):
     assert hand.mesh_collisions
     for axis, reach in ((0, 0.3), (1, 0.1), (2, 0.1)):
         for direction in (np.eye(3)[axis], -np.eye(3)[axis]):
-            found = max(shape.reach(direction) for shape in hand.shapes)
-            assert found == pytest.approx(reach, abs=1e-4)
+            result = max(shape.reach(direction) for shape in hand.shapes)
+            assert result == pytest.approx(reach, abs=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["planar", "floating"])

@@ -73,10 +73,7 @@ def read(tmp_path):
 
 
 @pytest.mark.parametrize("broken", [
-    "",
-    inertial(mass="0"),
-    inertial(ixx="0", iyy="0", izz="0"),
-    inertial(ixy="2"),
+    "", inertial(mass="0"), inertial(ixx="0", iyy="0", izz="0"), inertial(ixy="2"),
     inertial(ixx="1", iyy="0.1", izz="0.1"),
 ])  # fmt: skip
 def test_moving_links_need_a_possible_inertia(read, broken):
@@ -112,13 +109,13 @@ def test_robots_touch_the_solids_that_they_touch_as_furniture(name):
     joints = rng.uniform(lower, upper, (400, len(lower)))
     base = planar_pose(*rng.uniform([-4.0, -4.0, -np.pi], [4.0, 4.0, np.pi], (400, 3)).T)
     rows = solids.of(np.zeros(400, dtype=np.intp))
-    found = collides(build_collision_model(robot), joints, base, rows).any(axis=1)
+    touching = collides(build_collision_model(robot), joints, base, rows).any(axis=1)
     expected = [
         ShapeGroup(robot_shapes(robot, *row)).touches(furniture)
         for row in zip(base, joints, strict=True)
     ]
-    assert found[expected].all()
-    assert 0.0 < np.mean(expected) <= np.mean(found) <= np.mean(expected) + 0.01
+    assert touching[expected].all()
+    assert 0.0 < np.mean(expected) <= np.mean(touching) <= np.mean(expected) + 0.01
 
 
 def test_grasped_links_and_movable_objects_are_no_solids():

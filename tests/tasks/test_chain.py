@@ -42,16 +42,16 @@ def approach(targets):
 
 @pytest.mark.parametrize("task", [pick_place(), door(), drawer()], ids=lambda task: task.name)
 def test_starts(hsr, sample, uniform, task):
-    found = sample(task)
-    assert found.target_poses.shape == (300, len(task.subgoals), 7)
-    x, y = found.base_pose[:, 0], found.base_pose[:, 1]
+    starts = sample(task)
+    assert starts.target_poses.shape == (300, len(task.subgoals), 7)
+    x, y = starts.base_pose[:, 0], starts.base_pose[:, 1]
     assert uniform(x, -0.75, 0.75)
     assert uniform(y, -0.75, 0.75)
-    way = found.target_poses[:, 0, :2] - found.base_pose[:, :2]
-    turn = wrap(yaw(found.base_pose) - np.arctan2(way[:, 1], way[:, 0]))
+    way = starts.target_poses[:, 0, :2] - starts.base_pose[:, :2]
+    turn = wrap(yaw(starts.base_pose) - np.arctan2(way[:, 1], way[:, 0]))
     assert uniform(turn, -np.pi / 2, np.pi / 2)
-    assert not self_collides(hsr.collision, found.joint_positions).any()
-    assert forward(hsr.chain, found.joint_positions)[:, 2].std() > 0.1
+    assert not self_collides(hsr.collision, starts.joint_positions).any()
+    assert forward(hsr.chain, starts.joint_positions)[:, 2].std() > 0.1
 
 
 def test_pick_place_leads_from_one_table_to_the_other(sample, uniform):
@@ -71,11 +71,9 @@ def test_pick_place_leads_from_one_table_to_the_other(sample, uniform):
     np.testing.assert_allclose(approach(place), np.tile([0, -1.0, 0], (300, 1)), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("task", "handle", "along"),
-    [(door(), (-0.130, 2.796, 0.618), (0, 1, 0)), (drawer(), (-2.81, 0.015, 0.525), (-1, 0, 0))],
-    ids=lambda task: getattr(task, "name", ""),
-)
+@pytest.mark.parametrize(("task", "handle", "along"), [
+    (door(), (-0.130, 2.796, 0.618), (0, 1, 0)), (drawer(), (-2.81, 0.015, 0.525), (-1, 0, 0)),
+], ids=lambda task: getattr(task, "name", ""))  # fmt: skip
 def test_handles_are_grasped_then_pulled(sample, task, handle, along):
     targets = sample(task, 5).target_poses
     np.testing.assert_allclose(targets[..., :3], np.broadcast_to(handle, (5, 2, 3)))

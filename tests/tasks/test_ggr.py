@@ -15,27 +15,27 @@ from kinfeas.tasks.task import MotionSpec, Subgoal
 def test_starts_and_goals_are_uniform_in_their_ranges(hsr, sample, uniform, task):
     reach = hsr.robot.reach
     low, high = reach.comfortable if task.restrict_start else (reach.low, reach.high)
-    found = sample(task)
-    np.testing.assert_array_equal(found.base_pose[:, :3], 0.0)
-    assert uniform(yaw(found.base_pose), -np.pi, np.pi)
-    x, y, z = found.target_poses[:, 0, :3].T
+    starts = sample(task)
+    np.testing.assert_array_equal(starts.base_pose[:, :3], 0.0)
+    assert uniform(yaw(starts.base_pose), -np.pi, np.pi)
+    x, y, z = starts.target_poses[:, 0, :3].T
     assert uniform(np.hypot(x, y), 1.0, 5.0)
     assert uniform(np.arctan2(y, x), -np.pi, np.pi)
     assert uniform(z, low, high)
-    assert not self_collides(hsr.collision, found.joint_positions).any()
-    height = forward(hsr.chain, found.joint_positions)[:, 2]
+    assert not self_collides(hsr.collision, starts.joint_positions).any()
+    height = forward(hsr.chain, starts.joint_positions)[:, 2]
     assert ((height >= low) & (height <= high)).all() == (task.name == "ggr_restricted")
     again = task.sample(hsr, np.random.default_rng((0, 7)))
     for key in ("base_pose", "joint_positions", "target_poses"):
-        np.testing.assert_array_equal(getattr(again, key), getattr(found, key)[7])
+        np.testing.assert_array_equal(getattr(again, key), getattr(starts, key)[7])
 
 
 def test_any_start_is_free_or_at_the_goal_heights(hsr, sample):
     low, high = hsr.robot.reach.comfortable
-    free, found = (sample(ggr_restricted(start=start)) for start in ("free", "any"))
-    np.testing.assert_array_equal(found.target_poses, free.target_poses)
-    touching = self_collides(hsr.collision, found.joint_positions)
-    height = forward(hsr.chain, found.joint_positions)[:, 2]
+    free, starts = (sample(ggr_restricted(start=start)) for start in ("free", "any"))
+    np.testing.assert_array_equal(starts.target_poses, free.target_poses)
+    touching = self_collides(hsr.collision, starts.joint_positions)
+    height = forward(hsr.chain, starts.joint_positions)[:, 2]
     outside = (height < low) | (height > high)
     assert touching.any()
     assert outside.any()
@@ -63,15 +63,15 @@ TASKS = pytest.mark.parametrize("task", [ggr_obstacles(), ggr_dynamic()], ids=la
 
 @TASKS
 def test_starts_and_goals_are_free_of_solids(hsr, sample, task):
-    found = sample(task, 100)
-    solids, (low, high) = found.solids, (hsr.robot.reach.low, hsr.robot.reach.high)
+    starts = sample(task, 100)
+    solids, (low, high) = starts.solids, (hsr.robot.reach.low, hsr.robot.reach.high)
     assert solids.pose.shape == (100, task.places, 3)
-    goal = found.target_poses[:, 0, :3]
+    goal = starts.target_poses[:, 0, :3]
     assert np.all((goal[:, 2] >= low) & (goal[:, 2] <= high))
     assert np.hypot(goal[:, 0], goal[:, 1]).max() > 6.0
-    assert not collides(hsr.collision, found.joint_positions, found.base_pose, solids).any()
-    ee = compose(found.base_pose, forward(hsr.chain, found.joint_positions))[:, :3]
-    for point in (found.base_pose[:, :3], ee):
+    assert not collides(hsr.collision, starts.joint_positions, starts.base_pose, solids).any()
+    ee = compose(starts.base_pose, forward(hsr.chain, starts.joint_positions))[:, :3]
+    for point in (starts.base_pose[:, :3], ee):
         assert solids.gaps(point[:, np.newaxis])[0].min() >= 0.7
     for seconds in np.linspace(0.0, 60.0, 7):
         gaps = np.hypot(*solids.at(np.full(100, seconds)).gaps(goal[:, np.newaxis]))[:, 0]
@@ -91,12 +91,12 @@ def test_standing_solids_fill_the_room_and_a_third_is_high(sample):
 
 
 def test_a_share_of_the_rooms_is_empty_and_motions_there_are_straight(hsr, sample):
-    found = sample(ggr_obstacles(empty=0.3), 200)
-    empty = ~found.solids.filled.any(axis=1)
+    starts = sample(ggr_obstacles(empty=0.3), 200)
+    empty = ~starts.solids.filled.any(axis=1)
     assert 0.2 < empty.mean() < 0.4
     world = World(hsr.robot, ggr_obstacles(empty=0.5), evaluation_world(), 0)
     world.start(range(12))
-    planned = np.isfinite(world.loop.sequence.planned_base[:, 0])
+    planned = np.isfinite(world.loop.sequence.planned[0][:, 0])
     empty = ~world.loop.surroundings.after(0.0).filled.any(axis=1)
     assert 2 < empty.sum() < 10
     assert not planned[empty].any()

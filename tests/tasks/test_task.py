@@ -103,16 +103,13 @@ def sound(hsr):
 LONG = np.array([0, 0, 0, 0, 0, 0, 1.01])
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("base_pose", IDENTITY.astype(str)), ("base_pose", LONG),
-        ("joint_positions", np.zeros(2)), ("joint_positions", np.full(5, np.inf)),
-        ("target_poses", np.tile(IDENTITY, (3, 1))), ("target_poses", np.zeros((1, 7))),
-        ("solids", Solids.empty(2)), ("solids", Solids.empty(1, MOST_SOLIDS + 1)),
-        ("solids", replace(Solids.empty(1, 2), size=np.full((1, 2, 4), -1.0))),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("key", "value"), [
+    ("base_pose", IDENTITY.astype(str)), ("base_pose", LONG), ("joint_positions", np.zeros(2)),
+    ("joint_positions", np.full(5, np.inf)), ("target_poses", np.tile(IDENTITY, (3, 1))),
+    ("target_poses", np.zeros((1, 7))), ("solids", Solids.empty(2)),
+    ("solids", Solids.empty(1, MOST_SOLIDS + 1)),
+    ("solids", replace(Solids.empty(1, 2), size=np.full((1, 2, 4), -1.0))),
+])  # fmt: skip
 def test_malformed_episodes_raise(hsr, sound, key, value):
     assert sample_start(Given(sound), hsr, RNG) is sound
     with pytest.raises(KinfeasError, match=f"'given'.*{key}"):

@@ -82,9 +82,7 @@ class FeasibilityFilter:
             return period.changed(command=command, move=None)
         if changed.size:
             retried = self._step(
-                command[changed],
-                period.of(changed),
-                allow_reconfiguration=allow_reconfiguration,
+                command[changed], period.of(changed), allow_reconfiguration=allow_reconfiguration
             )
             move = replaced(move, changed, retried, command)
         return period.changed(command=command, move=move)
@@ -119,10 +117,8 @@ class FeasibilityFilter:
         """Return the moves of commands, one for each of m rows, and whether they are feasible."""
         step = self._ahead
         move = step(command, inputs, allow_reconfiguration=False)
-        jumps = exceeds_joint_velocity(
-            self._robot, inputs.joints, move.arm.joint_positions, step.dt
-        )
-        good = move.arm.feasible & ~jumps & (move.arm.position_error <= self.max_deviation)
+        jump = exceeds_joint_velocity(self._robot, inputs.joints, move.arm.joint_positions, step.dt)
+        good = move.arm.feasible & ~jump & (move.arm.position_error <= self.max_deviation)
         if inputs.solids is not None:
             good &= ~base_collides(step.solver.collision, move.base_pose, inputs.solids)
         return move, good

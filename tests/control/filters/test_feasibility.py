@@ -7,7 +7,7 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.filters.time_scaling import TimeScalingFilter
 from kinfeas.control.period import Period
-from kinfeas.control.sequence import MotionStep
+from kinfeas.control.subgoal_motions import MotionStep
 from kinfeas.core import spatial
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.solids import Solids

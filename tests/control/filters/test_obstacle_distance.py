@@ -38,10 +38,8 @@ class Pillars(AnalyticBackend):
 
     def obstacle_distances(self, within):
         offsets = self.pillars - self.state.base_pose[:, np.newaxis, :2]
-        heading = spatial.yaw(self.state.base_pose)
-        to_base = np.array(
-            [[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]]
-        )
+        yaw = spatial.yaw(self.state.base_pose)
+        to_base = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
         offsets = np.einsum("nkx,xyn->nky", offsets, to_base)
         length = np.linalg.norm(offsets, axis=2)
         normal = offsets / length[..., np.newaxis]
