@@ -15,13 +15,7 @@ from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.extras import require
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.importer.arm import Arm, place
-from kinfeas.robots.elements import (
-    Element,
-    find_mesh,
-    numbers_text,
-    parse_xml,
-    set_origin,
-)
+from kinfeas.robots.elements import Element, find_mesh, numbers_text, parse_xml, set_origin
 from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf
 from kinfeas.robots.urdf_file import read_robot_xml, read_shapes, urdf_of
 

@@ -138,9 +138,7 @@ def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
 
 
 def only_fitted(
-    robot: Robot,
-    originals: Mapping[str, Sequence[Part]],
-    touching: Mapping[tuple[str, str], float],
+    robot: Robot, originals: Mapping[str, Sequence[Part]], touching: Mapping[tuple[str, str], float]
 ) -> dict[tuple[str, str], float]:
     """Return the pairs of links that touch in relevant fractions only by their primitives.
 

@@ -24,12 +24,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import write_folder
-from kinfeas.io.policy_metadata import (
-    WEIGHTS,
-    Trained,
-    read_policy,
-    write_trained,
-)
+from kinfeas.io.policy_metadata import WEIGHTS, Trained, read_policy, write_trained
 from kinfeas.robots.robot import Robot, fingerprint
 
 
@@ -170,10 +165,7 @@ def check_robot(
 
 
 def check_network(
-    network: Network,
-    observation: Sequence[TermInfo],
-    action: Sequence[TermInfo],
-    source: str,
+    network: Network, observation: Sequence[TermInfo], action: Sequence[TermInfo], source: str
 ) -> None:
     """Raise KinfeasError unless the layers fit each other and the description, and are finite."""
     width = sum(term.size for term in observation)

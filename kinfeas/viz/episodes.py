@@ -34,9 +34,7 @@ _CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)
 
 
 def episodes_figure(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    titles: Sequence[str] | None = None,
+    robot: Robot, recordings: Sequence[Recording], titles: Sequence[str] | None = None
 ) -> Figure:
     """Return a picture with a column for each episode: from the side, and from above."""
     count = len(recordings)

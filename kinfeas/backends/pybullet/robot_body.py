@@ -5,12 +5,7 @@ import math
 import numpy as np
 
 from kinfeas.backends.physics.drives import ArmSetpoints, base_forces
-from kinfeas.backends.physics.robot import (
-    PLANAR_JOINTS,
-    arm_followers,
-    moving_joints,
-    physics_urdf,
-)
+from kinfeas.backends.physics.robot import PLANAR_JOINTS, arm_followers, moving_joints, physics_urdf
 from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.robots.robot import Robot
