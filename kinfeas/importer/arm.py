@@ -287,8 +287,7 @@ def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> 
     shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, poses)
     if not shapes:
         return relative(poses[finger.child], poses[arm.hand])[:3]
-    middle: Array = np.mean([shape.pose[:3] for shape in shapes], axis=0)
-    return middle
+    return np.mean([shape.pose[:3] for shape in shapes], axis=0)
 
 
 def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:

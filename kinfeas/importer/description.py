@@ -136,8 +136,7 @@ def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
 
 
 def _axis(urdf: Urdf, joint: Joint) -> Array:
-    axis: Array = rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)
-    return axis
+    return rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)
 
 
 def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None:

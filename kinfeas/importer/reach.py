@@ -271,8 +271,7 @@ def comfortable(robot: Robot) -> Array:
     among = free[in_front] if in_front.any() else free
     least = _singular_values(robot, among)[:, freedom(robot) - 1]
     room = 4.0 * (among - lower) * (upper - among) / (upper - lower) ** 2
-    best: Array = among[np.argmax(least * room[:, ~robot.continuous].min(axis=1, initial=1.0))]
-    return best
+    return among[np.argmax(least * room[:, ~robot.continuous].min(axis=1, initial=1.0))]
 
 
 def freedom(robot: Robot) -> int:
@@ -284,8 +283,7 @@ def freedom(robot: Robot) -> int:
 def _singular_values(robot: Robot, joints: Array) -> Array:
     """Return those of the Jacobian in configurations (n, j), descending, shape (n, min(6, j))."""
     weights = np.repeat([1.0, ROTATION_WEIGHT], 3)[:, np.newaxis]
-    values: Array = np.linalg.svd(jacobian(build_chain(robot), joints) * weights, compute_uv=False)
-    return values
+    return np.linalg.svd(jacobian(build_chain(robot), joints) * weights, compute_uv=False)
 
 
 def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None) -> Heights:

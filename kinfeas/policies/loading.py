@@ -77,5 +77,4 @@ def load_policy(name: str, robot: Robot) -> Policy:
             )
         if str(Path.cwd()) not in sys.path:
             sys.path.append(str(Path.cwd()))
-    policy: Policy = registry.build(GROUP, name, {"robot": robot})
-    return policy
+    return registry.build(GROUP, name, {"robot": robot})

@@ -35,8 +35,7 @@ def velocities_figure(fit: Fit) -> Figure:
 
 
 def _smooth(values: Array) -> Array:
-    smoothed: Array = np.convolve(values, np.ones(_SMOOTHED) / _SMOOTHED, mode="same")
-    return smoothed
+    return np.convolve(values, np.ones(_SMOOTHED) / _SMOOTHED, mode="same")
 
 
 def _limits(values: Array) -> tuple[float, float]:

@@ -111,8 +111,7 @@ def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
 
 
 def _unwrapped(robot: Robot, positions: Array) -> Array:
-    unwrapped: Array = np.where(robot.continuous, np.unwrap(positions, axis=0), positions)
-    return unwrapped
+    return np.where(robot.continuous, np.unwrap(positions, axis=0), positions)
 
 
 def _newer(times: Array) -> NDArray[np.intp]:
@@ -127,12 +126,10 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * steps[:, None], 0)])
     knots = np.append(times, max(edges[-1], times[-1]) + 1e-12)
     at = np.stack([np.interp(edges, knots, column) for column in sums.T], axis=1)
-    means: Array = np.diff(at, axis=0) / np.diff(edges)[:, np.newaxis]
-    return means
+    return np.diff(at, axis=0) / np.diff(edges)[:, np.newaxis]
 
 
 def _held(times: Array, values: Array, moments: Array) -> Array:
     """Return the values that are held at some moments."""
     last = np.searchsorted(times, moments, side="right") - 1
-    held: Array = values[np.maximum(last, 0)]
-    return held
+    return values[np.maximum(last, 0)]

@@ -40,8 +40,7 @@ class Walk:
 
 def spread_of(rest: Array) -> Array:
     """Return robust standard deviations of columns, (k, w) -> (w,), m/s or rad/s."""
-    spread: Array = np.maximum(1.4826 * np.median(np.abs(rest), axis=0), _LEAST_VELOCITY)
-    return spread
+    return np.maximum(1.4826 * np.median(np.abs(rest), axis=0), _LEAST_VELOCITY)
 
 
 def jumps(rest: Array, deviation: Array, speed: Array) -> Flags:
@@ -51,8 +50,7 @@ def jumps(rest: Array, deviation: Array, speed: Array) -> Flags:
     measurements may be off by some milliseconds.
     """
     least = np.maximum(_JUMP * deviation, _LEAST_JUMP + _LATE * np.abs(speed))
-    flags: Flags = np.max(np.abs(rest) / least, axis=1) > 1.0
-    return flags
+    return np.max(np.abs(rest) / least, axis=1) > 1.0
 
 
 def widened(flags: Flags) -> Flags:
@@ -186,8 +184,7 @@ def _quiet(way: Ways, velocities: Array) -> Flags:
     wide = max(1, round(0.1 / way.log.dt))
     padded = np.pad(velocities, ((wide, wide), (0, 0)), mode="edge")
     change = np.abs(padded[2 * wide :] - padded[: -2 * wide]).max(axis=1)
-    quiet: Flags = change[number] < _CHANGES
-    return quiet
+    return change[number] < _CHANGES
 
 
 def _localisation_jumps(

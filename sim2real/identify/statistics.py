@@ -76,8 +76,7 @@ def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.int
     scores = np.zeros((int(blocks.max()) + 1, derivatives.shape[1]))
     np.add.at(scores, blocks, derivatives * np.clip(residuals, -5.0, 5.0)[:, np.newaxis])
     robust = inverse @ (scores.T @ scores) @ inverse
-    errors: Array = np.sqrt(np.maximum(np.diag(robust), np.diag(inverse)))
-    return errors
+    return np.sqrt(np.maximum(np.diag(robust), np.diag(inverse)))
 
 
 def derivatives(function: Callable[[Array], Array], z: Array) -> Array:

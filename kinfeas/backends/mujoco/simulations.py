@@ -179,8 +179,7 @@ class Simulations:
         base, yaws = self.model.robot.base, self.qpos[:, self.model.at[0, 2]]
         differential = base.drive == "differential"
         limits = base.max_acceleration, base.max_rotation_acceleration
-        setpoints: Array = base_path(self._base, rows, twist, yaws, time, differential, *limits)
-        return setpoints
+        return base_path(self._base, rows, twist, yaws, time, differential, *limits)
 
     @property
     def held(self) -> NDArray[np.bool_]:

@@ -189,8 +189,7 @@ class Inertia:
     def about(self, point: Array) -> Array:
         """Return the moments about a point (3,), by the parallel axis theorem, shape (3, 3)."""
         arm = self.centre - point
-        moments: Array = self.moments + self.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        return moments
+        return self.moments + self.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
 
     def plus(self, other: "Inertia") -> "Inertia":
         """Return the inertia of two rigidly connected bodies."""

@@ -60,8 +60,7 @@ class Furniture:
     def joint_position(self, name: str, joint: str) -> float:
         """Return the position of an object's joint, rad or m."""
         number = self._joints[name][joint]
-        position: float = self._physics.client.getJointState(self.bodies[name], number)[0]
-        return position
+        return self._physics.client.getJointState(self.bodies[name], number)[0]
 
     def motion(self, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""
