@@ -15,13 +15,13 @@ from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.model import Delays
 from kinfeas.sim2real.identify.noise import joint_noise, overlap
 from kinfeas.sim2real.identify.statistics import (
-    BLOCK,
     MOVES,
     Estimate,
     derivatives,
     interpolated,
     posterior,
     standard_errors,
+    time_blocks,
 )
 
 _DRAWS = 16  # of delays, for the spread that jitter and lost commands cause
@@ -60,9 +60,7 @@ class ArmProblem:
             for lag in range(_LAGS + 1)
         ]
         self._spread = 0.0  # s, of the delays
-        blocks = [np.floor(log.joint_times / BLOCK).astype(np.intp) for log in logs]
-        ends = np.cumsum([0, *(block.max() + 1 for block in blocks)])
-        self._blocks = np.concatenate([b + end for b, end in zip(blocks, ends[:-1], strict=True)])
+        self._blocks = time_blocks([log.joint_times for log in logs])
 
     def fit(self) -> tuple[Delays, float]:
         """Return the delays and the standard error of the latency, seconds."""

@@ -12,7 +12,7 @@ from scipy.optimize import Bounds, least_squares
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify.model import BaseModel, Delays, Ways
 from kinfeas.sim2real.identify.noise import jumps, spread_of, widened
-from kinfeas.sim2real.identify.statistics import BLOCK, MOVES, derivatives, standard_errors
+from kinfeas.sim2real.identify.statistics import MOVES, derivatives, standard_errors, time_blocks
 
 LATENCY = 0.05
 """Seconds, the unit of a latency in fits; other parameters are logarithms."""
@@ -40,9 +40,7 @@ class BaseProblem:
         self._scale = [np.sqrt(way.squares)[:, np.newaxis] for way in ways]
         self._kept = [np.ones(len(way.moved), dtype=np.bool_) for way in ways]
         self._deviation = np.ones(3)
-        blocks = [np.floor(way.times / BLOCK).astype(np.intp) for way in ways]
-        ends = np.cumsum([0, *(block.max() + 1 for block in blocks)])
-        self._blocks = [block + end for block, end in zip(blocks, ends[:-1], strict=True)]
+        self._blocks = np.repeat(time_blocks([way.times for way in ways]), 3)
 
     def fit(self, arm: Delays | None, error: float) -> tuple[BaseModel, dict[str, float]]:
         """Return the model and the standard errors of its parameters, relative but for times.
@@ -95,18 +93,19 @@ class BaseProblem:
 
     def _normalise(self, model: BaseModel) -> None:
         """Estimate the noise of each axis, and leave out jumps."""
+        predicted = self._predicted(model)
         rests = [
-            (way.predicted(model.velocities(way.log, self._draws)) - way.moved) / scale
-            for way, scale in zip(self._ways, self._scale, strict=True)
+            (p - way.moved) / scale
+            for p, way, scale in zip(predicted, self._ways, self._scale, strict=True)
         ]
         self._deviation = spread_of(np.concatenate(rests))
         self._kept = [
-            ~widened(jumps(rest * scale, scale * self._deviation, self._speeds(way, model)))
-            for way, rest, scale in zip(self._ways, rests, self._scale, strict=True)
+            ~widened(jumps(rest * scale, scale * self._deviation, p / way.seconds[:, np.newaxis]))
+            for p, way, rest, scale in zip(predicted, self._ways, rests, self._scale, strict=True)
         ]
 
-    def _speeds(self, way: Ways, model: BaseModel) -> Array:
-        return way.predicted(model.velocities(way.log, self._draws)) / way.seconds[:, np.newaxis]
+    def _predicted(self, model: BaseModel) -> list[Array]:
+        return [way.predicted(model.velocities(way.log, self._draws)) for way in self._ways]
 
     @property
     def agrees(self) -> bool:
@@ -114,10 +113,12 @@ class BaseProblem:
         return self._prior is not None
 
     def _residuals(self, model: BaseModel) -> Array:
-        parts = []
-        for way, scale, kept in zip(self._ways, self._scale, self._kept, strict=True):
-            rest = way.predicted(model.velocities(way.log, self._draws)) - way.moved
-            parts.append((rest / (scale * self._deviation) * kept[:, np.newaxis]).ravel())
+        parts = [
+            ((p - way.moved) / (scale * self._deviation) * kept[:, np.newaxis]).ravel()
+            for p, way, scale, kept in zip(
+                self._predicted(model), self._ways, self._scale, self._kept, strict=True
+            )
+        ]
         return np.concatenate([*parts, self._beside(model)])
 
     def _beside(self, model: BaseModel) -> Array:
@@ -154,9 +155,8 @@ class BaseProblem:
         def residuals(z: Array) -> Array:
             return self._residuals(_changed(model, free, z))
 
-        blocks = np.concatenate([np.repeat(block, 3) for block in self._blocks])
-        beside = np.arange(len(self._beside(model))) + blocks.max() + 1
-        blocks = np.concatenate([blocks, beside])
+        beside = np.arange(len(self._beside(model))) + self._blocks.max() + 1
+        blocks = np.concatenate([self._blocks, beside])
         errors = standard_errors(residuals(z), derivatives(residuals, z), blocks)
         errors = np.where([name == "latency" for name in free], errors * LATENCY, errors)
         return dict(zip(free, errors.tolist(), strict=True))

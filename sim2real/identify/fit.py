@@ -5,11 +5,12 @@ are the ways of the base between two measurements, and the positions of the arm;
 Intervals are of 95 % and treat blocks of two seconds as independent.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
@@ -28,6 +29,15 @@ from kinfeas.sim2real.identify.statistics import (
 )
 
 _FAST = 0.8  # m/s^2 and rad/s^2 of a fast start or turn
+
+_ORDER = (
+    "base_noise", "actuator_lag", "acceleration_limit", "velocity_clamp", "joint_limit_clamp",
+    "dropped_commands", "command_latency", "joint_noise", "localisation", "sensor_latency",
+)  # fmt: skip
+"""From the robot outwards, as in `harsh`."""
+
+_OF_ROBOT = ("velocity_clamp", "joint_limit_clamp")
+"""Adapters whose parameters are limits of the robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,3 +181,22 @@ def _result(
         tuple(way.moved / way.seconds[:, np.newaxis] for way in ways),
         tuple(p / w.seconds[:, np.newaxis] for p, w in zip(predicted, ways, strict=True)),
     )  # fmt: skip
+
+
+def adapter_list(estimates: Mapping[str, Estimate]) -> tuple[PluginSpec, ...]:
+    """Return the adapters of a robot, with the intervals of the estimates as ranges."""
+    specs = []
+    for name in _ORDER:
+        parameters: dict[str, object] = {
+            key.partition(".")[2]: _range(estimate)
+            for key, estimate in estimates.items()
+            if key.partition(".")[0] == name
+        }
+        if parameters or name in _OF_ROBOT:
+            specs.append(PluginSpec(name, parameters))
+    return tuple(specs)
+
+
+def _range(estimate: Estimate) -> float | list[float]:
+    low, high = (float(f"{end:.3g}") for end in (estimate.low, estimate.high))
+    return low if low == high else [low, high]

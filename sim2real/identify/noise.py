@@ -123,18 +123,15 @@ def base_noise(
 ) -> dict[str, Estimate]:
     """Return the noise of the base, and drift and jumps of its localisation."""
     dt = ways[0].log.dt
-    rests = [way.moved - way.predicted(v) for way, v in zip(ways, velocities, strict=True)]
+    predicted = [way.predicted(v) for way, v in zip(ways, velocities, strict=True)]
+    rests = [way.moved - p for way, p in zip(ways, predicted, strict=True)]
     rest = np.concatenate(rests)
     shape = np.concatenate([way.squares for way in ways])
     constant = np.concatenate([way.seconds * dt for way in ways])
     quiet = np.concatenate([_quiet(way, v) for way, v in zip(ways, velocities, strict=True)])
     scale = np.sqrt(shape)[:, np.newaxis]
-    speed = np.concatenate(
-        [
-            way.predicted(v) / way.seconds[:, np.newaxis]
-            for way, v in zip(ways, velocities, strict=True)
-        ]
-    )
+    seconds = np.concatenate([way.seconds for way in ways])[:, np.newaxis]
+    speed = np.concatenate(predicted) / seconds
     jump = jumps(rest, scale * spread_of(rest / scale), speed)
     used = ~widened(jump) & quiet
     found: dict[str, Estimate] = {}
@@ -204,21 +201,20 @@ def _localisation_jumps(
             walked += (way.times[start] - last) * np.array([drifts[0], drifts[0], drifts[1]]) ** 2
             last = float(way.times[start])
         count, first = count + len(starts), first + bool(len(starts))
-    low = chi2.ppf(0.025, 2.0 * max(count, 0.5)) / 2.0 / seconds
-    high = chi2.ppf(0.975, 2.0 * count + 2.0) / 2.0 / seconds
-    rate = Estimate(count / seconds, float(low) if count else 0.0, float(high))
     if not count:
-        none = Estimate(0.0, 0.0, 0.0)
-        return {"localisation.jump": none, "localisation.turn_jump": none,
-                "localisation.rate": none}  # fmt: skip
+        keys = "localisation.jump", "localisation.turn_jump", "localisation.rate"
+        return dict.fromkeys(keys, Estimate(0.0, 0.0, 0.0))
+    low = chi2.ppf(0.025, 2.0 * count) / 2.0 / seconds
+    high = chi2.ppf(0.975, 2.0 * count + 2.0) / 2.0 / seconds
+    rate = Estimate(count / seconds, float(low), float(high))
     variances = np.maximum(sums - walked, 0.05 * sums) / (2.0 * count - first)
     sizes = {"jump": (float(variances[:2].mean()), 2.0), "turn_jump": (float(variances[2]), 1.0)}
-    found = {}
+    estimates = {}
     for name, (variance, axes) in sizes.items():
         degrees = max(1.0, count * axes / 2.0)
         ends_of: Array = np.sqrt(variance * degrees / chi2.ppf([0.975, 0.025], degrees))
-        found[f"localisation.{name}"] = Estimate(float(np.sqrt(variance)), *ends_of.tolist())
-    return {**found, "localisation.rate": rate}
+        estimates[f"localisation.{name}"] = Estimate(float(np.sqrt(variance)), *ends_of.tolist())
+    return {**estimates, "localisation.rate": rate}
 
 
 def sensor_ages(logs: Sequence[Log], missing: list[str]) -> dict[str, Estimate]:

@@ -1,6 +1,6 @@
 """Estimates, and the statistics of fits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +62,13 @@ def posterior(values: Array, weights: Array) -> Estimate:
     if weights[0] > 0.025:
         low = values[0]
     return Estimate(mean, float(low), float(high))
+
+
+def time_blocks(times: Sequence[Array]) -> NDArray[np.intp]:
+    """Return the numbers of the blocks of `BLOCK` seconds that times of several logs are in."""
+    blocks = [np.floor(seconds / BLOCK).astype(np.intp) for seconds in times]
+    firsts = np.cumsum([0, *(block.max() + 1 for block in blocks[:-1])])
+    return np.concatenate([block + first for block, first in zip(blocks, firsts, strict=True)])
 
 
 def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.intp]) -> Array:

@@ -18,6 +18,7 @@ from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, base_pattern
 from kinfeas.sim2real.identify.log import log_of
+from kinfeas.sim2real.identify.model import Delays
 
 TRUTH = {
     "base_noise": {"linear": 0.04, "angular": 0.03},
@@ -115,7 +116,7 @@ def test_chain_is_that_of_the_adapters(hsr, tmp_path):
     for twist, target in zip(twists, targets, strict=True):
         full = np.array([[*twist[:2], 0.0, 0.0, 0.0, twist[2]]])
         states.append(backend.step(full, target[np.newaxis], DT))
-    weights = chain.delay_weights(0.05, 0.0, 0.0, DT)
+    weights = Delays(0.05).weights(DT)
     sent = np.concatenate([np.zeros((1, 3)), twists])
     limits = np.array([0.5, 1.0]), np.array([5.0, 10.0])
     means = chain.moved_base(chain.delayed(sent, weights), DT, 0.1, *limits)[1:]
