@@ -85,13 +85,13 @@ class ArmProblem:
         bounds = np.array([TIMES, bounds_of("latency")])
         start, bounds = (start, bounds) if latency else (start[:1], bounds[:1])
         for _ in range(2):
-            found = least_squares(
+            solution = least_squares(
                 residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(*bounds.T),
                 loss="soft_l1", f_scale=3.0, max_nfev=40, xtol=1e-5,
             )  # fmt: skip
-            start, self.lag = found.x, float(np.exp(found.x[0]))
+            start, self.lag = solution.x, float(np.exp(solution.x[0]))
             if latency:
-                delays = replace(delays, latency=float(found.x[1]) * LATENCY)
+                delays = replace(delays, latency=float(solution.x[1]) * LATENCY)
             late, variance = self._time_errors(delays)
             weights = 1.0 / (variance + self._spread**2)
             spread = np.nansum((late**2 - variance) * weights) / np.nansum(weights)

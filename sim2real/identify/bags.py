@@ -191,19 +191,19 @@ def _points(
 ) -> Iterator[tuple[float, dict[str, float]]]:
     """Yield the targets of a trajectory; between several points, each hundredth of a second."""
     names, points = list(message.joint_names), message.points
-    known = [name in aim for name in names]
-    if not points or not any(known):
+    in_arm = [name in aim for name in names]
+    if not points or not any(in_arm):
         return
     ends = np.array([point.positions for point in points])
     if len(points) == 1:
-        yield sent, {n: float(v) for n, v, k in zip(names, ends[0], known, strict=True) if k}
+        yield sent, {n: float(v) for n, v, k in zip(names, ends[0], in_arm, strict=True) if k}
         return
     times = sent + np.array([point.time_from_start.to_sec() for point in points])
     start = np.array([aim.get(name, 0.0) for name in names])
     knots, values = np.append(sent, times), np.concatenate([start[np.newaxis], ends])
     for when in np.arange(sent, times[-1] + 0.005, 0.01):
         row = [float(np.interp(when, knots, column)) for column in values.T]
-        yield float(when), {n: v for n, v, k in zip(names, row, known, strict=True) if k}
+        yield float(when), {n: v for n, v, k in zip(names, row, in_arm, strict=True) if k}
 
 
 def _measured(stream: _Stream) -> tuple[Series, Array]:

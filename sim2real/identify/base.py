@@ -1,4 +1,4 @@
-"""The fit of a base's response to the ways between its measured poses."""
+"""The fit of a base's response to its measured track."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import Bounds, least_squares
 
 from kinfeas.core.spatial import Array
-from kinfeas.sim2real.identify.model import BaseModel, Delays, Ways
+from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
 from kinfeas.sim2real.identify.noise import jumps, spread_of, widened
 from kinfeas.sim2real.identify.statistics import MOVES, derivatives, standard_errors, time_blocks
 
@@ -30,17 +30,17 @@ _LIMITS, _JERKS = np.log([0.05, 50.0]), np.log([0.5, 300.0])
 
 
 class BaseProblem:
-    """The fit of a base's response to its ways."""
+    """The fit of a base's response to its tracks in some logs."""
 
-    def __init__(self, ways: Sequence[Ways], dt: float) -> None:
-        self._ways, self._dt = ways, dt
-        fastest = np.max([np.abs(way.log.twists).max(axis=0) for way in ways], axis=0)
+    def __init__(self, tracks: Sequence[Track], dt: float) -> None:
+        self._tracks, self._dt = tracks, dt
+        fastest = np.max([np.abs(track.log.twists).max(axis=0) for track in tracks], axis=0)
         self.moves = bool((fastest > MOVES).any())
         self.parts = np.array([fastest[:2].max() > MOVES, fastest[2] > MOVES])
-        self._scale = [np.sqrt(way.squares)[:, np.newaxis] for way in ways]
-        self._kept = [np.ones(len(way.moved), dtype=np.bool_) for way in ways]
+        self._scale = [np.sqrt(track.squares)[:, np.newaxis] for track in tracks]
+        self._kept = [np.ones(len(track.moved), dtype=np.bool_) for track in tracks]
         self._deviation = np.ones(3)
-        self._blocks = np.repeat(time_blocks([way.times for way in ways]), 3)
+        self._blocks = np.repeat(time_blocks([track.times for track in tracks]), 3)
 
     def fit(self, arm: Delays | None, error: float) -> tuple[BaseModel, dict[str, float]]:
         """Return the model and the standard errors of its parameters, relative but for times.
@@ -95,17 +95,17 @@ class BaseProblem:
         """Estimate the noise of each axis, and leave out jumps."""
         predicted = self._predicted(model)
         rests = [
-            (p - way.moved) / scale
-            for p, way, scale in zip(predicted, self._ways, self._scale, strict=True)
+            (p - track.moved) / scale
+            for p, track, scale in zip(predicted, self._tracks, self._scale, strict=True)
         ]
         self._deviation = spread_of(np.concatenate(rests))
         self._kept = [
-            ~widened(jumps(rest * scale, scale * self._deviation, p / way.seconds[:, np.newaxis]))
-            for p, way, rest, scale in zip(predicted, self._ways, rests, self._scale, strict=True)
+            ~widened(jumps(rest * scale, scale * self._deviation, p / t.seconds[:, np.newaxis]))
+            for p, t, rest, scale in zip(predicted, self._tracks, rests, self._scale, strict=True)
         ]
 
     def _predicted(self, model: BaseModel) -> list[Array]:
-        return [way.predicted(model.velocities(way.log, self._draws)) for way in self._ways]
+        return [track.predicted(model.velocities(track.log, self._draws)) for track in self._tracks]
 
     @property
     def agrees(self) -> bool:
@@ -114,23 +114,23 @@ class BaseProblem:
 
     def _residuals(self, model: BaseModel) -> Array:
         parts = [
-            ((p - way.moved) / (scale * self._deviation) * kept[:, np.newaxis]).ravel()
-            for p, way, scale, kept in zip(
-                self._predicted(model), self._ways, self._scale, self._kept, strict=True
+            ((p - track.moved) / (scale * self._deviation) * kept[:, np.newaxis]).ravel()
+            for p, track, scale, kept in zip(
+                self._predicted(model), self._tracks, self._scale, self._kept, strict=True
             )
         ]
-        return np.concatenate([*parts, self._beside(model)])
+        return np.concatenate([*parts, self._prior_residuals(model)])
 
-    def _beside(self, model: BaseModel) -> Array:
-        """Return residuals of what is known beside the record, of a fixed number."""
-        known = []
+    def _prior_residuals(self, model: BaseModel) -> Array:
+        """Return the residuals of priors, of a fixed number."""
+        parts = []
         for values, usual in ((model.acceleration, _USUAL_LIMIT), (model.jerk, _USUAL_JERK)):
             limited = np.isfinite(values)
-            known.append(np.where(limited, np.log(np.where(limited, values, usual) / usual), 0.0))
+            parts.append(np.where(limited, np.log(np.where(limited, values, usual) / usual), 0.0))
         if self._prior is not None:
             latency, error = self._prior
-            known.append(np.array([(model.delays.latency - latency) / error]))
-        return np.concatenate(known)
+            parts.append(np.array([(model.delays.latency - latency) / error]))
+        return np.concatenate(parts)
 
     def _solve(
         self, model: BaseModel, free: Sequence[str], loss: Literal["linear", "soft_l1"]
@@ -143,11 +143,11 @@ class BaseProblem:
         def residuals(z: Array) -> Array:
             return self._residuals(_changed(model, free, z))
 
-        found = least_squares(
+        solution = least_squares(
             residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(*bounds.T),
             loss=loss, f_scale=3.0, max_nfev=20, xtol=1e-3, ftol=1e-6,
         )  # fmt: skip
-        return _changed(model, free, found.x), float(found.cost)
+        return _changed(model, free, solution.x), float(solution.cost)
 
     def _errors(self, model: BaseModel, free: Sequence[str]) -> dict[str, float]:
         z = np.array([_get(model, name) for name in free])
@@ -155,7 +155,7 @@ class BaseProblem:
         def residuals(z: Array) -> Array:
             return self._residuals(_changed(model, free, z))
 
-        beside = np.arange(len(self._beside(model))) + self._blocks.max() + 1
+        beside = np.arange(len(self._prior_residuals(model))) + self._blocks.max() + 1
         blocks = np.concatenate([self._blocks, beside])
         errors = standard_errors(residuals(z), derivatives(residuals, z), blocks)
         errors = np.where([name == "latency" for name in free], errors * LATENCY, errors)

@@ -59,7 +59,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
     if not np.isfinite(np.concatenate([poses, joints, commanded], axis=1)).all():
         raise KinfeasError(f"{source}: has numbers that are not finite")
     age = np.where(np.isfinite(record.age[kept]), record.age[kept], 0.0)
-    known = np.isfinite(record.age[kept]) & (np.arange(len(time)) > 0)
+    measured_age = np.isfinite(record.age[kept]) & (np.arange(len(time)) > 0)
     measured = time - age
     base = np.stack([poses[:, 0], poses[:, 1], np.unwrap(yaw(poses))], axis=1)
     # The command of a line was active since the line before.
@@ -67,7 +67,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
         source, robot, record.about.dt,
         (time[:-1], record.base_twist[kept][1:][:, [0, 1, 5]]),
         (time[:-1], record.joint_targets[kept][1:]),
-        (measured, base), (measured, joints), record.age[kept][known], end=float(time[-1]),
+        (measured, base), (measured, joints), record.age[kept][measured_age], end=float(time[-1]),
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Delays of commands, the response of a base to them, and its ways between measurements."""
+"""Delays of commands, the response of a base to them, and its track in a log."""
 
 from dataclasses import dataclass, replace
 
@@ -81,11 +81,11 @@ class BaseModel:
         return chain.mean_moved_base(log.twists, log.dt, *delays, *limits, numbers)
 
 
-class Ways:
-    """Ways of the base between measurements, shape (k, 3), m and rad.
+class Track:
+    """Displacements of the base between the measurements of a log, shape (k, 3), m and rad.
 
     Attributes:
-        moved: Measured ways.
+        moved: Measured displacements.
         seconds: Duration of each, shape (k,).
         squares: Sum of the squared durations in each period, of which the variance consists where
             the velocity has noise that is constant in each, and measurements are interpolated.
@@ -94,7 +94,7 @@ class Ways:
     def __init__(self, log: Log) -> None:
         self.log = log
         self._at = np.clip(log.base_times / log.dt, 0.0, len(log.twists))
-        # Errors of times would be large in short ways.
+        # Errors of times would be large in short displacements.
         rows, last = [0], float(self._at[0])
         for row, at in enumerate(self._at.tolist()):
             if at - last >= _SHORTEST:
@@ -111,7 +111,7 @@ class Ways:
         self.squares: Array = squares * log.dt**2
 
     def predicted(self, velocities: Array) -> Array:
-        """Return the ways at a velocity for each period, shape (n, 3)."""
-        way = np.concatenate([np.zeros((1, 3)), np.cumsum(velocities, axis=0) * self.log.dt])
-        at = interpolated(way, self._at)
+        """Return the displacements at a velocity for each period, shape (n, 3)."""
+        path = np.concatenate([np.zeros((1, 3)), np.cumsum(velocities, axis=0) * self.log.dt])
+        at = interpolated(path, self._at)
         return np.diff(at, axis=0)

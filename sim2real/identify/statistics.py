@@ -49,8 +49,8 @@ def lag_estimate(value: float, error: float, dt: float) -> Estimate:
 def deviation(variance: float, count: int) -> Estimate:
     """Return the estimate of a standard deviation by the variance of `count` numbers."""
     value = float(np.sqrt(variance))
-    share = NORMAL / np.sqrt(2.0 * count / 1.6) + SLACK
-    return Estimate(value, value * (1.0 - share), value * (1.0 + share))
+    margin = NORMAL / np.sqrt(2.0 * count / 1.6) + SLACK
+    return Estimate(value, value * (1.0 - margin), value * (1.0 + margin))
 
 
 def posterior(values: Array, weights: Array) -> Estimate:
