@@ -1,11 +1,13 @@
 """2-D plots: learning curves and motions of a generator."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
@@ -41,11 +43,7 @@ def learning_curve(metrics: Mapping[str, Array], levels: Mapping[str, float]) ->
         axes.set(xlabel="training time (min)", ylabel="success")
         axes.set(xlim=(0.0, float(minutes[-1])), ylim=(0.0, 1.02))
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-        ordered = sorted(levels.items(), key=lambda item: item[1])
-        for (name, value), y in zip(ordered, apart([v for _, v in ordered], 0.055), strict=True):
-            axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
-            axes.text(1.015, y, f"{name} {value:.1%}", va="center", fontsize=9,
-                      transform=axes.get_yaxis_transform())  # fmt: skip
+        draw_levels(axes, levels, 0.055, 9)
         above = axes.secondary_xaxis("top")
         above.xaxis.set_major_formatter(
             FuncFormatter(lambda x, _: f"{np.interp(x, minutes, steps, left=0.0) / 1000.0:,.0f} k")
@@ -55,12 +53,14 @@ def learning_curve(metrics: Mapping[str, Array], levels: Mapping[str, float]) ->
     return figure
 
 
-def apart(values: Sequence[float], gap: float) -> list[float]:
-    """Return ascending `values`, moved up where the distance is below `gap`."""
-    placed: list[float] = []
-    for value in values:
-        placed.append(max(value, placed[-1] + gap) if placed else value)
-    return placed
+def draw_levels(axes: Axes, levels: Mapping[str, float], gap: float, size: float) -> None:
+    """Draw levels as lines across axes, with names in a font `size` that are a `gap` apart."""
+    last = -math.inf
+    for name, value in sorted(levels.items(), key=lambda level: level[1]):
+        last = max(value, last + gap)
+        axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
+        axes.text(1.015, last, f"{name} {value:.1%}", va="center", fontsize=size,
+                  transform=axes.get_yaxis_transform())  # fmt: skip
 
 
 def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
