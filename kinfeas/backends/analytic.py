@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.backend import Backend, ObstacleDistances, RobotState, Scan
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.self_collision import build_collision_model
@@ -26,7 +27,7 @@ class AnalyticBackend(Backend):
         self.solids, self.scanner, self.resumable = MovingSolids(), self, self
         self.obstacles = None if robot is None else self
 
-    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
+    def place_solids(self, solids: Solids | None, env_ids: Rows) -> None:
         """Put solids around robots; arguments as in `Backend`."""
         self.solids.place(solids, env_ids, len(self.state.base_pose))
 
@@ -42,7 +43,7 @@ class AnalyticBackend(Backend):
         return base_obstacles(self._prisms, base, solids, within)
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: Rows | None = None
     ) -> RobotState:
         """Place robots and return the state of all n; shapes as in `Backend`."""
         if env_ids is None:

@@ -2,7 +2,6 @@
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinfeas.backends.mujoco.spec import (
     OWN,
@@ -22,6 +21,7 @@ from kinfeas.backends.physics.robot import (
     finger_followers,
     moving_joints,
 )
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -136,7 +136,7 @@ class Model:
             "bvh_aabb": around,
         }
 
-    def solid_rows(self, name: str) -> NDArray[np.intp]:
+    def solid_rows(self, name: str) -> Rows:
         """Return the rows of solids in a field of `shapes`, shape (k,)."""
         rows = self.engine.body_bvhadr if name == "bvh_aabb" else self.engine.body_geomadr
         return np.asarray(rows[self.solid_bodies], dtype=np.intp)
