@@ -6,11 +6,12 @@ from pathlib import Path
 from kinfeas.core.metrics import Proportion
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import EvalConfig, Summary, add_ceiling, evaluate, reachability_of
+from kinfeas.evaluation.paper import paper_figures
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.policies.loading import QUICK_BASELINES, load_policy
 from kinfeas.viz.episodes import episodes_figure
 from kinfeas.viz.plots import learning_curve, read_metrics
-from kinfeas.viz.report import Report, Row, paper_success
+from kinfeas.viz.report import Report, Row
 from kinfeas.viz.style import png
 
 SHOWN = 3
@@ -45,10 +46,10 @@ def compare(
     rows = [Row("trained policy", success, trained, ours=True)]
     rows += [Row(metrics["policy"], _success(metrics), metrics) for metrics in baselines]
     rows.append(Row("ceiling", ceiling, {}))
-    paper = paper_success(robot.name, task.name)
+    paper = paper_figures(robot.name, task.name)
     for key, name in (("policy", "paper: learned policy"), ("follow_ee", "paper: follow_ee")):
         if key in paper:
-            rows.append(Row(name, Proportion(paper[key], paper[key], paper[key]), {}))
+            rows.append(Row(name, Proportion(*[paper[key].success] * 3), {}))
     curve = learning_curve(read_metrics(run), {**levels, "ceiling": ceiling.value})
     world = World(robot, task, config.world, config.seed)
     recordings = record_episodes(world, policies[str(run)], min(SHOWN, config.episodes))

@@ -50,8 +50,9 @@ class TensorBoard:
         self._folder = out / "tensorboard"
         with writing(self._folder):
             self._board = SummaryWriter(str(self._folder), purge_step=steps + 1, flush_secs=10)
-            for name, value in _about(settings).items():
-                self._board.add_text(name, value, steps)
+            self._board.add_text("version", __version__, steps)
+            recipe = strict_yaml.to_text(config.to_mapping(settings))
+            self._board.add_text("recipe", recipe, steps)
 
     def log(self, figures: Mapping[str, float], steps: int) -> None:
         """Add figures by name."""
@@ -139,11 +140,6 @@ class Logs:
         """Show figures that are not in `metrics.csv`."""
         for tracker in self.trackers:
             tracker.log(figures, steps)
-
-
-def _about(settings: TrainConfig) -> dict[str, str]:
-    """Return the version and the recipe of a run as texts."""
-    return {"version": __version__, "recipe": strict_yaml.to_text(config.to_mapping(settings))}
 
 
 def _identity(out: Path) -> str:

@@ -135,7 +135,8 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
     polygons, colours = [], []
     for solid in solids:
         for face in faces(solid.shape):
-            normal = _normal(face)
+            normal = np.cross(face[1:-1] - face[0], face[2:] - face[0]).sum(axis=0)
+            normal /= max(float(np.linalg.norm(normal)), 1e-12)
             if normal @ toward > 0.0:
                 # mplot3d needs the same number of corners everywhere.
                 polygons.append(np.pad(face, ((0, SIDES - len(face)), (0, 0)), mode="edge"))
@@ -164,8 +165,3 @@ def draw_floor(axes: Axes3D, points: Array, cell: float = 0.5, margin: float = 0
     grid = Line3DCollection(lines, colors="#e3e6ea", linewidths=0.7, zorder=1)
     axes.add_collection(grid, autolim=False)
     return np.array([[*low, 0.0], [*high, 0.0]])
-
-
-def _normal(face: Array) -> Array:
-    normal = np.cross(face[1:-1] - face[0], face[2:] - face[0]).sum(axis=0)
-    return normal / max(float(np.linalg.norm(normal)), 1e-12)

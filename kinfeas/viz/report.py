@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from kinfeas.core.metrics import Proportion
-from kinfeas.evaluation.paper import paper_figures
 from kinfeas.io.files import write_file
 
 _VERSIONS = ("kinfeas", "numpy", "numba", "torch", "stable-baselines3")
@@ -78,11 +77,6 @@ def write_report(report: Report, path: Path) -> None:
         f"<h2>Versions</h2><dl>{listed}</dl>\n</html>\n"
     )
     write_file(path, html.encode())
-
-
-def paper_success(robot: str, task: str) -> dict[str, float]:
-    """Return the paper's success rates, 0-1, by policy; its own is `policy`."""
-    return {name: figures.success for name, figures in paper_figures(robot, task).items()}
 
 
 def _line(row: Row) -> str:
