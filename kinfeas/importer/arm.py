@@ -252,7 +252,6 @@ def _finger_positions(
 def _gripper(
     urdf: Urdf, arm: Arm, closed: dict[str, float], opened: dict[str, float]
 ) -> Gripper | str:
-    """Return the gripper, or why there is none."""
     names = [finger.name for finger in arm.fingers]
     if len(names) != 2:
         more = [finger.name for finger in _on_hand(urdf, arm.hand) if finger.name not in names]

@@ -255,7 +255,6 @@ def _fixed(urdf: Urdf, arm: Arm) -> dict[str, float]:
 
 
 def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:
-    """Return the positions of the joints that move the fingers."""
     if hand.gripper is None:
         return {}
     closed, opened = hand.gripper.positions("close"), hand.gripper.positions("open")

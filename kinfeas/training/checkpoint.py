@@ -64,7 +64,6 @@ def load_learner(
 
 
 def _tensors(learner: FastSAC, world: Mapping[str, NDArray[Any]]) -> Tensors:
-    """Return the tensors of a checkpoint."""
     tensors = _world_tensors(world) | {"random": torch.get_rng_state()}
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
     if (entropy := _learned_entropy(learner)) is not None:

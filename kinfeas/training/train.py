@@ -112,8 +112,6 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
 
 
 class _Run:
-    """One training run in its folder."""
-
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.begun = time.monotonic()
         check_trackers(config)

@@ -171,7 +171,6 @@ def bounds_of(name: str) -> Array:
 
 
 def _get(model: BaseModel, name: str) -> float:
-    """Return a parameter as the fit has it."""
     if name == "latency":
         return model.delays.latency / LATENCY
     kind, _, part = name.partition(".")

@@ -130,6 +130,5 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
 
 
 def _held(times: Array, values: Array, moments: Array) -> Array:
-    """Return the values that are held at some moments."""
     last = np.searchsorted(times, moments, side="right") - 1
     return values[np.maximum(last, 0)]
