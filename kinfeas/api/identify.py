@@ -135,7 +135,7 @@ def identify(
     if out is not None:
         write_file(Path(out), found.adapter_lines.encode())
     if picture is not None:
-        from kinfeas.viz.identification import velocities_figure
+        from kinfeas.viz.plots import velocities_figure
         from kinfeas.viz.style import png
 
         write_file(Path(picture), png(velocities_figure(fitted)))

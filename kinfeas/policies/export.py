@@ -123,14 +123,9 @@ def _observations(network: Network, rows: int, seed: int) -> Array:
 
 
 def _training(trained: Trained) -> dict[str, object]:
-    entries = {
-        "config": trained.config or None,
-        "steps": trained.steps,
-        "seed": trained.seed,
-        "version": trained.version,
-        "command": trained.command,
-    }
-    return {key: value for key, value in entries.items() if value is not None}
+    names = ("config", "steps", "seed", "version", "command")
+    entries = {name: getattr(trained, name) for name in names}
+    return {name: value for name, value in entries.items() if value not in (None, {})}
 
 
 def _success(trained: Trained, folder: Path) -> dict[str, object]:

@@ -130,6 +130,7 @@ class FastSAC(SAC):
 
     policy_delay = 1
     anchor_weight = 0.0
+    replay_buffer: Replay
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -166,7 +167,6 @@ class FastSAC(SAC):
         self._update_learning_rate(optimizers)
         frozen = not self.actor.mu.weight.requires_grad
         losses: dict[str, list[torch.Tensor]] = {"actor_loss": [], "critic_loss": []}
-        assert self.replay_buffer is not None
         with torch.no_grad():
             for networks in (self._actor, self._critic, self._target):
                 networks.refresh()

@@ -274,7 +274,6 @@ class _Run:
         after, ended = following.copy(), np.flatnonzero(dones)
         for row in ended:
             after[row] = infos[row]["terminal_observation"]
-        assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = following
         progress.steps += self.part.num_envs * self.part.action_repeat
