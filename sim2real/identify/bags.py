@@ -1,6 +1,6 @@
 """Logs from bags of ROS 1 and ROS 2, read by rosbags; no ROS installation is needed."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -80,7 +80,7 @@ class _Bag:
 
     def read(self, reader: Any) -> Log:
         streams = self._twists, self._joints, self._base
-        takes = {
+        takes: dict[str, Callable[[Any], None]] = {
             self._twists.topic: self._take_twist,
             self._joints.topic: self._take_joints,
             **{

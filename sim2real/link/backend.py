@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,7 @@ class LinkBackend(RealTimeBackend):
         self._joint_speed = robot.max_joint_velocity
         self._target: Array | None = None  # of the last command
         self._opened = False
-        self._scan_sources = getattr(link, "scan_sources", None)
+        self._scan_sources: Any = getattr(link, "scan_sources", None)
         self.scanner = None if self._scan_sources is None else self
 
     def reset(

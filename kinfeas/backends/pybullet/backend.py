@@ -39,7 +39,7 @@ class PyBulletBackend(PhysicsBackend):
         """Return the simulation of a robot; missing ones are built."""
         while len(self._sims) <= row:
             gui = self._gui and not self._sims
-            simulation = Simulation(self.robot, self.scene, gui=gui, physics=self.config)
+            simulation = Simulation(self.robot, self.scene, self.config, gui=gui)
             self._sims.append(simulation)
             if self._handled is not None:
                 name, link, rigid = self._handled

@@ -34,15 +34,10 @@ class Simulation:
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        scene: Scene | None = None,
-        *,
-        gui: bool = False,
-        physics: PhysicsConfig | None = None,
+        self, robot: Robot, scene: Scene | None, physics: PhysicsConfig, *, gui: bool
     ) -> None:
         """Build the world; arguments as in `PyBulletBackend`."""
-        self.physics = Physics(physics or PhysicsConfig(), gui=gui)
+        self.physics = Physics(physics, gui=gui)
         self.furniture = Furniture(self.physics, scene) if scene else None
         self.solids = SolidBodies(self.physics)
         self.body = RobotBody(self.physics, robot)
