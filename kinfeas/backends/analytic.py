@@ -64,11 +64,8 @@ class AnalyticBackend(Backend):
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return base poses, joint positions and solids of all robots."""
-        return {
-            "base_pose": self.state.base_pose,
-            "joint_positions": self.state.joint_positions,
-            **self.solids.snapshot(),
-        }
+        base, joints = self.state.base_pose, self.state.joint_positions
+        return {"base_pose": base, "joint_positions": joints, **self.solids.snapshot()}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Take on a state that `snapshot` returned and return what it measures."""

@@ -155,15 +155,12 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
     if not away.any():
         return False
     direction, poses = away / np.linalg.norm(away), urdf.link_poses({})
-    sides = urdf.below(joint.name), urdf.rigid[joint.parent]
-    jaw, beside = (
-        max(
-            (shape.reach(direction) for shape in place(urdf, sorted(side), joint.child, poses)),
-            default=0,
-        )
-        for side in sides
-    )
-    return beside > _FIXED_JAW * jaw
+
+    def reach(links: frozenset[str]) -> float:
+        shapes = place(urdf, sorted(links), joint.child, poses)
+        return max((shape.reach(direction) for shape in shapes), default=0.0)
+
+    return reach(urdf.rigid[joint.parent]) > _FIXED_JAW * reach(urdf.below(joint.name))
 
 
 def _off_axis(urdf: Urdf, joint: Joint) -> Array:

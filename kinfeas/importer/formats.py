@@ -109,13 +109,11 @@ def _write_meshes(model: Any, folder: Path) -> list[Path]:
     for i in range(model.nmesh):
         from trimesh import Trimesh
 
-        vertices, faces = model.mesh_vertadr[i], model.mesh_faceadr[i]
+        vertex, face = model.mesh_vertadr[i], model.mesh_faceadr[i]
+        vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[i]]
+        faces = model.mesh_face[face : face + model.mesh_facenum[i]]
         paths.append(folder / f"{i}.stl")
-        Trimesh(
-            model.mesh_vert[vertices : vertices + model.mesh_vertnum[i]],
-            model.mesh_face[faces : faces + model.mesh_facenum[i]],
-            process=False,
-        ).export(paths[-1])
+        Trimesh(vertices, faces, process=False).export(paths[-1])
     return paths
 
 

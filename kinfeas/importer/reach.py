@@ -91,19 +91,10 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
         shapes[min(named[a], named[b]), max(named[a], named[b])].append(row)
     for pair, rows in shapes.items():
         used, indices = np.unique(model.pairs[rows], return_inverse=True)
-        yield (
-            pair,
-            model._replace(
-                body=model.body[used],
-                kind=model.kind[used],
-                size=model.size[used],
-                radius=model.radius[used],
-                rotation=model.rotation[used],
-                offset=model.offset[used],
-                pairs=indices.reshape(-1, 2).astype(np.uintp),
-                apart=model.apart[rows],
-            ),
-        )
+        names = ("body", "kind", "size", "radius", "rotation", "offset")
+        own = {name: getattr(model, name)[used] for name in names}
+        pairs = indices.reshape(-1, 2).astype(np.uintp)
+        yield pair, model._replace(**own, pairs=pairs, apart=model.apart[rows])
 
 
 def built_to_touch(

@@ -11,11 +11,9 @@ _FREE = 0.5
 """Fraction of configurations free of self-collision below which a warning says so."""
 
 _BASE_UNITS = {
-    "max_velocity": "m/s",
-    "max_rotation": "rad/s",
-    "max_acceleration": "m/s^2",
-    "max_rotation_acceleration": "rad/s^2",
-}
+    "max_velocity": "m/s", "max_rotation": "rad/s",
+    "max_acceleration": "m/s^2", "max_rotation_acceleration": "rad/s^2",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,9 @@ from kinfeas.testing.policies import check_policy
 from kinfeas.testing.rules import RULES, Probe, Trial, describe, run_trial
 
 __all__ = [
-    "RULES",
-    "ConformanceError",
-    "Finding",
-    "Trial",
-    "check_motion_generator",
-    "check_policy",
+    "RULES", "ConformanceError", "Finding", "Trial", "check_motion_generator", "check_policy",
     "examine",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

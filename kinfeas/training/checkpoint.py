@@ -27,12 +27,8 @@ def save_learner(
     tensors = _tensors(learner, world)
     save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
     buffer = learner.replay_buffer
-    about = {
-        "updates": learner._n_updates,
-        "buffer": {"position": buffer.pos, "full": buffer.full},
-        **state,
-    }
-    write_state(folder, about)
+    position = {"position": buffer.pos, "full": buffer.full}
+    write_state(folder, {"updates": learner._n_updates, "buffer": position, **state})
 
 
 def load_learner(

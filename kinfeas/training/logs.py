@@ -18,12 +18,9 @@ LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/lea
 """Figures of SB3's own log that are kept."""
 
 _EVALUATED = (
-    "success",
-    "within_5cm",
-    "ik_failures_per_episode",
-    "mean_deviation_m",
+    "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
     "joint_jumps_per_episode",
-)
+)  # fmt: skip
 
 COLUMNS = (
     "steps", "seconds", "train/success", *LEARNER, *(f"evaluation/{name}" for name in _EVALUATED)
@@ -73,13 +70,9 @@ class Wandb:
         import wandb
 
         self._run = wandb.init(
-            project="kinfeas",
-            name=str(out),
-            id=_identity(out),
-            resume="allow",
-            dir=out,
+            project="kinfeas", name=str(out), id=_identity(out), resume="allow", dir=out,
             config={**config.to_mapping(settings), "version": __version__},
-        )
+        )  # fmt: skip
 
     def log(self, figures: Mapping[str, float], steps: int) -> None:
         """Add figures by name."""

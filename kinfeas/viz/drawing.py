@@ -144,12 +144,8 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
                 colours.append(np.array(to_rgba(solid.colour)) * [*[brightness] * 3, 1.0])
     if polygons:
         edges = [colour * [0.85, 0.85, 0.85, 1.0] for colour in colours]
-        axes.add_collection(
-            Poly3DCollection(
-                polygons, facecolors=colours, edgecolors=edges, linewidths=0.25, zorder=3
-            ),
-            autolim=False,
-        )
+        looks: dict[str, Any] = {"facecolors": colours, "edgecolors": edges, "linewidths": 0.25}
+        axes.add_collection(Poly3DCollection(polygons, **looks, zorder=3), autolim=False)
 
 
 def draw_floor(axes: Axes3D, points: Array, cell: float = 0.5, margin: float = 0.1) -> Array:

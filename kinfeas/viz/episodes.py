@@ -1,6 +1,7 @@
 """Pictures of recorded episodes, drawn by matplotlib: robot, paths, failures, goals."""
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from textwrap import fill
 from typing import Any
 
@@ -47,13 +48,9 @@ def episodes_figure(
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
         grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
         for column, (recording, title) in enumerate(zip(recordings, titles, strict=True)):
-            furniture = _furniture_near(recording)
-            side = drawing.add_axes(
-                figure, grid[0, column], shapes.side_heading(recording), _ELEVATION
-            )
-            _draw_side(
-                side, robot, recording, [solid for object_ in furniture for solid in object_]
-            )
+            furniture, heading = _furniture_near(recording), shapes.side_heading(recording)
+            side = drawing.add_axes(figure, grid[0, column], heading, _ELEVATION)
+            _draw_side(side, robot, recording, [*chain.from_iterable(furniture)])
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
             for solids in furniture:
@@ -87,11 +84,8 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
     base = recording.base_pose[:, :2]
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
     count = int(np.clip(1 + round(travelled[-1] / spacing), 2, most))
-    return np.unique(
-        np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count)).clip(
-            0, len(travelled) - 1
-        )
-    )
+    indices = np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count))
+    return np.unique(indices.clip(0, len(travelled) - 1))
 
 
 def robot_at(

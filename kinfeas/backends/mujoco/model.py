@@ -129,12 +129,9 @@ class Model:
         radius = np.hypot(np.where(round_, x, np.hypot(x, y)), z)
         around = np.concatenate([np.zeros_like(box), box], axis=-1)
         return {
-            "geom_type": np.where(round_, *kinds),
-            "geom_size": size,
-            "geom_rbound": radius,
-            "geom_aabb": around,
-            "bvh_aabb": around,
-        }
+            "geom_type": np.where(round_, *kinds), "geom_size": size, "geom_rbound": radius,
+            "geom_aabb": around, "bvh_aabb": around,
+        }  # fmt: skip
 
     def solid_rows(self, name: str) -> Rows:
         """Return the rows of solids in a field of `shapes`, shape (k,)."""

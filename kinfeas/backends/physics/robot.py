@@ -32,12 +32,9 @@ def robot_state(robot: Robot, positions: Array, velocities: Array) -> RobotState
     twist = np.zeros((len(positions), 6))
     twist[:, [0, 1, 5]] = velocities[:, :3]
     joints = positions[:, 3:]
-    return RobotState(
-        base_pose=planar_pose(*positions[:, :3].T),
-        joint_positions=np.where(robot.continuous, wrap(joints), joints),
-        base_twist=twist,
-        joint_velocities=velocities[:, 3:],
-    )
+    joints = np.where(robot.continuous, wrap(joints), joints)
+    base = planar_pose(*positions[:, :3].T)
+    return RobotState(base, joints, base_twist=twist, joint_velocities=velocities[:, 3:])
 
 
 @dataclass(frozen=True)

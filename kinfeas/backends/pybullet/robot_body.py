@@ -38,11 +38,8 @@ class RobotBody:
         self.base = [self.joints[name] for name in PLANAR_JOINTS]
         self.arm = [self.joints[joint.name] for joint in robot.arm]
         self._order = list(self.joints.values())
-        self._rest = {
-            self.joints[name]: robot.fixed_joints[name]
-            for name in moving_joints(robot)
-            if name in robot.fixed_joints
-        }
+        resting = moving_joints(robot) & robot.fixed_joints.keys()
+        self._rest = {self.joints[name]: robot.fixed_joints[name] for name in resting}
         self.setpoints = ArmSetpoints(robot, physics.config.arm_horizon)
         self._dynamics: dict[int, tuple[float, float, Array]] = {}
         above = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
