@@ -271,11 +271,9 @@ def _gripper(
         return f"{' and '.join(names)} have no effort limit above 0, below {_MAX_EFFORT:g}"
     same = shut[0] == shut[1] and wide[0] == wide[1]
     return Gripper(
-        fingers=(names[0], names[1]),
-        closed=shut[0] if same else shut,
-        open=wide[0] if same else wide,
+        (names[0], names[1]), closed=shut[0] if same else shut, open=wide[0] if same else wide,
         effort=min(efforts),
-    )
+    )  # fmt: skip
 
 
 def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> Array:

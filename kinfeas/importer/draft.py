@@ -141,13 +141,10 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     report(_TOUCHING)
     heights = useful_heights(robot, lambda fraction: report(_REACHING * fraction))
     spec = replace(
-        spec,
-        home={"home": tuple(home.tolist())},
-        reach=reach_of(heights, source),
-        pose_tolerance=tolerance,
-        ignored_collisions=tuple(ignored),
+        spec, home={"home": tuple(home.tolist())}, reach=reach_of(heights, source),
+        pose_tolerance=tolerance, ignored_collisions=tuple(ignored),
         max_gravity_load=robot.max_gravity_load,
-    )
+    )  # fmt: skip
     names = [joint.name for joint in arm.joints]
     guesses = Guesses(
         lifted=lifted,
@@ -207,13 +204,11 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
     touch.
     """
     x, y, z = (round(float(number), 4) + 0.0 for number in hand.tip)
-    joints = {
-        joint.name: ArmJointSpec(
-            soft_limits=_one_turn(joint),
-            velocity=None if 0.0 < joint.velocity <= MAX_JOINT_VELOCITY else _VELOCITY[joint.kind],
-        )
-        for joint in arm.joints
-    }
+    joints = {}
+    for joint in arm.joints:
+        valid = 0.0 < joint.velocity <= MAX_JOINT_VELOCITY
+        velocity = None if valid else _VELOCITY[joint.kind]
+        joints[joint.name] = ArmJointSpec(soft_limits=_one_turn(joint), velocity=velocity)
     return RobotSpec(
         name=name,
         ee_frame=arm.hand,

@@ -86,13 +86,12 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         name: {key: value for key, value in vars(joint).items() if value is not None}
         for name, joint in spec.arm.items()
     }
+    drive = " ".join(guesses.drive.split())
     blocks = [
         _head(spec, guesses),
         [
             "# Guess: the manual has the limits of the base.",
-            *_block(
-                "base", vars(spec.base), _BASE_UNITS | {"drive": " ".join(guesses.drive.split())}
-            ),
+            *_block("base", vars(spec.base), _BASE_UNITS | {"drive": drive}),
         ],
         _block("arm", joints, {name: _guessed_units(name, guesses) for name in joints}),
         ["# rad, or m where a joint slides", *_block("home", spec.home)],

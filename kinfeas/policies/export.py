@@ -91,11 +91,9 @@ def to_onnx(network: Network, metadata: PolicyMetadata) -> bytes:
     )
     model = helper.make_model(
         helper.make_graph(nodes, "base_policy", inputs, outputs, tensors),
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
-        producer_name="kinfeas",
-        producer_version=metadata.version,
-    )
+        opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION,
+        producer_name="kinfeas", producer_version=metadata.version,
+    )  # fmt: skip
     entries = {"schema": SCHEMA, **config.to_mapping(metadata)}
     # Strict JSON has no infinity.
     texts = {

@@ -91,13 +91,10 @@ def write_network(network: Network, folder: Path, robot: Robot, about: Mapping[s
     contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
     save_file(contiguous, folder / WEIGHTS)
     trained = Trained(
-        robot=robot.name,
-        layers=len(network.weights),
-        kinematics=fingerprint(robot),
+        robot=robot.name, layers=len(network.weights), kinematics=fingerprint(robot),
         observation=describe_observation(robot, network.observation_terms),
-        action=(describe_action(robot),),
-        **about,
-    )
+        action=(describe_action(robot),), **about,
+    )  # fmt: skip
     write_trained(trained, folder)
 
 
@@ -121,12 +118,10 @@ def read_network(folder: Path, robot: Robot) -> Network:
     tensors, trained = read_policy(folder)
     layers = range(trained.layers)
     try:
-        network = Network(
-            tensors["scale"],
-            tuple(tensors[f"weight.{i}"] for i in layers),
-            tuple(tensors[f"bias.{i}"] for i in layers),
-            tuple(term.name for term in trained.observation),
-        )
+        weights = tuple(tensors[f"weight.{i}"] for i in layers)
+        biases = tuple(tensors[f"bias.{i}"] for i in layers)
+        terms = tuple(term.name for term in trained.observation)
+        network = Network(tensors["scale"], weights, biases, terms)
     except KeyError as error:
         raise KinfeasError(f"{folder}: broken policy: there is no tensor {error}") from error
     check_network(network, trained.observation, trained.action, str(folder))
@@ -137,13 +132,9 @@ def read_network(folder: Path, robot: Robot) -> Network:
 
 
 def check_robot(
-    robot: Robot,
-    name: str,
-    kinematics: str | None,
-    observation: tuple[TermInfo, ...],
-    action: tuple[TermInfo, ...],
-    source: str,
-) -> None:
+    robot: Robot, name: str, kinematics: str | None, observation: tuple[TermInfo, ...],
+    action: tuple[TermInfo, ...], source: str,
+) -> None:  # fmt: skip
     """Raise KinfeasError unless a policy of this description was trained for a robot.
 
     `kinematics` is the fingerprint of the robot of the training, None if unknown.

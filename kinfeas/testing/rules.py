@@ -270,12 +270,11 @@ def _within(tolerances: float, ee_pose: Array, goal: Array) -> NDArray[np.bool_]
 
 
 def _check_end(probe: Probe, left: NDArray[np.bool_]) -> None:
-    probe.require(
-        not left.any(),
-        "end",
+    broken = (
         f"leaves its goal_pose again after its end (motion {int(np.argmax(left))}); a motion along "
-        "a path of its own needs the method finished, which must be true at the end of it only",
+        "a path of its own needs the method finished, which must be true at the end of it only"
     )
+    probe.require(not left.any(), "end", broken)
 
 
 def _check_arrival(
@@ -288,13 +287,12 @@ def _check_arrival(
     metres, radians = distance(ee_pose, final)
     missed = (metres > _ARRIVED_METRES) | (np.rad2deg(radians) > _ARRIVED_DEGREES)
     row = int(np.argmax(missed))
-    probe.require(
-        not missed.any(),
-        "arrival",
+    broken = (
         f"ends {metres[row]:.3f} m and {np.rad2deg(radians[row]):.1f} degrees from its goal_pose "
         f"after {probe.trial.duration:g} s (motion {row}); at most {_ARRIVED_METRES} m and "
-        f"{_ARRIVED_DEGREES:g} degrees are allowed",
+        f"{_ARRIVED_DEGREES:g} degrees are allowed"
     )
+    probe.require(not missed.any(), "arrival", broken)
     going = ~probe.motion.finished(states[1], targets)
     broken = f"has not finished after {probe.trial.duration:g} s (motion {int(np.argmax(going))})"
     probe.require(not going.any(), "arrival", broken)

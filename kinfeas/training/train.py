@@ -322,13 +322,9 @@ class _Run:
         return 60.0 * self.config.schedule.minutes - (time.monotonic() - self.begun)
 
     def _measure(
-        self,
-        evaluator: PeriodicEvaluator,
-        network: Network,
-        episodes: int,
-        seconds: float,
+        self, evaluator: PeriodicEvaluator, network: Network, episodes: int, seconds: float,
         report: Report | None,
-    ) -> dict[str, int | float]:
+    ) -> dict[str, int | float]:  # fmt: skip
         """Return the metrics of episodes, and report how many have ended about once a second."""
         done, reported = 0, -math.inf
 

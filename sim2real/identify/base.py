@@ -113,11 +113,10 @@ class BaseProblem:
         return self._prior is not None
 
     def _residuals(self, model: BaseModel) -> Array:
+        columns = self._predicted(model), self._tracks, self._scale, self._kept
         parts = [
             ((p - track.moved) / (scale * self._deviation) * kept[:, np.newaxis]).ravel()
-            for p, track, scale, kept in zip(
-                self._predicted(model), self._tracks, self._scale, self._kept, strict=True
-            )
+            for p, track, scale, kept in zip(*columns, strict=True)
         ]
         return np.concatenate([*parts, self._prior_residuals(model)])
 

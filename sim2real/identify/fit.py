@@ -120,13 +120,9 @@ def _delays(
 
 
 def _limits(
-    model: BaseModel,
-    errors: dict[str, float],
-    base: BaseProblem,
-    fastest: Array,
-    missing: list[str],
-    dt: float,
-) -> dict[str, Estimate]:
+    model: BaseModel, errors: dict[str, float], base: BaseProblem, fastest: Array,
+    missing: list[str], dt: float,
+) -> dict[str, Estimate]:  # fmt: skip
     """Return lag and limits of a base, whose `fastest` accelerations, (2,), are predicted."""
     estimates: dict[str, Estimate] = {}
     if not base.moves:
@@ -161,12 +157,9 @@ def _fastest(velocities: Sequence[Array], dt: float) -> Array:
 
 
 def _result(
-    tracks: Sequence[Track],
-    model: BaseModel,
-    estimates: dict[str, Estimate],
-    missing: Sequence[str],
-    latency: float,
-) -> Fit:
+    tracks: Sequence[Track], model: BaseModel, estimates: dict[str, Estimate],
+    missing: Sequence[str], latency: float,
+) -> Fit:  # fmt: skip
     names = {
         "base_lag": "actuator_lag.base", "arm_lag": "actuator_lag.arm",
         "acceleration": "acceleration_limit.linear", "jerk": "acceleration_limit.linear_jerk",

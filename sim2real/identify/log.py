@@ -76,17 +76,9 @@ Series = tuple[Array, Array]
 
 
 def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
-    source: str,
-    robot: Robot,
-    dt: float,
-    twists: Series,
-    targets: Series,
-    base: Series,
-    joints: Series,
-    ages: Array,
-    *,
-    end: float,
-) -> Log:
+    source: str, robot: Robot, dt: float, twists: Series, targets: Series, base: Series,
+    joints: Series, ages: Array, *, end: float,
+) -> Log:  # fmt: skip
     """Return a log of commands, which hold from their times on until `end`, and measurements.
 
     Raises:

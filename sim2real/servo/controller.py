@@ -174,14 +174,9 @@ class TargetController:
         return period if self.live[0] else period.commanded(np.zeros_like(period.command))
 
     def _put(
-        self,
-        values: ArrayLike,
-        stamp: float | None,
-        times: ArrayLike | None,
-        frame: str,
-        observed: float | None = None,
-        keep: float = 0.0,
-    ) -> None:
+        self, values: ArrayLike, stamp: float | None, times: ArrayLike | None, frame: str,
+        observed: float | None = None, keep: float = 0.0,
+    ) -> None:  # fmt: skip
         arrival = self._clock()
         try:  # copies, since the sender may write into its arrays
             message = Message(
