@@ -149,17 +149,14 @@ def test_record_is_of_what_adapters_were_given(record, hsr):
     assert np.unique(np.round(np.abs(log.twists[220:300, 2]), 6)).tolist() == [0.6]
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (lambda r: replace(r, base_twist=r.base_twist * 0.0,
-                           joint_targets=np.repeat(r.joint_targets[:1], len(r.time), axis=0)),
-         "neither base nor arm moves"),
-        (lambda r: replace(r, about=replace(r.about, joints=("a",) * 5)), "its joints"),
-        (lambda r: replace(r, base_pose=r.base_pose * np.nan), "not finite"),
-        (lambda r: replace(r, time=r.time * 0.01), "shorter"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "named"), [
+    (lambda r: replace(r, base_twist=r.base_twist * 0.0,
+                       joint_targets=np.repeat(r.joint_targets[:1], len(r.time), axis=0)),
+     "neither base nor arm moves"),
+    (lambda r: replace(r, about=replace(r.about, joints=("a",) * 5)), "its joints"),
+    (lambda r: replace(r, base_pose=r.base_pose * np.nan), "not finite"),
+    (lambda r: replace(r, time=r.time * 0.01), "shorter"),
+])  # fmt: skip
 def test_records_that_show_nothing_raise(record, hsr, monkeypatch, change, named):
     changed = change(read_record(record))
     monkeypatch.setattr("kinfeas.api.identify.read_record", lambda path: changed)
