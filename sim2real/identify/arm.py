@@ -158,8 +158,8 @@ class ArmProblem:
         weights /= weights.sum()
         mean = float((weights * latencies).sum())
         error = float(np.sqrt((weights * (latencies - mean) ** 2).sum()))
-        jitter = posterior(np.array(_JITTERS), weights.sum(axis=1))
-        return jitter, posterior(np.array(_LOST), weights.sum(axis=0)), error
+        jitters = posterior(np.array(_JITTERS), weights.sum(axis=1))
+        return jitters, posterior(np.array(_LOST), weights.sum(axis=0)), error
 
     def _shared(self, speeds: Sequence[Array], lag: int) -> Array:
         """Return the covariance of the noise of pairs of time errors, shape (k - lag,)."""
