@@ -21,8 +21,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.servo.messages import Frames, Message, chunk_in_world
-from kinfeas.sim2real.servo.sender_clock import SenderClock
+from kinfeas.sim2real.servo.messages import Frames, Message, SenderClock, chunk_in_world
 from kinfeas.tasks.task import MotionSpec, Subgoal
 
 _MOST_POSES = 64  # of a chunk
