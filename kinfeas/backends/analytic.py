@@ -56,9 +56,8 @@ class AnalyticBackend(Backend):
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Move all robots for `dt` seconds and return their state; shapes as in `Backend`."""
-        self.state = RobotState(
-            integrate(self.state.base_pose, base_twist, dt), np.array(joint_targets)
-        )
+        base = integrate(self.state.base_pose, base_twist, dt)
+        self.state = RobotState(base, np.array(joint_targets))
         self.solids.step(dt)
         return self.state
 

@@ -99,10 +99,9 @@ def reach_figure(robot: Robot, goal: Array, placement: Placement, solids: Solids
         middle, half = goal[:2], 1.6
         axes.set(xlim=(middle[0] - half, middle[0] + half), xlabel="x (m)", ylabel="y (m)")
         axes.set(ylim=(middle[1] - half, middle[1] + half), aspect="equal")
-        count = (
-            f"{len(placement.base_pose)} base poses reach" if placement.reachable else "none for"
-        )
-        axes.set_title(f"{robot.name}: {count} the EE pose at a height of {goal[2]:.2f} m")
+        count = len(placement.base_pose)
+        text = f"{count} base poses reach" if placement.reachable else "none for"
+        axes.set_title(f"{robot.name}: {text} the EE pose at a height of {goal[2]:.2f} m")
     return figure
 
 

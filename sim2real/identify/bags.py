@@ -168,9 +168,8 @@ class _Bag:
         heading = np.interp(times, base[0], base[1][:, 2])
         cosine, sine = np.cos(heading), np.sin(heading)
         forward, left, turn = values.T
-        return times, np.stack(
-            [cosine * forward - sine * left, sine * forward + cosine * left, turn], axis=1
-        )
+        x, y = cosine * forward - sine * left, sine * forward + cosine * left
+        return times, np.stack([x, y, turn], axis=1)
 
     def _aimed(self, begin: float, start: Array) -> Series:
         """Return the targets of the arm: those of a trajectory of one point at once."""

@@ -135,9 +135,8 @@ class BaseProblem:
         self, model: BaseModel, free: Sequence[str], loss: Literal["linear", "soft_l1"]
     ) -> tuple[BaseModel, float]:
         bounds = np.array([bounds_of(name) for name in free])
-        start = np.clip(
-            [_get(model, name) for name in free], bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6
-        )
+        lower, upper = bounds.T
+        start = np.clip([_get(model, name) for name in free], lower + 1e-6, upper - 1e-6)
 
         def residuals(z: Array) -> Array:
             return self._residuals(_changed(model, free, z))

@@ -138,9 +138,8 @@ def _limits(
             if (error := errors.get(f"{kind}.{part}", np.inf)) < 0.5:
                 value = float(getattr(model, kind)[part])
                 spread = float(np.exp(NORMAL * error + SLACK))
-                estimates[f"acceleration_limit.{key}"] = Estimate(
-                    value, value / spread, value * spread
-                )
+                estimate = Estimate(value, value / spread, value * spread)
+                estimates[f"acceleration_limit.{key}"] = estimate
             elif kind == "acceleration" and fastest[part] > _FAST:
                 missing.append(
                     f"no limit of the {name} acceleration shows up to {fastest[part]:.2g} {unit}"

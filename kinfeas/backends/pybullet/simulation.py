@@ -203,9 +203,8 @@ class Surroundings:
         x, y, _ = self._body.planar()
         reach = self._radius + within
         corners = [x - reach, y - reach, -_HIGH], [x + reach, y + reach, _HIGH]
-        return frozenset(
-            body for body, _ in self._body.physics.client.getOverlappingObjects(*corners)
-        )
+        overlapping = self._body.physics.client.getOverlappingObjects(*corners)
+        return frozenset(body for body, _ in overlapping)
 
     def _closest(
         self, other: int, within: float, handled: Collection[tuple[int, int]]
