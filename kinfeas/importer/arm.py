@@ -69,12 +69,8 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     joints = tuple(joint for joint in own if joint.soft_lower < joint.soft_upper)
     if not joints:
         raise KinfeasError(f"{source}: no joint moves between {urdf.root!r} and {hand!r}")
-    on_hand = _on_hand(urdf, hand)
-    shaped = [
-        joint
-        for joint in on_hand
-        if any(urdf.links[name].shapes for name in urdf.below(joint.name))
-    ]
+    on_hand, links = _on_hand(urdf, hand), urdf.links
+    shaped = [j for j in on_hand if any(links[name].shapes for name in urdf.below(j.name))]
     # The frames of fingers without shapes show how far apart these are, if they slide.
     fingers = tuple(shaped or [joint for joint in on_hand if joint.kind == "prismatic"])
     return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)

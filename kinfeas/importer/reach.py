@@ -214,11 +214,8 @@ def overload_fractions(robot: Robot) -> dict[str, float]:
     The values are the fractions of configurations, 0-1.
     """
     fractions = _overloaded(robot, sampled(robot)).mean(axis=0).tolist()
-    return {
-        joint.name: fraction
-        for joint, fraction in zip(robot.arm, fractions, strict=True)
-        if fraction
-    }
+    joints = zip(robot.arm, fractions, strict=True)
+    return {joint.name: fraction for joint, fraction in joints if fraction}
 
 
 def overloads_at(robot: Robot, joints: Array) -> tuple[str, ...]:

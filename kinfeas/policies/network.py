@@ -125,9 +125,8 @@ def read_network(folder: Path, robot: Robot) -> Network:
     except KeyError as error:
         raise KinfeasError(f"{folder}: broken policy: there is no tensor {error}") from error
     check_network(network, trained.observation, trained.action, str(folder))
-    check_robot(
-        robot, trained.robot, trained.kinematics, trained.observation, trained.action, str(folder)
-    )
+    terms_of_file = trained.observation, trained.action
+    check_robot(robot, trained.robot, trained.kinematics, *terms_of_file, str(folder))
     return network
 
 

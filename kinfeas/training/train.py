@@ -262,9 +262,8 @@ class _Run:
         self.env.step_async(action)
         if not filling:
             progress.updates += config.gradient_steps
-            frozen = self.config.init is not None and (
-                progress.steps < config.learning_starts + config.critic_steps
-            )
+            first = config.learning_starts + config.critic_steps  # of the actor
+            frozen = self.config.init is not None and progress.steps < first
             learner.actor.requires_grad_(not frozen)
             learner._current_progress_remaining = 1.0 - progress.fraction
             with self._timed("update"):
