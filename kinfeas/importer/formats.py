@@ -57,9 +57,9 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> Element:
     above = path.absolute().parent
 
     def find(package: str) -> str:
-        for found in packages(package, above):
-            if found.is_dir():
-                return str(found)
+        for folder in packages(package, above):
+            if folder.is_dir():
+                return str(folder)
         raise KinfeasError(f"there is no package {package!r}")
 
     original, substitution_args._eval_find = substitution_args._eval_find, find

@@ -145,10 +145,10 @@ def check_robot(
             f"{source}: trained with other kinematics of {name!r}: joints, limits, EE frame, or "
             "the base's drive or speed"
         )
-    described, known = (*observation, *action), [t.name for t in observation if t.name in TERMS]
-    expected = (*describe_observation(robot, known), describe_action(robot))
-    own, here = ([(t.name, t.size, t.scale) for t in terms] for terms in (described, expected))
-    if own != here:
+    described, names = (*observation, *action), [t.name for t in observation if t.name in TERMS]
+    expected = (*describe_observation(robot, names), describe_action(robot))
+    own, ours = ([(t.name, t.size, t.scale) for t in terms] for terms in (described, expected))
+    if own != ours:
         raise KinfeasError(
             f"{source}: its observation or action differs from this version's of kinfeas: {own}"
         )

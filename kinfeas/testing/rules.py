@@ -128,7 +128,7 @@ class Probe:
 
     motion: CheckedMotion
     trial: Trial
-    found: dict[str, str] = field(default_factory=dict)
+    violations: dict[str, str] = field(default_factory=dict)
 
     def require(self, holds: object, rule: str, broken: str) -> None:
         """Record a violation, or raise a severe one, unless `holds`."""
@@ -137,7 +137,7 @@ class Probe:
         error = self.motion.error(broken, rule)
         if rule in _FATAL:
             raise error
-        self.found.setdefault(rule, str(error))
+        self.violations.setdefault(rule, str(error))
 
     def start(self, ee_pose: Array, target_pose: Array, rows: Sequence[int]) -> State:
         """Return the start state of the motions `rows`, each with its own random numbers."""
