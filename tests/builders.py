@@ -78,6 +78,27 @@ def random_network(robot, width=256):
     )
 
 
+class KilledError(BaseException):
+    """Stands for a kill: nothing catches it."""
+
+
+def kill():
+    raise KilledError
+
+
+def stop_at(monkeypatch, owner, name, call, stop=kill):
+    """Let `stop` happen within the n-th call of a function."""
+    function, calls = getattr(owner, name), []
+
+    def stopped(*arguments, **options):
+        calls.append(1)
+        if len(calls) == call:
+            stop()
+        return function(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, stopped)
+
+
 TRAINING = {
     "num_envs": 8, "learner.batch_size": 16, "learner.net_arch": [8], "learner.buffer_size": 1000,
     "learner.learning_starts": 16, "schedule.evaluations": 1, "schedule.evaluation_episodes": 2,

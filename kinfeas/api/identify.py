@@ -23,10 +23,9 @@ from kinfeas.sim2real.adapters.noise import Localisation
 from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Setup
-from kinfeas.sim2real.identify.adapter_list import adapter_list
 from kinfeas.sim2real.identify.bags import is_bag, read_bag
 from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
-from kinfeas.sim2real.identify.fit import Fit, fit
+from kinfeas.sim2real.identify.fit import Fit, adapter_list, fit
 from kinfeas.sim2real.identify.log import Log, log_of
 from kinfeas.sim2real.identify.noise import Walk
 from kinfeas.sim2real.identify.statistics import Estimate
@@ -127,7 +126,7 @@ def identify(
     if out is not None:
         write_file(Path(out), result.adapter_lines.encode())
     if picture is not None:
-        from kinfeas.viz.identification import velocities_figure
+        from kinfeas.viz.plots import velocities_figure
         from kinfeas.viz.style import png
 
         write_file(Path(picture), png(velocities_figure(fitted)))

@@ -110,7 +110,7 @@ def reach_map(
 
     Arguments are those of `reach`.
     """
-    from kinfeas.viz.reach import reach_figure
+    from kinfeas.viz.episodes import reach_figure
     from kinfeas.viz.style import png
 
     model, around = load_robot(robot), surroundings(scene, solids)[0]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.backend import Backend, ObstacleDistances, RobotState, Scan
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.self_collision import build_collision_model
@@ -26,7 +27,7 @@ class AnalyticBackend(Backend):
         self.solids, self.scanner, self.resumable = MovingSolids(), self, self
         self.obstacles = None if robot is None else self
 
-    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
+    def place_solids(self, solids: Solids | None, env_ids: Rows) -> None:
         """Put solids around robots; arguments as in `Backend`."""
         self.solids.place(solids, env_ids, len(self.state.base_pose))
 
@@ -42,7 +43,7 @@ class AnalyticBackend(Backend):
         return base_obstacles(self._prisms, base, solids, within)
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: Rows | None = None
     ) -> RobotState:
         """Place robots and return the state of all n; shapes as in `Backend`."""
         if env_ids is None:
@@ -55,19 +56,15 @@ class AnalyticBackend(Backend):
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Move all robots for `dt` seconds and return their state; shapes as in `Backend`."""
-        self.state = RobotState(
-            integrate(self.state.base_pose, base_twist, dt), np.array(joint_targets)
-        )
+        base = integrate(self.state.base_pose, base_twist, dt)
+        self.state = RobotState(base, np.array(joint_targets))
         self.solids.step(dt)
         return self.state
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return base poses, joint positions and solids of all robots."""
-        return {
-            "base_pose": self.state.base_pose,
-            "joint_positions": self.state.joint_positions,
-            **self.solids.snapshot(),
-        }
+        base, joints = self.state.base_pose, self.state.joint_positions
+        return {"base_pose": base, "joint_positions": joints, **self.solids.snapshot()}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Take on a state that `snapshot` returned and return what it measures."""

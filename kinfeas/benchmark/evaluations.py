@@ -138,16 +138,11 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) 
                for run in own]  # fmt: skip
     if not own and takes_pretrained(benchmark, case.robot):
         learned = [replace(base, policy=PRETRAINED, source=PRETRAINED)]
-    rows = [
-        replace(
-            evaluation,
-            row=row.label,
-            settings=nested(benchmark.settings, row.settings, _filters(row.filters)),
-        )
-        for row in benchmark.rows
-        if not case.variant and row.has(case.robot, case.task)
-        for evaluation in learned
-    ]
+    rows = []
+    for row in benchmark.rows:
+        if not case.variant and row.has(case.robot, case.task):
+            settings = nested(benchmark.settings, row.settings, _filters(row.filters))
+            rows += [replace(learner, row=row.label, settings=settings) for learner in learned]
     baselines = [_unplanned(benchmark, replace(base, policy=name, source=name))
                  for name, tasks in benchmark.baselines.items() if case.task in tasks]  # fmt: skip
     policies = [*learned, *rows, *baselines]

@@ -27,8 +27,8 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.viz.episodes import episodes_figure
-from kinfeas.viz.plots import apart, read_metrics
-from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, failures_text, png
+from kinfeas.viz.plots import draw_levels, read_metrics
+from kinfeas.viz.style import BASE, EE, GOAL, INK, STYLE, failures_text, png
 
 _CURVE_INCHES = 4.9
 _BEYOND = "#e4e7eb"
@@ -146,12 +146,7 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
                 if run.robot == robot:
                     _draw_curve(axes, run)
                     axes.set_title(f"{TITLES.get(robot, robot)}, {run.task}")
-            ordered = sorted(levels.get(robot, {}).items(), key=lambda level: level[1])
-            heights = apart([value for _, value in ordered], 0.05)
-            for (name, value), y in zip(ordered, heights, strict=True):
-                axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
-                axes.text(1.015, y, f"{name} {value:.1%}", va="center", fontsize=8.5,
-                          transform=axes.get_yaxis_transform())  # fmt: skip
+            draw_levels(axes, levels.get(robot, {}), 0.05, 8.5)
             axes.set_xlabel("environment steps (thousands)")
             axes.set_xlim(left=0.0)
             handles, labels = axes.get_legend_handles_labels()

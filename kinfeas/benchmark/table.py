@@ -179,7 +179,6 @@ def _cell(
 
 
 def _paper(case: Evaluation) -> PaperFigures | None:
-    """Return the paper's figures in the same cell."""
     if case.variant:
         return None
     world = "analytic" if case.backend == "analytic" else "physics"

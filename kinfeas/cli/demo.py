@@ -37,14 +37,13 @@ def demo(
     require("torch", "stable_baselines3", "matplotlib")
     from kinfeas.api import counter
     from kinfeas.api.train import configure
-    from kinfeas.benchmark.comparison import compare
     from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file
     from kinfeas.policies.loading import QUICK_BASELINES
     from kinfeas.robots.loading import load_robot
     from kinfeas.tasks.loading import load_task
     from kinfeas.tasks.task import StreamTask
-    from kinfeas.viz.report import write_report
+    from kinfeas.viz.report import compare, write_report
 
     changes = options.read_settings(overrides)
     settings = configure(robot, seed=seed, minutes=minutes, settings=changes)

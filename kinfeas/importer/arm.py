@@ -69,12 +69,8 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     joints = tuple(joint for joint in own if joint.soft_lower < joint.soft_upper)
     if not joints:
         raise KinfeasError(f"{source}: no joint moves between {urdf.root!r} and {hand!r}")
-    on_hand = _on_hand(urdf, hand)
-    shaped = [
-        joint
-        for joint in on_hand
-        if any(urdf.links[name].shapes for name in urdf.below(joint.name))
-    ]
+    on_hand, links = _on_hand(urdf, hand), urdf.links
+    shaped = [j for j in on_hand if any(links[name].shapes for name in urdf.below(j.name))]
     # The frames of fingers without shapes show how far apart these are, if they slide.
     fingers = tuple(shaped or [joint for joint in on_hand if joint.kind == "prismatic"])
     return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
@@ -155,15 +151,12 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
     if not away.any():
         return False
     direction, poses = away / np.linalg.norm(away), urdf.link_poses({})
-    sides = urdf.below(joint.name), urdf.rigid[joint.parent]
-    jaw, beside = (
-        max(
-            (shape.reach(direction) for shape in place(urdf, sorted(side), joint.child, poses)),
-            default=0,
-        )
-        for side in sides
-    )
-    return beside > _FIXED_JAW * jaw
+
+    def reach(links: frozenset[str]) -> float:
+        shapes = place(urdf, sorted(links), joint.child, poses)
+        return max((shape.reach(direction) for shape in shapes), default=0.0)
+
+    return reach(urdf.rigid[joint.parent]) > _FIXED_JAW * reach(urdf.below(joint.name))
 
 
 def _off_axis(urdf: Urdf, joint: Joint) -> Array:
@@ -252,7 +245,6 @@ def _finger_positions(
 def _gripper(
     urdf: Urdf, arm: Arm, closed: dict[str, float], opened: dict[str, float]
 ) -> Gripper | str:
-    """Return the gripper, or why there is none."""
     names = [finger.name for finger in arm.fingers]
     if len(names) != 2:
         more = [finger.name for finger in _on_hand(urdf, arm.hand) if finger.name not in names]
@@ -275,11 +267,9 @@ def _gripper(
         return f"{' and '.join(names)} have no effort limit above 0, below {_MAX_EFFORT:g}"
     same = shut[0] == shut[1] and wide[0] == wide[1]
     return Gripper(
-        fingers=(names[0], names[1]),
-        closed=shut[0] if same else shut,
-        open=wide[0] if same else wide,
+        (names[0], names[1]), closed=shut[0] if same else shut, open=wide[0] if same else wide,
         effort=min(efforts),
-    )
+    )  # fmt: skip
 
 
 def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> Array:
@@ -287,8 +277,7 @@ def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> 
     shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, poses)
     if not shapes:
         return relative(poses[finger.child], poses[arm.hand])[:3]
-    middle: Array = np.mean([shape.pose[:3] for shape in shapes], axis=0)
-    return middle
+    return np.mean([shape.pose[:3] for shape in shapes], axis=0)
 
 
 def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:

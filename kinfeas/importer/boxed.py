@@ -15,13 +15,7 @@ from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.extras import require
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.importer.arm import Arm, place
-from kinfeas.robots.elements import (
-    Element,
-    find_mesh,
-    numbers_text,
-    parse_xml,
-    set_origin,
-)
+from kinfeas.robots.elements import Element, find_mesh, numbers_text, parse_xml, set_origin
 from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf
 from kinfeas.robots.urdf_file import read_robot_xml, read_shapes, urdf_of
 
@@ -94,9 +88,8 @@ def boxed_urdf(
             originals[name] = [part for part, _ in parts]
         if len(shapes) > MAX_SHAPES:
             require("trimesh")
-            shapes = list(
-                fit_primitives(np.concatenate([_box_triangles(shape) for shape in shapes]))
-            )
+            boxes = np.concatenate([_box_triangles(shape) for shape in shapes])
+            shapes = list(fit_primitives(boxes))
         depth = sum(joint.moves for joint in urdf.path_to(name))
         out.append(_link(name, link.xml.find("inertial"), shapes, _COLOURS[depth % 2]))
         if on_link is not None:
@@ -184,11 +177,8 @@ def on_the_floor(text: str, arm: Arm, source: str) -> tuple[str, float]:
     robot = parse_xml(text, "robot", source)
     urdf = urdf_of(robot)
     links = set(urdf.links) - urdf.below(arm.joints[0].name)
-    down = np.array([0.0, 0.0, -1.0])
-    depth = max(
-        (shape.reach(down) for shape in place(urdf, sorted(links), urdf.root, urdf.link_poses({}))),
-        default=0.0,
-    )
+    shapes, down = place(urdf, sorted(links), urdf.root, urdf.link_poses({})), [0.0, 0.0, -1.0]
+    depth = max((shape.reach(np.array(down)) for shape in shapes), default=0.0)
     if depth <= _PLAY:
         return text, 0.0
     height = round(depth, 3)

@@ -113,11 +113,7 @@ def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
     if named := [name for name in names if _OMNIDIRECTIONAL.search(name)]:
         return "omnidirectional", f"the name {named[0]}"
     axes = {joint.name: _axis(urdf, joint) for joint in joints if joint.moves}
-    wheels = [
-        wheel
-        for wheel in joints
-        if wheel.kind == "continuous" and abs(axes[wheel.name][2]) < _LEVEL
-    ]
+    wheels = [j for j in joints if j.kind == "continuous" and abs(axes[j.name][2]) < _LEVEL]
     if driven := [wheel for wheel in wheels if not _CASTER.search(wheel.name + wheel.child)]:
         wheels = driven  # the others follow
     steering = {wheel.name: _steering(urdf, wheel, axes) for wheel in wheels}
@@ -136,17 +132,12 @@ def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
 
 
 def _axis(urdf: Urdf, joint: Joint) -> Array:
-    axis: Array = rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)
-    return axis
+    return rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)
 
 
 def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None:
     """Return the upright joint that turns a wheel, None without one."""
-    above = (
-        joint.name
-        for joint in urdf.path_to(wheel.parent)
-        if joint.kind in ("revolute", "continuous")
-    )
+    above = (j.name for j in urdf.path_to(wheel.parent) if j.kind in ("revolute", "continuous"))
     return next((name for name in above if abs(axes[name][2]) > _UPRIGHT), None)
 
 

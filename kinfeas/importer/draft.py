@@ -12,24 +12,10 @@ import numpy as np
 from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
+from kinfeas.importer import reach
 from kinfeas.importer.arm import Arm, Hand, ends_of_arms, find_arm, read_hand
 from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
 from kinfeas.importer.description import doubts, find_drive, read_description
-from kinfeas.importer.reach import (
-    Heights,
-    built_to_touch,
-    comfortable,
-    free_fraction,
-    freedom,
-    limited,
-    only_fitted,
-    overload_fractions,
-    overloads_at,
-    sampled,
-    touching,
-    useful_heights,
-    with_pairs,
-)
 from kinfeas.importer.text import Guesses, robot_yaml
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import POSE_DIMENSIONS
@@ -71,7 +57,7 @@ class Draft:
     spec: RobotSpec
     yaml: str
     urdf: str
-    heights: Heights
+    heights: reach.Heights
     free: float
     guesses: Guesses
     robot: Robot
@@ -128,26 +114,23 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     wheel_drive, why = find_drive(urdf, arm)
     spec = stated(name, urdf, arm, fingers, drive or wheel_drive)
     robot = build_robot(spec, urdf, path, path)
-    fractions = touching(robot)
-    ignored = built_to_touch(robot, fractions)
+    fractions = reach.touching(robot)
+    ignored = reach.built_to_touch(robot, fractions)
     checked = {pair: fraction for pair, fraction in fractions.items() if pair not in ignored}
-    false = only_fitted(robot, originals, checked)
+    false = reach.only_fitted(robot, originals, checked)
     ignored |= false
     tolerance = pose_tolerance(robot)
-    robot = replace(with_pairs(robot, ignored), pose_tolerance=tolerance)
-    if overloads := overload_fractions(robot):
-        robot = limited(robot)
-    home = comfortable(robot)
+    robot = replace(reach.with_pairs(robot, ignored), pose_tolerance=tolerance)
+    if overloads := reach.overload_fractions(robot):
+        robot = reach.limited(robot)
+    home = reach.comfortable(robot)
     report(_TOUCHING)
-    heights = useful_heights(robot, lambda fraction: report(_REACHING * fraction))
+    heights = reach.useful_heights(robot, lambda fraction: report(_REACHING * fraction))
     spec = replace(
-        spec,
-        home={"home": tuple(home.tolist())},
-        reach=reach_of(heights, source),
-        pose_tolerance=tolerance,
-        ignored_collisions=tuple(ignored),
+        spec, home={"home": tuple(home.tolist())}, reach=reach_of(heights, source),
+        pose_tolerance=tolerance, ignored_collisions=tuple(ignored),
         max_gravity_load=robot.max_gravity_load,
-    )
+    )  # fmt: skip
     names = [joint.name for joint in arm.joints]
     guesses = Guesses(
         lifted=lifted,
@@ -157,7 +140,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         touching=ignored,
         contacts={pair: fraction for pair, fraction in checked.items() if pair not in false},
         overloads=overloads,
-        overloaded_at_home=overloads_at(robot, home),
+        overloaded_at_home=reach.overloads_at(robot, home),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
         drive="" if drive else why,
         no_gripper=fingers.no_gripper,
@@ -166,14 +149,14 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     yaml = robot_yaml(spec, guesses)
     read = config.from_mapping(RobotSpec, strict_yaml.parse(yaml, source), source)
     final = build_robot(read, urdf, path, path)
-    return Draft(spec, yaml, text, heights, free_fraction(robot), guesses, final)
+    return Draft(spec, yaml, text, heights, reach.free_fraction(robot), guesses, final)
 
 
 def _parsed(text: str, source: str) -> Urdf:
     return urdf_of(parse_xml(text, "robot", source))
 
 
-def reach_of(heights: Heights, source: str) -> Reach:
+def reach_of(heights: reach.Heights, source: str) -> Reach:
     """Return the heights at which most goals are reachable."""
     for least in _REACHED:
         if band := heights.band(least):
@@ -192,10 +175,10 @@ def pose_tolerance(robot: Robot) -> PoseTolerance | None:
     The rotation is HSR's. The position is how far this turn about the first joint moves the EE, at
     its median horizontal distance from there: 0.1 m for HSR.
     """
-    if freedom(robot) == POSE_DIMENSIONS:
+    if reach.freedom(robot) == POSE_DIMENSIONS:
         return None
     chain = build_chain(robot)
-    away = forward(chain, sampled(robot))[:, :2] - chain.tree.offset[0, :2]
+    away = forward(chain, reach.sampled(robot))[:, :2] - chain.tree.offset[0, :2]
     distance = float(np.median(np.linalg.norm(away, axis=1)))
     return PoseTolerance(round(_ROTATION_TOLERANCE * distance, 3), _ROTATION_TOLERANCE)
 
@@ -207,13 +190,11 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
     touch.
     """
     x, y, z = (round(float(number), 4) + 0.0 for number in hand.tip)
-    joints = {
-        joint.name: ArmJointSpec(
-            soft_limits=_one_turn(joint),
-            velocity=None if 0.0 < joint.velocity <= MAX_JOINT_VELOCITY else _VELOCITY[joint.kind],
-        )
-        for joint in arm.joints
-    }
+    joints = {}
+    for joint in arm.joints:
+        valid = 0.0 < joint.velocity <= MAX_JOINT_VELOCITY
+        velocity = None if valid else _VELOCITY[joint.kind]
+        joints[joint.name] = ArmJointSpec(soft_limits=_one_turn(joint), velocity=velocity)
     return RobotSpec(
         name=name,
         ee_frame=arm.hand,
@@ -255,7 +236,6 @@ def _fixed(urdf: Urdf, arm: Arm) -> dict[str, float]:
 
 
 def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:
-    """Return the positions of the joints that move the fingers."""
     if hand.gripper is None:
         return {}
     closed, opened = hand.gripper.positions("close"), hand.gripper.positions("open")

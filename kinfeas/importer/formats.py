@@ -57,9 +57,9 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> Element:
     above = path.absolute().parent
 
     def find(package: str) -> str:
-        for found in packages(package, above):
-            if found.is_dir():
-                return str(found)
+        for folder in packages(package, above):
+            if folder.is_dir():
+                return str(folder)
         raise KinfeasError(f"there is no package {package!r}")
 
     original, substitution_args._eval_find = substitution_args._eval_find, find
@@ -109,13 +109,11 @@ def _write_meshes(model: Any, folder: Path) -> list[Path]:
     for i in range(model.nmesh):
         from trimesh import Trimesh
 
-        vertices, faces = model.mesh_vertadr[i], model.mesh_faceadr[i]
+        vertex, face = model.mesh_vertadr[i], model.mesh_faceadr[i]
+        vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[i]]
+        faces = model.mesh_face[face : face + model.mesh_facenum[i]]
         paths.append(folder / f"{i}.stl")
-        Trimesh(
-            model.mesh_vert[vertices : vertices + model.mesh_vertnum[i]],
-            model.mesh_face[faces : faces + model.mesh_facenum[i]],
-            process=False,
-        ).export(paths[-1])
+        Trimesh(vertices, faces, process=False).export(paths[-1])
     return paths
 
 

@@ -91,19 +91,10 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
         shapes[min(named[a], named[b]), max(named[a], named[b])].append(row)
     for pair, rows in shapes.items():
         used, indices = np.unique(model.pairs[rows], return_inverse=True)
-        yield (
-            pair,
-            model._replace(
-                body=model.body[used],
-                kind=model.kind[used],
-                size=model.size[used],
-                radius=model.radius[used],
-                rotation=model.rotation[used],
-                offset=model.offset[used],
-                pairs=indices.reshape(-1, 2).astype(np.uintp),
-                apart=model.apart[rows],
-            ),
-        )
+        names = ("body", "kind", "size", "radius", "rotation", "offset")
+        own = {name: getattr(model, name)[used] for name in names}
+        pairs = indices.reshape(-1, 2).astype(np.uintp)
+        yield pair, model._replace(**own, pairs=pairs, apart=model.apart[rows])
 
 
 def built_to_touch(
@@ -138,9 +129,7 @@ def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
 
 
 def only_fitted(
-    robot: Robot,
-    originals: Mapping[str, Sequence[Part]],
-    touching: Mapping[tuple[str, str], float],
+    robot: Robot, originals: Mapping[str, Sequence[Part]], touching: Mapping[tuple[str, str], float]
 ) -> dict[tuple[str, str], float]:
     """Return the pairs of links that touch in relevant fractions only by their primitives.
 
@@ -225,11 +214,8 @@ def overload_fractions(robot: Robot) -> dict[str, float]:
     The values are the fractions of configurations, 0-1.
     """
     fractions = _overloaded(robot, sampled(robot)).mean(axis=0).tolist()
-    return {
-        joint.name: fraction
-        for joint, fraction in zip(robot.arm, fractions, strict=True)
-        if fraction
-    }
+    joints = zip(robot.arm, fractions, strict=True)
+    return {joint.name: fraction for joint, fraction in joints if fraction}
 
 
 def overloads_at(robot: Robot, joints: Array) -> tuple[str, ...]:
@@ -273,8 +259,7 @@ def comfortable(robot: Robot) -> Array:
     among = free[in_front] if in_front.any() else free
     least = _singular_values(robot, among)[:, freedom(robot) - 1]
     room = 4.0 * (among - lower) * (upper - among) / (upper - lower) ** 2
-    best: Array = among[np.argmax(least * room[:, ~robot.continuous].min(axis=1, initial=1.0))]
-    return best
+    return among[np.argmax(least * room[:, ~robot.continuous].min(axis=1, initial=1.0))]
 
 
 def freedom(robot: Robot) -> int:
@@ -286,8 +271,7 @@ def freedom(robot: Robot) -> int:
 def _singular_values(robot: Robot, joints: Array) -> Array:
     """Return those of the Jacobian in configurations (n, j), descending, shape (n, min(6, j))."""
     weights = np.repeat([1.0, ROTATION_WEIGHT], 3)[:, np.newaxis]
-    values: Array = np.linalg.svd(jacobian(build_chain(robot), joints) * weights, compute_uv=False)
-    return values
+    return np.linalg.svd(jacobian(build_chain(robot), joints) * weights, compute_uv=False)
 
 
 def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None) -> Heights:

@@ -11,11 +11,9 @@ _FREE = 0.5
 """Fraction of configurations free of self-collision below which a warning says so."""
 
 _BASE_UNITS = {
-    "max_velocity": "m/s",
-    "max_rotation": "rad/s",
-    "max_acceleration": "m/s^2",
-    "max_rotation_acceleration": "rad/s^2",
-}
+    "max_velocity": "m/s", "max_rotation": "rad/s",
+    "max_acceleration": "m/s^2", "max_rotation_acceleration": "rad/s^2",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -88,13 +86,12 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         name: {key: value for key, value in vars(joint).items() if value is not None}
         for name, joint in spec.arm.items()
     }
+    drive = " ".join(guesses.drive.split())
     blocks = [
         _head(spec, guesses),
         [
             "# Guess: the manual has the limits of the base.",
-            *_block(
-                "base", vars(spec.base), _BASE_UNITS | {"drive": " ".join(guesses.drive.split())}
-            ),
+            *_block("base", vars(spec.base), _BASE_UNITS | {"drive": drive}),
         ],
         _block("arm", joints, {name: _guessed_units(name, guesses) for name in joints}),
         ["# rad, or m where a joint slides", *_block("home", spec.home)],

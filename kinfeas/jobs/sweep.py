@@ -147,13 +147,11 @@ def open_study(folder: Path) -> optuna.Study:
     journal = (folder / "journal.log").resolve()
     try:
         with reading(journal):
+            storage = JournalStorage(JournalFileBackend(str(journal)))
             return optuna.create_study(
-                study_name="sweep",
-                storage=JournalStorage(JournalFileBackend(str(journal))),
-                load_if_exists=True,
-                direction="maximize",
+                study_name="sweep", storage=storage, load_if_exists=True, direction="maximize",
                 pruner=pruners[sweep.pruner],
-            )
+            )  # fmt: skip
     except (LookupError, TypeError, AttributeError, AssertionError) as error:
         raise KinfeasError(f"{journal}: not the journal of a sweep: {error!r}") from error
 

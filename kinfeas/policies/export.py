@@ -13,18 +13,6 @@ from kinfeas.io.files import read_json, write_file
 from kinfeas.io.policy_metadata import Trained, read_trained
 from kinfeas.policies import onnx_policy
 from kinfeas.policies.network import Network, read_network
-from kinfeas.policies.onnx_policy import (
-    BATCH,
-    INPUT,
-    OUTPUT,
-    PREFIX,
-    SCHEMA,
-    TOLERANCE,
-    Control,
-    GoldenPairs,
-    OnnxPolicy,
-    PolicyMetadata,
-)
 from kinfeas.robots.robot import Robot
 
 GOLDEN_PAIRS = 16
@@ -34,7 +22,7 @@ OPSET, IR_VERSION = 14, 7
 """Versions of operators and format that onnxruntime reads from 1.8 on."""
 
 
-def export(folder: Path, robot: Robot, out: Path) -> tuple[OnnxPolicy, float]:
+def export(folder: Path, robot: Robot, out: Path) -> tuple[onnx_policy.OnnxPolicy, float]:
     """Write the policy of a run `runs/NAME` or of a checkpoint as an ONNX file.
 
     Returns:
@@ -46,29 +34,31 @@ def export(folder: Path, robot: Robot, out: Path) -> tuple[OnnxPolicy, float]:
     """
     network, trained = read_network(folder, robot), read_trained(folder)
     golden = np.round(_observations(network, GOLDEN_PAIRS, seed=0), 4)
-    metadata = PolicyMetadata(
+    metadata = onnx_policy.PolicyMetadata(
         version=__version__,
         robot=onnx_policy.describe_robot(robot),
         observation=describe_observation(robot, network.observation_terms),
         action=(describe_action(robot),),
-        control=Control(trained.period, HORIZON),
+        control=onnx_policy.Control(trained.period, HORIZON),
         training=_training(trained),
         success=_success(trained, folder),
-        golden=GoldenPairs(
+        golden=onnx_policy.GoldenPairs(
             *(tuple(map(tuple, rows.tolist())) for rows in (golden, np.round(network(golden), 7)))
         ),
     )
     content = to_onnx(network, metadata)
     observations = _observations(network, 1000, seed=1)
     deviation = float(np.abs(_run(content, observations) - network(observations)).max())
-    if not deviation <= TOLERANCE:
-        raise KinfeasError(f"the exported policy deviates by {deviation:.2g}, above {TOLERANCE:g}")
-    policy = OnnxPolicy(content)
+    if not deviation <= onnx_policy.TOLERANCE:
+        raise KinfeasError(
+            f"the exported policy deviates by {deviation:.2g}, above {onnx_policy.TOLERANCE:g}"
+        )
+    policy = onnx_policy.OnnxPolicy(content)
     write_file(out, content)
     return policy, deviation
 
 
-def to_onnx(network: Network, metadata: PolicyMetadata) -> bytes:
+def to_onnx(network: Network, metadata: onnx_policy.PolicyMetadata) -> bytes:
     """Return an ONNX file of a network with its metadata and digest."""
     import onnx
     from onnx import helper, numpy_helper
@@ -84,22 +74,20 @@ def to_onnx(network: Network, metadata: PolicyMetadata) -> bytes:
         numpy_helper.from_array(np.array(numbers, dtype=np.float32, order="C"), name)
         for name, numbers in constants.items()
     ]
-    sizes = ((INPUT, len(network.scale)), (OUTPUT, len(network.biases[-1])))
+    sizes = ((onnx_policy.INPUT, len(network.scale)), (onnx_policy.OUTPUT, len(network.biases[-1])))
     inputs, outputs = (
-        [helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, [BATCH, size])]
+        [helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, [onnx_policy.BATCH, size])]
         for name, size in sizes
     )
     model = helper.make_model(
         helper.make_graph(nodes, "base_policy", inputs, outputs, tensors),
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
-        producer_name="kinfeas",
-        producer_version=metadata.version,
-    )
-    entries = {"schema": SCHEMA, **config.to_mapping(metadata)}
+        opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION,
+        producer_name="kinfeas", producer_version=metadata.version,
+    )  # fmt: skip
+    entries = {"schema": onnx_policy.SCHEMA, **config.to_mapping(metadata)}
     # Strict JSON has no infinity.
     texts = {
-        PREFIX + key: to_json(value, inf_nan_mode="strings").decode()
+        onnx_policy.PREFIX + key: to_json(value, inf_nan_mode="strings").decode()
         for key, value in entries.items()
     }
     helper.set_model_props(model, texts)
@@ -112,7 +100,9 @@ def _run(content: bytes, observations: Array) -> Array:
     import onnxruntime
 
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    (actions,) = session.run((OUTPUT,), {INPUT: observations.astype(np.float32)})
+    (actions,) = session.run(
+        (onnx_policy.OUTPUT,), {onnx_policy.INPUT: observations.astype(np.float32)}
+    )
     return np.asarray(actions)
 
 
@@ -123,14 +113,9 @@ def _observations(network: Network, rows: int, seed: int) -> Array:
 
 
 def _training(trained: Trained) -> dict[str, object]:
-    entries = {
-        "config": trained.config or None,
-        "steps": trained.steps,
-        "seed": trained.seed,
-        "version": trained.version,
-        "command": trained.command,
-    }
-    return {key: value for key, value in entries.items() if value is not None}
+    names = ("config", "steps", "seed", "version", "command")
+    entries = {name: getattr(trained, name) for name in names}
+    return {name: value for name, value in entries.items() if value not in (None, {})}
 
 
 def _success(trained: Trained, folder: Path) -> dict[str, object]:

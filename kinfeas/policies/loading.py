@@ -16,14 +16,9 @@ PRETRAINED = "pretrained"
 """Name of the policy in a robot's folder that is used by default."""
 
 BASELINES = (
-    "follow_ee",
-    "follow_ee_feedback",
-    "demonstrated_base",
-    "planned_base",
-    "geometric_modulation",
-    "planner",
-    "whole_body_qp",
-)
+    "follow_ee", "follow_ee_feedback", "demonstrated_base", "planned_base",
+    "geometric_modulation", "planner", "whole_body_qp",
+)  # fmt: skip
 """Entry points of the package: base motions without training, but for `stationary`."""
 
 QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
@@ -77,5 +72,4 @@ def load_policy(name: str, robot: Robot) -> Policy:
             )
         if str(Path.cwd()) not in sys.path:
             sys.path.append(str(Path.cwd()))
-    policy: Policy = registry.build(GROUP, name, {"robot": robot})
-    return policy
+    return registry.build(GROUP, name, {"robot": robot})

@@ -24,12 +24,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import write_folder
-from kinfeas.io.policy_metadata import (
-    WEIGHTS,
-    Trained,
-    read_policy,
-    write_trained,
-)
+from kinfeas.io.policy_metadata import WEIGHTS, Trained, read_policy, write_trained
 from kinfeas.robots.robot import Robot, fingerprint
 
 
@@ -96,13 +91,10 @@ def write_network(network: Network, folder: Path, robot: Robot, about: Mapping[s
     contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
     save_file(contiguous, folder / WEIGHTS)
     trained = Trained(
-        robot=robot.name,
-        layers=len(network.weights),
-        kinematics=fingerprint(robot),
+        robot=robot.name, layers=len(network.weights), kinematics=fingerprint(robot),
         observation=describe_observation(robot, network.observation_terms),
-        action=(describe_action(robot),),
-        **about,
-    )
+        action=(describe_action(robot),), **about,
+    )  # fmt: skip
     write_trained(trained, folder)
 
 
@@ -126,29 +118,22 @@ def read_network(folder: Path, robot: Robot) -> Network:
     tensors, trained = read_policy(folder)
     layers = range(trained.layers)
     try:
-        network = Network(
-            tensors["scale"],
-            tuple(tensors[f"weight.{i}"] for i in layers),
-            tuple(tensors[f"bias.{i}"] for i in layers),
-            tuple(term.name for term in trained.observation),
-        )
+        weights = tuple(tensors[f"weight.{i}"] for i in layers)
+        biases = tuple(tensors[f"bias.{i}"] for i in layers)
+        terms = tuple(term.name for term in trained.observation)
+        network = Network(tensors["scale"], weights, biases, terms)
     except KeyError as error:
         raise KinfeasError(f"{folder}: broken policy: there is no tensor {error}") from error
     check_network(network, trained.observation, trained.action, str(folder))
-    check_robot(
-        robot, trained.robot, trained.kinematics, trained.observation, trained.action, str(folder)
-    )
+    terms_of_file = trained.observation, trained.action
+    check_robot(robot, trained.robot, trained.kinematics, *terms_of_file, str(folder))
     return network
 
 
 def check_robot(
-    robot: Robot,
-    name: str,
-    kinematics: str | None,
-    observation: tuple[TermInfo, ...],
-    action: tuple[TermInfo, ...],
-    source: str,
-) -> None:
+    robot: Robot, name: str, kinematics: str | None, observation: tuple[TermInfo, ...],
+    action: tuple[TermInfo, ...], source: str,
+) -> None:  # fmt: skip
     """Raise KinfeasError unless a policy of this description was trained for a robot.
 
     `kinematics` is the fingerprint of the robot of the training, None if unknown.
@@ -160,20 +145,17 @@ def check_robot(
             f"{source}: trained with other kinematics of {name!r}: joints, limits, EE frame, or "
             "the base's drive or speed"
         )
-    described, known = (*observation, *action), [t.name for t in observation if t.name in TERMS]
-    expected = (*describe_observation(robot, known), describe_action(robot))
-    own, here = ([(t.name, t.size, t.scale) for t in terms] for terms in (described, expected))
-    if own != here:
+    described, names = (*observation, *action), [t.name for t in observation if t.name in TERMS]
+    expected = (*describe_observation(robot, names), describe_action(robot))
+    own, ours = ([(t.name, t.size, t.scale) for t in terms] for terms in (described, expected))
+    if own != ours:
         raise KinfeasError(
             f"{source}: its observation or action differs from this version's of kinfeas: {own}"
         )
 
 
 def check_network(
-    network: Network,
-    observation: Sequence[TermInfo],
-    action: Sequence[TermInfo],
-    source: str,
+    network: Network, observation: Sequence[TermInfo], action: Sequence[TermInfo], source: str
 ) -> None:
     """Raise KinfeasError unless the layers fit each other and the description, and are finite."""
     width = sum(term.size for term in observation)

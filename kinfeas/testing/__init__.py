@@ -11,14 +11,9 @@ from kinfeas.testing.policies import check_policy
 from kinfeas.testing.rules import RULES, Probe, Trial, describe, run_trial
 
 __all__ = [
-    "RULES",
-    "ConformanceError",
-    "Finding",
-    "Trial",
-    "check_motion_generator",
-    "check_policy",
+    "RULES", "ConformanceError", "Finding", "Trial", "check_motion_generator", "check_policy",
     "examine",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,7 +46,7 @@ def check_motion_generator(generator: MotionGenerator, **trial: Any) -> None:
     """
     probe = Probe(CheckedMotion(generator, every_step=True), Trial(**trial))
     run_trial(probe)
-    for rule, broken in probe.found.items():
+    for rule, broken in probe.violations.items():
         raise ConformanceError(broken, rule)
 
 
@@ -66,12 +61,12 @@ def examine(
     Messages have the `name` of the generator, its class by default.
     """
     probe = Probe(CheckedMotion(generator, name, every_step=True), trial or Trial())
-    found, ended = probe.found, False
+    violations, ended = probe.violations, False
     try:
         run_trial(probe, on_step)
         ended = True
     except ConformanceError as error:
-        found[error.rule] = str(error)
+        violations[error.rule] = str(error)
     except PLUGIN_ERRORS as error:
-        found["form"] = describe(error, probe.motion.subject)
-    return [Finding(rule, found.get(rule), ended or rule in found) for rule in RULES]
+        violations["form"] = describe(error, probe.motion.subject)
+    return [Finding(rule, violations.get(rule), ended or rule in violations) for rule in RULES]

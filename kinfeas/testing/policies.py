@@ -52,19 +52,16 @@ def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
         before = {key: value.copy() for key, value in arrays.items()}
         with plugin_note(_name(policy)):
             action = policy.act(observed)
-        _check_action(policy, action, (len(episodes), world.action_size))
+        shape, subject = (len(episodes), world.action_size), f"{_name(policy)}: the action"
+        check_array(action, shape, subject, error=ConformanceError)
+        if np.abs(action).max() > 1.0:
+            raise ConformanceError(f"{subject} must be in [-1, 1]")
         for key, values in before.items():
             if not np.array_equal(values, getattr(observed, key), equal_nan=True):
                 raise ConformanceError(f"{_name(policy)} writes into its input: {key}")
         actions.append(action.copy())
         world.step(action)
     return np.stack(actions)
-
-
-def _check_action(policy: Policy, action: object, shape: tuple[int, int]) -> None:
-    check_array(action, shape, f"{_name(policy)}: the action", error=ConformanceError)
-    if np.abs(np.asarray(action)).max() > 1.0:
-        raise ConformanceError(f"{_name(policy)}: the action must be in [-1, 1]")
 
 
 def _name(policy: Policy) -> str:

@@ -128,7 +128,7 @@ class Probe:
 
     motion: CheckedMotion
     trial: Trial
-    found: dict[str, str] = field(default_factory=dict)
+    violations: dict[str, str] = field(default_factory=dict)
 
     def require(self, holds: object, rule: str, broken: str) -> None:
         """Record a violation, or raise a severe one, unless `holds`."""
@@ -137,7 +137,7 @@ class Probe:
         error = self.motion.error(broken, rule)
         if rule in _FATAL:
             raise error
-        self.found.setdefault(rule, str(error))
+        self.violations.setdefault(rule, str(error))
 
     def start(self, ee_pose: Array, target_pose: Array, rows: Sequence[int]) -> State:
         """Return the start state of the motions `rows`, each with its own random numbers."""
@@ -227,11 +227,8 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
         probe.require(kept, "copies", f"modifies the {name} passed to twist")
     again, after_again = probe.twist(state, ee_pose, targets)
     same = np.array_equal(twist, again) and _close(after, after_again, 0.0)
-    probe.require(
-        same,
-        "repeatable",
-        "returns other values from an equal call of twist; the state must hold all that changes",
-    )
+    text = "returns other values from an equal call of twist; the state must hold all that changes"
+    probe.require(same, "repeatable", text)
     uneven = dt * np.resize([1.0, 0.5], len(dt))
     mixed = copy.deepcopy(probe.twist(state, ee_pose, targets, uneven))
     for row in _some(range(len(ee_pose))):
@@ -259,28 +256,25 @@ def _check_restart(probe: Probe, history: list[_Step], targets: Array) -> None:
     twist, _ = probe.twist(state, ee_pose, targets)
     expected = now.twist.copy()
     expected[single] = first.twist[single]
-    probe.require(
-        _near(twist, expected),
-        "restart",
-        "moves differently after a single motion of the batch restarts; "
-        "the state must hold all that changes",
+    broken = (
+        "moves differently after a single motion of the batch restarts; the state must hold all "
+        "that changes"
     )
+    probe.require(_near(twist, expected), "restart", broken)
 
 
 def _within(tolerances: float, ee_pose: Array, goal: Array) -> NDArray[np.bool_]:
     """Return whether EEs are within some times the tolerances of success of their goals, (n,)."""
     metres, radians = distance(ee_pose, goal)
-    within: NDArray[np.bool_] = metres <= tolerances * GOAL_METRES
-    return within & (radians <= tolerances * GOAL_RADIANS)
+    return (metres <= tolerances * GOAL_METRES) & (radians <= tolerances * GOAL_RADIANS)
 
 
 def _check_end(probe: Probe, left: NDArray[np.bool_]) -> None:
-    probe.require(
-        not left.any(),
-        "end",
+    broken = (
         f"leaves its goal_pose again after its end (motion {int(np.argmax(left))}); a motion along "
-        "a path of its own needs the method finished, which must be true at the end of it only",
+        "a path of its own needs the method finished, which must be true at the end of it only"
     )
+    probe.require(not left.any(), "end", broken)
 
 
 def _check_arrival(
@@ -293,19 +287,15 @@ def _check_arrival(
     metres, radians = distance(ee_pose, final)
     missed = (metres > _ARRIVED_METRES) | (np.rad2deg(radians) > _ARRIVED_DEGREES)
     row = int(np.argmax(missed))
-    probe.require(
-        not missed.any(),
-        "arrival",
+    broken = (
         f"ends {metres[row]:.3f} m and {np.rad2deg(radians[row]):.1f} degrees from its goal_pose "
         f"after {probe.trial.duration:g} s (motion {row}); at most {_ARRIVED_METRES} m and "
-        f"{_ARRIVED_DEGREES:g} degrees are allowed",
+        f"{_ARRIVED_DEGREES:g} degrees are allowed"
     )
+    probe.require(not missed.any(), "arrival", broken)
     going = ~probe.motion.finished(states[1], targets)
-    probe.require(
-        not going.any(),
-        "arrival",
-        f"has not finished after {probe.trial.duration:g} s (motion {int(np.argmax(going))})",
-    )
+    broken = f"has not finished after {probe.trial.duration:g} s (motion {int(np.argmax(going))})"
+    probe.require(not going.any(), "arrival", broken)
 
 
 def _some(rows: range) -> list[int]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
 
 from kinfeas.io.files import reading
-from kinfeas.training.fast_sac import FastSAC, Replay
+from kinfeas.training.fast_sac import FastSAC
 from kinfeas.training.run import loading, read_state, write_state
 
 _TENSORS = "state.safetensors"
@@ -26,13 +26,9 @@ def save_learner(
     """Write a learner, a snapshot of its environments and the entries of `state` into a folder."""
     tensors = _tensors(learner, world)
     save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
-    buffer = _buffer(learner)
-    about = {
-        "updates": learner._n_updates,
-        "buffer": {"position": buffer.pos, "full": buffer.full},
-        **state,
-    }
-    write_state(folder, about)
+    buffer = learner.replay_buffer
+    position = {"position": buffer.pos, "full": buffer.full}
+    write_state(folder, {"updates": learner._n_updates, "buffer": position, **state})
 
 
 def load_learner(
@@ -47,7 +43,7 @@ def load_learner(
     with loading(folder):
         with reading(folder / _TENSORS):
             tensors = load_file(folder / _TENSORS)
-        buffer = _buffer(learner)
+        buffer = learner.replay_buffer
         buffer.pos, buffer.full = int(about["buffer"]["position"]), bool(about["buffer"]["full"])
         if not 0 <= buffer.pos < buffer.buffer_size:
             raise ValueError(f"the position of its replay buffer is {buffer.pos}")
@@ -64,7 +60,6 @@ def load_learner(
 
 
 def _tensors(learner: FastSAC, world: Mapping[str, NDArray[Any]]) -> Tensors:
-    """Return the tensors of a checkpoint."""
     tensors = _world_tensors(world) | {"random": torch.get_rng_state()}
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
     if (entropy := _learned_entropy(learner)) is not None:
@@ -72,7 +67,7 @@ def _tensors(learner: FastSAC, world: Mapping[str, NDArray[Any]]) -> Tensors:
     for name, optimizer in _optimizers(learner).items():
         for index, slots in optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
-    buffer = _buffer(learner)
+    buffer = learner.replay_buffer
     tensors["buffer"] = torch.from_numpy(buffer.rows[: buffer.size()])
     return tensors
 
@@ -129,11 +124,6 @@ def _optimizers(learner: FastSAC) -> dict[str, torch.optim.Optimizer]:
     if learner.ent_coef_optimizer is not None:
         optimizers["entropy"] = learner.ent_coef_optimizer
     return optimizers
-
-
-def _buffer(learner: FastSAC) -> Replay:
-    assert isinstance(learner.replay_buffer, Replay)
-    return learner.replay_buffer
 
 
 def _below(prefix: str, tensors: Tensors) -> Tensors:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN
 from torch import nn
@@ -130,6 +131,7 @@ class FastSAC(SAC):
 
     policy_delay = 1
     anchor_weight = 0.0
+    replay_buffer: Replay
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -142,12 +144,12 @@ class FastSAC(SAC):
         ]
         heads: Any = [self.actor.mu, self.actor.log_std]
         self._actor = Perceptrons([[*trunk, heads]], dtype)
-        self._critic, self._target = (
-            Perceptrons(
-                [[[module] for module in linear_layers(q)] for q in critic.q_networks], dtype
-            )
-            for critic in (self.critic, self.critic_target)
-        )
+
+        def joined(critic: ContinuousCritic) -> Perceptrons:
+            networks = [[[module] for module in linear_layers(q)] for q in critic.q_networks]
+            return Perceptrons(networks, dtype)
+
+        self._critic, self._target = joined(self.critic), joined(self.critic_target)
         for model, ours in ((self.actor, self._actor), (self.critic, self._critic)):
             model.optimizer = torch.optim.Adam(
                 [ours.vector], lr=self.lr_schedule(1.0), **(self.policy.optimizer_kwargs)
@@ -166,7 +168,6 @@ class FastSAC(SAC):
         self._update_learning_rate(optimizers)
         frozen = not self.actor.mu.weight.requires_grad
         losses: dict[str, list[torch.Tensor]] = {"actor_loss": [], "critic_loss": []}
-        assert self.replay_buffer is not None
         with torch.no_grad():
             for networks in (self._actor, self._critic, self._target):
                 networks.refresh()

@@ -101,13 +101,9 @@ def _divergence(config: LearnerConfig) -> DivergedError:
 
 def network_of(learner: SAC, env: EpisodesVecEnv) -> Network:
     """Return the learner's deterministic actor as a network that runs without torch."""
-    linear = _layers(learner)
-    return Network(
-        env.scale,
-        tuple(layer.weight.detach().numpy().T.copy() for layer in linear),
-        tuple(layer.bias.detach().numpy().copy() for layer in linear),
-        env.observation_terms,
-    )
+    weights = tuple(layer.weight.detach().numpy().T.copy() for layer in _layers(learner))
+    biases = tuple(layer.bias.detach().numpy().copy() for layer in _layers(learner))
+    return Network(env.scale, weights, biases, env.observation_terms)
 
 
 def save_policy(model: SAC, env: EpisodesVecEnv, folder: Path) -> None:

@@ -18,12 +18,9 @@ LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/lea
 """Figures of SB3's own log that are kept."""
 
 _EVALUATED = (
-    "success",
-    "within_5cm",
-    "ik_failures_per_episode",
-    "mean_deviation_m",
+    "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
     "joint_jumps_per_episode",
-)
+)  # fmt: skip
 
 COLUMNS = (
     "steps", "seconds", "train/success", *LEARNER, *(f"evaluation/{name}" for name in _EVALUATED)
@@ -50,8 +47,9 @@ class TensorBoard:
         self._folder = out / "tensorboard"
         with writing(self._folder):
             self._board = SummaryWriter(str(self._folder), purge_step=steps + 1, flush_secs=10)
-            for name, value in _about(settings).items():
-                self._board.add_text(name, value, steps)
+            self._board.add_text("version", __version__, steps)
+            recipe = strict_yaml.to_text(config.to_mapping(settings))
+            self._board.add_text("recipe", recipe, steps)
 
     def log(self, figures: Mapping[str, float], steps: int) -> None:
         """Add figures by name."""
@@ -72,13 +70,9 @@ class Wandb:
         import wandb
 
         self._run = wandb.init(
-            project="kinfeas",
-            name=str(out),
-            id=_identity(out),
-            resume="allow",
-            dir=out,
+            project="kinfeas", name=str(out), id=_identity(out), resume="allow", dir=out,
             config={**config.to_mapping(settings), "version": __version__},
-        )
+        )  # fmt: skip
 
     def log(self, figures: Mapping[str, float], steps: int) -> None:
         """Add figures by name."""
@@ -139,11 +133,6 @@ class Logs:
         """Show figures that are not in `metrics.csv`."""
         for tracker in self.trackers:
             tracker.log(figures, steps)
-
-
-def _about(settings: TrainConfig) -> dict[str, str]:
-    """Return the version and the recipe of a run as texts."""
-    return {"version": __version__, "recipe": strict_yaml.to_text(config.to_mapping(settings))}
 
 
 def _identity(out: Path) -> str:

@@ -165,12 +165,8 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
                     f"{last}: a checkpoint of another run: its {key} is {before[key]}, "
                     f"but {last.parents[1] / SETTINGS} has {value}"
                 )
-        saved_entries = state["progress"]
-        entries = {
-            entry.name: saved_entries[entry.name]
-            for entry in fields(_Saved)
-            if entry.name in saved_entries
-        }
+        names = {entry.name for entry in fields(_Saved)}
+        entries = {key: value for key, value in state["progress"].items() if key in names}
         saved = configuration.from_mapping(_Saved, entries, str(last / _STATE))
     progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
     # The schedule may have been made longer.

@@ -112,8 +112,6 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
 
 
 class _Run:
-    """One training run in its folder."""
-
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.begun = time.monotonic()
         check_trackers(config)
@@ -264,9 +262,8 @@ class _Run:
         self.env.step_async(action)
         if not filling:
             progress.updates += config.gradient_steps
-            frozen = self.config.init is not None and (
-                progress.steps < config.learning_starts + config.critic_steps
-            )
+            first = config.learning_starts + config.critic_steps  # of the actor
+            frozen = self.config.init is not None and progress.steps < first
             learner.actor.requires_grad_(not frozen)
             learner._current_progress_remaining = 1.0 - progress.fraction
             with self._timed("update"):
@@ -276,7 +273,6 @@ class _Run:
         after, ended = following.copy(), np.flatnonzero(dones)
         for row in ended:
             after[row] = infos[row]["terminal_observation"]
-        assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = following
         progress.steps += self.part.num_envs * self.part.action_repeat
@@ -325,13 +321,9 @@ class _Run:
         return 60.0 * self.config.schedule.minutes - (time.monotonic() - self.begun)
 
     def _measure(
-        self,
-        evaluator: PeriodicEvaluator,
-        network: Network,
-        episodes: int,
-        seconds: float,
+        self, evaluator: PeriodicEvaluator, network: Network, episodes: int, seconds: float,
         report: Report | None,
-    ) -> dict[str, int | float]:
+    ) -> dict[str, int | float]:  # fmt: skip
         """Return the metrics of episodes, and report how many have ended about once a second."""
         done, reported = 0, -math.inf
 

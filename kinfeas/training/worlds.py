@@ -74,12 +74,9 @@ def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> Pe
     seed is that of training plus `offset`. The evaluation takes the policy, the number of episodes,
     a function for those that have ended, and a time limit with the pool for it.
     """
-    world = replace(
-        config.world,
-        max_failures=evaluation_world(config.world.backend).max_failures,
-        adapters=config.evaluation_adapters,
-        ik=config.world.ik.thorough(),
-    )
+    failures, ik = evaluation_world(config.world.backend).max_failures, config.world.ik.thorough()
+    adapters = config.evaluation_adapters
+    world = replace(config.world, max_failures=failures, adapters=adapters, ik=ik)
     robot, task = load_robot(config.robot), load_task(config.task, config.task_parameters)
 
     def evaluated(

@@ -135,7 +135,8 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
     polygons, colours = [], []
     for solid in solids:
         for face in faces(solid.shape):
-            normal = _normal(face)
+            normal = np.cross(face[1:-1] - face[0], face[2:] - face[0]).sum(axis=0)
+            normal /= max(float(np.linalg.norm(normal)), 1e-12)
             if normal @ toward > 0.0:
                 # mplot3d needs the same number of corners everywhere.
                 polygons.append(np.pad(face, ((0, SIDES - len(face)), (0, 0)), mode="edge"))
@@ -143,12 +144,8 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
                 colours.append(np.array(to_rgba(solid.colour)) * [*[brightness] * 3, 1.0])
     if polygons:
         edges = [colour * [0.85, 0.85, 0.85, 1.0] for colour in colours]
-        axes.add_collection(
-            Poly3DCollection(
-                polygons, facecolors=colours, edgecolors=edges, linewidths=0.25, zorder=3
-            ),
-            autolim=False,
-        )
+        looks: dict[str, Any] = {"facecolors": colours, "edgecolors": edges, "linewidths": 0.25}
+        axes.add_collection(Poly3DCollection(polygons, **looks, zorder=3), autolim=False)
 
 
 def draw_floor(axes: Axes3D, points: Array, cell: float = 0.5, margin: float = 0.1) -> Array:
@@ -164,8 +161,3 @@ def draw_floor(axes: Axes3D, points: Array, cell: float = 0.5, margin: float = 0
     grid = Line3DCollection(lines, colors="#e3e6ea", linewidths=0.7, zorder=1)
     axes.add_collection(grid, autolim=False)
     return np.array([[*low, 0.0], [*high, 0.0]])
-
-
-def _normal(face: Array) -> Array:
-    normal = np.cross(face[1:-1] - face[0], face[2:] - face[0]).sum(axis=0)
-    return normal / max(float(np.linalg.norm(normal)), 1e-12)

@@ -1,6 +1,7 @@
-"""Pictures of recorded episodes, drawn by matplotlib: robot, paths, failures, goals."""
+"""Pictures of recorded episodes, and of base poses that reach a pose, drawn by matplotlib."""
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from textwrap import fill
 from typing import Any
 
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from kinfeas.core import spatial
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.run_log import Record
+from kinfeas.planning.reach import Placement
 from kinfeas.robots.robot import Robot
 from kinfeas.viz import drawing, shapes
 from kinfeas.viz.replay import as_recording, result
@@ -30,13 +33,12 @@ _PALEST = 0.62
 _NEAR = 1.0  # m, of furniture from the paths' bounds
 _AROUND = 0.7  # m, of solids in the side view from the paths
 _FURNITURE = (0.86, 0.79, 0.69, 0.6)
+_APPROACH = 0.2  # m, length of the line that shows the x axis of the EE
 _CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)]
 
 
 def episodes_figure(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    titles: Sequence[str] | None = None,
+    robot: Robot, recordings: Sequence[Recording], titles: Sequence[str] | None = None
 ) -> Figure:
     """Return a picture with a column for each episode: from the side, and from above."""
     count = len(recordings)
@@ -49,13 +51,9 @@ def episodes_figure(
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
         grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
         for column, (recording, title) in enumerate(zip(recordings, titles, strict=True)):
-            furniture = _furniture_near(recording)
-            side = drawing.add_axes(
-                figure, grid[0, column], shapes.side_heading(recording), _ELEVATION
-            )
-            _draw_side(
-                side, robot, recording, [solid for object_ in furniture for solid in object_]
-            )
+            furniture, heading = _furniture_near(recording), shapes.side_heading(recording)
+            side = drawing.add_axes(figure, grid[0, column], heading, _ELEVATION)
+            _draw_side(side, robot, recording, [*chain.from_iterable(furniture)])
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
             for solids in furniture:
@@ -67,6 +65,43 @@ def episodes_figure(
             handles.append(Patch(color=shapes.LOW, label="solid"))
             handles.append(Patch(color=shapes.HIGH, label="wall"))
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
+    return figure
+
+
+def reach_figure(robot: Robot, goal: Array, placement: Placement, solids: Solids | None) -> Figure:
+    """Return a picture from above of base poses, coloured by margin, with the best robot.
+
+    Args:
+        robot: The robot.
+        goal: World pose of the EE, shape (7,).
+        placement: Base poses that reach it.
+        solids: In the world, one row.
+    """
+    with rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+        axes = figure.add_subplot()
+        for solid in shapes.solid_shapes(solids).values():
+            draw_outline(axes, shapes.corners([solid]), (*to_rgb(solid.colour[:7]), 0.75), 1.8)
+        if placement.reachable:
+            best = placement.base_pose[0], placement.joint_positions[0]
+            for solid in shapes.robot_solids(robot, *best):
+                draw_outline(axes, shapes.corners([solid]), (*to_rgb(BODY), 0.4), 2.0)
+            base, heading = placement.base_pose[::-1], spatial.yaw(placement.base_pose[::-1])
+            arrows = axes.quiver(
+                base[:, 0], base[:, 1], np.cos(heading), np.sin(heading), placement.margin[::-1],
+                angles="xy", units="inches", scale_units="inches", scale=5.0, width=0.022,
+                cmap="viridis", zorder=4,
+            )  # fmt: skip
+            figure.colorbar(arrows, label="margin of the base pose", shrink=0.8)
+        approach = _APPROACH * spatial.rotation(goal).as_matrix()[:2, 0]
+        axes.plot(*np.stack([goal[:2], goal[:2] + approach]).T, color=GOAL, lw=3.0, zorder=6)
+        axes.plot(*goal[:2], "*", color=GOAL, mec=INK, mew=0.7, ms=16.0, zorder=7)
+        middle, half = goal[:2], 1.6
+        axes.set(xlim=(middle[0] - half, middle[0] + half), xlabel="x (m)", ylabel="y (m)")
+        axes.set(ylim=(middle[1] - half, middle[1] + half), aspect="equal")
+        count = len(placement.base_pose)
+        text = f"{count} base poses reach" if placement.reachable else "none for"
+        axes.set_title(f"{robot.name}: {text} the EE pose at a height of {goal[2]:.2f} m")
     return figure
 
 
@@ -89,11 +124,8 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
     base = recording.base_pose[:, :2]
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
     count = int(np.clip(1 + round(travelled[-1] / spacing), 2, most))
-    return np.unique(
-        np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count)).clip(
-            0, len(travelled) - 1
-        )
-    )
+    indices = np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count))
+    return np.unique(indices.clip(0, len(travelled) - 1))
 
 
 def robot_at(

@@ -55,15 +55,10 @@ class Episode:
         self._solver = IkSolver(robot, config.ik)
         self.backend = build_simulator(choice.backend, config.backend, robot=robot, scene=scene)
         self.loop = assemble(
-            self._solver,
-            build_subgoals(self._task.subgoals),
-            self.backend,
-            dt=DT,
-            execution=config,
+            self._solver, build_subgoals(self._task.subgoals), self.backend, dt=DT,
+            execution=config, stream=self.controller, policy=load_policy(policy, robot),
             filters=(self.controller, *(PluginSpec(name) for name in choice.filters)),
-            stream=self.controller,
-            policy=load_policy(policy, robot),
-        )
+        )  # fmt: skip
         self.restart()
 
     @property

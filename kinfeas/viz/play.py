@@ -2,15 +2,13 @@
 
 import queue
 import time
-from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
@@ -18,114 +16,21 @@ from kinfeas.core.spatial import Array
 from kinfeas.io.demonstrations import Demonstration, write_demonstration
 from kinfeas.io.files import writing
 from kinfeas.robots.loading import load_robot
-from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.choice import DT, NONE, Choice
-from kinfeas.viz.pages import DrawnRobot, draw_floor, draw_scene, place, rgb
-from kinfeas.viz.shapes import corners, robot_solids
-from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
+from kinfeas.viz.pages import DrawnRobot, draw_floor, draw_scene
+from kinfeas.viz.play_robot import ShownRobot
+from kinfeas.viz.style import ARM, EE, GOAL
 
 if TYPE_CHECKING:
     from kinfeas.viz.live import Episode
 
 _STEPS_PER_FRAME = 2
 _FRAMES_PER_PLOT = 6
-_TRAIL = 500  # frames that paths and plots show
-_SECOND = "#e3d5c0", GOAL  # colours of the second robot
 _BESIDE = np.array([0.0, 1.6, 0.0])  # m, where the second robot is drawn
 _HELP = "**Drag the arrows and rings at the gripper**: base and arm follow."
 _NO_PLOTS = "<style>@media (max-width: 36em) {.uplot-container {display: none}}</style>"
 """Hides plots where the controls lie below the picture, as on phones."""
-_LOW = 0.5  # m, height of the parts that make the footprint of a base
-
-
-class _Trail:
-    """The last points of a path, drawn as line segments of a constant number."""
-
-    def __init__(self, server: Any, name: str, colour: str, start: Array) -> None:
-        self._points = deque([start[:3].copy()] * _TRAIL, maxlen=_TRAIL)
-        self._colours = deque([rgb(colour)] * (_TRAIL - 1), maxlen=_TRAIL - 1)
-        self._colour = rgb(colour)
-        self._drawn = server.scene.add_line_segments(
-            name, self._segments(), self._pairs(), thickness=3.0, thickness_units="screen"
-        )
-
-    def add(self, pose: Array, *, failed: bool = False) -> None:
-        self._points.append(pose[:3].copy())
-        self._colours.append(rgb(FAILURE) if failed else self._colour)
-
-    def draw(self) -> None:
-        self._drawn.points, self._drawn.colors = self._segments(), self._pairs()
-
-    def _segments(self) -> Array:
-        points = np.array(self._points)
-        return np.stack([points[:-1], points[1:]], axis=1)
-
-    def _pairs(self) -> Any:
-        return np.repeat(np.array(self._colours, dtype=np.uint8)[:, np.newaxis], 2, axis=1)
-
-
-class _Shown:
-    """A robot in the page with its paths and footprint, all below the node `root`."""
-
-    def __init__(
-        self, server: Any, name: str, robot: Robot, policy: str, episode: "Episode", second: bool
-    ) -> None:
-        colours = _SECOND if second else (BODY, ARM)
-        self._episode, self._failures, self._name = episode, 0, f"{robot.name}, {policy}"
-        self.root = server.scene.add_frame(name, show_axes=False)
-        self._target = server.scene.add_frame(
-            f"{name}/target", axes_length=0.2, axes_radius=0.008, visible=second
-        )
-        self._robot = DrawnRobot(server, f"{name}/robot", robot, colours)
-        starts = {BASE: episode.base_pose, DESIRED: episode.ee_pose, EE: episode.ee_pose}
-        self._base, self._desired, self._ee = (
-            _Trail(server, f"{name}/paths/{colour[1:]}", _SECOND[1] if second else colour, start)
-            for colour, start in starts.items()
-        )
-        outline = _footprint(robot)
-        self._outline = server.scene.add_line_segments(
-            f"{name}/footprint", np.stack([outline, np.roll(outline, -1, axis=0)], axis=1),
-            rgb(colours[1] if second else BASE), thickness=3.0, thickness_units="screen",
-        )  # fmt: skip
-        server.scene.add_label(f"{name}/footprint/label", self._name)
-        self.times: deque[float] = deque(maxlen=_TRAIL)
-        self.deviations: deque[float] = deque(maxlen=_TRAIL)
-        self.speeds: deque[Array] = deque(maxlen=_TRAIL)
-        self._failed = False
-
-    def note(self) -> None:
-        """Note whether the last step of the episode failed."""
-        self._failed |= not self._episode.feasible
-        self._failures += not self._episode.feasible
-
-    def report(self) -> str:
-        """Return how the arm keeps up, in words."""
-        scale = float(self._episode.loop.sequence.time_scale[0])
-        reached = "the arm reached every pose"
-        if self._failures:
-            reached = f"{self._failures} poses were out of the arm's reach"
-        return f"**{self._name}**: {reached}" + (f", slowed to {scale:.0%}" * (scale < 1.0))
-
-    def draw(self, target: Array) -> None:
-        """Show the state of the episode, and the target of a robot that stands beside it."""
-        episode = self._episode
-        place(self._target, target)
-        self._robot.move(episode.base_pose, episode.joint_positions)
-        self._outline.position = [*episode.base_pose[:2], 0.01]
-        self._outline.wxyz = np.roll(episode.base_pose[3:], 1)
-        self._base.add(episode.base_pose + np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.0]))
-        self._desired.add(episode.loop.desired[0], failed=self._failed)
-        self._ee.add(episode.ee_pose)
-        self._failed = False
-        self.times.append(episode.seconds)
-        self.deviations.append(1e3 * episode.deviation)
-        self.speeds.append(1e2 * episode.joint_speeds)
-
-    def draw_paths(self) -> None:
-        """Show the paths up to now."""
-        for trail in (self._base, self._desired, self._ee):
-            trail.draw()
 
 
 class PlayPage:
@@ -145,7 +50,7 @@ class PlayPage:
         self.server, self.choice, self._folder = server, choice, folder
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._episodes: list[Episode] = []
-        self._shown: list[_Shown] = []
+        self._shown: list[ShownRobot] = []
         self._plots: list[Any] = []
         self._samples: list[tuple[float, Array, Array]] | None = None
         self._recording = False
@@ -243,15 +148,10 @@ class PlayPage:
             self._folder.mkdir(parents=True, exist_ok=True)
         numbers = (self._folder / f"{number:03}.csv" for number in count(1))
         path = next(path for path in numbers if not path.exists())
-        write_demonstration(self._demonstration(samples), path)
+        time, ee, base = map(np.array, zip(*samples, strict=True))  # of the tool tip
+        object_frame = np.repeat(ee[-1:], len(ee), axis=0)  # its last pose
+        write_demonstration(Demonstration(time, ee, base, object_frame), path)
         return f"Saved {path}."
-
-    def _demonstration(self, samples: list[tuple[float, Array, Array]]) -> Demonstration:
-        """Return the motion of the tool tip; the object's frame is its last pose."""
-        time = np.array([sample[0] for sample in samples])
-        ee = np.array([sample[1] for sample in samples]).reshape(-1, 7)
-        base = np.array([sample[2] for sample in samples]).reshape(-1, 7)
-        return Demonstration(time, ee, base, np.repeat(ee[-1:], len(ee), axis=0))
 
     def _sample(self) -> None:
         from kinfeas.control.execution import tool_pose
@@ -316,16 +216,14 @@ class PlayPage:
         if self._episodes and choice == self.choice:
             return
         fresh: list[Episode] = []
-        try:
-            robot = load_robot(choice.robot)
-            scene = None if choice.scene == NONE else read_scene(choice.scene)
+        robot = load_robot(choice.robot)
+        scene = None if choice.scene == NONE else read_scene(choice.scene)
+        with ExitStack() as opened:
             for policy in (choice.policy, choice.second_policy):
                 if policy != NONE:
                     fresh.append(Episode(choice, policy, robot, scene))
-        except BaseException:
-            for episode in fresh:
-                episode.close()
-            raise
+                    opened.callback(fresh[-1].close)
+            opened.pop_all()
         self._message.content = ""
         self.save()
         for episode in self._episodes:
@@ -350,7 +248,7 @@ class PlayPage:
                 self.server.scene.remove_by_name(f"/robots/{number}")
         policies = (self.choice.policy, self.choice.second_policy)
         self._shown = [
-            _Shown(self.server, f"/robots/{number}", self._robot, policy, episode, number > 0)
+            ShownRobot(self.server, f"/robots/{number}", self._robot, policy, episode, number > 0)
             for number, (policy, episode) in enumerate(zip(policies, self._episodes, strict=False))
         ]
         self._arrange()
@@ -417,15 +315,6 @@ def _make_room(client: Any) -> None:
 def _order(name: str) -> tuple[bool, bool, str]:
     """Return a key that sorts feasibility before time scaling and both behind other filters."""
     return name == "time_scaling", name == "feasibility", name
-
-
-def _footprint(robot: Robot) -> Array:
-    """Return the outline of the low parts of a body on the floor, shape (k, 3), metres."""
-    body = list(robot_solids(robot, spatial.IDENTITY, robot.home["home"], ("", "arm")))
-    low = [solid for solid in body if not solid.colour and corners([solid])[:, 2].min() < _LOW]
-    points = corners(low or body)[:, :2]
-    outline = points[ConvexHull(points).vertices]
-    return np.column_stack([outline, np.zeros(len(outline))])
 
 
 def play(server: Any, choice: Choice, folder: Path) -> None:

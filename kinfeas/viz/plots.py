@@ -1,11 +1,13 @@
-"""2-D plots: learning curves and motions of a generator."""
+"""2-D plots: learning curves, motions of a generator, sweeps, and fits of a base's response."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
@@ -14,8 +16,13 @@ from kinfeas.io.files import read_csv
 from kinfeas.testing.rules import Samples, Trial
 from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, STYLE
 
+if TYPE_CHECKING:  # takes long to import
+    from kinfeas.sim2real.identify.fit import Fit
+
 _PLOTTED = ("steps", "seconds", "train/success", "evaluation/success")
 _STILL = 1e-3  # of the largest speed: too small to be seen
+_AXES = ("x (m/s)", "y (m/s)", "rotation (rad/s)")
+_SMOOTHED = 5  # measurements in a mean: single ones are noisy
 
 
 def read_metrics(run: Path) -> dict[str, Array]:
@@ -41,11 +48,7 @@ def learning_curve(metrics: Mapping[str, Array], levels: Mapping[str, float]) ->
         axes.set(xlabel="training time (min)", ylabel="success")
         axes.set(xlim=(0.0, float(minutes[-1])), ylim=(0.0, 1.02))
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-        ordered = sorted(levels.items(), key=lambda item: item[1])
-        for (name, value), y in zip(ordered, apart([v for _, v in ordered], 0.055), strict=True):
-            axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
-            axes.text(1.015, y, f"{name} {value:.1%}", va="center", fontsize=9,
-                      transform=axes.get_yaxis_transform())  # fmt: skip
+        draw_levels(axes, levels, 0.055, 9)
         above = axes.secondary_xaxis("top")
         above.xaxis.set_major_formatter(
             FuncFormatter(lambda x, _: f"{np.interp(x, minutes, steps, left=0.0) / 1000.0:,.0f} k")
@@ -55,12 +58,14 @@ def learning_curve(metrics: Mapping[str, Array], levels: Mapping[str, float]) ->
     return figure
 
 
-def apart(values: Sequence[float], gap: float) -> list[float]:
-    """Return ascending `values`, moved up where the distance is below `gap`."""
-    placed: list[float] = []
-    for value in values:
-        placed.append(max(value, placed[-1] + gap) if placed else value)
-    return placed
+def draw_levels(axes: Axes, levels: Mapping[str, float], gap: float, size: float) -> None:
+    """Draw levels as lines across axes, with names in a font `size` that are a `gap` apart."""
+    last = -math.inf
+    for name, value in sorted(levels.items(), key=lambda level: level[1]):
+        last = max(value, last + gap)
+        axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
+        axes.text(1.015, last, f"{name} {value:.1%}", va="center", fontsize=size,
+                  transform=axes.get_yaxis_transform())  # fmt: skip
 
 
 def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
@@ -108,7 +113,7 @@ def search_figure(results: Sequence[Mapping[str, Any]], importances: Mapping[str
         history, bars = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
         for state, colour in (("complete", EE), ("pruned", FAINT)):
             own = [trial for trial in finished if trial["state"] == state]
-            numbers, scores = [trial["number"] for trial in own], [one["score"] for one in own]
+            numbers, scores = [trial["number"] for trial in own], [trial["score"] for trial in own]
             history.plot(numbers, scores, "o", color=colour, ms=6.0, mec="white", label=state)
         complete = [trial for trial in finished if trial["state"] == "complete"]
         best = np.maximum.accumulate([trial["score"] for trial in complete])
@@ -122,3 +127,34 @@ def search_figure(results: Sequence[Mapping[str, Any]], importances: Mapping[str
         bars.grid(axis="y", visible=False)
         bars.set(title="importance", xlabel="share of the variance of the score")
     return figure
+
+
+def velocities_figure(fit: "Fit") -> Figure:
+    """Return a plot of velocities in world axes over time, with one column for each record."""
+    with rc_context(STYLE):
+        columns = len(fit.times)
+        figure = Figure(figsize=(max(11.0, 6.0 * columns), 6.4), layout="constrained")
+        grid = figure.subplots(3, columns, sharex="col", sharey="row", squeeze=False)
+        for column, time in enumerate(fit.times):
+            for row, label in enumerate(_AXES):
+                axes, measured = grid[row, column], fit.measured[column][:, row]
+                axes.plot(time, measured, color=FAINT, lw=0.4, alpha=0.5, label="measured")
+                axes.plot(time, _smooth(measured), color=BASE, lw=1.0, label="its mean of 5")
+                axes.plot(
+                    time, fit.predicted[column][:, row], color=FAILURE, lw=1.2, label="predicted"
+                )
+                axes.set_ylim(*_limits(_smooth(measured)))
+                if column == 0:
+                    axes.set_ylabel(label)
+            grid[-1, column].set_xlabel("time (s)")
+        grid[0, 0].legend(loc="upper right", ncols=3, fontsize=8.0)
+    return figure
+
+
+def _smooth(values: Array) -> Array:
+    return np.convolve(values, np.ones(_SMOOTHED) / _SMOOTHED, mode="same")
+
+
+def _limits(values: Array) -> tuple[float, float]:
+    most = 1.2 * max(0.02, float(np.quantile(np.abs(values), 0.998)))
+    return -most, most

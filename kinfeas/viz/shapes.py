@@ -103,14 +103,11 @@ def scene_shapes(name: str, entry: SceneObject) -> list[VisualShape]:
 
     Links without visible primitives show those of their collision geometry.
     """
-    visuals = _visuals(name, entry.urdf_path)
-    return [
-        visual
-        for link in entry.urdf.links.values()
-        for visual in visuals.get(
-            link.name, [VisualShape((name, link.name), shape, GREY) for shape in link.shapes]
-        )
-    ]
+    visuals, shapes = _visuals(name, entry.urdf_path), []
+    for link in entry.urdf.links.values():
+        grey = [VisualShape((name, link.name), shape, GREY) for shape in link.shapes]
+        shapes += visuals.get(link.name, grey)
+    return shapes
 
 
 @lru_cache(maxsize=64)

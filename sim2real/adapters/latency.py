@@ -50,11 +50,9 @@ class CommandLatency(Adapter):
         slots = self.memory["arrivals"].shape[1] if self.memory else 1
         joints = state.joint_positions
         return {
-            "clock": np.zeros(len(joints)),
-            "arrivals": np.full((len(joints), slots), -np.inf),
-            "twists": np.zeros((len(joints), slots, 6)),
-            "targets": filled(joints, slots),
-        }
+            "clock": np.zeros(len(joints)), "arrivals": np.full((len(joints), slots), -np.inf),
+            "twists": np.zeros((len(joints), slots, 6)), "targets": filled(joints, slots),
+        }  # fmt: skip
 
     def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the active command."""

@@ -21,12 +21,9 @@ class HeadStart(Adapter):
 
     def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
         """Return the execution with a longer head start, drawn for each episode from a range."""
-        seconds, within = self.ranges["seconds"], super().execution(execution)
-        return replace(
-            within,
-            head_start=within.head_start + seconds.low,
-            head_start_jitter=within.head_start_jitter + seconds.high - seconds.low,
-        )
+        (low, high), within = self.ranges["seconds"], super().execution(execution)
+        jitter = within.head_start_jitter + high - low
+        return replace(within, head_start=within.head_start + low, head_start_jitter=jitter)
 
 
 class TimeScale(Adapter):

@@ -150,17 +150,14 @@ class Localisation(Adapter):
         now = state.localised
         if now is None:
             now = (state.true_state or state).base_pose
-        return measured(
-            state,
-            base_pose=displaced(state.base_pose, self._displacement("error")),
-            localised=displaced(now, self._displacement("followed")),
-        )
+        base, localised = self._off(state.base_pose, "error"), self._off(now, "followed")
+        return measured(state, base_pose=base, localised=localised)
 
-    def _displacement(self, name: str) -> Array:
-        """Return an error as a displacement, shape (n, 6)."""
-        displacement = np.zeros((len(self.memory[name]), 6))
+    def _off(self, pose: Array, name: str) -> Array:
+        """Return poses, shape (n, 7), displaced by an error of the memory."""
+        displacement = np.zeros((len(pose), 6))
         displacement[:, [0, 1, 5]] = self.memory[name]
-        return displacement
+        return displaced(pose, displacement)
 
     def _each(self, name: str) -> Array:
         """Return the deviations of x, y and yaw, shape (n, 3)."""

@@ -14,92 +14,21 @@ from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import with_adapters
-from kinfeas.core import spatial
 from kinfeas.core.backend import SCAN_BEAMS, Backend, BackendWrapper, Grip, RobotState, Scan
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
+from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.pose_kernels import wrapped
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.robots.robot import Base, Robot
 from kinfeas.sim2real.deploy.config import Guards
-from kinfeas.sim2real.deploy.guard_kernels import limited_targets
+from kinfeas.sim2real.deploy.monitor import StateMonitor, check_limit
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.sim2real.link.scans import beam
 
 _CREEP = 0.02  # m/s up to which the base may drive into a blind direction
 _ROUNDING = 1e-12  # m, rad and their rates up to which the limits change a command by rounding only
-
-
-class StateMonitor:
-    """Checks one measurement after the other, and the clocks they are dated by."""
-
-    def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
-        self._source = f"backend {type(backend).__name__}"
-        self._robot, self._guards, self._clock = robot, guards, clock
-        self._needs_age = backend.real_time is not None
-        self._start: Array | None = None
-        self._last: Array = np.empty(7)
-        self._times = (math.nan, math.nan)
-
-    def begin(self, state: RobotState) -> None:
-        """Take a measurement as the start of a run; raise Fault if it exceeds a limit."""
-        self._start = None
-        self._times = self._clock.monotonic(), self._clock.wall()
-        self.check(state)
-        self._start = self._last
-
-    def check(self, state: RobotState) -> None:
-        """Raise Fault if a measurement, or the time since the last one, exceeds a limit."""
-        elapsed = self._check_clocks()
-        check_state(state, 1, len(self._robot.arm), self._source)
-        if state.age is not None:
-            self._check_age(state.age)
-        elif self._needs_age:
-            raise Fault(f"{self._source}: a real robot must return the age of its state")
-        self._check_pose(state.base_pose[0], elapsed)
-        self._check_joints(state.joint_positions[0])
-        self._last = state.base_pose[0].copy()
-
-    def _check_clocks(self) -> float:
-        before, self._times = self._times, (self._clock.monotonic(), self._clock.wall())
-        elapsed = self._times[0] - before[0]
-        check_limit("the control period took {} s", elapsed, self._guards.max_period)
-        skew = abs(self._times[1] - before[1] - elapsed)
-        check_limit("the system's clock was set by {} s", skew, self._guards.max_clock_skew)
-        return elapsed
-
-    def _check_age(self, age: Array) -> None:
-        check_limit("the newest measurement is {} s old", age[0], self._guards.max_age)
-        check_limit("a measurement is {} s in the future", -age[0], self._guards.max_clock_skew)
-
-    def _check_pose(self, pose: Array, elapsed: float) -> None:
-        guards, base = self._guards, self._robot.base
-        x, y, _, *quaternion = pose.tolist()
-        if abs(math.hypot(*quaternion) - 1.0) > spatial.UNIT:
-            raise Fault("the orientation of the measured base_pose is not a unit quaternion")
-        tilt = 2.0 * math.hypot(*quaternion[:2])
-        check_limit("the base leans by {} rad", tilt, guards.max_tilt)
-        if self._start is None:
-            return
-        away = math.dist((x, y), self._start[:2].tolist())
-        check_limit("the base is {} m from its start", away, guards.max_distance)
-        metres, radians = map(float, spatial.distance(self._last, pose))
-        jump = "the measured base pose jumped by {} "
-        check_limit(f"{jump}m", metres, guards.pose_jump + base.max_velocity * elapsed)
-        check_limit(f"{jump}rad", radians, guards.heading_jump + base.max_rotation * elapsed)
-
-    def _check_joints(self, joints: Array) -> None:
-        lower, upper = self._robot.joint_limits
-        outside = np.maximum(lower - joints, joints - upper)
-        worst = int(outside.argmax())
-        sentence = f"joint {self._robot.arm[worst].name} is measured {{}} beyond its limits"
-        check_limit(sentence, outside[worst], self._guards.joint_tolerance)
-
-
-def check_limit(sentence: str, value: float, most: float) -> None:
-    """Raise Fault if a value is above a limit, or not a number."""
-    if not value <= most:
-        raise Fault(f"{sentence.format(f'{value:.4g}')}, at most {most:.3g} is allowed")
 
 
 class SafetyFilter(BackendWrapper):
@@ -238,13 +167,41 @@ class SafetyFilter(BackendWrapper):
         robot, guards, before = self._robot, self._guards, self.joint_targets[0]
         limits = self._joint_speed, robot.continuous, *robot.joint_limits
         measured = self._state.joint_positions[0]
-        after, farthest, lag = limited_targets(targets, before, measured, *limits, dt)
+        after, farthest, lag = _limited_targets(targets, before, measured, *limits, dt)
         self.hold = ""
         if farthest > guards.joint_jump:
             self.hold = "the arm's target is too far away"
         elif not lag.max() <= guards.max_tracking_delay:  # also if the measurement is not a number
             self.hold = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
         return before if self.hold else _unrounded(after, targets)
+
+
+@compiled(
+    ["void(f8[:], f8[:], f8[:], f8[:], b1[:], f8[:], f8[:], f8, f8[:], f8[:], f8[:])"],
+    "(j),(j),(j),(j),(j),(j),(j),()->(j),(),(j)",
+)
+def _limited_targets(  # noqa: PLR0913, PLR0917 - a kernel of flat arrays
+    targets: Array, before: Array, measured: Array, speed: Array, continuous: NDArray[np.bool_],
+    lower: Array, upper: Array, dt: float, out: Array, farthest: Array, lag: Array,
+) -> None:  # fmt: skip
+    """Joint targets, from the last ones towards the next, that joints reach in `dt` seconds.
+
+    Joints are in radians or metres. `farthest` is the longest displacement of a joint to its next
+    target, `lag` the seconds that each needs to its last one.
+    """
+    farthest[0], periods = 0.0, 1.0
+    for j in range(len(out)):
+        change, behind = targets[j] - before[j], before[j] - measured[j]
+        if continuous[j]:
+            change, behind = wrapped(change), wrapped(behind)
+        out[j], lag[j] = change, abs(behind) / speed[j]
+        farthest[0] = max(farthest[0], abs(change))
+        periods = max(periods, abs(change) / (speed[j] * dt))
+    for j in range(len(out)):
+        target = before[j] + out[j] / periods
+        target = wrapped(target) if continuous[j] else target
+        # A joint that starts beyond a limit must not jump to it.
+        out[j] = min(max(target, min(lower[j], before[j])), max(upper[j], before[j]))
 
 
 class Guarded(BackendWrapper):
@@ -281,7 +238,7 @@ class Guarded(BackendWrapper):
         self._name = f"backend {type(backend).__name__}"
         self._monitor = StateMonitor(backend, robot, self.guards, clock)
         self._failures = 0
-        self._given: tuple[Array, Array] | None = None  # by the loop to adapters
+        self._commanded: tuple[Array, Array] | None = None  # by the loop to adapters
         self.unstopped = self.unclosed = ""
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
 
@@ -294,15 +251,15 @@ class Guarded(BackendWrapper):
         if self._rate is not None and self._rate.waits:
             self._rate.wait()
         self._monitor.begin(self.state)
-        self._failures, self._given, self.unstopped = 0, None, ""
+        self._failures, self._commanded, self.unstopped = 0, None, ""
         return self.state
 
     @property
     def command(self) -> tuple[Array, Array]:
         """Last world twist, shape (1, 6), and joint targets, (1, j): as sent, or to adapters."""
-        if self._given is None:
+        if self._commanded is None:
             return self.commands.base_twist, self.commands.joint_targets
-        return self._given
+        return self._commanded
 
     def read(self) -> RobotState | None:
         """Return the state of a robot that moves in real time; None of a simulated world."""
@@ -329,7 +286,7 @@ class Guarded(BackendWrapper):
         """Execute a command; shapes as in `Backend`. Before any error the robot is stopped."""
         steps, passed = self.commands.steps, False
         if self.backend is not self.commands:
-            self._given = base_twist.copy(), joint_targets.copy()
+            self._commanded = base_twist.copy(), joint_targets.copy()
         try:
             state = self.backend.step(base_twist, joint_targets, dt)
             if self.commands.steps == steps:
@@ -363,7 +320,7 @@ class Guarded(BackendWrapper):
 
     def stop(self) -> None:
         """Command the base to zero and the arm to hold, past the adapters; it raises nothing."""
-        self._given = None
+        self._commanded = None
         try:
             self.commands.stop()
         except PLUGIN_ERRORS as error:

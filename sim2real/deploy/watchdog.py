@@ -47,11 +47,8 @@ class Watchdog:
         # In a session of its own, since Ctrl-C is sent to all processes of a terminal's group.
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "kinfeas.sim2real.deploy.watchdog", order],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            start_new_session=True,
-        )
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
+        )  # fmt: skip
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._in, self._out = self._process.stdin, self._process.stdout

@@ -15,13 +15,13 @@ from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.model import Delays
 from kinfeas.sim2real.identify.noise import joint_noise, overlap
 from kinfeas.sim2real.identify.statistics import (
-    BLOCK,
     MOVES,
     Estimate,
     derivatives,
     interpolated,
     posterior,
     standard_errors,
+    time_blocks,
 )
 
 _DRAWS = 16  # of delays, for the spread that jitter and lost commands cause
@@ -51,18 +51,14 @@ class ArmProblem:
         self.lag, self.error = 0.02, np.inf
         self._at = [np.clip(log.joint_times / log.dt, 0, len(log.targets)) for log in logs]
         self.noise, variance, interpolated = joint_noise(logs, self._at)
-        self._variances = [
-            [
-                variance
-                * (overlap(at, lag) if interpolated else np.full(len(at) - lag, float(lag == 0)))
-                for at in self._at
-            ]
-            for lag in range(_LAGS + 1)
-        ]
+
+        def correlation(at: Array, lag: int) -> Array:
+            return overlap(at, lag) if interpolated else np.full(len(at) - lag, float(lag == 0))
+
+        lags = range(_LAGS + 1)
+        self._variances = [[variance * correlation(at, lag) for at in self._at] for lag in lags]
         self._spread = 0.0  # s, of the delays
-        blocks = [np.floor(log.joint_times / BLOCK).astype(np.intp) for log in logs]
-        ends = np.cumsum([0, *(block.max() + 1 for block in blocks)])
-        self._blocks = np.concatenate([b + end for b, end in zip(blocks, ends[:-1], strict=True)])
+        self._blocks = time_blocks([log.joint_times for log in logs])
 
     def fit(self) -> tuple[Delays, float]:
         """Return the delays and the standard error of the latency, seconds."""
@@ -87,13 +83,13 @@ class ArmProblem:
         bounds = np.array([TIMES, bounds_of("latency")])
         start, bounds = (start, bounds) if latency else (start[:1], bounds[:1])
         for _ in range(2):
-            found = least_squares(
+            solution = least_squares(
                 residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(*bounds.T),
                 loss="soft_l1", f_scale=3.0, max_nfev=40, xtol=1e-5,
             )  # fmt: skip
-            start, self.lag = found.x, float(np.exp(found.x[0]))
+            start, self.lag = solution.x, float(np.exp(solution.x[0]))
             if latency:
-                delays = replace(delays, latency=float(found.x[1]) * LATENCY)
+                delays = replace(delays, latency=float(solution.x[1]) * LATENCY)
             late, variance = self._time_errors(delays)
             weights = 1.0 / (variance + self._spread**2)
             spread = np.nansum((late**2 - variance) * weights) / np.nansum(weights)
@@ -114,11 +110,10 @@ class ArmProblem:
             yield predicted + offset, measured, interpolated(np.gradient(ends, log.dt, axis=0), at)
 
     def _residuals(self, delays: Delays, lag: float) -> Array:
+        positions = zip(self._positions(delays, lag), self._variances[0], strict=True)
         parts = [
             (p - m) / np.sqrt(variance[:, np.newaxis] + (self._spread * s) ** 2)
-            for (p, m, s), variance in zip(
-                self._positions(delays, lag), self._variances[0], strict=True
-            )
+            for (p, m, s), variance in positions
         ]
         return np.concatenate(parts).ravel()
 
@@ -128,9 +123,8 @@ class ArmProblem:
         NaN where it does not move.
         """
         late, variances = [], []
-        for (p, m, s), variance in zip(
-            self._positions(delays, self.lag), self._variances[0], strict=True
-        ):
+        positions = self._positions(delays, self.lag)
+        for (p, m, s), variance in zip(positions, self._variances[0], strict=True):
             square = _moving_square(s)
             late.append(np.sum((p - m) * s, axis=1) / square)
             variances.append(variance / square)
@@ -164,11 +158,8 @@ class ArmProblem:
         weights /= weights.sum()
         mean = float((weights * latencies).sum())
         error = float(np.sqrt((weights * (latencies - mean) ** 2).sum()))
-        return (
-            posterior(np.array(_JITTERS), weights.sum(axis=1)),
-            posterior(np.array(_LOST), weights.sum(axis=0)),
-            error,
-        )
+        jitters = posterior(np.array(_JITTERS), weights.sum(axis=1))
+        return jitters, posterior(np.array(_LOST), weights.sum(axis=0)), error
 
     def _shared(self, speeds: Sequence[Array], lag: int) -> Array:
         """Return the covariance of the noise of pairs of time errors, shape (k - lag,)."""
@@ -187,13 +178,11 @@ class ArmProblem:
             targets, square = log.targets[:, self._joints], _moving_square(speed)
             late = []
             for numbers in chain.uniform_numbers(_DRAWS, len(targets)):
-                mixed, kept = chain.drawn_delays(
-                    numbers, log.dt, latency, delays.jitter, delays.lost
-                )
-                active = chain.drawn_commands(targets, mixed, kept)
+                drawn = chain.drawn_delays(numbers, log.dt, latency, delays.jitter, delays.lost)
+                active = chain.drawn_commands(targets, *drawn)
                 ends = chain.moved_arm(active, log.dt, self.lag)
-                drawn = interpolated(np.concatenate([targets[:1], ends]), at)
-                late.append(-np.sum(drawn * speed, axis=1) / square)
+                positions = interpolated(np.concatenate([targets[:1], ends]), at)
+                late.append(-np.sum(positions * speed, axis=1) / square)
             errors.append(late)
         return np.concatenate(errors, axis=1)
 

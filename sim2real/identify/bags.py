@@ -1,9 +1,9 @@
 """Logs from bags of ROS 1 and ROS 2, read by rosbags; no ROS installation is needed."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from kinfeas.core.extras import require
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.identify.log import Log, Series, make_log
+from kinfeas.sim2real.link import BaseReading
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros.topics import Topics, read_topics
 
@@ -27,8 +28,8 @@ def is_bag(path: Path) -> bool:
     return path.suffix in _SUFFIXES or path.is_dir()
 
 
-def read_bag(path: Path, robot: Robot, topics: str | None = None) -> Log:
-    """Return the log in a bag, with the topics of the robot or those of a file.
+def read_bag(path: Path, robot: Robot) -> Log:
+    """Return the log in a bag, with the topics of the robot.
 
     Velocity commands and trajectories take effect when they were recorded, measurements by their
     stamps if these are of the same clock.
@@ -47,8 +48,7 @@ def read_bag(path: Path, robot: Robot, topics: str | None = None) -> Log:
     folder = path.parent if path.suffix == ".db3" else path
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            named = read_topics(robot, 2 if reader.is2 else 1, topics)
-            return _Bag(path, robot, named).read(reader)
+            return _Bag(path, robot, read_topics(robot, 2 if reader.is2 else 1)).read(reader)
     except (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, OSError) as error:
         raise KinfeasError(f"{path}: no bag that can be read: {error}") from error
 
@@ -57,6 +57,8 @@ def read_bag(path: Path, robot: Robot, topics: str | None = None) -> Log:
 class _Stream:
     """Values of a topic, with the times of recording and the stamps, seconds."""
 
+    topic: str
+    content: str
     recorded: list[float] = field(default_factory=list)
     stamps: list[float] = field(default_factory=list)
     values: list[Array] = field(default_factory=list)
@@ -65,80 +67,81 @@ class _Stream:
 class _Bag:
     def __init__(self, path: Path, robot: Robot, topics: Topics) -> None:
         self._path, self._robot, self._topics = path, robot, topics
-        names = topics.joints.names
+        base, names = topics.base, topics.joints.names
         self._names = [names.get(joint.name, joint.name) for joint in robot.arm]
-        self._twists, self._base = _Stream(), _Stream()
-        self._joints, self._targets = _Stream(), _Stream()
+        self._twists = _Stream(base.command, "velocity command")
+        pose_topic = "/tf" if base.measured_by == "tf" else base.odometry
+        self._base = _Stream(pose_topic, "base pose")
+        self._joints = _Stream(topics.joints.measured, "position of all arm joints")
         self._positions: dict[str, float] = {}
-        self._aims: dict[str, float] = {}
         self._paths: list[tuple[float, Any]] = []
         self._now = 0.0
-        frames = topics.base.world_frame, topics.base.frame
-        self._tree = ros_messages.TfTree(*frames, now=lambda: self._now)
+        self._tree = ros_messages.TfTree(base.world_frame, base.frame, now=lambda: self._now)
 
     def read(self, reader: Any) -> Log:
-        topics = self._topics
-        base = topics.base
-        by_tf = base.measured_by == "tf"
-        takes = {
-            base.command: self._take_twist,
-            topics.joints.measured: self._take_joints,
-            **{each.command: self._take_path for each in topics.joints.controllers},
-            "/tf" if by_tf else base.odometry: self._take_tf if by_tf else self._take_odometry,
+        streams = self._twists, self._joints, self._base
+        takes: dict[str, Callable[[Any], None]] = {
+            self._twists.topic: self._take_twist,
+            self._joints.topic: self._take_joints,
+            **{
+                controller.command: partial(self._take_path, controller.command)
+                for controller in self._topics.joints.controllers
+            },
+            self._base.topic: self._take_odometry,
         }
-        if by_tf:
-            takes["/tf_static"] = self._take_static
-        needed = [base.command, topics.joints.measured, "/tf" if by_tf else base.odometry]
+        if self._topics.base.measured_by == "tf":
+            takes |= {"/tf": self._take_tf, "/tf_static": partial(self._tree.take, static=True)}
         present = {connection.topic for connection in reader.connections}
-        if missing := [topic for topic in needed if topic not in present]:
+        if missing := [stream.topic for stream in streams if stream.topic not in present]:
             raise KinfeasError(f"{self._path}: has no {', '.join(missing)}")
-        chosen = [each for each in reader.connections if each.topic in takes]
-        for connection, nanoseconds, raw in reader.messages(connections=chosen):
+        for name in ("Time", "Duration"):  # as messages of ROS have it
+            reader.typestore.types[f"builtin_interfaces/msg/{name}"].to_sec = _to_sec
+        connections = [c for c in reader.connections if c.topic in takes]
+        for connection, nanoseconds, raw in reader.messages(connections=connections):
             self._now = nanoseconds / 1e9
-            takes[connection.topic](reader.deserialize(raw, connection.msgtype), connection.topic)
+            takes[connection.topic](reader.deserialize(raw, connection.msgtype))
+        for stream in (self._twists, self._base, self._joints):
+            if len(stream.values) < 2:
+                raise KinfeasError(f"{self._path}: has no {stream.content}")
         return self._log()
 
-    def _take_twist(self, message: Any, topic: str) -> None:
-        self._put(self._twists, topic, ros_messages.velocity(message), None)
+    def _take_twist(self, message: Any) -> None:
+        self._put(self._twists, ros_messages.velocity(message), None)
 
-    def _take_odometry(self, message: Any, topic: str) -> None:
-        pose = message.pose.pose
-        planar = ros_messages.planar(_pose(pose.position, pose.orientation))
-        self._put(self._base, topic, np.array(planar), _seconds(message.header.stamp))
+    def _take_odometry(self, message: Any) -> None:
+        self._put_pose(ros_messages.from_odometry(message))
 
-    def _take_joints(self, message: Any, topic: str) -> None:
+    def _take_tf(self, message: Any) -> None:
+        self._tree.take(message)
+        reading, stamps = self._tree.reading(), self._base.stamps
+        if reading is not None and (not stamps or reading.stamp != stamps[-1]):
+            self._put_pose(reading)
+
+    def _take_joints(self, message: Any) -> None:
         self._positions.update(zip(message.name, message.position, strict=False))
         if any(name in message.name for name in self._names) and all(
             name in self._positions for name in self._names
         ):
             values = np.array([self._positions[name] for name in self._names])
-            self._put(self._joints, topic, values, _seconds(message.header.stamp))
+            self._put(self._joints, values, message.header.stamp.to_sec())
 
-    def _take_path(self, message: Any, topic: str) -> None:
+    def _take_path(self, topic: str, message: Any) -> None:
         for point in message.points:
             if not np.isfinite(point.positions).all():
                 raise KinfeasError(f"{self._path}: a number of {topic} is not finite")
         self._paths.append((self._now, message))
 
-    def _take_tf(self, message: Any, topic: str) -> None:
-        self._tree.take(_transforms(message))
-        reading = self._tree.reading()
-        stamps = self._base.stamps
-        if reading is not None and (not stamps or reading.stamp != stamps[-1]):
-            values = np.array([reading.x, reading.y, reading.yaw])
-            self._put(self._base, topic, values, reading.stamp)
+    def _put_pose(self, reading: BaseReading) -> None:
+        self._put(self._base, np.array([reading.x, reading.y, reading.yaw]), reading.stamp)
 
-    def _take_static(self, message: Any, topic: str) -> None:
-        self._tree.take(_transforms(message), static=True)
-
-    def _put(self, stream: _Stream, topic: str, values: Array, stamp: float | None) -> None:
+    def _put(self, stream: _Stream, values: Array, stamp: float | None) -> None:
         if not np.isfinite(values).all():
-            raise KinfeasError(f"{self._path}: a number of {topic} is not finite")
+            raise KinfeasError(f"{self._path}: a number of {stream.topic} is not finite")
         stamp = stamp or self._now
         if stream.stamps and stamp < stream.stamps[-1]:
             back = stream.stamps[-1] - stamp
             raise KinfeasError(
-                f"{self._path}: messages of {topic} are out of order: a stamp goes back by "
+                f"{self._path}: messages of {stream.topic} are out of order: a stamp goes back by "
                 f"{back:.3g} s"
             )
         stream.recorded.append(self._now)
@@ -146,12 +149,6 @@ class _Bag:
         stream.values.append(values)
 
     def _log(self) -> Log:
-        for stream, what in (
-            (self._twists, "velocity command"), (self._base, "base pose"),
-            (self._joints, "position of all arm joints"),
-        ):  # fmt: skip
-            if len(stream.values) < 2:
-                raise KinfeasError(f"{self._path}: has no {what}")
         (base, ages), (joints, _) = _measured(self._base), _measured(self._joints)
         base = base[0], np.stack([*base[1].T[:2], np.unwrap(base[1][:, 2])], axis=1)
         commands = np.array(self._twists.recorded)
@@ -171,9 +168,8 @@ class _Bag:
         heading = np.interp(times, base[0], base[1][:, 2])
         cosine, sine = np.cos(heading), np.sin(heading)
         forward, left, turn = values.T
-        return times, np.stack(
-            [cosine * forward - sine * left, sine * forward + cosine * left, turn], axis=1
-        )
+        x, y = cosine * forward - sine * left, sine * forward + cosine * left
+        return times, np.stack([x, y, turn], axis=1)
 
     def _aimed(self, begin: float, start: Array) -> Series:
         """Return the targets of the arm: those of a trajectory of one point at once."""
@@ -194,19 +190,19 @@ def _points(
 ) -> Iterator[tuple[float, dict[str, float]]]:
     """Yield the targets of a trajectory; between several points, each hundredth of a second."""
     names, points = list(message.joint_names), message.points
-    known = [name in aim for name in names]
-    if not points or not any(known):
+    in_arm = [name in aim for name in names]
+    if not points or not any(in_arm):
         return
     ends = np.array([point.positions for point in points])
     if len(points) == 1:
-        yield sent, {n: float(v) for n, v, k in zip(names, ends[0], known, strict=True) if k}
+        yield sent, {n: float(v) for n, v, k in zip(names, ends[0], in_arm, strict=True) if k}
         return
-    times = sent + np.array([_seconds(point.time_from_start) for point in points])
+    times = sent + np.array([point.time_from_start.to_sec() for point in points])
     start = np.array([aim.get(name, 0.0) for name in names])
     knots, values = np.append(sent, times), np.concatenate([start[np.newaxis], ends])
     for when in np.arange(sent, times[-1] + 0.005, 0.01):
         row = [float(np.interp(when, knots, column)) for column in values.T]
-        yield float(when), {n: v for n, v, k in zip(names, row, known, strict=True) if k}
+        yield float(when), {n: v for n, v, k in zip(names, row, in_arm, strict=True) if k}
 
 
 def _measured(stream: _Stream) -> tuple[Series, Array]:
@@ -218,24 +214,5 @@ def _measured(stream: _Stream) -> tuple[Series, Array]:
     return (recorded, values), np.empty(0)
 
 
-def _seconds(stamp: Any) -> float:
+def _to_sec(stamp: Any) -> float:
     return float(stamp.sec) + float(stamp.nanosec) * 1e-9
-
-
-def _pose(position: Any, orientation: Any) -> Array:
-    p, q = position, orientation
-    return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-
-
-def _transforms(message: Any) -> Any:
-    """Return a TFMessage with stamps as `TfTree` reads them."""
-    return SimpleNamespace(transforms=[
-        SimpleNamespace(
-            header=SimpleNamespace(
-                frame_id=each.header.frame_id,
-                stamp=SimpleNamespace(to_sec=lambda stamp=each.header.stamp: _seconds(stamp)),
-            ),
-            child_frame_id=each.child_frame_id, transform=each.transform,
-        )
-        for each in message.transforms
-    ])  # fmt: skip

@@ -1,4 +1,4 @@
-"""The fit of a base's response to the ways between its measured poses."""
+"""The fit of a base's response to its measured track."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,9 +10,9 @@ import numpy as np
 from scipy.optimize import Bounds, least_squares
 
 from kinfeas.core.spatial import Array
-from kinfeas.sim2real.identify.model import BaseModel, Delays, Ways
+from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
 from kinfeas.sim2real.identify.noise import jumps, spread_of, widened
-from kinfeas.sim2real.identify.statistics import BLOCK, MOVES, derivatives, standard_errors
+from kinfeas.sim2real.identify.statistics import MOVES, derivatives, standard_errors, time_blocks
 
 LATENCY = 0.05
 """Seconds, the unit of a latency in fits; other parameters are logarithms."""
@@ -30,19 +30,17 @@ _LIMITS, _JERKS = np.log([0.05, 50.0]), np.log([0.5, 300.0])
 
 
 class BaseProblem:
-    """The fit of a base's response to its ways."""
+    """The fit of a base's response to its tracks in some logs."""
 
-    def __init__(self, ways: Sequence[Ways], dt: float) -> None:
-        self._ways, self._dt = ways, dt
-        fastest = np.max([np.abs(way.log.twists).max(axis=0) for way in ways], axis=0)
+    def __init__(self, tracks: Sequence[Track], dt: float) -> None:
+        self._tracks, self._dt = tracks, dt
+        fastest = np.max([np.abs(track.log.twists).max(axis=0) for track in tracks], axis=0)
         self.moves = bool((fastest > MOVES).any())
         self.parts = np.array([fastest[:2].max() > MOVES, fastest[2] > MOVES])
-        self._scale = [np.sqrt(way.squares)[:, np.newaxis] for way in ways]
-        self._kept = [np.ones(len(way.moved), dtype=np.bool_) for way in ways]
+        self._scale = [np.sqrt(track.squares)[:, np.newaxis] for track in tracks]
+        self._kept = [np.ones(len(track.moved), dtype=np.bool_) for track in tracks]
         self._deviation = np.ones(3)
-        blocks = [np.floor(way.times / BLOCK).astype(np.intp) for way in ways]
-        ends = np.cumsum([0, *(block.max() + 1 for block in blocks)])
-        self._blocks = [block + end for block, end in zip(blocks, ends[:-1], strict=True)]
+        self._blocks = np.repeat(time_blocks([track.times for track in tracks]), 3)
 
     def fit(self, arm: Delays | None, error: float) -> tuple[BaseModel, dict[str, float]]:
         """Return the model and the standard errors of its parameters, relative but for times.
@@ -95,18 +93,19 @@ class BaseProblem:
 
     def _normalise(self, model: BaseModel) -> None:
         """Estimate the noise of each axis, and leave out jumps."""
+        predicted = self._predicted(model)
         rests = [
-            (way.predicted(model.velocities(way.log, self._draws)) - way.moved) / scale
-            for way, scale in zip(self._ways, self._scale, strict=True)
+            (p - track.moved) / scale
+            for p, track, scale in zip(predicted, self._tracks, self._scale, strict=True)
         ]
         self._deviation = spread_of(np.concatenate(rests))
         self._kept = [
-            ~widened(jumps(rest * scale, scale * self._deviation, self._speeds(way, model)))
-            for way, rest, scale in zip(self._ways, rests, self._scale, strict=True)
+            ~widened(jumps(rest * scale, scale * self._deviation, p / t.seconds[:, np.newaxis]))
+            for p, t, rest, scale in zip(predicted, self._tracks, rests, self._scale, strict=True)
         ]
 
-    def _speeds(self, way: Ways, model: BaseModel) -> Array:
-        return way.predicted(model.velocities(way.log, self._draws)) / way.seconds[:, np.newaxis]
+    def _predicted(self, model: BaseModel) -> list[Array]:
+        return [track.predicted(model.velocities(track.log, self._draws)) for track in self._tracks]
 
     @property
     def agrees(self) -> bool:
@@ -114,39 +113,39 @@ class BaseProblem:
         return self._prior is not None
 
     def _residuals(self, model: BaseModel) -> Array:
-        parts = []
-        for way, scale, kept in zip(self._ways, self._scale, self._kept, strict=True):
-            rest = way.predicted(model.velocities(way.log, self._draws)) - way.moved
-            parts.append((rest / (scale * self._deviation) * kept[:, np.newaxis]).ravel())
-        return np.concatenate([*parts, self._beside(model)])
+        columns = self._predicted(model), self._tracks, self._scale, self._kept
+        parts = [
+            ((p - track.moved) / (scale * self._deviation) * kept[:, np.newaxis]).ravel()
+            for p, track, scale, kept in zip(*columns, strict=True)
+        ]
+        return np.concatenate([*parts, self._prior_residuals(model)])
 
-    def _beside(self, model: BaseModel) -> Array:
-        """Return residuals of what is known beside the record, of a fixed number."""
-        known = []
+    def _prior_residuals(self, model: BaseModel) -> Array:
+        """Return the residuals of priors, of a fixed number."""
+        parts = []
         for values, usual in ((model.acceleration, _USUAL_LIMIT), (model.jerk, _USUAL_JERK)):
             limited = np.isfinite(values)
-            known.append(np.where(limited, np.log(np.where(limited, values, usual) / usual), 0.0))
+            parts.append(np.where(limited, np.log(np.where(limited, values, usual) / usual), 0.0))
         if self._prior is not None:
             latency, error = self._prior
-            known.append(np.array([(model.delays.latency - latency) / error]))
-        return np.concatenate(known)
+            parts.append(np.array([(model.delays.latency - latency) / error]))
+        return np.concatenate(parts)
 
     def _solve(
         self, model: BaseModel, free: Sequence[str], loss: Literal["linear", "soft_l1"]
     ) -> tuple[BaseModel, float]:
         bounds = np.array([bounds_of(name) for name in free])
-        start = np.clip(
-            [_get(model, name) for name in free], bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6
-        )
+        lower, upper = bounds.T
+        start = np.clip([_get(model, name) for name in free], lower + 1e-6, upper - 1e-6)
 
         def residuals(z: Array) -> Array:
             return self._residuals(_changed(model, free, z))
 
-        found = least_squares(
+        solution = least_squares(
             residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(*bounds.T),
             loss=loss, f_scale=3.0, max_nfev=20, xtol=1e-3, ftol=1e-6,
         )  # fmt: skip
-        return _changed(model, free, found.x), float(found.cost)
+        return _changed(model, free, solution.x), float(solution.cost)
 
     def _errors(self, model: BaseModel, free: Sequence[str]) -> dict[str, float]:
         z = np.array([_get(model, name) for name in free])
@@ -154,9 +153,8 @@ class BaseProblem:
         def residuals(z: Array) -> Array:
             return self._residuals(_changed(model, free, z))
 
-        blocks = np.concatenate([np.repeat(block, 3) for block in self._blocks])
-        beside = np.arange(len(self._beside(model))) + blocks.max() + 1
-        blocks = np.concatenate([blocks, beside])
+        beside = np.arange(len(self._prior_residuals(model))) + self._blocks.max() + 1
+        blocks = np.concatenate([self._blocks, beside])
         errors = standard_errors(residuals(z), derivatives(residuals, z), blocks)
         errors = np.where([name == "latency" for name in free], errors * LATENCY, errors)
         return dict(zip(free, errors.tolist(), strict=True))
@@ -171,7 +169,6 @@ def bounds_of(name: str) -> Array:
 
 
 def _get(model: BaseModel, name: str) -> float:
-    """Return a parameter as the fit has it."""
     if name == "latency":
         return model.delays.latency / LATENCY
     kind, _, part = name.partition(".")

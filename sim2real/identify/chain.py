@@ -11,37 +11,7 @@ from numba import njit
 
 from kinfeas.control.response import advance
 from kinfeas.core.spatial import Array
-
-_OFFSETS = (np.arange(32) + 0.5) / 32.0
-"""Fractions of a period at which the active command is looked up."""
-
-_NARROW = 0.125  # periods of jitter at least, so that weights change smoothly with the latency
-_LOST = 16  # commands lost in a row that are counted
-
-
-def delay_weights(latency: float, jitter: float, lost: float, dt: float) -> Array:
-    """Return the mean weight of each command in a period, shape (k,), that of the newest first.
-
-    Args:
-        latency: Minimum delay of a command, seconds.
-        jitter: Width of the uniform distribution of additional delays, seconds.
-        lost: Probability that a command is lost.
-        dt: Control period, seconds.
-    """
-    width = max(jitter, _NARROW * dt)
-    first = latency + 0.5 * (jitter - width)
-    count = int(np.ceil(max(first + width, 0.0) / dt)) + 2
-    ages = (_OFFSETS[:, np.newaxis] + np.arange(count)) * dt
-    arrived = np.clip((ages - first) / width, 0.0, 1.0)
-    earlier = np.cumprod(1.0 - arrived, axis=1)
-    active = arrived * np.concatenate([np.ones((len(ages), 1)), earlier[:, :-1]], axis=1)
-    weights: Array = active.mean(axis=0)
-    return np.convolve(weights, (1.0 - lost) * lost ** np.arange(_LOST)) if lost > 0.0 else weights
-
-
-def mean_delay(weights: Array, dt: float) -> float:
-    """Return the mean delay of a command, seconds, by its weights of `delay_weights`."""
-    return float(weights @ np.arange(len(weights))) * dt
+from kinfeas.sim2real.adapters.latency import durations
 
 
 @njit(cache=True)
@@ -92,32 +62,26 @@ def uniform_numbers(draws: int, n: int) -> Array:
 
 @njit(cache=True)
 def drawn_delays(uniform, dt, latency, jitter, lost):
-    """Return one draw of the delays whose mean `delay_weights` returns, for n periods.
+    """Return one draw of `Delays` with these parameters, for n periods.
 
     Args:
         uniform: Uniform numbers in [0, 1), shape (n, 2).
         dt: Control period, seconds.
-        latency: As the others, those of `delay_weights`.
-        jitter: See there.
-        lost: See there.
+        latency: Minimum delay of a command, seconds.
+        jitter: Maximum additional delay, seconds.
+        lost: Probability that a command is lost.
 
     Returns:
-        Weights of the commands of which the active one is mixed, the newest first, shape (n, k);
+        Weights of the commands of which the active one is mixed, the newest last, shape (n, k);
         and whether it was not lost, (n,).
     """
-    n = len(uniform)
-    slots = int(np.ceil((latency + jitter) / dt)) + 2
-    mixed = np.zeros((n, slots))
-    arrivals = np.empty(n)
-    for i in range(n):
-        arrivals[i] = i + (latency + jitter * uniform[i, 0]) / dt
-        end = 1.0
-        for k in range(slots):
-            sent = i - k
-            begin = min(max(arrivals[sent] - i, 0.0), 1.0) if sent >= 0 else 0.0
-            mixed[i, k] = max(end - begin, 0.0)
-            end = min(end, begin)
-    return mixed, uniform[:, 1] >= lost
+    n, slots = len(uniform), int(np.ceil((latency + jitter) / dt)) + 2
+    begins = np.zeros((n, slots))
+    for sent in range(n):
+        arrival = sent + (latency + jitter * uniform[sent, 0]) / dt
+        for k in range(min(slots, n - sent)):
+            begins[sent + k, slots - 1 - k] = min(max(arrival - (sent + k), 0.0), 1.0)
+    return durations(begins), uniform[:, 1] >= lost
 
 
 @njit(cache=True)
@@ -129,8 +93,9 @@ def drawn_commands(commands, mixed, kept):
             if kept[i]:
                 value = 0.0
                 for k in range(mixed.shape[1]):
-                    if mixed[i, k] > 0.0:
-                        value += mixed[i, k] * commands[max(i - k, 0), axis]
+                    weight = mixed[i, mixed.shape[1] - 1 - k]
+                    if weight > 0.0:
+                        value += weight * commands[max(i - k, 0), axis]
                 active[i, axis] = value
             else:
                 active[i, axis] = active[i - 1, axis] if i > 0 else commands[0, axis]

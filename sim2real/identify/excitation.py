@@ -27,7 +27,7 @@ SECONDS = 60.0
 """Duration of the pattern."""
 
 _VELOCITY, _ROTATION = 0.3, 0.6  # m/s and rad/s that the base does not exceed
-_ARM_STEP, _ARM_SHARE = 0.4, 0.4  # rad or m of each joint, and fraction of the way to its limit
+_ARM_STEP, _ARM_FRACTION = 0.4, 0.4  # rad or m of each joint, and fraction of the room to its limit
 _ARM_SPEED = 0.3  # fraction of the velocity limit of a joint, so that no clamp is met
 _ARM_BEGIN, _ARM_CYCLE, _ARM_CYCLES = 4.0, 12.0, 4  # s of rest, of a cycle, and their number
 _ARM_CHIRP, _ARM_SWEEP, _ARM_SWINGS = 0.3, 0.08, 3  # Hz at first, Hz/s, and number of swings
@@ -59,9 +59,9 @@ def base_pattern(robot: Robot, dt: float) -> Array:
     first = np.ones(3)
     for named, seconds in _BLOCKS:
         axis = 0 if size == 2 and named == 1 else named
-        for one in seconds:
+        for duration in seconds:
             for sign in (first[axis], -first[axis]):
-                piece = np.zeros((round(one / dt), 3))
+                piece = np.zeros((round(duration / dt), 3))
                 piece[:, axis] = sign
                 pieces.append(piece)
         first[axis] *= -1.0
@@ -73,7 +73,7 @@ def base_pattern(robot: Robot, dt: float) -> Array:
 
 
 def arm_pattern(dt: float) -> Array:
-    """Return the way of the arm as a fraction in [0, 1] by control period, shape (k,).
+    """Return the displacement of the arm as a fraction in [0, 1] by control period, shape (k,).
 
     Each cycle is a chirp up to 0.75 Hz and a staircase of fast steps.
     """
@@ -84,24 +84,24 @@ def arm_pattern(dt: float) -> Array:
         phase, [6.5, 7.0, 7.4, 7.9, 8.3, 8.8, 9.3, 9.8, 10.4, 10.9],
         [0.0, 0.5, 0.5, 1.0, 1.0, 0.5, 0.5, 1.0, 1.0, 0.0],
     )  # fmt: skip
-    way = np.where(swings < _ARM_SWINGS, 0.5 - 0.5 * np.cos(2.0 * math.pi * swings), stairs)
-    return np.where((time >= 0.0) & (time < _ARM_CYCLES * _ARM_CYCLE), way, 0.0)
+    pattern = np.where(swings < _ARM_SWINGS, 0.5 - 0.5 * np.cos(2.0 * math.pi * swings), stairs)
+    return np.where((time >= 0.0) & (time < _ARM_CYCLES * _ARM_CYCLE), pattern, 0.0)
 
 
 def arm_amplitude(solver: IkSolver, joints: Array, dt: float) -> Array:
-    """Return the signed way of each joint from a configuration, both of shape (j,), rad or m.
+    """Return the signed motion of each joint from a configuration, both of shape (j,), rad or m.
 
     Joints move away from their nearer limit, all at once, within limits of speed and range; the
-    ways shrink, to zero at last, until the robot does not collide with itself.
+    displacements shrink, to zero at last, until the robot does not collide with itself.
     """
-    robot, way = solver.robot, arm_pattern(dt)
+    robot, pattern = solver.robot, arm_pattern(dt)
     lower, upper = robot.joint_limits
     below, above = joints - lower, upper - joints
-    room = np.minimum(_ARM_STEP, _ARM_SHARE * np.maximum(below, above))
-    fastest = float(np.abs(np.diff(way)).max()) / dt
+    room = np.minimum(_ARM_STEP, _ARM_FRACTION * np.maximum(below, above))
+    fastest = float(np.abs(np.diff(pattern)).max()) / dt
     amplitude = np.minimum(room, _ARM_SPEED * robot.max_joint_velocity / fastest)
     amplitude = np.where(above >= below, amplitude, -amplitude)
-    fractions = np.unique(way[::_CHECKED])[:, np.newaxis]
+    fractions = np.unique(pattern[::_CHECKED])[:, np.newaxis]
     for shrunk in (amplitude, amplitude / 2.0, amplitude / 4.0):
         if not self_collides(solver.collision, joints + fractions * shrunk).any():
             return shrunk

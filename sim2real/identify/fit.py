@@ -1,22 +1,24 @@
 """The fit of a robot's response and noise to logs of its commands and measurements.
 
 The chain of `kinfeas.sim2real.identify.chain` is carried out for the recorded commands. Compared
-are the ways of the base between two measurements, and the positions of the arm; the rest is noise.
+are the displacements of the base between two measurements, and the positions of the arm; the rest
+is noise.
 Intervals are of 95 % and treat blocks of two seconds as independent.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify.arm import ArmProblem
 from kinfeas.sim2real.identify.base import BASE_DRAWS, BaseProblem
 from kinfeas.sim2real.identify.log import Log
-from kinfeas.sim2real.identify.model import BaseModel, Delays, Ways
+from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
 from kinfeas.sim2real.identify.noise import Walk, base_noise, sensor_ages
 from kinfeas.sim2real.identify.statistics import (
     DRIVE,
@@ -28,6 +30,15 @@ from kinfeas.sim2real.identify.statistics import (
 )
 
 _FAST = 0.8  # m/s^2 and rad/s^2 of a fast start or turn
+
+_ORDER = (
+    "base_noise", "actuator_lag", "acceleration_limit", "velocity_clamp", "joint_limit_clamp",
+    "dropped_commands", "command_latency", "joint_noise", "localisation", "sensor_latency",
+)  # fmt: skip
+"""From the robot outwards, as in `harsh`."""
+
+_OF_ROBOT = ("velocity_clamp", "joint_limit_clamp")
+"""Adapters whose parameters are limits of the robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +68,10 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
     The measured base pose is a random walk, of noise on the base and of its localisation. Both look
     alike: the part `walk` is taken as known.
     """
-    dt, found, missing = logs[0].dt, dict[str, Estimate](), list[str]()
-    arm, ways = ArmProblem(logs), [Ways(log) for log in logs]
+    dt, estimates, missing = logs[0].dt, dict[str, Estimate](), list[str]()
+    arm, tracks = ArmProblem(logs), [Track(log) for log in logs]
     delays, error = arm.fit() if arm.moves else (None, np.inf)
-    base = BaseProblem(ways, dt)
+    base = BaseProblem(tracks, dt)
     model, errors = base.fit(delays, error)
     latency = errors.get("latency", error) if base.moves else error
     if delays is not None and base.moves and not base.agrees:
@@ -75,20 +86,20 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
         missing.append(
             "base and arm differ in their latency: that of the base is given, without its jitter"
         )
-    found |= _delays(delays, latency, spread, dt)
-    velocities = [model.velocities(way.log, BASE_DRAWS) for way in ways]
-    found |= _limits(model, errors, base, _fastest(velocities, dt), missing, dt)
+    estimates |= _delays(delays, latency, spread, dt)
+    velocities = [model.velocities(track.log, BASE_DRAWS) for track in tracks]
+    estimates |= _limits(model, errors, base, _fastest(velocities, dt), missing, dt)
     if arm.moves:
-        found["actuator_lag.arm"] = lag_estimate(arm.lag, arm.error, dt)
+        estimates["actuator_lag.arm"] = lag_estimate(arm.lag, arm.error, dt)
         if arm.noise is not None:
-            found["joint_noise.deviation"] = arm.noise
+            estimates["joint_noise.deviation"] = arm.noise
     else:
         missing.append(f"no arm motion: arm lag and lost commands unknown; {DRIVE}")
-    if "joint_noise.deviation" not in found:
+    if "joint_noise.deviation" not in estimates:
         missing.append(f"the arm is never at rest: joint noise unknown; {DRIVE}")
-    found |= base_noise(ways, velocities, walk, missing)
-    found |= sensor_ages(logs, missing)
-    return _result(ways, model, found, missing, delays.mean(dt))
+    estimates |= base_noise(tracks, velocities, walk, missing)
+    estimates |= sensor_ages(logs, missing)
+    return _result(tracks, model, estimates, missing, delays.mean(dt))
 
 
 def _delays(
@@ -109,36 +120,33 @@ def _delays(
 
 
 def _limits(
-    model: BaseModel,
-    errors: dict[str, float],
-    base: BaseProblem,
-    fastest: Array,
-    missing: list[str],
-    dt: float,
-) -> dict[str, Estimate]:
+    model: BaseModel, errors: dict[str, float], base: BaseProblem, fastest: Array,
+    missing: list[str], dt: float,
+) -> dict[str, Estimate]:  # fmt: skip
     """Return lag and limits of a base, whose `fastest` accelerations, (2,), are predicted."""
-    found: dict[str, Estimate] = {}
+    estimates: dict[str, Estimate] = {}
     if not base.moves:
         missing.append(f"the base does not move: its lag and limits are unknown; {DRIVE}")
-        return found
+        return estimates
     if model.lag < 0.5 * dt or errors["lag"] * model.lag < 0.1:
-        found["actuator_lag.base"] = lag_estimate(model.lag, errors["lag"] * model.lag, dt)
+        estimates["actuator_lag.base"] = lag_estimate(model.lag, errors["lag"] * model.lag, dt)
     else:
         missing.append(f"no fast change of the base's velocity: its lag is unknown; {DRIVE}")
     parts = ((0, "linear", "start or stop", "m/s^2"), (1, "angular", "turn", "rad/s^2"))
-    for part, name, motion, unit in parts:
+    for part, name, change, unit in parts:
         for kind, key in (("acceleration", name), ("jerk", f"{name}_jerk")):
             if (error := errors.get(f"{kind}.{part}", np.inf)) < 0.5:
                 value = float(getattr(model, kind)[part])
                 spread = float(np.exp(NORMAL * error + SLACK))
-                found[f"acceleration_limit.{key}"] = Estimate(value, value / spread, value * spread)
+                estimate = Estimate(value, value / spread, value * spread)
+                estimates[f"acceleration_limit.{key}"] = estimate
             elif kind == "acceleration" and fastest[part] > _FAST:
                 missing.append(
                     f"no limit of the {name} acceleration shows up to {fastest[part]:.2g} {unit}"
                 )
             elif kind == "acceleration":
-                missing.append(f"no fast {motion}: {name} acceleration unknown; {DRIVE}")
-    return found
+                missing.append(f"no fast {change}: {name} acceleration unknown; {DRIVE}")
+    return estimates
 
 
 def _fastest(velocities: Sequence[Array], dt: float) -> Array:
@@ -148,26 +156,42 @@ def _fastest(velocities: Sequence[Array], dt: float) -> Array:
 
 
 def _result(
-    ways: Sequence[Ways],
-    model: BaseModel,
-    found: dict[str, Estimate],
-    missing: Sequence[str],
-    latency: float,
-) -> Fit:
+    tracks: Sequence[Track], model: BaseModel, estimates: dict[str, Estimate],
+    missing: Sequence[str], latency: float,
+) -> Fit:  # fmt: skip
     names = {
         "base_lag": "actuator_lag.base", "arm_lag": "actuator_lag.arm",
         "acceleration": "acceleration_limit.linear", "jerk": "acceleration_limit.linear_jerk",
         "rotation_acceleration": "acceleration_limit.angular",
         "rotation_jerk": "acceleration_limit.angular_jerk",
     }  # fmt: skip
-    known = {key: found[name].value for key, name in names.items() if name in found}
-    if "sensor_latency.seconds" in found:
-        jitter = found["sensor_latency.jitter"].value
-        known["sensor_latency"] = found["sensor_latency.seconds"].value + jitter / 2.0
-    response = ResponseModel(command_latency=max(0.0, latency), **known)
-    predicted = [way.predicted(model.velocities(way.log, BASE_DRAWS)) for way in ways]
+    values = {key: estimates[name].value for key, name in names.items() if name in estimates}
+    if "sensor_latency.seconds" in estimates:
+        jitter = estimates["sensor_latency.jitter"].value
+        values["sensor_latency"] = estimates["sensor_latency.seconds"].value + jitter / 2.0
+    response = ResponseModel(command_latency=max(0.0, latency), **values)
+    predicted = [track.predicted(model.velocities(track.log, BASE_DRAWS)) for track in tracks]
     return Fit(
-        found, response, tuple(missing), tuple(way.times for way in ways),
-        tuple(way.moved / way.seconds[:, np.newaxis] for way in ways),
-        tuple(p / w.seconds[:, np.newaxis] for p, w in zip(predicted, ways, strict=True)),
+        estimates, response, tuple(missing), tuple(track.times for track in tracks),
+        tuple(track.moved / track.seconds[:, np.newaxis] for track in tracks),
+        tuple(p / w.seconds[:, np.newaxis] for p, w in zip(predicted, tracks, strict=True)),
     )  # fmt: skip
+
+
+def adapter_list(estimates: Mapping[str, Estimate]) -> tuple[PluginSpec, ...]:
+    """Return the adapters of a robot, with the intervals of the estimates as ranges."""
+    specs = []
+    for name in _ORDER:
+        parameters: dict[str, object] = {
+            key.partition(".")[2]: _range(estimate)
+            for key, estimate in estimates.items()
+            if key.partition(".")[0] == name
+        }
+        if parameters or name in _OF_ROBOT:
+            specs.append(PluginSpec(name, parameters))
+    return tuple(specs)
+
+
+def _range(estimate: Estimate) -> float | list[float]:
+    low, high = (float(f"{end:.3g}") for end in (estimate.low, estimate.high))
+    return low if low == high else [low, high]

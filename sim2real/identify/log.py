@@ -59,7 +59,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
     if not np.isfinite(np.concatenate([poses, joints, commanded], axis=1)).all():
         raise KinfeasError(f"{source}: has numbers that are not finite")
     age = np.where(np.isfinite(record.age[kept]), record.age[kept], 0.0)
-    known = np.isfinite(record.age[kept]) & (np.arange(len(time)) > 0)
+    measured_age = np.isfinite(record.age[kept]) & (np.arange(len(time)) > 0)
     measured = time - age
     base = np.stack([poses[:, 0], poses[:, 1], np.unwrap(yaw(poses))], axis=1)
     # The command of a line was active since the line before.
@@ -67,7 +67,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
         source, robot, record.about.dt,
         (time[:-1], record.base_twist[kept][1:][:, [0, 1, 5]]),
         (time[:-1], record.joint_targets[kept][1:]),
-        (measured, base), (measured, joints), record.age[kept][known], end=float(time[-1]),
+        (measured, base), (measured, joints), record.age[kept][measured_age], end=float(time[-1]),
     )  # fmt: skip
 
 
@@ -76,17 +76,9 @@ Series = tuple[Array, Array]
 
 
 def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
-    source: str,
-    robot: Robot,
-    dt: float,
-    twists: Series,
-    targets: Series,
-    base: Series,
-    joints: Series,
-    ages: Array,
-    *,
-    end: float,
-) -> Log:
+    source: str, robot: Robot, dt: float, twists: Series, targets: Series, base: Series,
+    joints: Series, ages: Array, *, end: float,
+) -> Log:  # fmt: skip
     """Return a log of commands, which hold from their times on until `end`, and measurements.
 
     Raises:
@@ -111,8 +103,7 @@ def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
 
 
 def _unwrapped(robot: Robot, positions: Array) -> Array:
-    unwrapped: Array = np.where(robot.continuous, np.unwrap(positions, axis=0), positions)
-    return unwrapped
+    return np.where(robot.continuous, np.unwrap(positions, axis=0), positions)
 
 
 def _newer(times: Array) -> NDArray[np.intp]:
@@ -127,12 +118,9 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * steps[:, None], 0)])
     knots = np.append(times, max(edges[-1], times[-1]) + 1e-12)
     at = np.stack([np.interp(edges, knots, column) for column in sums.T], axis=1)
-    means: Array = np.diff(at, axis=0) / np.diff(edges)[:, np.newaxis]
-    return means
+    return np.diff(at, axis=0) / np.diff(edges)[:, np.newaxis]
 
 
 def _held(times: Array, values: Array, moments: Array) -> Array:
-    """Return the values that are held at some moments."""
     last = np.searchsorted(times, moments, side="right") - 1
-    held: Array = values[np.maximum(last, 0)]
-    return held
+    return values[np.maximum(last, 0)]

@@ -1,4 +1,4 @@
-"""Delays of commands, the response of a base to them, and its ways between measurements."""
+"""Delays of commands, the response of a base to them, and its track in a log."""
 
 from dataclasses import dataclass, replace
 
@@ -12,21 +12,45 @@ from kinfeas.sim2real.identify.statistics import interpolated
 _SHORTEST = 0.6  # periods between measured poses
 
 
+_OFFSETS = (np.arange(32) + 0.5) / 32.0
+"""Fractions of a period at which the active command is looked up."""
+
+_NARROW = 0.125  # periods of jitter at least, so that weights change smoothly with the latency
+_LOST = 16  # commands lost in a row that are counted
+
+
 @dataclass(frozen=True)
 class Delays:
-    """Delays of commands: the shortest, seconds, their jitter, and the probability of a loss."""
+    """Delays of commands.
+
+    Attributes:
+        latency: Minimum delay, seconds.
+        jitter: Width of the uniform distribution of additional delays, seconds.
+        lost: Probability that a command is lost.
+    """
 
     latency: float
     jitter: float = 0.0
     lost: float = 0.0
 
     def weights(self, dt: float) -> Array:
-        """Return the mean weights of commands, as `chain.delay_weights`."""
-        return chain.delay_weights(self.latency, self.jitter, self.lost, dt)
+        """Return the mean weight of each command in a period, shape (k,), the newest first."""
+        width = max(self.jitter, _NARROW * dt)
+        first = self.latency + 0.5 * (self.jitter - width)
+        count = int(np.ceil(max(first + width, 0.0) / dt)) + 2
+        ages = (_OFFSETS[:, np.newaxis] + np.arange(count)) * dt
+        arrived = np.clip((ages - first) / width, 0.0, 1.0)
+        earlier = np.cumprod(1.0 - arrived, axis=1)
+        active = arrived * np.concatenate([np.ones((len(ages), 1)), earlier[:, :-1]], axis=1)
+        weights, lost = active.mean(axis=0), self.lost
+        if lost > 0.0:
+            return np.convolve(weights, (1.0 - lost) * lost ** np.arange(_LOST))
+        return weights
 
     def mean(self, dt: float) -> float:
         """Return the mean delay, seconds."""
-        return chain.mean_delay(self.weights(dt), dt)
+        weights = self.weights(dt)
+        return float(weights @ np.arange(len(weights))) * dt
 
     def spread(self, jitter: float, lost: float, dt: float) -> "Delays":
         """Return delays with the same mean."""
@@ -57,11 +81,11 @@ class BaseModel:
         return chain.mean_moved_base(log.twists, log.dt, *delays, *limits, numbers)
 
 
-class Ways:
-    """Ways of the base between measurements, shape (k, 3), m and rad.
+class Track:
+    """Displacements of the base between the measurements of a log, shape (k, 3), m and rad.
 
     Attributes:
-        moved: Measured ways.
+        moved: Measured displacements.
         seconds: Duration of each, shape (k,).
         squares: Sum of the squared durations in each period, of which the variance consists where
             the velocity has noise that is constant in each, and measurements are interpolated.
@@ -70,7 +94,7 @@ class Ways:
     def __init__(self, log: Log) -> None:
         self.log = log
         self._at = np.clip(log.base_times / log.dt, 0.0, len(log.twists))
-        # Errors of times would be large in short ways.
+        # Errors of times would be large in short displacements.
         rows, last = [0], float(self._at[0])
         for row, at in enumerate(self._at.tolist()):
             if at - last >= _SHORTEST:
@@ -87,7 +111,7 @@ class Ways:
         self.squares: Array = squares * log.dt**2
 
     def predicted(self, velocities: Array) -> Array:
-        """Return the ways at a velocity for each period, shape (n, 3)."""
-        way = np.concatenate([np.zeros((1, 3)), np.cumsum(velocities, axis=0) * self.log.dt])
-        at = interpolated(way, self._at)
+        """Return the displacements at a velocity for each period, shape (n, 3)."""
+        path = np.concatenate([np.zeros((1, 3)), np.cumsum(velocities, axis=0) * self.log.dt])
+        at = interpolated(path, self._at)
         return np.diff(at, axis=0)

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify.log import Log
-from kinfeas.sim2real.identify.model import Ways
+from kinfeas.sim2real.identify.model import Track
 from kinfeas.sim2real.identify.statistics import (
     DRIVE,
     NORMAL,
@@ -40,23 +40,21 @@ class Walk:
 
 def spread_of(rest: Array) -> Array:
     """Return robust standard deviations of columns, (k, w) -> (w,), m/s or rad/s."""
-    spread: Array = np.maximum(1.4826 * np.median(np.abs(rest), axis=0), _LEAST_VELOCITY)
-    return spread
+    return np.maximum(1.4826 * np.median(np.abs(rest), axis=0), _LEAST_VELOCITY)
 
 
 def jumps(rest: Array, deviation: Array, speed: Array) -> Flags:
-    """Return which rests of ways are jumps, shape (k,).
+    """Return which rests of displacements are jumps, shape (k,).
 
     Standard deviations and predicted speeds have the shape of the rests, (k, 3). The times of
     measurements may be off by some milliseconds.
     """
     least = np.maximum(_JUMP * deviation, _LEAST_JUMP + _LATE * np.abs(speed))
-    flags: Flags = np.max(np.abs(rest) / least, axis=1) > 1.0
-    return flags
+    return np.max(np.abs(rest) / least, axis=1) > 1.0
 
 
 def widened(flags: Flags) -> Flags:
-    """Return the flags and their neighbours: an interpolated jump is in two ways."""
+    """Return the flags and their neighbours: an interpolated jump is in two displacements."""
     wide = flags.copy()
     wide[1:] |= flags[:-1]
     wide[:-1] |= flags[1:]
@@ -69,7 +67,7 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
     That is so where measurements are interpolated between periods; `at` are their times in periods.
     Without a rest, the variance is a guess.
     """
-    rests, shares = [], []
+    rests, overlaps = [], []
     for log, moments in zip(logs, at, strict=True):
         settled = round(_ARM_SETTLES / log.dt)
         still = np.concatenate([[True], (np.diff(log.targets, axis=0) == 0.0).all(axis=1)])
@@ -83,13 +81,13 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
             if end - begin > 10:
                 part = log.joints[begin:end]
                 rests.append((part - part.mean(axis=0)) * np.sqrt(len(part) / (len(part) - 1.0)))
-                shares.append(overlap(moments[begin:end]))
+                overlaps.append(overlap(moments[begin:end]))
     if not rests:
         steps = np.concatenate([np.diff(log.joints, n=2, axis=0) for log in logs])
         guess = float(np.median(np.abs(steps)) / 0.6745 / np.sqrt(6.0)) + 1e-6
         return None, guess**2, False
-    rest, share = np.concatenate(rests), np.concatenate(shares)
-    variance, interpolated = _variance(rest, share, np.ones(len(share)))
+    rest, scale = np.concatenate(rests), np.concatenate(overlaps)
+    variance, interpolated = _variance(rest, scale, np.ones(len(scale)))
     return deviation(variance, rest.size), variance + _LEAST_POSITION**2, interpolated
 
 
@@ -121,28 +119,25 @@ def _variance(rest: Array, first: Array, second: Array) -> tuple[float, bool]:
 
 
 def base_noise(
-    ways: Sequence[Ways], velocities: Sequence[Array], walk: Walk, missing: list[str]
+    tracks: Sequence[Track], velocities: Sequence[Array], walk: Walk, missing: list[str]
 ) -> dict[str, Estimate]:
     """Return the noise of the base, and drift and jumps of its localisation."""
-    dt = ways[0].log.dt
-    rests = [way.moved - way.predicted(v) for way, v in zip(ways, velocities, strict=True)]
+    dt = tracks[0].log.dt
+    predicted = [track.predicted(v) for track, v in zip(tracks, velocities, strict=True)]
+    rests = [track.moved - p for track, p in zip(tracks, predicted, strict=True)]
     rest = np.concatenate(rests)
-    shape = np.concatenate([way.squares for way in ways])
-    constant = np.concatenate([way.seconds * dt for way in ways])
-    quiet = np.concatenate([_quiet(way, v) for way, v in zip(ways, velocities, strict=True)])
+    shape = np.concatenate([track.squares for track in tracks])
+    constant = np.concatenate([track.seconds * dt for track in tracks])
+    quiet = np.concatenate([_quiet(track, v) for track, v in zip(tracks, velocities, strict=True)])
     scale = np.sqrt(shape)[:, np.newaxis]
-    speed = np.concatenate(
-        [
-            way.predicted(v) / way.seconds[:, np.newaxis]
-            for way, v in zip(ways, velocities, strict=True)
-        ]
-    )
+    seconds = np.concatenate([track.seconds for track in tracks])[:, np.newaxis]
+    speed = np.concatenate(predicted) / seconds
     jump = jumps(rest, scale * spread_of(rest / scale), speed)
     used = ~widened(jump) & quiet
-    found: dict[str, Estimate] = {}
+    estimates: dict[str, Estimate] = {}
     if used.sum() < 50:
         missing.append(f"no time at constant velocity: noise of the base unknown; {DRIVE}")
-        return found
+        return estimates
     used = _calmest(rest, shape, used, np.abs(speed).max(axis=1) < _CHANGES)
     drifts = []
     for name, axes, drift in (
@@ -152,20 +147,20 @@ def base_noise(
         # Neighbours share a period.
         error = variance * np.sqrt(2.0 / (len(axes) * used.sum() / 1.6)) + SLACK * variance / 2.0
         drift = min(drift, float(np.sqrt(variance * dt)))
-        known = drift**2 / dt
+        drift_variance = drift**2 / dt
         value, low, high = (
-            float(np.sqrt(max(0.0, each - known)))
+            float(np.sqrt(max(0.0, each - drift_variance)))
             for each in (variance, variance - NORMAL * error, variance + NORMAL * error)
         )
-        found[f"base_noise.{name}"] = Estimate(value, low, high)
+        estimates[f"base_noise.{name}"] = Estimate(value, low, high)
         drifts.append(drift)
     for name, drift in zip(("drift", "turn_drift"), drifts, strict=True):
-        found[f"localisation.{name}"] = Estimate(drift, drift, drift)
+        estimates[f"localisation.{name}"] = Estimate(drift, drift, drift)
     missing.append(
         "noise of the base and drift of its localisation look alike: a drift of "
         f"{drifts[0]:.3g} m and {drifts[1]:.3g} rad after 1 s is assumed"
     )
-    return found | _localisation_jumps(ways, rests, jump, drifts)
+    return estimates | _localisation_jumps(tracks, rests, jump, drifts)
 
 
 def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:
@@ -180,48 +175,46 @@ def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:
     return both[0] if np.any(moving > _MORE * calm) else used
 
 
-def _quiet(way: Ways, velocities: Array) -> Flags:
-    """Return in which ways the predicted velocity is constant, shape (k,)."""
-    number = np.minimum((way.times / way.log.dt).astype(np.intp), len(velocities) - 1)
-    wide = max(1, round(0.1 / way.log.dt))
+def _quiet(track: Track, velocities: Array) -> Flags:
+    """Return in which displacements the predicted velocity is constant, shape (k,)."""
+    number = np.minimum((track.times / track.log.dt).astype(np.intp), len(velocities) - 1)
+    wide = max(1, round(0.1 / track.log.dt))
     padded = np.pad(velocities, ((wide, wide), (0, 0)), mode="edge")
     change = np.abs(padded[2 * wide :] - padded[: -2 * wide]).max(axis=1)
-    quiet: Flags = change[number] < _CHANGES
-    return quiet
+    return change[number] < _CHANGES
 
 
 def _localisation_jumps(
-    ways: Sequence[Ways], rests: Sequence[Array], jump: Flags, drifts: Sequence[float]
+    tracks: Sequence[Track], rests: Sequence[Array], jump: Flags, drifts: Sequence[float]
 ) -> dict[str, Estimate]:
     """Return rate and size of jumps, each of which draws a new error, none at first."""
-    seconds = sum(way.log.seconds for way in ways)
+    seconds = sum(track.log.seconds for track in tracks)
     sums, walked, count, first = np.zeros(3), np.zeros(3), 0, 0
     ends = np.cumsum([len(rest) for rest in rests])[:-1]
-    for way, rest, flags in zip(ways, rests, np.split(jump, ends), strict=True):
+    for track, rest, flags in zip(tracks, rests, np.split(jump, ends), strict=True):
         starts = np.flatnonzero(flags & ~np.concatenate([[False], flags[:-1]]))
         last = 0.0
         for start in starts:
-            # An interpolated jump lies in several ways.
+            # An interpolated jump lies in several displacements.
             end = start + int(np.argmin(np.append(flags[start:], False)))
             sums += rest[max(0, start - 1) : end + 1].sum(axis=0) ** 2
-            walked += (way.times[start] - last) * np.array([drifts[0], drifts[0], drifts[1]]) ** 2
-            last = float(way.times[start])
+            walked += (track.times[start] - last) * np.array([drifts[0], drifts[0], drifts[1]]) ** 2
+            last = float(track.times[start])
         count, first = count + len(starts), first + bool(len(starts))
-    low = chi2.ppf(0.025, 2.0 * max(count, 0.5)) / 2.0 / seconds
-    high = chi2.ppf(0.975, 2.0 * count + 2.0) / 2.0 / seconds
-    rate = Estimate(count / seconds, float(low) if count else 0.0, float(high))
     if not count:
-        none = Estimate(0.0, 0.0, 0.0)
-        return {"localisation.jump": none, "localisation.turn_jump": none,
-                "localisation.rate": none}  # fmt: skip
+        keys = "localisation.jump", "localisation.turn_jump", "localisation.rate"
+        return dict.fromkeys(keys, Estimate(0.0, 0.0, 0.0))
+    low = chi2.ppf(0.025, 2.0 * count) / 2.0 / seconds
+    high = chi2.ppf(0.975, 2.0 * count + 2.0) / 2.0 / seconds
+    rate = Estimate(count / seconds, float(low), float(high))
     variances = np.maximum(sums - walked, 0.05 * sums) / (2.0 * count - first)
     sizes = {"jump": (float(variances[:2].mean()), 2.0), "turn_jump": (float(variances[2]), 1.0)}
-    found = {}
+    estimates = {}
     for name, (variance, axes) in sizes.items():
         degrees = max(1.0, count * axes / 2.0)
         ends_of: Array = np.sqrt(variance * degrees / chi2.ppf([0.975, 0.025], degrees))
-        found[f"localisation.{name}"] = Estimate(float(np.sqrt(variance)), *ends_of.tolist())
-    return {**found, "localisation.rate": rate}
+        estimates[f"localisation.{name}"] = Estimate(float(np.sqrt(variance)), *ends_of.tolist())
+    return {**estimates, "localisation.rate": rate}
 
 
 def sensor_ages(logs: Sequence[Log], missing: list[str]) -> dict[str, Estimate]:

@@ -1,6 +1,6 @@
 """Estimates, and the statistics of fits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,8 +49,8 @@ def lag_estimate(value: float, error: float, dt: float) -> Estimate:
 def deviation(variance: float, count: int) -> Estimate:
     """Return the estimate of a standard deviation by the variance of `count` numbers."""
     value = float(np.sqrt(variance))
-    share = NORMAL / np.sqrt(2.0 * count / 1.6) + SLACK
-    return Estimate(value, value * (1.0 - share), value * (1.0 + share))
+    margin = NORMAL / np.sqrt(2.0 * count / 1.6) + SLACK
+    return Estimate(value, value * (1.0 - margin), value * (1.0 + margin))
 
 
 def posterior(values: Array, weights: Array) -> Estimate:
@@ -62,6 +62,13 @@ def posterior(values: Array, weights: Array) -> Estimate:
     if weights[0] > 0.025:
         low = values[0]
     return Estimate(mean, float(low), float(high))
+
+
+def time_blocks(times: Sequence[Array]) -> NDArray[np.intp]:
+    """Return the numbers of the blocks of `BLOCK` seconds that times of several logs are in."""
+    blocks = [np.floor(seconds / BLOCK).astype(np.intp) for seconds in times]
+    firsts = np.cumsum([0, *(block.max() + 1 for block in blocks[:-1])])
+    return np.concatenate([block + first for block, first in zip(blocks, firsts, strict=True)])
 
 
 def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.intp]) -> Array:
@@ -76,8 +83,7 @@ def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.int
     scores = np.zeros((int(blocks.max()) + 1, derivatives.shape[1]))
     np.add.at(scores, blocks, derivatives * np.clip(residuals, -5.0, 5.0)[:, np.newaxis])
     robust = inverse @ (scores.T @ scores) @ inverse
-    errors: Array = np.sqrt(np.maximum(np.diag(robust), np.diag(inverse)))
-    return errors
+    return np.sqrt(np.maximum(np.diag(robust), np.diag(inverse)))
 
 
 def derivatives(function: Callable[[Array], Array], z: Array) -> Array:

@@ -1,6 +1,8 @@
 """A robot behind a link as a backend of the loop, the same for every transport."""
 
+from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +67,7 @@ class LinkBackend(RealTimeBackend):
         self._joint_speed = robot.max_joint_velocity
         self._target: Array | None = None  # of the last command
         self._opened = False
-        self._scan_sources = getattr(link, "scan_sources", None)
+        self._scan_sources: Any = getattr(link, "scan_sources", None)
         self.scanner = None if self._scan_sources is None else self
 
     def reset(
@@ -81,12 +83,7 @@ class LinkBackend(RealTimeBackend):
         if not self._opened:
             self.link.open(self._inbox.readings())
             self._opened = True
-        end = self._clock.monotonic() + self._timeout
-        while any(self._inbox.missing()) or self.link.waits_for() is not None:
-            self.link.check()
-            if self._clock.monotonic() > end:
-                raise KinfeasError(self._missing())
-            self._clock.sleep(_POLL)
+        self._wait(self._missing)
         self._check_other_joints()
         self.rate = self._target = None
         return self.read()
@@ -157,17 +154,25 @@ class LinkBackend(RealTimeBackend):
             raise KinfeasError(
                 "the policy needs a scan: add 'scan' or 'costmap' to the topics file of the robot"
             )
+        self._wait(self._missing_scan)
+        return self._inbox.scan()
+
+    def _wait(self, missing: Callable[[], str]) -> None:
+        """Wait until nothing is missing; raise KinfeasError with what is after the timeout."""
         end = self._clock.monotonic() + self._timeout
-        while missing := self._scan_sources.keys() - self._inbox.scans():
+        while reason := missing():
             self.link.check()
             if self._clock.monotonic() > end:
-                named = " or ".join(sorted(self._scan_sources[kind] for kind in missing))
-                raise KinfeasError(
-                    f"no scan came from {named} within {self._timeout:g} s: is the sensor on, "
-                    "and do the names in the topics file fit?"
-                )
+                raise KinfeasError(reason)
             self._clock.sleep(_POLL)
-        return self._inbox.scan()
+
+    def _missing_scan(self) -> str:
+        missing = self._scan_sources.keys() - self._inbox.scans()
+        topics = " or ".join(sorted(self._scan_sources[kind] for kind in missing))
+        return topics and (
+            f"no scan came from {topics} within {self._timeout:g} s: is the sensor on, and do the "
+            "names in the topics file fit?"
+        )
 
     def _hold(self) -> None:
         if not any(self._inbox.missing()):
@@ -196,7 +201,8 @@ class LinkBackend(RealTimeBackend):
         if joints:
             present, missing = ", ".join(sorted(self._inbox.positions())), ", ".join(joints)
             return f"{self.link.joint_source} has no position of {missing}; it has {present}"
-        return f"{self.link.waits_for()} has no subscriber {within}"
+        command = self.link.waits_for()
+        return "" if command is None else f"{command} has no subscriber {within}"
 
     def _check_other_joints(self) -> None:
         """Check the joints between base and EE that the kinematic model holds fixed."""

@@ -138,9 +138,7 @@ class Rate:
 
 def peak_memory_mb() -> float:
     """Return the peak memory of this process and its children so far, 10^6 bytes."""
-    most = max(
-        resource.getrusage(who).ru_maxrss
-        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
+    processes = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+    most = max(resource.getrusage(who).ru_maxrss for who in processes)
     # Linux counts kibibytes, macOS bytes.
     return most / 1e6 if sys.platform == "darwin" else most * 1024 / 1e6

@@ -152,7 +152,6 @@ def costmap_of(
     dx, dy = left + centres - x, (up + centres - y)[:, np.newaxis]
     ends = np.where(ranges < SCAN_RANGE, ranges, np.inf)
     behind = np.hypot(dx, dy) - ends[beam(wrap(np.arctan2(dy, dx) - yaw))]
-    cells = np.where(
-        behind > 2.0 * resolution, UNKNOWN, np.where(behind >= -0.5 * resolution, OCCUPIED, 0)
-    )
+    cells = np.where(behind >= -0.5 * resolution, OCCUPIED, 0)
+    cells = np.where(behind > 2.0 * resolution, UNKNOWN, cells)
     return CostmapReading(cells.astype(np.int8), resolution, (left, up, 0.0))

@@ -100,11 +100,8 @@ class RosLink:
         tf = f"/tf ({base.world_frame} to {base.frame})"
         self.base_source = base.odometry if base.measured_by == "odometry" else tf
         self.joint_source = topics.joints.measured
-        self.scan_sources: dict[type[LaserReading] | type[CostmapReading], str] = {}
-        if topics.scan is not None:
-            self.scan_sources[LaserReading] = topics.scan.topic
-        if topics.costmap is not None:
-            self.scan_sources[CostmapReading] = topics.costmap.topic
+        sources = ((LaserReading, topics.scan), (CostmapReading, topics.costmap))
+        self.scan_sources = {kind: source.topic for kind, source in sources if source is not None}
         self._topics, self._bus, self._drift = topics, bus, drift
         self._publishers: dict[str, Publisher] = {}
         self._frame_fault: str | None = None
@@ -115,9 +112,8 @@ class RosLink:
         self._frame_fault = None
         topics, messages = self._topics, self._bus.messages
         base = messages.TwistStamped if topics.base.stamped else messages.Twist
-        types = {topics.base.command: base}
-        for controller in topics.joints.controllers:
-            types[controller.command] = messages.JointTrajectory
+        arm = (controller.command for controller in topics.joints.controllers)
+        types = {topics.base.command: base, **dict.fromkeys(arm, messages.JointTrajectory)}
         if topics.gripper is not None:
             types[topics.gripper.command] = ros_messages.gripper_type(messages, topics.gripper)
         self._publishers = {topic: self._bus.publisher(topic, types[topic]) for topic in types}

@@ -85,15 +85,12 @@ def from_laser_scan(topic: ScanTopic, base_frame: str, message: Any) -> LaserRea
     """Return the measurement of a sensor_msgs/LaserScan."""
     in_base = message.header.frame_id.lstrip("/") == base_frame.lstrip("/")
     sign = -1.0 if topic.upside_down and not in_base else 1.0
+    mount = (0.0, 0.0, 0.0) if in_base else (topic.x, topic.y, topic.yaw)
     return LaserReading(
-        np.array(message.ranges, dtype=float),
-        sign * message.angle_min,
-        sign * message.angle_increment,
-        message.range_min,
-        message.range_max,
-        (0.0, 0.0, 0.0) if in_base else (topic.x, topic.y, topic.yaw),
+        np.array(message.ranges, dtype=float), sign * message.angle_min,
+        sign * message.angle_increment, message.range_min, message.range_max, mount,
         message.header.stamp.to_sec() or None,
-    )
+    )  # fmt: skip
 
 
 def laser_scan(messages: Any, ranges: Array) -> Any:

@@ -150,13 +150,9 @@ def start_node(name: str) -> None:
         config = Path(__file__).with_name("ros1_logging.yaml")
         os.environ.setdefault("ROS_PYTHON_LOG_CONFIG_FILE", str(config))
         rospy.init_node(
-            name,
-            argv=[name],
-            anonymous=True,
-            disable_signals=True,
-            disable_rosout=True,
+            name, argv=[name], anonymous=True, disable_signals=True, disable_rosout=True,
             disable_rostime=True,
-        )
+        )  # fmt: skip
         threading.Thread(target=_shut_down_at_exit, args=(rospy,), daemon=True).start()
 
 

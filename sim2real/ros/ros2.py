@@ -193,7 +193,6 @@ def _to_sec(message: Any) -> float:
 
 
 def _message_classes() -> SimpleNamespace:
-    """Return the classes of `_MESSAGES` by name."""
     classes: dict[str, Any] = {}
     for line in _MESSAGES.strip().splitlines():
         name, *fields = line.split()

@@ -165,9 +165,8 @@ def read_topics(robot: Robot, version: Version, file: str | None = None) -> Topi
     if file is None and not path.is_file():
         raise KinfeasError(f"{path} does not exist; --set backend.topics=FILE or --topics FILE")
     topics = config.load(Topics, path)
-    commanded = Counter(
-        name for controller in topics.joints.controllers for name in controller.joints
-    )
+    controllers = topics.joints.controllers
+    commanded = Counter(name for controller in controllers for name in controller.joints)
     arm = Counter(topics.joints.names.get(joint.name, joint.name) for joint in robot.arm)
     if commanded != arm:
         wrong = sorted((commanded - arm) + (arm - commanded))

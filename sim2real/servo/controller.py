@@ -21,10 +21,10 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.servo.messages import Frames, Message, chunk_in_world
-from kinfeas.sim2real.servo.sender_clock import SenderClock
+from kinfeas.sim2real.servo.messages import Frames, Message, SenderClock, chunk_in_world
 from kinfeas.tasks.task import MotionSpec, Subgoal
 
+_MOST_POSES = 64  # of a chunk
 _QUEUE = 256  # messages in a control period; older ones are dropped
 _LONG = 2.0  # s after which ignored messages are reported
 _ROW = np.zeros(1, dtype=np.intp)
@@ -52,15 +52,13 @@ class TargetController:
         self,
         robot: Robot,
         rules: TargetRules | None = None,
-        *,
-        max_poses: int = 64,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Take chunks of at most `max_poses` poses, at the seconds of a `clock`."""
+        """Take chunks of at most 64 poses, at the seconds of a `clock`."""
         self.robot, self.rules, self._clock = robot, rules or TargetRules(), clock
         self.pose = self.base_pose = spatial.IDENTITY
         self.running = False
-        self._inbox = TargetInbox(self.rules, max(2, max_poses))
+        self._inbox = TargetInbox(self.rules, _MOST_POSES)
         self._queue: deque[Message] = deque(maxlen=_QUEUE)
         self._kept: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_QUEUE)
         self._frames = Frames(robot)
@@ -175,14 +173,9 @@ class TargetController:
         return period if self.live[0] else period.commanded(np.zeros_like(period.command))
 
     def _put(
-        self,
-        values: ArrayLike,
-        stamp: float | None,
-        times: ArrayLike | None,
-        frame: str,
-        observed: float | None = None,
-        keep: float = 0.0,
-    ) -> None:
+        self, values: ArrayLike, stamp: float | None, times: ArrayLike | None, frame: str,
+        observed: float | None = None, keep: float = 0.0,
+    ) -> None:  # fmt: skip
         arrival = self._clock()
         try:  # copies, since the sender may write into its arrays
             message = Message(

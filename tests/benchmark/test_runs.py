@@ -14,15 +14,10 @@ from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 from tests.benchmark.benchmark_cases import study
-from tests.builders import random_network
+from tests.builders import TRAINING, random_network
 
 OUT = Path("out")
-TINY = {
-    "robot": "hsr", "num_envs": 8, "learner.net_arch": [8], "learner.batch_size": 16,
-    "learner.buffer_size": 1000, "learner.learning_starts": 16, "schedule.steps": 64,
-    "schedule.minutes": None, "schedule.evaluations": 1, "schedule.evaluation_episodes": 2,
-    "schedule.final_episodes": 2,
-}  # fmt: skip
+TINY = TRAINING | {"robot": "hsr", "schedule.steps": 64, "schedule.minutes": None}
 
 
 def tiny(settings=None):

@@ -7,8 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation
-from kinfeas.importer.arm import find_arm, place
+from kinfeas.importer.arm import find_arm, place, read_hand
 from kinfeas.importer.boxed import MARGIN, boxed_urdf, fit_primitives, on_the_floor
+from kinfeas.importer.draft import stated
+from kinfeas.importer.reach import RELEVANT, only_fitted, touching
+from kinfeas.robots.loading import build_robot
 from kinfeas.robots.urdf_file import parse_urdf
 
 trimesh = pytest.importorskip("trimesh")
@@ -126,3 +129,37 @@ def test_a_root_above_the_floor_gets_one_on_it(dolly, changed, taken, name):
     down = np.array([0.0, 0.0, -1.0])
     lowest = max(one.reach(down) for one in place(urdf, urdf.links, urdf.root, urdf.link_poses({})))
     assert lowest == pytest.approx(0.0, abs=1e-9)
+
+
+MESH = '<collision><geometry><mesh filename="part.stl"/></geometry></collision>'
+NARROW = 'lower="-2" upper="2"', 'lower="-0.3" upper="0.3"'
+
+BRACKET = [  # size and centre of its plates; boxes around its halves are as large together
+    ((0.4, 0.01, 0.2), (-0.1, 0.15, 0.2)),
+    ((0.4, 0.01, 0.2), (-0.1, -0.15, 0.2)),
+    ((0.01, 0.31, 0.2), (-0.3, 0.0, 0.2)),
+]
+BLOCK = [((0.4, 0.31, 0.2), (-0.1, 0.0, 0.2))]
+STOP = ((0.02, 0.31, 0.02), (0.0, 0.0, 0.25))  # in the way of a small part of the postures
+
+
+@pytest.mark.parametrize(
+    ("parts", "false"), [(BRACKET, True), (BLOCK, False), ([*BRACKET, STOP], False)]
+)
+def test_pairs_are_false_contacts_if_their_meshes_never_touch(changed, parts, false):
+    pytest.importorskip("fcl")
+    path = changed(NARROW, ('<link name="lower"/>', f'<link name="lower">{MESH}</link>'))
+    boxes = [trimesh.creation.box(size).apply_translation(at) for size, at in parts]
+    trimesh.util.concatenate(boxes).export(path.with_name("part.stl"))
+    originals = {}
+    path.with_name("boxed.urdf").write_text(boxed_urdf(path, originals=originals))
+    urdf = parse_urdf(path.with_name("boxed.urdf"))
+    arm = find_arm(urdf, None, "dolly")
+    spec = stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
+    robot = build_robot(spec, urdf, path, path)
+    fractions, pair = touching(robot), ("lower", "palm")  # which meet in the folded arm
+    assert fractions[pair] > RELEVANT
+    pairs = only_fitted(robot, originals, fractions)
+    assert (pair in pairs) == false
+    assert pairs.items() <= fractions.items()
+    assert not only_fitted(robot, {}, fractions)  # nothing was fitted

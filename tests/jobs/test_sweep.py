@@ -9,7 +9,7 @@ from kinfeas.jobs.job import build_engine, run_jobs
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import DivergedError
-from tests.builders import TRAINING
+from tests.builders import TRAINING, KilledError, stop_at
 
 optuna = pytest.importorskip("optuna")
 sweep = pytest.importorskip("kinfeas.jobs.sweep")
@@ -57,26 +57,14 @@ def test_the_first_trial_is_the_recipe_and_the_best_one_becomes_a_recipe(whole):
     assert recipe.num_envs == best["values"]["num_envs"]
 
 
-class KilledError(BaseException):
-    """Stands for a kill: nothing catches it."""
-
-
 @pytest.mark.parametrize(
     ("owner", "name"),
     [(training._Run, "_step"), (training._Run, "_save"), (optuna.Study, "tell"),
      (optuna.Trial, "suggest_categorical")],
 )  # fmt: skip
 def test_a_killed_sweep_continues_to_the_same_results(whole, tmp_path, monkeypatch, owner, name):
-    function, calls = getattr(owner, name), []
-
-    def killed(*arguments, **options):
-        calls.append(1)
-        if len(calls) == 2:
-            raise KilledError
-        return function(*arguments, **options)
-
     with monkeypatch.context() as patch, pytest.raises(KilledError):
-        patch.setattr(owner, name, killed)
+        stop_at(patch, owner, name, 2)
         finished(tmp_path)
     results = finished(tmp_path)
     assert [{**result, "policy": None} for result in results] == [

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.control.observation import HORIZON
+from kinfeas.control.observation import HORIZON, ObservedState, observe
 from kinfeas.core.backend import ObstacleDistances
-from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
+from kinfeas.core.policy import Observation
+from kinfeas.core.spatial import compose, integrate, planar_pose, wrap, yaw
 from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import spread_configurations
@@ -18,9 +19,23 @@ from kinfeas.policies.baselines.geometric_modulation import (
 )
 from kinfeas.robots.loading import load_robot
 from kinfeas.testing import check_policy
-from tests.policies.policy_inputs import policy_inputs
 
 SHAPE = np.array([[-0.1, 0.05, 0.9, 1.0, 0.3, 0.4]])
+
+
+def policy_inputs(robot, count, twist=None, base_pose=None):
+    """Return observations whose EE is to move by `twist`, (6,), or at random."""
+    rng, joints = np.random.default_rng(0), spread_configurations(robot, count)
+    if base_pose is None:
+        base_pose = planar_pose(*rng.uniform(-2.0, 2.0, (2, count)), rng.uniform(-3.0, 3.0, count))
+    if twist is None:
+        twist = rng.uniform(-0.1, 0.1, (count, 6))
+    in_base = forward(build_chain(robot), joints)
+    ee = compose(base_pose, in_base)
+    planned = integrate(ee, np.broadcast_to(twist, (count, 6)), HORIZON)
+    values = observe(ObservedState(base_pose, in_base, planned, planned, joints))
+    none = np.full((count, 7), np.nan)
+    return Observation(values, base_pose, ee, joints, ee, planned, none, none, HORIZON)
 
 
 @pytest.fixture(params=["hsr", "tiago"])  # omnidirectional and differential

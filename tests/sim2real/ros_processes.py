@@ -85,12 +85,9 @@ class Process:
         self.out = out
         with out.open("w") as file:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", code, *arguments],
-                stdout=file,
-                stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL,
-                env=env,
-            )
+                [sys.executable, "-c", code, *arguments], env=env, stdout=file,
+                stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+            )  # fmt: skip
 
     def output(self) -> str:
         return self.out.read_text()

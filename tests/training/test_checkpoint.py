@@ -105,11 +105,8 @@ def test_tensors_of_another_form_raise(saved, form):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("format", 7), ("buffer", {"position": 5, "full": False}),
-    ],
-)  # fmt: skip
+    ("key", "value"), [("format", 7), ("buffer", {"position": 5, "full": False})]
+)
 def test_foreign_numbers_raise(saved, key, value):
     folder, other = saved
     path = folder / "state.json"
@@ -136,12 +133,8 @@ def test_resuming_unpickles_nothing(whole, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("unpickled")
 
-    for owner, name in (
-        (pickle, "load"),
-        (pickle, "loads"),
-        (pickle, "Unpickler"),
-        (torch, "load"),
-    ):
-        monkeypatch.setattr(owner, name, refuse)
+    for name in ("load", "loads", "Unpickler"):
+        monkeypatch.setattr(pickle, name, refuse)
+    monkeypatch.setattr(torch, "load", refuse)
     assert resume(whole).steps == 320
     assert read_network(whole, load_robot("hsr")).weights

@@ -25,7 +25,7 @@ from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.run import finished
 from kinfeas.training.train import resume, train
-from tests.builders import contents, wait
+from tests.builders import KilledError, contents, kill, stop_at, wait
 
 # Slowed down, so that it cannot end before it is killed; no figure depends on it.
 TRAIN = """
@@ -118,27 +118,6 @@ def test_a_killed_process_resumes_to_the_same_bits(whole, tiny, tmp_path, signal
     assert 80 < checkpoint_steps(out) < 320
     resume(out)
     assert_same(out, whole)
-
-
-class KilledError(BaseException):
-    """Stands for a kill: nothing catches it."""
-
-
-def stop_at(monkeypatch, owner, name, call, stop):
-    """Let `stop` happen within the n-th call of a function."""
-    function, calls = getattr(owner, name), []
-
-    def stopped(*arguments, **options):
-        calls.append(1)
-        if len(calls) == call:
-            stop()
-        return function(*arguments, **options)
-
-    monkeypatch.setattr(owner, name, stopped)
-
-
-def kill():
-    raise KilledError
 
 
 def interrupt():
@@ -277,7 +256,7 @@ def test_a_run_with_physics_begins_in_the_analytic_world(tiny, tmp_path, monkeyp
     assert explore.call_count == 24  # 8 episodes: 20 actions of one period, then 4 of 5 periods
     assert [row[0] for row in evaluated(tmp_path / "whole")] == ["160", "320"]
     with monkeypatch.context() as patch, pytest.raises(KilledError):
-        stop_at(patch, training, "explore", 23, kill)
+        stop_at(patch, training, "explore", 23)
         train(settings, tmp_path / "run")
     resume(tmp_path / "run")
     assert_same(tmp_path / "run", tmp_path / "whole")

@@ -16,11 +16,10 @@ from kinfeas.backends.physics.robot import PLANAR_JOINTS
 from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Contacts, Grip, RobotState
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.scenes.scene import Scene
-
-_Rows = NDArray[np.intp]
 
 
 class MuJoCoBackend(PhysicsBackend):
@@ -84,13 +83,13 @@ class MuJoCoBackend(PhysicsBackend):
         self._handled = name, link, rigid
         self._set_places(self._places)
 
-    def grip(self, grip: Grip, env_ids: _Rows) -> None:
+    def grip(self, grip: Grip, env_ids: Rows) -> None:
         """Start to close or open grippers; they grasp what both fingers touch."""
         if self.robot.gripper is not None:
             self.sims.grip(grip, env_ids)
 
     def scale_dynamics(
-        self, mass: Array, friction: Array, motor_gain: Array, env_ids: _Rows
+        self, mass: Array, friction: Array, motor_gain: Array, env_ids: Rows
     ) -> None:
         """Change the dynamics of robots, as in `Dynamics`."""
         self.sims.dynamics[env_ids] = np.stack([mass, friction, motor_gain], axis=1)
@@ -190,7 +189,7 @@ class MuJoCoBackend(PhysicsBackend):
         for name in ("model", "sims", "_surroundings"):
             self.__dict__.pop(name, None)
 
-    def _place_solids(self, rows: _Rows, solids: Solids) -> None:
+    def _place_solids(self, rows: Rows, solids: Solids) -> None:
         if solids.places > self._places:
             old = self.sims
             self._set_places(solids.places)
@@ -201,16 +200,16 @@ class MuJoCoBackend(PhysicsBackend):
     def _move_solids(self, solids: Solids) -> None:
         self.sims.move_solids(np.arange(len(self._positions)), solids)
 
-    def _reset(self, rows: _Rows, base_pose: Array, joint_positions: Array) -> None:
+    def _reset(self, rows: Rows, base_pose: Array, joint_positions: Array) -> None:
         self._provide(int(rows.max(initial=0)))
         self.sims.reset(rows, base_pose, joint_positions)
         if self._handled is not None:
             self.grip("open", rows)
 
-    def _step(self, rows: _Rows, base_twist: Array, joint_targets: Array, dt: float) -> None:
+    def _step(self, rows: Rows, base_twist: Array, joint_targets: Array, dt: float) -> None:
         self.sims.step(rows, base_twist, joint_targets, dt, self.config.divide(dt))
 
-    def _read(self, rows: _Rows) -> tuple[Array, Array]:
+    def _read(self, rows: Rows) -> tuple[Array, Array]:
         count, sims = 3 + len(self.robot.arm), self.sims
         positions, velocities = self.model.at[:, :count]
         return sims.qpos[rows][:, positions], sims.qvel[rows][:, velocities]

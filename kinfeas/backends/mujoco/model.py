@@ -2,7 +2,6 @@
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinfeas.backends.mujoco.spec import (
     OWN,
@@ -22,6 +21,7 @@ from kinfeas.backends.physics.robot import (
     finger_followers,
     moving_joints,
 )
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -129,14 +129,11 @@ class Model:
         radius = np.hypot(np.where(round_, x, np.hypot(x, y)), z)
         around = np.concatenate([np.zeros_like(box), box], axis=-1)
         return {
-            "geom_type": np.where(round_, *kinds),
-            "geom_size": size,
-            "geom_rbound": radius,
-            "geom_aabb": around,
-            "bvh_aabb": around,
-        }
+            "geom_type": np.where(round_, *kinds), "geom_size": size, "geom_rbound": radius,
+            "geom_aabb": around, "bvh_aabb": around,
+        }  # fmt: skip
 
-    def solid_rows(self, name: str) -> NDArray[np.intp]:
+    def solid_rows(self, name: str) -> Rows:
         """Return the rows of solids in a field of `shapes`, shape (k,)."""
         rows = self.engine.body_bvhadr if name == "bvh_aabb" else self.engine.body_geomadr
         return np.asarray(rows[self.solid_bodies], dtype=np.intp)

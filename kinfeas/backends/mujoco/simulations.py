@@ -13,11 +13,10 @@ from kinfeas.backends.physics.drives import ArmSetpoints, base_path
 from kinfeas.control.execution import tool_pose
 from kinfeas.core.backend import Grip
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, relative, yaw
 from kinfeas.scenes.scene import Scene
-
-_Rows = NDArray[np.intp]
 
 _FIELDS = (
     "time", "qpos", "qvel", "act", "qacc_warmstart", "ctrl", "eq_active", "mocap_pos", "mocap_quat",
@@ -96,7 +95,7 @@ class Simulations:
             mine[tuple(slice(size) for size in values.shape)] = values
         self.scale_dynamics(np.arange(other.n))
 
-    def scale_dynamics(self, rows: _Rows) -> None:
+    def scale_dynamics(self, rows: Rows) -> None:
         """Apply the factors `dynamics` of some simulations to their models."""
         if not self._scaled and np.all(self.dynamics == 1.0):
             return
@@ -113,14 +112,14 @@ class Simulations:
                 values[np.ix_(rows, at)] = wide * nominal[at]
         self.batch.set_const(rows)
 
-    def place_solids(self, rows: _Rows, solids: Solids) -> None:
+    def place_solids(self, rows: Rows, solids: Solids) -> None:
         """Set the shapes and poses of the solids of m simulations, m rows."""
         for name, values in self.model.shapes(solids).items():
             at = self.model.solid_rows(name)[: solids.places]
             self._shapes[name][np.ix_(rows, at)] = values
         self.move_solids(rows, solids)
 
-    def move_solids(self, rows: _Rows, solids: Solids) -> None:
+    def move_solids(self, rows: Rows, solids: Solids) -> None:
         """Set the poses of the solids of m simulations, m rows."""
         centre = solids.centre
         pose = np.concatenate([centre[..., :3], np.roll(centre[..., 3:], 1, axis=-1)], axis=-1)
@@ -133,7 +132,7 @@ class Simulations:
         """Set the objects of a simulation as in a scene, from the next reset on."""
         self.model.write(scene, self._qpos[row], self._mocap[row])
 
-    def reset(self, rows: _Rows, base_pose: Array, joint_positions: Array) -> None:
+    def reset(self, rows: Rows, base_pose: Array, joint_positions: Array) -> None:
         """Place robots and objects at rest: base poses (m, 7), arm joints (m, j)."""
         batch, model = self.batch, self.model
         batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
@@ -147,7 +146,7 @@ class Simulations:
         self._base[rows], self.fingers[rows], self._closing[rows] = 0.0, self._at_rest, False
 
     def step(
-        self, rows: _Rows, base_twist: Array, joint_targets: Array, dt: float, steps: int
+        self, rows: Rows, base_twist: Array, joint_targets: Array, dt: float, steps: int
     ) -> None:
         """Drive bases, arms and grippers: world twists (m, 6), joint positions (m, j), seconds."""
         model = self.model
@@ -174,13 +173,12 @@ class Simulations:
             for row in rows[self._closing[rows]].tolist():
                 self._closing[row] = not self._hold(row)
 
-    def _base_path(self, rows: _Rows, twist: Array, time: Array) -> Array:
+    def _base_path(self, rows: Rows, twist: Array, time: Array) -> Array:
         """Return the setpoints of bases at world twists (m, 6), shape (m, t, 3)."""
         base, yaws = self.model.robot.base, self.qpos[:, self.model.at[0, 2]]
         differential = base.drive == "differential"
         limits = base.max_acceleration, base.max_rotation_acceleration
-        setpoints: Array = base_path(self._base, rows, twist, yaws, time, differential, *limits)
-        return setpoints
+        return base_path(self._base, rows, twist, yaws, time, differential, *limits)
 
     @property
     def held(self) -> NDArray[np.bool_]:
@@ -189,7 +187,7 @@ class Simulations:
             return np.zeros(self.n, dtype=np.bool_)
         return self._active[:, self.model.grasp] > 0.0
 
-    def grip(self, grip: Grip, rows: _Rows) -> None:
+    def grip(self, grip: Grip, rows: Rows) -> None:
         """Start to close or open the grippers of some simulations."""
         gripper = self.model.robot.gripper
         assert gripper is not None

@@ -72,9 +72,8 @@ def bodies_of(robot: Robot) -> RobotBodies:
         return {body_of[link] for joint in joints for link in robot.urdf.below(joint)}
 
     fingers = robot.gripper.fingers if robot.gripper else ()
-    return RobotBodies(
-        urdf, below(joint.name for joint in robot.arm), [below([f]) for f in fingers]
-    )
+    carried = below(joint.name for joint in robot.arm)
+    return RobotBodies(urdf, carried, [below([finger]) for finger in fingers])
 
 
 def room_spec(

@@ -49,10 +49,8 @@ class Surroundings:
 
         def cast(corners: Array, ahead: Array, height: float) -> Iterator[Obstacle]:
             starts = np.column_stack([corners + _OUTSIDE * ahead, np.full(len(corners), height)])
-            lengths, geoms, normals = batch.ray(
-                starts, [*ahead, 0.0], _OTHERS, ids=[row], normal=True
-            )
-            hits = zip(corners, lengths[0], geoms[0], normals[0], strict=True)
+            rays = batch.ray(starts, [*ahead, 0.0], _OTHERS, ids=[row], normal=True)
+            hits = zip(corners, *(values[0] for values in rays), strict=True)
             for corner, length, geom, normal in hits:
                 entered = normal[:2] @ ahead < 0.0  # else it starts inside an object
                 near = self._is_object[geom] and length <= within - _OUTSIDE

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.obstacles import Obstacle, closing_speeds, obstacle_distances
@@ -15,6 +15,7 @@ from kinfeas.backends.physics.stage import Stage, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Backend, Contacts, Grip, ObstacleDistances, RobotState, Scan
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, planar_pose
 from kinfeas.kinematics.sensing import scan
@@ -73,7 +74,7 @@ class PhysicsBackend(Backend):
         return stage
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: Rows | None = None
     ) -> RobotState:
         """Place robots and furniture at rest, without solids; shapes as in `Backend`.
 
@@ -92,7 +93,7 @@ class PhysicsBackend(Backend):
         self.solids.place(None, rows, len(self._positions))
         return self._measure(rows)
 
-    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
+    def place_solids(self, solids: Solids | None, env_ids: Rows) -> None:
         """Put solids around robots; arguments as in `Backend`."""
         self.solids.place(solids, env_ids, len(self._positions))
         if (bodies := self.solid_bodies()) is not None:
@@ -142,7 +143,7 @@ class PhysicsBackend(Backend):
         for _ in range(periods):
             self._step(rows, still, joint_positions[np.newaxis], dt)
 
-    def _measure(self, rows: NDArray[np.intp]) -> RobotState:
+    def _measure(self, rows: Rows) -> RobotState:
         """Return the state of all robots with new measurements of `rows`."""
         # Earlier states keep their arrays.
         self._positions, self._velocities = self._positions.copy(), self._velocities.copy()
@@ -163,12 +164,12 @@ class PhysicsBackend(Backend):
         """Build the first simulation; a second call does nothing."""
 
     @abstractmethod
-    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
+    def grip(self, grip: Grip, env_ids: Rows) -> None:
         """Start to close or open grippers; they grasp what both fingers touch."""
 
     @abstractmethod
     def scale_dynamics(
-        self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
+        self, mass: Array, friction: Array, motor_gain: Array, env_ids: Rows
     ) -> None:
         """Change the dynamics of robots, as in `Dynamics`."""
 
@@ -225,11 +226,11 @@ class PhysicsBackend(Backend):
         """Return the obstacles within a distance (m) of a base, except the grasped link."""
 
     @abstractmethod
-    def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None:
+    def _reset(self, rows: Rows, base_pose: Array, joint_positions: Array) -> None:
         """Place robots and furniture of m rows, and take their solids away."""
 
     @abstractmethod
-    def _place_solids(self, rows: NDArray[np.intp], solids: Solids) -> None:
+    def _place_solids(self, rows: Rows, solids: Solids) -> None:
         """Put those of all n rows of solids into m rows that have been reset."""
 
     @abstractmethod
@@ -237,10 +238,8 @@ class PhysicsBackend(Backend):
         """Move the solids of all n rows."""
 
     @abstractmethod
-    def _step(
-        self, rows: NDArray[np.intp], base_twist: Array, joint_targets: Array, dt: float
-    ) -> None: ...
+    def _step(self, rows: Rows, base_twist: Array, joint_targets: Array, dt: float) -> None: ...
 
     @abstractmethod
-    def _read(self, rows: NDArray[np.intp]) -> tuple[ArrayLike, ArrayLike]:
+    def _read(self, rows: Rows) -> tuple[ArrayLike, ArrayLike]:
         """Return positions and velocities of x, y, yaw and the arm's joints, (m, 3 + j)."""

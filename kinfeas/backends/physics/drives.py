@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.robot import arm_followers
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Rows
 from kinfeas.core.pose_kernels import inlined, wrapped
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -71,14 +71,12 @@ class ArmSetpoints:
         mimics = self._multipliers * joint_positions[..., self._leaders] + self._offsets
         return np.concatenate([joint_positions, mimics], axis=-1)
 
-    def reset(self, joint_positions: Array, rows: NDArray[np.intp] | None = None) -> None:
+    def reset(self, joint_positions: Array, rows: Rows | None = None) -> None:
         """Start at rest at joint positions, shape (m, j), of all or some rows."""
         index = slice(None) if rows is None else rows
         self.at[index], self.speed[index] = joint_positions, 0.0
 
-    def plan(
-        self, targets: Array, time: Array, rows: NDArray[np.intp] | None = None
-    ) -> tuple[Array, Array]:
+    def plan(self, targets: Array, time: Array, rows: Rows | None = None) -> tuple[Array, Array]:
         """Return the paths toward joint positions, (m, j), and their velocities at t times.
 
         Args:

@@ -32,12 +32,9 @@ def robot_state(robot: Robot, positions: Array, velocities: Array) -> RobotState
     twist = np.zeros((len(positions), 6))
     twist[:, [0, 1, 5]] = velocities[:, :3]
     joints = positions[:, 3:]
-    return RobotState(
-        base_pose=planar_pose(*positions[:, :3].T),
-        joint_positions=np.where(robot.continuous, wrap(joints), joints),
-        base_twist=twist,
-        joint_velocities=velocities[:, 3:],
-    )
+    joints = np.where(robot.continuous, wrap(joints), joints)
+    base = planar_pose(*positions[:, :3].T)
+    return RobotState(base, joints, base_twist=twist, joint_velocities=velocities[:, 3:])
 
 
 @dataclass(frozen=True)
@@ -189,8 +186,7 @@ class Inertia:
     def about(self, point: Array) -> Array:
         """Return the moments about a point (3,), by the parallel axis theorem, shape (3, 3)."""
         arm = self.centre - point
-        moments: Array = self.moments + self.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        return moments
+        return self.moments + self.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
 
     def plus(self, other: "Inertia") -> "Inertia":
         """Return the inertia of two rigidly connected bodies."""

@@ -4,14 +4,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinfeas.control.targets import TargetStream
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.tasks.chain import ChainTask
-from kinfeas.tasks.task import StreamTask, Subgoal, Task
+from kinfeas.tasks.task import StreamTask, Task
 
 if TYPE_CHECKING:
     from kinfeas.backends.physics.backend import PhysicsBackend
@@ -30,14 +29,16 @@ class Stage:
 
     Attributes:
         task: Task that draws the episodes.
+        name: Its name.
+        subgoals: Its sub-goals.
         scene: Scene before an episode moves objects; None for a floor only.
         backend: Backend that simulates them.
     """
 
     def __init__(self, task: Task, backend: "PhysicsBackend") -> None:
         """Connect a task to a backend with the scene of the task, or without a scene."""
-        self.task, self.backend = task, backend
-        self.scene = backend.scene
+        self.task, self.name, self.subgoals = task, task.name, task.subgoals
+        self.backend, self.scene = backend, backend.scene
         self._placed: dict[int, Scene] = {}
         self._chain = task if isinstance(task, ChainTask) else None
         self._task_scene = self._chain.scene if self._chain and self.scene else None
@@ -51,16 +52,6 @@ class Stage:
                     "gripper: its YAML lacks 'gripper'"
                 )
             backend.handle(grasped.object, grasped.link, rigid=not grasped.revolute)
-
-    @property
-    def name(self) -> str:
-        """Name of the task."""
-        return self.task.name
-
-    @property
-    def subgoals(self) -> tuple[Subgoal, ...]:
-        """Sub-goals of the task."""
-        return self.task.subgoals
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode; place the first robot and its objects."""
@@ -149,21 +140,12 @@ class Stage:
 
 
 class StreamStage(Stage):
-    """A task whose targets move, in a physics backend."""
+    """A task whose targets move, in a physics backend; attributes as in `StreamTask`."""
 
     def __init__(self, task: Task, stream: StreamTask, backend: "PhysicsBackend") -> None:
         """Connect a task, which is also `stream`, to a backend."""
         super().__init__(task, backend)
-        self._stream = stream
-
-    @property
-    def seconds(self) -> float:
-        """Motion time of an episode."""
-        return self._stream.seconds
-
-    def target_stream(self, solver: IkSolver) -> TargetStream:
-        """Return the targets of the episodes of a loop."""
-        return self._stream.target_stream(solver)
+        self.seconds, self.target_stream = stream.seconds, stream.target_stream
 
 
 def task_scene(task: Task) -> Scene | None:

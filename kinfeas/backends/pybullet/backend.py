@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinfeas.backends.physics.backend import Motion, PhysicsBackend
 from kinfeas.backends.physics.obstacles import Obstacle
@@ -14,6 +13,7 @@ from kinfeas.backends.pybullet.furniture import Furniture
 from kinfeas.backends.pybullet.simulation import Simulation
 from kinfeas.core.backend import Contacts, Grip
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Rows
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.scenes.scene import Scene
@@ -39,7 +39,7 @@ class PyBulletBackend(PhysicsBackend):
         """Return the simulation of a robot; missing ones are built."""
         while len(self._sims) <= row:
             gui = self._gui and not self._sims
-            simulation = Simulation(self.robot, self.scene, gui=gui, physics=self.config)
+            simulation = Simulation(self.robot, self.scene, self.config, gui=gui)
             self._sims.append(simulation)
             if self._handled is not None:
                 name, link, rigid = self._handled
@@ -60,13 +60,13 @@ class PyBulletBackend(PhysicsBackend):
             simulation.handle(name, link, rigid=rigid)
         self._handled = name, link, rigid
 
-    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
+    def grip(self, grip: Grip, env_ids: Rows) -> None:
         """Start to close or open grippers; they grasp what both fingers touch."""
         for row in env_ids.tolist():
             self._sims[row].grip(grip)
 
     def scale_dynamics(
-        self, mass: Array, friction: Array, motor_gain: Array, env_ids: NDArray[np.intp]
+        self, mass: Array, friction: Array, motor_gain: Array, env_ids: Rows
     ) -> None:
         """Change the dynamics of robots, as in `Dynamics`."""
         for row, *factors in zip(env_ids.tolist(), mass, friction, motor_gain, strict=True):
@@ -142,14 +142,14 @@ class PyBulletBackend(PhysicsBackend):
             raise KinfeasError("the world has no scene")
         return furniture
 
-    def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None:
+    def _reset(self, rows: Rows, base_pose: Array, joint_positions: Array) -> None:
         for row, pose, joints in zip(rows.tolist(), base_pose, joint_positions, strict=True):
             self.simulation(row).reset(pose, joints)
 
     def _obstacles(self, row: int, within: float) -> list[Obstacle]:
         return self._sims[row].obstacles(within)
 
-    def _place_solids(self, rows: NDArray[np.intp], solids: Solids) -> None:
+    def _place_solids(self, rows: Rows, solids: Solids) -> None:
         for row in rows.tolist():
             self._sims[row].solids.place(solids.of(np.array([row])))
 
@@ -157,12 +157,10 @@ class PyBulletBackend(PhysicsBackend):
         for row in range(len(self._positions)):
             self._sims[row].solids.move(solids.of(np.array([row])))
 
-    def _step(
-        self, rows: NDArray[np.intp], base_twist: Array, joint_targets: Array, dt: float
-    ) -> None:
+    def _step(self, rows: Rows, base_twist: Array, joint_targets: Array, dt: float) -> None:
         for row, twist, joints in zip(rows.tolist(), base_twist, joint_targets, strict=True):
             self._sims[row].step(twist, joints, dt)
 
-    def _read(self, rows: NDArray[np.intp]) -> tuple[list[list[float]], list[list[float]]]:
+    def _read(self, rows: Rows) -> tuple[list[list[float]], list[list[float]]]:
         measured = [self._sims[row].measure() for row in rows.tolist()]
         return [position for position, _ in measured], [velocity for _, velocity in measured]

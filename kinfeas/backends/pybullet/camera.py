@@ -92,9 +92,8 @@ class Camera:
         client = self._client
         for body, pose in zip(self._bodies, poses, strict=True):
             client.resetBasePositionAndOrientation(body, pose[:3].tolist(), pose[3:].tolist())
-        camera = client.computeViewMatrix(
-            view.position.tolist(), view.target.tolist(), [0.0, 0.0, 1.0]
-        )
+        position, target = view.position.tolist(), view.target.tolist()
+        camera = client.computeViewMatrix(position, target, [0.0, 0.0, 1.0])
         lens = client.computeProjectionMatrixFOV(_FIELD, SIZE[0] / SIZE[1], _NEAR, _FAR)
         image = client.getCameraImage(
             *SIZE, camera, lens, renderer=client.ER_TINY_RENDERER,

@@ -43,11 +43,10 @@ class Furniture:
     def place(self) -> None:
         """Place all objects as in the scene, at rest."""
         for name, item in self.scene.objects.items():
-            self._physics.place(self.bodies[name], item.pose)
+            body, joints = self.bodies[name], self._joints[name]
+            self._physics.place(body, item.pose)
             for joint, position in item.joint_positions.items():
-                self._physics.client.resetJointState(
-                    self.bodies[name], self._joints[name][joint], position, 0.0
-                )
+                self._physics.client.resetJointState(body, joints[joint], position, 0.0)
 
     def link(self, name: str, link: str) -> tuple[int, int]:
         """Return PyBullet's numbers of an object and of one of its links."""
@@ -60,8 +59,7 @@ class Furniture:
     def joint_position(self, name: str, joint: str) -> float:
         """Return the position of an object's joint, rad or m."""
         number = self._joints[name][joint]
-        position: float = self._physics.client.getJointState(self.bodies[name], number)[0]
-        return position
+        return self._physics.client.getJointState(self.bodies[name], number)[0]
 
     def motion(self, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""
@@ -95,13 +93,11 @@ class SolidBodies:
         (places,) = np.nonzero(solids.filled[0])
         for place, pose in zip(places.tolist(), solids.centre[0, places].tolist(), strict=True):
             x, y, low, high = solids.size[0, place].tolist()
+            create, height = client.createCollisionShape, high - low
             if solids.cylinder[0, place]:
-                shape = client.createCollisionShape(
-                    client.GEOM_CYLINDER, radius=x, height=high - low
-                )
+                shape = create(client.GEOM_CYLINDER, radius=x, height=height)
             else:
-                half = [x, y, (high - low) / 2.0]
-                shape = client.createCollisionShape(client.GEOM_BOX, halfExtents=half)
+                shape = create(client.GEOM_BOX, halfExtents=[x, y, height / 2.0])
             self.bodies[place] = client.createMultiBody(0.0, shape, -1, pose[:3], pose[3:])
 
     def move(self, solids: Solids) -> None:

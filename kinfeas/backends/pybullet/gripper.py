@@ -128,10 +128,8 @@ class Grasp:
         self.held = (body, link)
         tip = compose(self._physics.link_pose(*self._hand), self._tip)
         points = compose(tip, _PADS if rigid else _CENTRE)
-        self._ends = [
-            (end, relative(points, self._physics.mass_pose(*end)))
-            for end in (self._hand, self.held)
-        ]
+        ends, mass_pose = (self._hand, self.held), self._physics.mass_pose
+        self._ends = [(end, relative(points, mass_pose(*end))) for end in ends]
         # If both fingers kept squeezing, the difference of their forces would load the grasp.
         self._gripper.relax()
         return True

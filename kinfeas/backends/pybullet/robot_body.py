@@ -5,12 +5,7 @@ import math
 import numpy as np
 
 from kinfeas.backends.physics.drives import ArmSetpoints, base_forces
-from kinfeas.backends.physics.robot import (
-    PLANAR_JOINTS,
-    arm_followers,
-    moving_joints,
-    physics_urdf,
-)
+from kinfeas.backends.physics.robot import PLANAR_JOINTS, moving_joints, physics_urdf
 from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.robots.robot import Robot
@@ -27,6 +22,7 @@ class RobotBody:
         links: PyBullet's link index of each of the robot's links, by name; fixed links are merged.
         base: Indices of the planar joints x, y and yaw.
         arm: Indices of the arm's joints.
+        setpoints: Setpoints of the arm's joints, and of those that mimic them.
         arm_links: Indices of the links that the arm's joints carry.
         mass: Of the whole robot, kg.
         yaw_inertia: About the base's vertical axis, in the configuration `home`, kg m^2.
@@ -42,12 +38,9 @@ class RobotBody:
         self.base = [self.joints[name] for name in PLANAR_JOINTS]
         self.arm = [self.joints[joint.name] for joint in robot.arm]
         self._order = list(self.joints.values())
-        self._rest = {
-            self.joints[name]: robot.fixed_joints[name]
-            for name in moving_joints(robot)
-            if name in robot.fixed_joints
-        }
-        self._followers = arm_followers(robot)
+        resting = moving_joints(robot) & robot.fixed_joints.keys()
+        self._rest = {self.joints[name]: robot.fixed_joints[name] for name in resting}
+        self.setpoints = ArmSetpoints(robot, physics.config.arm_horizon)
         self._dynamics: dict[int, tuple[float, float, Array]] = {}
         above = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
         self.arm_links = frozenset(self.links[name] for name in above)
@@ -63,13 +56,9 @@ class RobotBody:
     def reset(self, base_pose: Array, joint_positions: Array) -> None:
         """Place the robot at rest: base pose (7,), arm joints (j,)."""
         planar = (*base_pose[:2].tolist(), float(yaw(base_pose)))
-        arm = dict(zip((joint.name for joint in self.robot.arm), joint_positions, strict=True))
-        mimics = {
-            self.joints[mimic.name]: mimic.multiplier * arm[mimic.leader] + mimic.offset
-            for mimic in self._followers
-        }
-        positions = dict(zip(self.base, planar, strict=True)) | self._rest | mimics
-        positions |= dict(zip(self.arm, joint_positions.tolist(), strict=True))
+        arm = (self.joints[name] for name in self.setpoints.names)
+        positions = dict(zip(self.base, planar, strict=True)) | self._rest
+        positions |= zip(arm, self.setpoints.follow(joint_positions).tolist(), strict=True)
         for index, position in positions.items():
             self.physics.client.resetJointState(self.body, index, position, 0.0)
 
@@ -175,8 +164,7 @@ class ArmDrive:
         """Connect to the arm of a robot; call `reset` next."""
         robot = body.robot
         self._body = body
-        self._setpoints = ArmSetpoints(robot, body.physics.config.arm_horizon)
-        moved = self._setpoints
+        self._setpoints = moved = body.setpoints
         joints = [body.joints[name] for name in moved.names]
         self._motors = list(zip(joints, moved.effort, moved.velocity, strict=True))
         order = list(body.joints)

@@ -34,15 +34,10 @@ class Simulation:
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        scene: Scene | None = None,
-        *,
-        gui: bool = False,
-        physics: PhysicsConfig | None = None,
+        self, robot: Robot, scene: Scene | None, physics: PhysicsConfig, *, gui: bool
     ) -> None:
         """Build the world; arguments as in `PyBulletBackend`."""
-        self.physics = Physics(physics or PhysicsConfig(), gui=gui)
+        self.physics = Physics(physics, gui=gui)
         self.furniture = Furniture(self.physics, scene) if scene else None
         self.solids = SolidBodies(self.physics)
         self.body = RobotBody(self.physics, robot)
@@ -138,8 +133,18 @@ class Simulation:
             return self._surroundings.around(bodies, within, self._spared())
 
     def contacts(self) -> Contacts:
-        """Return the current contacts, except with the grasped link."""
-        return contacts(self.body, self._spared())
+        """Return the current contacts, except with the grasped link.
+
+        The robot's own links, and the floor below its base, do not count.
+        """
+        body, spared = self.body, self._spared()
+        touching = frozenset(
+            (point[3], point[2], point[4])
+            for point in self.physics.client.getContactPoints(bodyA=body.body)
+            if point[8] <= 0.0 and point[2] != body.body and (point[2], point[4]) not in spared
+        )
+        arm = frozenset(contact for contact in touching if contact[0] in body.arm_links)
+        return Contacts(touching - arm, arm)
 
     def free(self) -> bool:
         """Return whether the robot has no contact at its present pose."""
@@ -153,21 +158,6 @@ class Simulation:
 
     def _spared(self) -> tuple[tuple[int, int], ...]:
         return () if self._handled is None else (self._handled,)
-
-
-def contacts(body: RobotBody, handled: Collection[tuple[int, int]] = ()) -> Contacts:
-    """Return the contacts of a robot, except those with `handled` links (body, link).
-
-    The robot's own links, and the floor below its base, do not count.
-    """
-    points = body.physics.client.getContactPoints(bodyA=body.body)
-    touching = frozenset(
-        (point[3], point[2], point[4])
-        for point in points
-        if point[8] <= 0.0 and point[2] != body.body and (point[2], point[4]) not in handled
-    )
-    arm = frozenset(contact for contact in touching if contact[0] in body.arm_links)
-    return Contacts(touching - arm, arm)
 
 
 class Surroundings:
@@ -213,9 +203,8 @@ class Surroundings:
         x, y, _ = self._body.planar()
         reach = self._radius + within
         corners = [x - reach, y - reach, -_HIGH], [x + reach, y + reach, _HIGH]
-        return frozenset(
-            body for body, _ in self._body.physics.client.getOverlappingObjects(*corners)
-        )
+        overlapping = self._body.physics.client.getOverlappingObjects(*corners)
+        return frozenset(body for body, _ in overlapping)
 
     def _closest(
         self, other: int, within: float, handled: Collection[tuple[int, int]]

@@ -105,8 +105,7 @@ class FollowBase:
         motion = observation.planned[:, :3] - observation.desired[:, :3]
         rules = np.array([base.max_velocity, base.max_rotation, self.forward_shift])
         like = TWIST[: command_size(base)]
-        action: Array = _follow_base(target, pose, motion, rules, like)
-        return action
+        return _follow_base(target, pose, motion, rules, like)
 
 
 @compiled(["void(f8[:], f8[:], f8[:], f8[:], f8[:], f8[:])"], "(p),(p),(m),(r),(a)->(a)")

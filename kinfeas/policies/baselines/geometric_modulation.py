@@ -133,9 +133,8 @@ class _Targets:
         azimuth, roll = 2.0 * np.pi * samples[:, 4], 2.0 * np.pi * samples[:, 5]
         x, y = distance * np.cos(self.bearing), distance * np.sin(self.bearing)
         angles = np.stack([azimuth, -self.pitch, roll], axis=1)
-        orientation = Rotation.from_euler("ZYX", angles) * Rotation.from_quat(
-            robot.gripper_rotation
-        )
+        to_gripper = Rotation.from_quat(robot.gripper_rotation)
+        orientation = Rotation.from_euler("ZYX", angles) * to_gripper
         ee = make_pose(np.stack([x, y, self.height], axis=1), orientation)
         home = np.tile(robot.home["home"], (count, 1))
         self.reached = solver.solve(ee, home).feasible

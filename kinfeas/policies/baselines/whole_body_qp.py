@@ -189,8 +189,7 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array |
             )  # fmt: skip
         except NoSolutionFound:
             return None
-        action: Array = np.clip(velocity[:carried] / speeds[:carried], -1.0, 1.0)
-        return action
+        return np.clip(velocity[:carried] / speeds[:carried], -1.0, 1.0)
 
     return step
 

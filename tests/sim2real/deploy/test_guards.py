@@ -371,19 +371,14 @@ def test_a_rate_below_the_limits_of_time_is_an_error():
 
 
 anything = st.floats(width=32) | st.floats(-3.0, 3.0)
-some_steps = st.lists(
-    st.tuples(
-        st.tuples(*[anything] * 6),  # twist
-        st.lists(anything, min_size=8, max_size=8),  # joint targets
-        st.floats(-0.1, 0.3),  # age
-        st.tuples(*[st.floats(-0.3, 0.3) | anything] * 2, st.floats(-4.0, 4.0)),  # measured base
-        st.floats(0.0, 0.3),  # time that passes
-    ),
-    min_size=1,
-    max_size=12,
+a_step = st.tuples(
+    st.tuples(*[anything] * 6),  # twist
+    st.lists(anything, min_size=8, max_size=8),  # joint targets
+    st.floats(-0.1, 0.3),  # age
+    st.tuples(*[st.floats(-0.3, 0.3) | anything] * 2, st.floats(-4.0, 4.0)),  # measured base
+    st.floats(0.0, 0.3),  # time that passes
 )
-
-
+some_steps = st.lists(a_step, min_size=1, max_size=12)
 NOISE = PluginSpec("base_noise", {"linear": 0.5, "angular": 0.5})
 
 

@@ -100,11 +100,8 @@ def test_a_watchdog_that_stalls_is_noticed_and_not_waited_for(stops):
 
 @pytest.mark.parametrize("reader", [False, True])
 def test_the_death_of_a_run_stops_the_base_whether_or_not_somebody_reads_its_prints(stops, reader):
-    run = subprocess.Popen(
-        [sys.executable, "-c", RUN, str(stops)],
-        stdout=subprocess.PIPE,
-        stderr=None if reader else subprocess.PIPE,
-    )
+    command, errors = [sys.executable, "-c", RUN, str(stops)], None if reader else subprocess.PIPE
+    run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
     assert run.stdout.readline() == b"ready\n"
     if not reader:
         run.stderr.close()

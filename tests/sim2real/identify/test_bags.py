@@ -1,103 +1,82 @@
-"""Bags of both versions of ROS, written from a log."""
+"""Bags of both versions of ROS, of what both ends of a link send."""
+
+from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from rosbags import rosbag1, rosbag2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.identify.bags import read_bag
+from kinfeas.sim2real.link import BaseReading, JointReading
+from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
+from kinfeas.sim2real.ros.ros2 import MESSAGES
 from kinfeas.sim2real.ros.topics import read_topics
 
 DT, AGE, BEGIN = 0.02, 0.01, 1000.0
-STORES = {1: Stores.ROS1_NOETIC, 2: Stores.ROS2_HUMBLE}
+ROS1, ROS2 = (get_typestore(store) for store in (Stores.ROS1_NOETIC, Stores.ROS2_HUMBLE))
+TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
+ROS1.register(get_types_from_msg(TRANSFORMS, "tf2_msgs/msg/TFMessage"))
 
 
 class Bag:
-    """Writes messages of a robot that turns and drives, and moves its arm."""
+    """The messages of a robot that turns and drives, and moves its arm."""
 
     def __init__(self, version, robot, seconds=8.0):
-        self.version, self.robot = version, robot
-        self.store = get_typestore(STORES[version])
-        self.topics = read_topics(robot, version)
-        self.messages = []
-        for time in np.arange(0.0, seconds, DT):
-            self.command(time, 0.1, 0.5)
-            self.trajectory(time, 0.1 * time)
-            self.odometry(time, 0.1 * time, 0.0, 0.5 * time)
-            self.joints(time, np.arange(len(robot.arm)) + 0.1 * time)
+        self.version, self.messages = version, []
+        self.arm = [joint.name for joint in robot.arm]
+        topics, bus = read_topics(robot, version), Mock(messages=MESSAGES, publisher=self.publisher)
+        self.ours, self.theirs = RosLink(topics, bus), RosRobotLink(topics, bus)
+        for end in (self.ours, self.theirs):
+            end.open(Mock())
+        for self.time in np.arange(0.0, seconds, DT):
+            self.ours.drive(np.array([0.1, 0.0, 0.5]))
+            self.ours.move(dict.fromkeys(self.arm, 0.1 * self.time), 0.1)
+            self.report(self.time)
+        self.time = seconds
 
-    def kind(self, name):
-        return self.store.types[name]
+    def publisher(self, topic, kind):
+        package, _, _, name = kind.__idl_typename__.split("::")
+        name = f"{package}/msg/{name[:-1]}"
+        return Mock(publish=lambda message: self.messages.append((topic, name, message, self.time)))
 
-    def stamp(self, time):
-        seconds = int(BEGIN + time)
-        nanoseconds = round((BEGIN + time - seconds) * 1e9)
-        return self.kind("builtin_interfaces/msg/Time")(seconds, nanoseconds)
-
-    def header(self, time, frame="odom"):
-        kind = self.kind("std_msgs/msg/Header")
-        own = {"stamp": self.stamp(time), "frame_id": frame}
-        return kind(seq=0, **own) if self.version == 1 else kind(**own)
-
-    def put(self, topic, name, message, time):
-        self.messages.append((topic, name, message, time))
-
-    def command(self, time, forward, turn):
-        name, vector = "geometry_msgs/msg/Twist", self.kind("geometry_msgs/msg/Vector3")
-        message = self.kind(name)(vector(forward, 0.0, 0.0), vector(0.0, 0.0, turn))
-        self.put(self.topics.base.command, name, message, time)
-
-    def odometry(self, time, x, y, yaw):
-        name = "nav_msgs/msg/Odometry"
-        point, quaternion = (self.kind(f"geometry_msgs/msg/{k}") for k in ("Point", "Quaternion"))
-        pose = self.kind("geometry_msgs/msg/Pose")(
-            point(x, y, 0.0), quaternion(0.0, 0.0, np.sin(yaw / 2.0), np.cos(yaw / 2.0))
-        )
-        vector = self.kind("geometry_msgs/msg/Vector3")(0.0, 0.0, 0.0)
-        twist = self.kind("geometry_msgs/msg/Twist")(vector, vector)
-        message = self.kind(name)(
-            self.header(time - AGE), self.topics.base.frame,
-            self.kind("geometry_msgs/msg/PoseWithCovariance")(pose, np.zeros(36)),
-            self.kind("geometry_msgs/msg/TwistWithCovariance")(twist, np.zeros(36)),
-        )  # fmt: skip
-        self.put(self.topics.base.odometry, name, message, time)
-
-    def joints(self, time, positions):
-        name, names = "sensor_msgs/msg/JointState", [joint.name for joint in self.robot.arm]
-        message = self.kind(name)(
-            self.header(time - AGE), names, np.array(positions, dtype=float),
-            np.empty(0), np.empty(0),
-        )  # fmt: skip
-        self.put(self.topics.joints.measured, name, message, time)
-
-    def trajectory(self, time, position):
-        name = "trajectory_msgs/msg/JointTrajectory"
-        for controller in self.topics.joints.controllers:
-            duration = self.kind("builtin_interfaces/msg/Duration")(0, 100_000_000)
-            point = self.kind("trajectory_msgs/msg/JointTrajectoryPoint")(
-                np.full(len(controller.joints), position), np.empty(0), np.empty(0), np.empty(0),
-                duration,
-            )  # fmt: skip
-            message = self.kind(name)(self.header(time), list(controller.joints), [point])
-            self.put(controller.command, name, message, time)
+    def report(self, time, x=0.0, joints=0.0):
+        """Send a measurement of a time, with `x` and `joints` added to it."""
+        positions = np.arange(len(self.arm)) + 0.1 * time + joints
+        base = BaseReading(0.1 * time + x, 0.0, 0.5 * time, stamp=BEGIN + time - AGE)
+        joints = JointReading(dict(zip(self.arm, positions.tolist(), strict=True)))
+        self.theirs.report(base, joints, None)
 
     def write(self, path):
         make = rosbag1.Writer(path) if self.version == 1 else rosbag2.Writer(path, version=9)
+        store = ROS1 if self.version == 1 else ROS2
         with make as writer:
             connections = {}
             for topic, name, message, time in self.messages:
                 if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, name, typestore=self.store)
-                dump = self.store.serialize_ros1 if self.version == 1 else self.store.serialize_cdr
-                nanoseconds = round((BEGIN + time) * 1e9)
-                writer.write(connections[topic], nanoseconds, dump(message, name))
+                    connections[topic] = writer.add_connection(topic, name, typestore=store)
+                content = message.serialize(use_version_2=False)
+                if self.version == 1:
+                    content = ROS2.cdr_to_ros1(content, name)
+                writer.write(connections[topic], round((BEGIN + time) * 1e9), content)
         return path
 
 
+@pytest.fixture(scope="session", params=["odometry", "tf"])
+def robot(request, hsr, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robot")
+    for version in (1, 2):
+        text = (hsr.folder / f"ros{version}.yaml").read_text()
+        changed = text.replace("base:\n", f"base:\n  measured_by: {request.param}\n")
+        (folder / f"ros{version}.yaml").write_text(changed)
+    return replace(hsr, folder=folder)
+
+
 @pytest.fixture(params=[1, 2])
-def bag(request, hsr):
-    return Bag(request.param, hsr)
+def bag(request, robot):
+    return Bag(request.param, robot)
 
 
 @pytest.fixture
@@ -105,8 +84,8 @@ def path(bag, tmp_path):
     return tmp_path / ("run.bag" if bag.version == 1 else "run")
 
 
-def test_commands_and_measurements_are_read_with_their_times(bag, path, hsr):
-    log = read_bag(bag.write(path), hsr)
+def test_commands_and_measurements_are_read_with_their_times(bag, path, robot):
+    log = read_bag(bag.write(path), robot)
     assert log.dt == pytest.approx(DT, abs=1e-6)
     np.testing.assert_allclose(log.ages, AGE, atol=1e-6)
     # Commands are in world axes, and the heading is half a radian a second.
@@ -119,24 +98,18 @@ def test_commands_and_measurements_are_read_with_their_times(bag, path, hsr):
     np.testing.assert_allclose(log.targets[row], 0.1 * row * DT, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "named"),
-    [
-        (lambda bag: bag.odometry(8.0, np.nan, 0.0, 0.0), "not finite"),
-        (lambda bag: bag.joints(8.0, np.full(5, np.inf)), "not finite"),
-        (lambda bag: bag.odometry(2.0, 0.0, 0.0, 0.0), "out of order"),
-        (lambda bag: bag.messages.__delitem__(slice(100, None)), "shorter"),
-        (lambda bag: bag.messages.__setitem__(
-            slice(None), [each for each in bag.messages if "Joint" not in each[1]]), "has no"),
-    ],
-)  # fmt: skip
-def test_broken_bags_raise(bag, path, hsr, spoil, named):
+@pytest.mark.parametrize(("spoil", "named"), [
+    (lambda bag: bag.report(8.0, x=np.nan), "not finite"),
+    (lambda bag: bag.report(8.0, joints=np.inf), "not finite"),
+    (lambda bag: bag.report(2.0), "out of order"),
+    (lambda bag: bag.messages.__delitem__(slice(100, None)), "shorter"),
+    (lambda bag: bag.messages.__setitem__(
+        slice(None), [each for each in bag.messages if "Joint" not in each[1]]), "has no"),
+])  # fmt: skip
+def test_broken_bags_raise(bag, path, robot, spoil, named):
     spoil(bag)
-    if named == "out of order":  # the last message is recorded late
-        *rest, _ = bag.messages[-1]
-        bag.messages[-1] = (*rest, 8.0)
     with pytest.raises(KinfeasError, match=named):
-        read_bag(bag.write(path), hsr)
+        read_bag(bag.write(path), robot)
 
 
 def test_other_files_are_no_bags(tmp_path, hsr):

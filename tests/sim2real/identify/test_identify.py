@@ -18,6 +18,7 @@ from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, base_pattern
 from kinfeas.sim2real.identify.log import log_of
+from kinfeas.sim2real.identify.model import Delays
 
 TRUTH = {
     "base_noise": {"linear": 0.04, "angular": 0.03},
@@ -115,7 +116,7 @@ def test_chain_is_that_of_the_adapters(hsr, tmp_path):
     for twist, target in zip(twists, targets, strict=True):
         full = np.array([[*twist[:2], 0.0, 0.0, 0.0, twist[2]]])
         states.append(backend.step(full, target[np.newaxis], DT))
-    weights = chain.delay_weights(0.05, 0.0, 0.0, DT)
+    weights = Delays(0.05).weights(DT)
     sent = np.concatenate([np.zeros((1, 3)), twists])
     limits = np.array([0.5, 1.0]), np.array([5.0, 10.0])
     means = chain.moved_base(chain.delayed(sent, weights), DT, 0.1, *limits)[1:]
@@ -148,17 +149,14 @@ def test_record_is_of_what_adapters_were_given(record, hsr):
     assert np.unique(np.round(np.abs(log.twists[220:300, 2]), 6)).tolist() == [0.6]
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (lambda r: replace(r, base_twist=r.base_twist * 0.0,
-                           joint_targets=np.repeat(r.joint_targets[:1], len(r.time), axis=0)),
-         "neither base nor arm moves"),
-        (lambda r: replace(r, about=replace(r.about, joints=("a",) * 5)), "its joints"),
-        (lambda r: replace(r, base_pose=r.base_pose * np.nan), "not finite"),
-        (lambda r: replace(r, time=r.time * 0.01), "shorter"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "named"), [
+    (lambda r: replace(r, base_twist=r.base_twist * 0.0,
+                       joint_targets=np.repeat(r.joint_targets[:1], len(r.time), axis=0)),
+     "neither base nor arm moves"),
+    (lambda r: replace(r, about=replace(r.about, joints=("a",) * 5)), "its joints"),
+    (lambda r: replace(r, base_pose=r.base_pose * np.nan), "not finite"),
+    (lambda r: replace(r, time=r.time * 0.01), "shorter"),
+])  # fmt: skip
 def test_records_that_show_nothing_raise(record, hsr, monkeypatch, change, named):
     changed = change(read_record(record))
     monkeypatch.setattr("kinfeas.api.identify.read_record", lambda path: changed)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.sim2real.servo.sender_clock import SenderClock
+from kinfeas.sim2real.servo.messages import SenderClock
 
 TOLERANCE, EVERY = 0.1, 0.02
 

@@ -1,0 +1,86 @@
+"""The monitor of a deployment: it checks what is measured."""
+
+import math
+
+import numpy as np
+
+from kinfeas.core import spatial
+from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.checks import check_state
+from kinfeas.core.errors import Fault
+from kinfeas.core.spatial import Array
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.deploy.config import Guards
+from kinfeas.sim2real.link.rate import Clock
+
+
+class StateMonitor:
+    """Checks one measurement after the other, and the clocks they are dated by."""
+
+    def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
+        self._source = f"backend {type(backend).__name__}"
+        self._robot, self._guards, self._clock = robot, guards, clock
+        self._needs_age = backend.real_time is not None
+        self._start: Array | None = None
+        self._last: Array = np.empty(7)
+        self._times = (math.nan, math.nan)
+
+    def begin(self, state: RobotState) -> None:
+        """Take a measurement as the start of a run; raise Fault if it exceeds a limit."""
+        self._start = None
+        self._times = self._clock.monotonic(), self._clock.wall()
+        self.check(state)
+        self._start = self._last
+
+    def check(self, state: RobotState) -> None:
+        """Raise Fault if a measurement, or the time since the last one, exceeds a limit."""
+        elapsed = self._check_clocks()
+        check_state(state, 1, len(self._robot.arm), self._source)
+        if state.age is not None:
+            self._check_age(state.age)
+        elif self._needs_age:
+            raise Fault(f"{self._source}: a real robot must return the age of its state")
+        self._check_pose(state.base_pose[0], elapsed)
+        self._check_joints(state.joint_positions[0])
+        self._last = state.base_pose[0].copy()
+
+    def _check_clocks(self) -> float:
+        before, self._times = self._times, (self._clock.monotonic(), self._clock.wall())
+        elapsed = self._times[0] - before[0]
+        check_limit("the control period took {} s", elapsed, self._guards.max_period)
+        skew = abs(self._times[1] - before[1] - elapsed)
+        check_limit("the system's clock was set by {} s", skew, self._guards.max_clock_skew)
+        return elapsed
+
+    def _check_age(self, age: Array) -> None:
+        check_limit("the newest measurement is {} s old", age[0], self._guards.max_age)
+        check_limit("a measurement is {} s in the future", -age[0], self._guards.max_clock_skew)
+
+    def _check_pose(self, pose: Array, elapsed: float) -> None:
+        guards, base = self._guards, self._robot.base
+        x, y, _, *quaternion = pose.tolist()
+        if abs(math.hypot(*quaternion) - 1.0) > spatial.UNIT:
+            raise Fault("the orientation of the measured base_pose is not a unit quaternion")
+        tilt = 2.0 * math.hypot(*quaternion[:2])
+        check_limit("the base leans by {} rad", tilt, guards.max_tilt)
+        if self._start is None:
+            return
+        away = math.dist((x, y), self._start[:2].tolist())
+        check_limit("the base is {} m from its start", away, guards.max_distance)
+        metres, radians = map(float, spatial.distance(self._last, pose))
+        jump = "the measured base pose jumped by {} "
+        check_limit(f"{jump}m", metres, guards.pose_jump + base.max_velocity * elapsed)
+        check_limit(f"{jump}rad", radians, guards.heading_jump + base.max_rotation * elapsed)
+
+    def _check_joints(self, joints: Array) -> None:
+        lower, upper = self._robot.joint_limits
+        outside = np.maximum(lower - joints, joints - upper)
+        worst = int(outside.argmax())
+        sentence = f"joint {self._robot.arm[worst].name} is measured {{}} beyond its limits"
+        check_limit(sentence, outside[worst], self._guards.joint_tolerance)
+
+
+def check_limit(sentence: str, value: float, most: float) -> None:
+    """Raise Fault if a value is above a limit, or not a number."""
+    if not value <= most:
+        raise Fault(f"{sentence.format(f'{value:.4g}')}, at most {most:.3g} is allowed")
