@@ -61,7 +61,7 @@ class BasePathSettings:
     error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
     off_metres: float = 0.08  # largest displacement of a base, metres, and
     off_radians: float = 0.1  # rotation that its arm is to make up for; cost of arms that
-    off_cost: float = 5.0  # cannot
+    off_cost: float = 15.0  # cannot
     memory: float = 0.8  # fraction of the costs that counts at the next pose
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
 

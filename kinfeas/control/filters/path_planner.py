@@ -23,8 +23,8 @@ metres."""
 
 _OFF_START = 0.1  # the same of base, its yaw and joints at which a plan may begin
 
-_REPLAN_SECONDS, _LONGEST = 2.0, 8.0
-"""Control time until a motion may be planned anew, which doubles with each plan, and the longest."""
+_REPLAN_SECONDS = 2.0
+"""Control time until a motion may be planned anew; it doubles each time no whole path is found."""
 
 _GAIN, _STEER, _MOVING = 3.0, 3.0, 0.05
 """Feedback of the base's deviation, 1/s; angle by which a differential base steers towards its path
@@ -102,8 +102,8 @@ class PathPlanner:
     def _plan(self, rows: Rows, period: Period) -> None:
         motions, subgoal = period.motions, period.motions.subgoal[rows]
         again = self._subgoal[rows] == subgoal
-        doubled = np.minimum(2.0 * self._wait[rows], _LONGEST)
-        self._wait[rows] = np.where(again, doubled, _REPLAN_SECONDS)
+        failed = again & self._open[rows]
+        self._wait[rows] = np.where(failed, 2.0 * self._wait[rows], _REPLAN_SECONDS)
         self._subgoal[rows] = subgoal
         self._again_at[rows] = motions.periods[rows] + np.ceil(self._wait[rows] / self._dt)
         for row in rows[~again]:
