@@ -62,7 +62,7 @@ def file_option(default: object, text: str, *suffixes: str) -> Any:
     return option(default, text, metavar=f"FILE{suffixes[0]}", callback=output_file(*suffixes))
 
 
-ROBOT = "Robot: pr2, tiago, hsr, or a folder."
+ROBOT = "Robot: pr2, tiago, another of `plugins list`, or a folder."
 TASK = "Task: ggr, pick_place, door, drawer, another of `plugins list`, or a YAML file."
 _POLICIES = "Run folder, ONNX file, module:Class, or a name such as pretrained."
 RobotName = Annotated[str, option(..., ROBOT)]
