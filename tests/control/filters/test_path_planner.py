@@ -69,6 +69,26 @@ def test_a_robot_that_is_pushed_gets_a_new_path(monkeypatch):
     assert lengths[1] < lengths[0]
 
 
+@pytest.mark.parametrize(("finds", "seconds"), [(False, [0, 2, 6, 14]), (True, [0, 2, 4, 6, 8])])
+def test_plans_fail_ever_more_rarely_but_pushed_robots_get_one_soon(monkeypatch, finds, seconds):
+    world, periods, plan = world_of("pr2"), [], BasePathPlanner.plan
+    world.loop.set_policy(load_policy("stationary", world.robot))
+    world.start([0])
+
+    def noted(self, *args, **options):
+        periods.append(world.loop.sequence.periods[0])
+        return plan(self, *args, **options) if finds else None
+
+    monkeypatch.setattr(BasePathPlanner, "plan", noted)
+    for period in range(round((seconds[-1] + 1) / world.loop.dt)):
+        if finds and period % 10 == 9:
+            state, push = world.loop.snapshot(), 0.1 if period % 20 == 9 else -0.1
+            pushed = integrate(state["base_pose"], np.array([[push, 0, 0, 0, 0, 0]]), 1.0)
+            world.loop.restore({**state, "base_pose": pushed})
+        world.step()
+    np.testing.assert_allclose(np.array(periods) * world.loop.dt, seconds, atol=0.15)
+
+
 def test_with_targets_that_are_not_known_in_advance_the_policy_acts():
     policy = load_policy("follow_ee", load_robot("pr2"))
     planned, alone = (
