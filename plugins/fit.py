@@ -23,6 +23,7 @@ from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
 from kinfeas.io.demonstrations import Demonstration, unit_hint
 from kinfeas.plugins.imitation import (
     LONGEST,
@@ -73,8 +74,8 @@ class _Path:
     Both are at even steps of the index; an unknown base is NaN. Duration in seconds.
     """
 
-    ee_pose: spatial.Array
-    base: spatial.Array
+    ee_pose: Array
+    base: Array
     duration: float
 
 
@@ -158,7 +159,7 @@ def _sampled(demonstration: Demonstration, kind: Kind, name: str) -> _Path:
     return _Path(sampled, base, duration)
 
 
-def _planar(base_pose: spatial.Array, frame: spatial.Array) -> spatial.Array:
+def _planar(base_pose: Array, frame: Array) -> Array:
     """Return x, y and unwrapped yaw of the base in the frame below the object, shape (t, 3)."""
     if not np.isfinite(base_pose).all():
         return np.full((len(base_pose), 3), np.nan)
@@ -166,7 +167,7 @@ def _planar(base_pose: spatial.Array, frame: spatial.Array) -> spatial.Array:
     return np.stack([pose[:, 0], pose[:, 1], np.unwrap(spatial.yaw(pose))], axis=-1)
 
 
-def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> spatial.Array:
+def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> Array:
     ee_pose = np.concatenate([path.ee_pose for path in paths])
     rotation_vector = (mean_orientation.inv() * spatial.rotation(ee_pose)).as_rotvec()
     if np.linalg.norm(rotation_vector, axis=1).max() > _MAX_ROTATION:
@@ -180,7 +181,7 @@ def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> spatial.Arr
     return features if np.isnan(base).any() else np.concatenate([features, base], axis=1)
 
 
-def _bases(paths: Sequence[_Path]) -> spatial.Array:
+def _bases(paths: Sequence[_Path]) -> Array:
     """Return x, y and yaw of the base, shape (paths * m, 3), without jumps of 2 pi."""
     began = np.array([path.base[0, 2] for path in paths])
     shift = spatial.wrap(began - began[0]) + began[0] - began
@@ -189,7 +190,7 @@ def _bases(paths: Sequence[_Path]) -> spatial.Array:
     return bases.reshape(-1, 3)
 
 
-def _mixture(features: spatial.Array, components: int, seed: int) -> tuple[Component, ...]:
+def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ...]:
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 
@@ -204,7 +205,7 @@ def _mixture(features: spatial.Array, components: int, seed: int) -> tuple[Compo
     )
 
 
-def _sides(features: spatial.Array, count: int, length: float) -> tuple[int, ...]:
+def _sides(features: Array, count: int, length: float) -> tuple[int, ...]:
     """Return the path, 0 or 1, of each of `count` demonstrations; all 0 if they follow the same.
 
     Two clusters count as two paths if their mean silhouette is that of a strong structure (Kaufman

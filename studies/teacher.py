@@ -42,10 +42,8 @@ def planned_transitions(config: TrainConfig, steps: int) -> NDArray[np.float32]:
     world = training_world(
         replace(config, seed=config.seed + 7, world=replace(config.world, filters=filters))
     )
-    env, policy = (
-        WorldVecEnv(world, EPISODES, config.action_repeat),
-        load_policy("pretrained", load_robot(config.robot)),
-    )
+    env = WorldVecEnv(world, EPISODES, config.action_repeat)
+    policy = load_policy("pretrained", load_robot(config.robot))
     commands: list[NDArray[np.float64]] = []
     step = world.loop.step
 

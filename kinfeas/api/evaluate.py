@@ -77,9 +77,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
     metrics = cast("Metrics", measure(config, ""))
     if ablation:
         metrics["ablation"] = {
-            label: measure(
-                replace(config, world=replace(config.world, adapters=subset)), f", {label}"
-            )
+            label: measure(replace(config, world=replace(config.world, adapters=subset)), label)
             for label, subset in evaluation.adapter_subsets(config.world.adapters).items()
         }
     # Last, so that an error of the configuration comes at once.

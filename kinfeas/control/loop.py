@@ -289,7 +289,7 @@ class Loop:
         period = Period(
             command=self.action, base_pose=robots.base_pose, joints=self._arm.joint_command,
             desired=self.sequence.arm_target(step, paused), solids=self.surroundings.after(self.dt),
-            posture_guide=self.sequence.planned[1], step=step,
+            posture_guide=self.sequence.planned.joints, step=step,
             time_scale=np.ones(len(self.action)), motions=self.sequence, paused=paused,
             motion=None if self._predictor is None else self._predictor.motion,
         )  # fmt: skip

@@ -68,7 +68,7 @@ class Observer:
             state.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)
         self._base_offset = None
         if "planned_base" in self.terms:
-            self._base_offset = spatial.planar_offset(sequence.planned[0], base_pose)
+            self._base_offset = spatial.planar_offset(sequence.planned.base_pose, base_pose)
         state.planned_base = self._base_offset
         if self._time_scale != 1.0:
             twist = spatial.twist_between(sequence.desired, preview, HORIZON)
@@ -77,7 +77,7 @@ class Observer:
             values=observe(state, self.terms),
             base_pose=base_pose, ee_pose=ee_pose, joint_positions=robots.joint_positions,
             desired=sequence.desired, planned=planned,
-            demonstrated_base=sequence.demonstrated_base, planned_base=sequence.planned[0],
+            demonstrated_base=sequence.demonstrated_base, planned_base=sequence.planned.base_pose,
             dt=self._dt, obstacles=self._obstacles,
         )  # fmt: skip
 

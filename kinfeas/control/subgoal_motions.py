@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinfeas.control.ee_motions import EeMotions, Motions
 from kinfeas.control.execution import GRASP_METRES, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.whole_body_motion import WholeBodyMotions
+from kinfeas.control.whole_body_motion import PlannedRobots, WholeBodyMotions
 from kinfeas.core import spatial
 from kinfeas.core.metrics import GOAL_RADIANS
 from kinfeas.core.motion import Rngs, Rows, State, with_rows
@@ -119,11 +119,8 @@ class SubgoalMotions:
         )
 
     @cached_property
-    def planned(self) -> tuple[Array, Array | None]:
-        """Bases in `LEAD` seconds and arms after this period on whole-body paths, or NaN.
-
-        World poses, shape (n, 7), and joints, shape (n, j), or None if no generator follows any.
-        """
+    def planned(self) -> PlannedRobots:
+        """Bases and arms on whole-body paths soon."""
         motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
         return self.whole_body.soon(motions)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,13 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_goal import CHECKED_AHEAD, BaseGoalPlanner
 
 LEAD = 1.0  # seconds by which the planned base that policies see is ahead of the EE
+
+
+class PlannedRobots(NamedTuple):
+    """Robots on their paths; NaN in rows without a path."""
+
+    base_pose: Array  # world poses of the bases in `LEAD` seconds, shape (n, 7)
+    joints: Array | None  # arms after this period, shape (n, j); None if no generator follows any
 
 
 class WholeBodyMotions:
@@ -46,18 +54,15 @@ class WholeBodyMotions:
         """Forget the paths of rows."""
         self.waypoints = with_rows(self.waypoints, rows, np.array(np.nan))
 
-    def soon(self, motions: Sequence[Motions]) -> tuple[Array, Array | None]:
-        """Return the base in `LEAD` seconds, (n, 7), and the arm after this period, (n, j), or NaN.
-
-        There are no arms if no generator follows any path.
-        """
+    def soon(self, motions: Sequence[Motions]) -> PlannedRobots:
+        """Return where n robots are soon."""
         n, points, size = self.waypoints.shape
         if not points:
-            return np.full((n, 7), np.nan), None
+            return PlannedRobots(np.full((n, 7), np.nan), None)
         robot = np.full((n, len(self._soon), size), np.nan)
         for group in motions:
             robot[group.rows] = self._ahead(group, self._soon)
-        return spatial.planar_pose(*robot[:, 0, :3].T), robot[:, 1, 3:]
+        return PlannedRobots(spatial.planar_pose(*robot[:, 0, :3].T), robot[:, 1, 3:])
 
     def follow(
         self, group: Motions, poses: tuple[Array, Array], ends: tuple[Array, Array], solids: Solids

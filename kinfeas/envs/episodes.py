@@ -236,24 +236,28 @@ class _Tally:
         self.steps[episodes] += 1
         self.deviation_sum[episodes] += outcome.deviation[rows]
         self.tracking_sum[episodes] += outcome.tracking_error[rows]
-        np.maximum.at(self.tracking_max, episodes, outcome.tracking_error[rows])
+        tracking_error = outcome.tracking_error[rows]
+        self.tracking_max[episodes] = np.maximum(self.tracking_max[episodes], tracking_error)
         if (sums := self.world.loop.response_sums) is not None:
             self.response_sums[episodes] = sums[rows]
         if transition.path_length is not None and transition.planned_length is not None:
             self.deviation_squares[episodes] += outcome.deviation[rows] ** 2
             self.length[episodes] += transition.path_length[rows]
             self.planned_length[episodes] += transition.planned_length[rows]
-        np.maximum.at(self.deviation_max, episodes, outcome.deviation[rows])
+        deviation = outcome.deviation[rows]
+        self.deviation_max[episodes] = np.maximum(self.deviation_max[episodes], deviation)
         # An episode that never began the last sub-goal did not end near its goal. A stream has
         # no goal.
         stream = self.world.loop.stream is not None
         end = outcome.deviation if stream else outcome.goal_distance
         self.final[episodes] = np.where(outcome.subgoal == self.last, end, np.inf)[rows]
-        for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
-            self._add_collisions(outcome.collision, row, episode)
-            if transition.done[row]:
-                reached = bool(transition.reached[row])
-                self.task_done[episode] = self._task_done(row, reached=reached)
+        if self.world.backend.contacts is not None or outcome.collision is not None:
+            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
+                self._add_collisions(outcome.collision, row, episode)
+        done = transition.done[rows]
+        for row, episode in zip(rows[done].tolist(), episodes[done].tolist(), strict=True):
+            reached = bool(transition.reached[row])
+            self.task_done[episode] = self._task_done(row, reached=reached)
 
     def _add_collisions(self, collision: NDArray[np.bool_] | None, row: int, episode: int) -> None:
         base, arm = (False, False) if collision is None else collision[row].tolist()

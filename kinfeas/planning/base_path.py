@@ -59,9 +59,9 @@ class BasePathSettings:
     clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
     margin_cost: float = 5.0  # one of these
     error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
-    off_metres: float = 0.08  # largest displacement of a base, metres, and
-    off_radians: float = 0.1  # rotation that its arm is to make up for; cost of arms that
-    off_cost: float = 15.0  # cannot
+    off_metres: float = 0.08  # largest displacement of a base that arms should make up for, metres
+    off_radians: float = 0.1  # the same rotation, radians
+    off_cost: float = 15.0  # cost of an arm that cannot
     memory: float = 0.8  # fraction of the costs that counts at the next pose
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
 

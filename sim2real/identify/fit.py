@@ -2,8 +2,7 @@
 
 The chain of `kinfeas.sim2real.identify.chain` is carried out for the recorded commands. Compared
 are the displacements of the base between two measurements, and the positions of the arm; the rest
-is noise.
-Intervals are of 95 % and treat blocks of two seconds as independent.
+is noise. Intervals are of 95 % and treat blocks of two seconds as independent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -174,7 +173,7 @@ def _result(
     return Fit(
         estimates, response, tuple(missing), tuple(track.times for track in tracks),
         tuple(track.moved / track.seconds[:, np.newaxis] for track in tracks),
-        tuple(p / w.seconds[:, np.newaxis] for p, w in zip(predicted, tracks, strict=True)),
+        tuple(p / t.seconds[:, np.newaxis] for p, t in zip(predicted, tracks, strict=True)),
     )  # fmt: skip
 
 

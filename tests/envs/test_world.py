@@ -290,7 +290,7 @@ def test_redundant_arms_follow_their_whole_body_plan():
     along = FollowBase(robot.base, source="planned_base")
     for _ in range(100):
         world.step(along.act(world.loop.observation))
-    planned = world.loop.sequence.planned[1]
+    planned = world.loop.sequence.planned.joints
     way = joint_displacement(robot, world.loop.robots.joint_positions, planned)
     assert np.nanmedian(np.abs(way)) < 0.1  # 0.21 where IK does not know the plan
 

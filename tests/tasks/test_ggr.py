@@ -96,7 +96,7 @@ def test_a_share_of_the_rooms_is_empty_and_motions_there_are_straight(hsr, sampl
     assert 0.2 < empty.mean() < 0.4
     world = World(hsr.robot, ggr_obstacles(empty=0.5), evaluation_world(), 0)
     world.start(range(12))
-    planned = np.isfinite(world.loop.sequence.planned[0][:, 0])
+    planned = np.isfinite(world.loop.sequence.planned.base_pose[:, 0])
     empty = ~world.loop.surroundings.after(0.0).filled.any(axis=1)
     assert 2 < empty.sum() < 10
     assert not planned[empty].any()
