@@ -127,7 +127,8 @@ class IkSolver:
             solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
                 solution.
             posture_guide: Joint positions towards which arms move within `max_joint_step` if a
-                solution is there, shape (n, v); NaN for none.
+                solution is there, and near which others begin to search, shape (n, v); NaN for
+                none.
 
         Raises:
             KinfeasError: If an array has another shape, or `max_joint_step` is needed and missing.

@@ -32,9 +32,9 @@ class SearchSettings(NamedTuple):
 
 SEARCH = SearchSettings()
 
-GUIDED, CENTRED, NEAR, WIDE = range(4)
-"""Descents within `max_joint_step` of the seed: from the guide, centring the joints or not; and one
-from where these ended to anywhere."""
+GUIDED, CENTRED, NEAR, JUMP, WIDE = range(5)
+"""Descents within `max_joint_step` of the seed: towards the guide, centring the joints or not; and
+to anywhere: from the guide, and from the seed."""
 
 
 class Problem(NamedTuple):
@@ -129,8 +129,8 @@ def _solve_from_seed(
 
     The first descents stay within `max_joint_step`, towards the guide if there is one, then with
     and without centring of the joints. There a joint of the seed beyond a limit may stay where it
-    is, since it cannot jump. The last descent, if `allow_reconfiguration`, has the joint limits
-    only.
+    is, since it cannot jump. The last descents, if `allow_reconfiguration`, have the joint limits
+    only: from the guide, then from the seed.
     """
     q, own = scratch.trial, limits
     if len(max_joint_step) > 0:
@@ -157,16 +157,21 @@ def _solve_from_seed(
         for j in range(len(q)):
             near[0, j] = max(own[0][j], q[j] - max_joint_step[j])
             near[1, j] = min(own[1][j], q[j] + max_joint_step[j])
-    for attempt in range(first, WIDE + 1 if allow_reconfiguration else WIDE):
+    for attempt in range(first, WIDE + 1 if allow_reconfiguration else JUMP):
         if attempt == CENTRED and len(problem.centering) == 0:
             continue
-        bounds = limits if attempt == WIDE else (near[0], near[1])
+        if attempt == JUMP and first != GUIDED:
+            continue
+        bounds = limits if attempt >= JUMP else (near[0], near[1])
         if attempt == GUIDED:
             _go_to_guide(problem, max_joint_step, guide[0], near, q)
             bounds = near[2], near[3]
             place_chain(problem.chain, q, scratch.frames)
         elif attempt == CENTRED:
             _centre(problem, max_joint_step, q, scratch.pull)
+        elif attempt == JUMP:
+            _start(limits, guide[0], q)
+            place_chain(problem.chain, q, scratch.frames)
         metres, radians = descend(problem.chain, problem.descent, bounds, target, q, scratch)
         # A guide must not cost accuracy.
         scale = SEARCH.aim if attempt == GUIDED else 1.0
@@ -177,7 +182,7 @@ def _solve_from_seed(
                 return True
         elif _improves(problem, metres, radians, error, q, touching, around):
             error[0], error[1] = metres, radians
-        if attempt <= CENTRED:
+        if attempt <= CENTRED or attempt == JUMP:
             _start(own, solution, q)
             place_chain(problem.chain, q, scratch.frames)
     # With a pose tolerance, the seed itself may be a solution that every descent has left.

@@ -20,7 +20,7 @@ from kinfeas.core.spatial import (
 )
 from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkSolution, IkSolver
+from kinfeas.kinematics.ik import IkSolution, IkSolver, spread_configurations
 from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.planning.proposals import propose
 from kinfeas.robots.robot import joint_displacement
@@ -40,6 +40,8 @@ class BasePathSettings:
     noise: float = 0.5  # largest difference from the EE's velocity of half of the commands
     backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on; the EE ...
     slow: float = 0.1  # ... has this fraction of its speed from there; once for each number
+    jumps: tuple[int, ...] = (0, 4, 16, 0, 4, 16)  # the same where arms jump if that does not help
+    configurations: int = 2  # arm configurations that each robot tries there
     velocity: float = 0.3  # largest speed of the base, m/s
     rotation: float = 0.5  # largest angular speed of the base, rad/s
     base_fraction: float = 0.8  # of the limits of the base; the rest is for control
@@ -115,7 +117,7 @@ class _Beam:
 
 
 class BasePathPlanner:
-    """Finds paths of base and arm along EE paths, without joint jumps.
+    """Finds paths of base and arm along EE paths; arms jump only where a partial path would end.
 
     A beam search: at each EE pose, every robot of the beam tries random base commands. Those that
     seem best by its Jacobian go to IK, which moves the arm within its velocity limits, and the best
@@ -131,6 +133,7 @@ class BasePathPlanner:
             options, joint_margin=SETTINGS.joint_margin, self_clearance=SETTINGS.clearance
         )
         self.solver, self._careful = IkSolver(robot, options), IkSolver(robot, careful)
+        self._anywhere = solver
         limits = [robot.base.max_velocity, robot.base.max_rotation]
         fastest = np.array([SETTINGS.velocity, SETTINGS.rotation])
         fastest = np.minimum(fastest / limits, SETTINGS.base_fraction)
@@ -162,14 +165,15 @@ class BasePathPlanner:
             begin: Motion time now, seconds.
             time_scale: Fraction of its speed at which the EE moves at most.
             solids: In the world, one row.
-            partial: Whether a path may end before the EE path, where no robot goes on.
+            partial: Whether arms may jump, and a path may end before the EE path, where no robot
+                goes on.
         """
         solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
         rng, rest = np.random.default_rng(0), np.zeros((1, len(self._fastest)))
         start = base_pose[np.newaxis], joints[np.newaxis], rest
         beams = [_Beam(*start, np.zeros(1), np.zeros(1, dtype=np.intp))]
         nodes, scales = _nodes(ee), np.ones(len(ee))
-        retries = list(SETTINGS.backtracking)
+        retries, jumps = list(SETTINGS.backtracking), list(SETTINGS.jumps if partial else ())
         while len(beams) < len(nodes):
             k = len(beams)
             seconds = np.diff(nodes[: k + 1]) * step / scales[nodes[:k]] / time_scale
@@ -182,6 +186,14 @@ class BasePathPlanner:
                 slow = np.arange(nodes[first], nodes[k], 2)
                 scales[slow] = SETTINGS.slow
                 nodes, beams = np.union1d(nodes, slow), beams[: first + 1]
+            elif jumps:
+                first = max(k - 1 - jumps.pop(0), 0)
+                then = None if solids is None else solids.at(seconds[:first].sum(keepdims=True))
+                beam = self._reconfigured(beams[first], ee[nodes[first]], then)
+                if len(beam.cost):
+                    later = np.unique(nodes[nodes > nodes[first]])
+                    nodes = np.concatenate([nodes[: first + 1], nodes[first : first + 1], later])
+                    beams = [*beams[: first + 1], beam]
             elif partial and k > 1:
                 break
             else:
@@ -222,6 +234,18 @@ class BasePathPlanner:
         base = compose(best.base, planar_pose(*away))
         arm = self._reached(self.solver, best.joints, target, base, seconds, solids)
         return replace(best, cost=best.cost + SETTINGS.off_cost * ~arm.feasible)
+
+    def _reconfigured(self, beam: _Beam, target: Array, solids: Solids | None) -> _Beam:
+        """Return robots at the target of a beam whose arms have other configurations there."""
+        rows = np.arange(len(beam.cost)).repeat(SETTINGS.configurations)
+        beam = replace(beam.of(rows), parent=rows)
+        seeds = spread_configurations(self.robot, len(rows))
+        among = None if solids is None else in_base(solids.repeated(len(rows)), beam.base)
+        targets = relative(np.broadcast_to(target, beam.base.shape), beam.base)
+        arm = self._anywhere.solve(targets, seeds, solids=among)
+        cost = beam.cost + self._limit_cost(arm.joint_positions)
+        beam = replace(beam, joints=arm.joint_positions, cost=cost)
+        return self._best(beam.of(np.flatnonzero(arm.feasible)), target)
 
     def _proposed(
         self, beam: _Beam, target: Array, seconds: float, rng: np.random.Generator

@@ -164,6 +164,22 @@ def test_arms_go_to_their_guide_within_the_joint_step(tiago):
     np.testing.assert_array_equal(none.joint_positions, alone.joint_positions)
 
 
+def test_arms_that_cannot_reach_a_target_in_a_step_jump_to_their_guide(tiago):
+    rng, robot = np.random.default_rng(6), tiago.robot
+    step, joints = TIME * robot.max_joint_velocity, draw_free(tiago, 500)
+    far = 1.3 * rng.uniform(-1.0, 1.0, joints.shape) * step
+    guide = np.clip(joints + far, *robot.joint_limits)
+    targets = forward(tiago.chain, guide)
+    bound = tiago.solve(targets, joints, step, posture_guide=guide, allow_reconfiguration=False)
+    jumps = ~bound.feasible & tiago.admissible(guide)
+    assert jumps.mean() > 0.1
+    guided = tiago.solve(targets, joints, step, posture_guide=guide)
+    at_guide = displacement(robot, guided.joint_positions, guide).max(axis=1) < 1e-9
+    assert at_guide[jumps].mean() > 0.8  # others have their EE too far from the target
+    alone = tiago.solve(targets, joints, step)
+    assert np.median(displacement(robot, alone.joint_positions, guide)[jumps].max(axis=1)) > 0.1
+
+
 def tremble(solver, joints):
     """Return the joint positions after 40 steps of an EE that trembles by a millimetre."""
     home, rng = forward(solver.chain, joints), np.random.default_rng(3)

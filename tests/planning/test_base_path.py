@@ -5,12 +5,13 @@ import pytest
 
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import compose, distance, integrate, planar_pose
+from kinfeas.core.spatial import compose, distance, integrate, planar_pose, rotation
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.kinematics.solids import collides
 from kinfeas.planning.base_path import BasePathPlanner
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
 
 AT_ORIGIN = planar_pose(*np.zeros((3, 1)))[0]
@@ -82,6 +83,29 @@ def test_a_partial_path_ends_where_no_robot_goes_on(planned, solver):
     assert ee[0, 2] == pytest.approx(path.ee_at(path.seconds[-1])[2], abs=0.1)
     assert ee[0, 2] > path.ee[0, 2] + 0.1
     assert planned([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], partial=True)[0].complete
+
+
+@pytest.mark.parametrize("rate", [-0.3, 0.3])
+def test_arms_jump_only_where_a_partial_path_would_end(rate):
+    solver = IkSolver(load_robot("lekiwi"))
+    robot, joints = solver.robot, solver.robot.home["home"]
+    ee = forward(solver.chain, joints[np.newaxis])[0]
+    roll = rate * rotation(ee).as_matrix()[:, 1]  # 6 rad in 20 s; no joint turns as far
+    time = np.arange(0.0, 20.0, HORIZON)[:, np.newaxis]
+    poses = integrate(ee, np.concatenate([np.zeros(3), roll]) * time, 1.0)
+    motion = AT_ORIGIN, joints, poses, HORIZON, 0.0
+    planner = BasePathPlanner(solver)
+    assert planner.plan(*motion) is None
+    path = planner.plan(*motion, partial=True)
+    assert path.complete
+    moved = np.abs(joint_displacement(robot, path.robot[:-1, 3:], path.robot[1:, 3:]))
+    seconds = np.diff(path.seconds) / path.time_scale[1:]
+    (jump,) = np.flatnonzero(
+        (moved > seconds[:, np.newaxis] * robot.max_joint_velocity).any(axis=1)
+    )
+    before, after = path.robot[jump : jump + 2]
+    np.testing.assert_array_equal(before[:3], after[:3])
+    np.testing.assert_array_equal(path.robot_at(path.seconds[jump]), after)
 
 
 def test_a_slow_motion_gives_the_base_more_time(planned):
