@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot
-from kinfeas.api.reach import base_pose, ee_poses, surroundings
+from kinfeas.api.reach import base_pose, surroundings
 from kinfeas.config import Settings
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.subgoal_motions import LONGEST, begin_motions
+from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import IDENTITY, Array, compose, distance, make_pose, relative, rotation

@@ -7,9 +7,8 @@ from numpy.typing import ArrayLike
 
 from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot
-from kinfeas.config.quantities import FARTHEST, Count, Position
-from kinfeas.core.checks import are_unit
-from kinfeas.core.errors import KinfeasError
+from kinfeas.config.quantities import Count, Position
+from kinfeas.core.checks import ee_poses
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose
 from kinfeas.planning.reach import BasePlacer, Placement
@@ -63,20 +62,6 @@ def facts(placement: Placement) -> dict[str, object]:
         "solids": list(placement.solids),
         **{name: getattr(placement, name).tolist() for name in (*arrays, "clearance")},
     }  # fmt: skip
-
-
-def ee_poses(poses: ArrayLike, name: str) -> Array:
-    """Return EE poses, shape (n, 7) with n at least 1, with unit quaternions; or raise an error."""
-    try:
-        array = np.atleast_2d(np.array(poses, dtype=np.float64))
-    except (TypeError, ValueError) as error:
-        raise KinfeasError(f"{name!r} must be numbers x y z qx qy qz qw: {error}") from error
-    if array.ndim != 2 or array.shape[1] != 7 or not len(array):
-        raise KinfeasError(f"{name!r} must be of shape (n, 7), not {array.shape}")
-    if not (np.abs(array) <= FARTHEST).all() or not are_unit(array):
-        raise KinfeasError(f"{name!r} must be within {FARTHEST:g} m, with unit quaternions xyzw")
-    array[:, 3:] /= np.linalg.norm(array[:, 3:], axis=1, keepdims=True)
-    return array
 
 
 def base_pose(planar: Sequence[float], name: str) -> Array:

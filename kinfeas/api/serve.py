@@ -1,10 +1,12 @@
-"""A server that answers `reach` and `plan` as JSON over HTTP, on this computer alone."""
+"""A server that answers `reach` and `plan` as JSON over HTTP, and as services of ROS 2."""
 
 import json
 import logging
+from contextlib import ExitStack
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from threading import Lock
 from typing import Annotated, Any
 
 import numpy as np
@@ -12,13 +14,13 @@ from annotated_types import Interval, Len
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot
-from kinfeas.api.plan import plan
+from kinfeas.api.plan import Plan, plan
 from kinfeas.api.reach import facts, reach
 from kinfeas.config import from_mapping
 from kinfeas.config.quantities import FARTHEST, Distance, Metres, Radians, Share, Vector
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
-from kinfeas.planning.reach import BasePlacer
+from kinfeas.planning.reach import BasePlacer, Placement
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.access import Access
 
@@ -58,18 +60,26 @@ class PlanRequest:
 class PlanningServer(HTTPServer):
     """Answers for one robot in one scene, one request at a time.
 
-    Only programs of this computer and pages of the same address are answered. No request names a
-    robot, a file or code.
+    HTTP answers only programs of this computer and pages of the same address. ROS 2 answers all
+    nodes of the domain. No request names a robot, a file or code.
 
     Attributes:
         url: Address.
     """
 
-    def __init__(self, robot: Name, scene: Name | None = None, port: int = 8081) -> None:
-        """Listen on the loopback interface; 0 is a free port.
+    def __init__(
+        self, robot: Name, scene: Name | None = None, port: int = 8081, *, ros2: bool = False
+    ) -> None:
+        """Listen on the loopback interface, and with `ros2` in the domain of `ROS_DOMAIN_ID`.
+
+        Args:
+            robot: Name or folder.
+            scene: Scene by name or YAML file, whose furniture is avoided.
+            port: Port of HTTP; 0 for a free one.
+            ros2: Whether to answer the services of `kinfeas.sim2real.ros.moveit`, too.
 
         Raises:
-            KinfeasError: If there is no such robot or scene, or the port is in use.
+            KinfeasError: If there is no such robot, scene or domain, or the port is in use.
         """
         self._placer = BasePlacer(load_robot(robot))
         self._scene = None if scene is None else read_scene(str(scene))
@@ -77,22 +87,41 @@ class PlanningServer(HTTPServer):
         super().__init__(("127.0.0.1", port), _Handler, bind_and_activate=False)
         self.socket.close()
         self.socket, self.url = self.access.listener, self.access.url
-        self.answers = {"/reach": self._reach, "/plan": self._plan}
+        self.answers = {"/reach": self._base_poses, "/plan": self._motion}
+        self._lock = Lock()
+        self._opened = ExitStack()
+        if ros2:
+            from kinfeas.sim2real.ros.moveit import MoveItServices
 
-    def _reach(self, body: object) -> object:
+            services = MoveItServices(self._placer.solver, self._reach, self._plan)
+            self._opened.callback(services.close)
+
+    def server_close(self) -> None:
+        """Stop listening."""
+        super().server_close()
+        self._opened.close()
+
+    def _reach(self, body: object) -> list[Placement]:
         request = from_mapping(ReachRequest, body, "request")
-        placements = reach(
-            self._placer, request.poses, scene=self._scene, solids=_solids(request.solids),
-            start=request.start, k=request.k, together=request.together,
-        )  # fmt: skip
-        return [facts(placement) for placement in placements]
+        with self._lock:
+            return reach(
+                self._placer, request.poses, scene=self._scene, solids=_solids(request.solids),
+                start=request.start, k=request.k, together=request.together,
+            )  # fmt: skip
 
-    def _plan(self, body: object) -> object:
+    def _plan(self, body: object) -> Plan:
         request = from_mapping(PlanRequest, body, "request")
-        motion = plan(
-            self._placer, request.path, step=request.step, start=request.start,
-            joints=request.joints, scene=self._scene, solids=_solids(request.solids),
-        )  # fmt: skip
+        with self._lock:
+            return plan(
+                self._placer, request.path, step=request.step, start=request.start,
+                joints=request.joints, scene=self._scene, solids=_solids(request.solids),
+            )  # fmt: skip
+
+    def _base_poses(self, body: object) -> object:
+        return [facts(placement) for placement in self._reach(body)]
+
+    def _motion(self, body: object) -> object:
+        motion = self._plan(body)
         messages = {"joint_trajectory": motion.joint_trajectory(), "base_path": motion.base_path()}
         return {"time": motion.time.tolist(), "base": motion.base.tolist(), **messages}
 

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import (
@@ -52,6 +53,20 @@ def are_unit(poses: Array) -> bool:
     """Return whether the quaternions of poses, shape (..., 7), have unit length."""
     deviation = np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1.0).max(initial=0.0)
     return bool(deviation < _UNIT_TOLERANCE)
+
+
+def ee_poses(poses: ArrayLike, name: str) -> Array:
+    """Return EE poses, shape (n, 7) with n at least 1, with unit quaternions; or raise an error."""
+    try:
+        array = np.atleast_2d(np.array(poses, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise KinfeasError(f"{name!r} must be numbers x y z qx qy qz qw: {error}") from error
+    if array.ndim != 2 or array.shape[1] != 7 or not len(array):
+        raise KinfeasError(f"{name!r} must be of shape (n, 7), not {array.shape}")
+    if not (np.abs(array) <= FARTHEST).all() or not are_unit(array):
+        raise KinfeasError(f"{name!r} must be within {FARTHEST:g} m, with unit quaternions xyzw")
+    array[:, 3:] /= np.linalg.norm(array[:, 3:], axis=1, keepdims=True)
+    return array
 
 
 def check_state(state: object, robots: int, joints: int, source: str) -> None:

@@ -66,7 +66,7 @@ def path(message: Any) -> JointPath | None:
 def from_odometry(message: Any) -> BaseReading:
     """Return the measurement of a nav_msgs/Odometry."""
     pose, stamp = message.pose.pose, message.header.stamp.to_sec() or None
-    x, y, heading = planar(_pose(pose.position, pose.orientation))
+    x, y, heading = planar(pose_of(pose.position, pose.orientation))
     return BaseReading(x, y, heading, velocity(message.twist), stamp)
 
 
@@ -109,7 +109,7 @@ def from_costmap(topic: CostmapTopic, frame: Array, message: Any) -> CostmapRead
     `frame` is the world pose of the frame of its header, shape (7,).
     """
     info = message.info
-    origin = planar(compose(frame, _pose(info.origin.position, info.origin.orientation)))
+    origin = planar(compose(frame, pose_of(info.origin.position, info.origin.orientation)))
     cells = np.array(message.data, dtype=np.int8)
     shape, resolution = (info.height, info.width), float(info.resolution)
     valid = np.isfinite([*origin, resolution]).all() and resolution > 0.0
@@ -160,7 +160,8 @@ def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
     return "close" if nearer else "open"
 
 
-def _pose(p: Any, q: Any) -> Array:
+def pose_of(p: Any, q: Any) -> Array:
+    """Return the pose of a position and a quaternion, shape (7,)."""
     return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
 
 
@@ -189,7 +190,7 @@ class TfTree:
         for transform in message.transforms:
             child = transform.child_frame_id.lstrip("/")
             parent = transform.header.frame_id.lstrip("/")
-            pose = _pose(transform.transform.translation, transform.transform.rotation)
+            pose = pose_of(transform.transform.translation, transform.transform.rotation)
             stamp = transform.header.stamp.to_sec()
             sent = math.inf if static else now
             if stamp and not static:

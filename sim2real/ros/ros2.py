@@ -1,7 +1,8 @@
-"""ROS 2: its topics as topics of DDS, so that ROS need not be installed here.
+"""ROS 2: its topics and services as topics of DDS, so that ROS need not be installed here.
 
 On DDS the topic `/joint_states` of ROS 2 is `rt/joint_states`, and its type is
-`sensor_msgs::msg::dds_::JointState_` in the representation XCDR 1
+`sensor_msgs::msg::dds_::JointState_` in the representation XCDR 1. The service `/compute_ik` is the
+topics `rq/compute_ikRequest` and `rr/compute_ikReply`
 (https://design.ros2.org/articles/topic_and_service_names.html). `MESSAGES` have the names, fields
 and defaults of ROS 2.
 """
@@ -9,7 +10,8 @@ and defaults of ROS 2.
 import logging
 import math
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -30,7 +32,18 @@ from cyclonedds.core import (
 )
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint32
+from cyclonedds.idl.types import (
+    array,
+    float32,
+    float64,
+    int8,
+    int32,
+    int64,
+    sequence,
+    uint8,
+    uint32,
+    uint64,
+)
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -43,6 +56,11 @@ _DOMAINS = 232  # the last domain with free ports on Linux
 _BLOCKING_MS = 5  # time that a command may wait for its place in the sender's queue
 _DELIVERY_MS = 50  # time that closing waits for the delivery of messages
 _QUEUE = 100  # messages of topics where every one counts
+_REQUESTS = 10  # requests and replies of services that wait, as by default in ROS 2
+_MATCHING = 0.1  # s that a reply waits until its writer knows the client's reader
+_MOST_BYTES = 4_000_000  # of a request
+# Fields that `rmw_cyclonedds_cpp` adds to requests; replies repeat them.
+_HEADER = ("uint64", "client", "int64", "request_number")
 _UNREAD = ViewState.Any | InstanceState.Any | SampleState.NotRead
 _LATCHED = "/tf_static"  # the topic that late subscribers get, too
 _NANO = 1_000_000_000
@@ -114,6 +132,33 @@ class Ros2Bus:
         self._readers.append((reader, kind, take))
         self._waits.attach(ReadCondition(reader, _UNREAD))
 
+    def serve(self, service: str, kinds: tuple[Any, Any], answer: Callable[[Any], Any]) -> None:
+        """Answer requests of nodes with `rmw_cyclonedds_cpp`, one at a time, from a thread.
+
+        Args:
+            service: Name.
+            kinds: Classes of request and reply.
+            answer: Returns the reply to a request.
+        """
+        name, reliable = service.lstrip("/"), Policy.Reliability.Reliable(duration(seconds=1))
+        qos = _qos(service, reliable, Policy.History.KeepLast(_REQUESTS))
+        topics = (f"rq/{name}Request", f"rr/{name}Reply")
+        requests, replies = map(partial(Topic, self._participant), topics, kinds)
+        reader = DataReader(self._participant, requests, qos=qos)
+        writer = DataWriter(self._participant, replies, qos=qos)
+
+        def take(request: Any) -> None:
+            reply = answer(request)
+            reply.client, reply.request_number = request.client, request.request_number
+            end = time.monotonic() + _MATCHING
+            clients = len(reader.get_matched_publications())
+            while len(writer.get_matched_subscriptions()) < clients and time.monotonic() < end:
+                time.sleep(0.005)
+            writer.write(reply)
+
+        self._readers.append((reader, kinds[0], take))
+        self._waits.attach(ReadCondition(reader, _UNREAD))
+
     def check(self) -> None:
         """Do nothing: DDS has no master, and silence shows as the age of measurements."""
 
@@ -134,7 +179,7 @@ class Ros2Bus:
         while not self._end.read():
             for reader, kind, take in tuple(self._readers):
                 try:
-                    for message in reader.take(_QUEUE):
+                    for message in reader.take(1):  # the others outlive an invalid one
                         if isinstance(message, kind):  # not the notice of a sender that has gone
                             take(message)
                 except Exception:  # noqa: BLE001 - the next message may be better
@@ -192,17 +237,24 @@ def _to_sec(message: Any) -> float:
     return message.sec + message.nanosec / _NANO
 
 
-def _message_classes() -> SimpleNamespace:
-    classes: dict[str, Any] = {}
-    for line in _MESSAGES.strip().splitlines():
+def message_classes(definitions: str, known: Mapping[str, Any] | None = None) -> SimpleNamespace:
+    """Return classes of messages, and of requests and replies of services, with those `known`.
+
+    The lines of `definitions` are a name, and types and names of fields, in the notation of ROS.
+    """
+    classes = dict(known or {})
+    for line in definitions.strip().splitlines():
         name, *fields = line.split()
-        package, short = name.split("/")
+        package, *folder, short = name.split("/")
+        fields = [*(_HEADER if folder else ()), *fields]
         space: dict[str, Any] = {"__module__": __name__, "__annotations__": {}}
         for kind, key in zip(fields[::2], fields[1::2], strict=True):
             item, _, size = kind.rstrip("]").partition("[")
             made, new = _PRIMITIVES.get(item) or [classes[item]] * 2
-            if size:
-                made, new = array[made, int(size)], partial(list, [0.0] * int(size))
+            if size.startswith("<="):
+                made, new = sequence[made, int(size[2:])], list
+            elif size:
+                made, new = array[made, int(size)], partial(list, [new()] * int(size))
             elif kind != item:
                 made, new = sequence[made], list
             space["__annotations__"][key], space[key] = made, field(default_factory=new)
@@ -210,18 +262,26 @@ def _message_classes() -> SimpleNamespace:
             space["w"] = 1.0
         if package == "builtin_interfaces":
             space |= {"from_sec": classmethod(_from_sec), "to_sec": _to_sec}
-        typename = {"typename": f"{package}::msg::dds_::{short}_"}
+        if folder:
+            space["deserialize"] = classmethod(_deserialize)
+        typename = {"typename": f"{package}::{'srv' if folder else 'msg'}::dds_::{short}_"}
         fill = partial(dict.update, **space)  # of the namespace of the class
         classes[short] = dataclass(new_class(short, (IdlStruct,), typename, fill))
     return SimpleNamespace(**classes)
 
 
+def _deserialize(kind: Any, data: bytes) -> Any:
+    if len(data) > _MOST_BYTES:
+        raise ValueError(f"a message of {len(data)} bytes is longer than {_MOST_BYTES}")
+    return kind.__idl__.deserialize(data)
+
+
 _PRIMITIVES: dict[str, Any] = {
-    "string": (str, str), "int8": (int8, int), "int32": (int32, int), "uint32": (uint32, int),
+    "string": (str, str), "bool": (bool, bool), "int8": (int8, int), "uint8": (uint8, int),
+    "int32": (int32, int), "uint32": (uint32, int), "int64": (int64, int), "uint64": (uint64, int),
     "float32": (float32, float), "float64": (float64, float),
 }  # fmt: skip
 
-# Names, and types and names of fields, in the notation of ROS.
 _MESSAGES = """
 builtin_interfaces/Time int32 sec uint32 nanosec
 builtin_interfaces/Duration int32 sec uint32 nanosec
@@ -253,5 +313,5 @@ float64[] accelerations float64[] effort Duration time_from_start
 trajectory_msgs/JointTrajectory Header header string[] joint_names JointTrajectoryPoint[] points
 """
 
-MESSAGES = _message_classes()
+MESSAGES = message_classes(_MESSAGES)
 """Message classes by name."""

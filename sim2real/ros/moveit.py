@@ -1,0 +1,295 @@
+"""Services of MoveIt 2 for base poses and plans, so that its clients need no other packages.
+
+Types are those of `moveit_msgs`, branch `ros2`. Requests of its versions 2.2 (Humble) to 2.6 differ
+in their last fields, which are not read. Clients of 2.2 do not read the last fields of replies.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from kinfeas.core.checks import ee_poses
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, compose, distance, interpolated, planar_pose
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.planning.reach import Placement
+from kinfeas.planning.whole_body import Moments
+from kinfeas.sim2real.ros.messages import planar, pose_of
+from kinfeas.sim2real.ros.ros2 import MESSAGES, Ros2Bus, message_classes
+from kinfeas.sim2real.ros.topics import BaseTopics, read_topics
+
+SERVICES = {
+    "GetPositionIK": "/kinfeas/compute_ik",
+    "GetCartesianPath": "/kinfeas/compute_cartesian_path",
+}
+"""Names of services by type."""
+
+SUCCESS, PLANNING_FAILED, INVALID_GOAL_CONSTRAINTS = 1, -1, -16
+INVALID_ROBOT_STATE, INVALID_LINK_NAME, FRAME_TRANSFORM_FAILURE, NO_IK_SOLUTION = -17, -18, -21, -31
+
+_BASE_JOINT = "world_joint"
+_MOST_WAYPOINTS = 10_000
+_EE_VELOCITY = 0.1  # m/s, slower where base or arm need time
+_TURN = 3.5  # radians that count as a metre of `max_step`, as in MoveIt
+
+Body = Mapping[str, object]
+"""Keyword arguments of `kinfeas.reach` or `kinfeas.plan` as plain data."""
+
+
+class MoveItServices:
+    """Answers `moveit_msgs/srv/GetPositionIK` and `GetCartesianPath` for one robot."""
+
+    def __init__(
+        self,
+        solver: IkSolver,
+        reach: Callable[[Body], Sequence[Placement]],
+        plan: Callable[[Body], Moments],
+    ) -> None:
+        """Join the domain of `ROS_DOMAIN_ID` and answer from a thread.
+
+        Args:
+            solver: Of the robot.
+            reach: Returns base poses for EE poses, or raises KinfeasError.
+            plan: Returns base and arm along an EE path, or raises KinfeasError.
+
+        Raises:
+            KinfeasError: If there is no such domain, or the robot's `ros2.yaml` is invalid.
+        """
+        robot = solver.robot
+        known = (robot.folder / "ros2.yaml").is_file()
+        topics = read_topics(robot, 2) if known else None
+        names = topics.joints.names if topics else {}
+        self._frame = topics.base.world_frame if topics else BaseTopics.world_frame
+        self._joints = [names.get(joint.name, joint.name) for joint in robot.arm]
+        self._solver, self._reach, self._plan = solver, reach, plan
+        self._bus = Ros2Bus()
+        self._bus.open("kinfeas")
+        for kind, answer in (
+            ("GetPositionIK", self._base_pose),
+            ("GetCartesianPath", self._motion),
+        ):
+            classes = tuple(getattr(MOVEIT, f"{kind}_{part}") for part in ("Request", "Response"))
+            self._bus.serve(SERVICES[kind], classes, _replying(classes[1], answer))
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._bus.close()
+
+    def _base_pose(self, request: Any, reply: Any) -> None:
+        ik = request.ik_request
+        self._check(ik.robot_state, ik.constraints, [ik.ik_link_name, *ik.ik_link_names])
+        goals = ik.pose_stamped_vector or [ik.pose_stamped]
+        with _failing(INVALID_GOAL_CONSTRAINTS):
+            if len(goals) != 1:
+                raise KinfeasError("'pose_stamped_vector' must have one pose")
+            pose = ee_poses([_numbers(goals[0].pose)], "pose_stamped")
+        self._check_frame(goals[0].header)
+        start = self._start(ik.robot_state)
+        with _failing(INVALID_ROBOT_STATE):
+            (found,) = self._reach({"poses": pose.tolist(), "start": start, "k": 1})
+        if not found.reachable:
+            raise _RequestError(NO_IK_SOLUTION, found.reason)
+        self._fill_state(reply.solution, found.base_pose[0], found.joint_positions[0])
+
+    def _motion(self, request: Any, reply: Any) -> None:
+        self._check(request.start_state, request.path_constraints, [request.link_name])
+        self._check_frame(request.header)
+        if len(request.waypoints) > _MOST_WAYPOINTS:
+            raise _RequestError(INVALID_GOAL_CONSTRAINTS, f"more than {_MOST_WAYPOINTS} waypoints")
+        with _failing(INVALID_GOAL_CONSTRAINTS):
+            waypoints = ee_poses([_numbers(pose) for pose in request.waypoints], "waypoints")
+        start, joints = self._start(request.start_state), self._arm(request.start_state)
+        if start is not None:
+            waypoints = np.vstack([self._ee(start, joints), waypoints])
+        with _failing(INVALID_GOAL_CONSTRAINTS):
+            path = _dense(waypoints, request.max_step)
+        step = request.max_step / _EE_VELOCITY
+        body = {"path": path.tolist(), "step": step, "start": start, "joints": joints}
+        with _failing(PLANNING_FAILED):
+            plan = self._plan(body)
+        self._fill_trajectory(reply.solution, plan)
+        self._fill_state(reply.start_state, plan.base_pose[0], plan.joint_positions[0])
+        reply.fraction = 1.0
+
+    def _check(self, state: Any, constraints: Any, links: Sequence[str]) -> None:
+        kinds = ("joint", "position", "orientation", "visibility")
+        if any(getattr(constraints, f"{kind}_constraints") for kind in kinds):
+            raise _RequestError(INVALID_GOAL_CONSTRAINTS, "constraints are not supported")
+        if state.attached_collision_objects:
+            raise _RequestError(INVALID_ROBOT_STATE, "attached objects are not supported")
+        ee = self._solver.robot.ee_frame
+        if other := set(links) - {"", ee}:
+            raise _RequestError(INVALID_LINK_NAME, f"poses are of {ee}, not {min(other)}")
+
+    def _check_frame(self, header: Any) -> None:
+        if header.frame_id.lstrip("/") not in ("", self._frame):
+            text = f"poses must be in {self._frame}, not {header.frame_id}"
+            raise _RequestError(FRAME_TRANSFORM_FAILURE, text)
+
+    def _start(self, state: Any) -> list[float] | None:
+        """Return x, y and yaw of the base; None if the state does not have them."""
+        transforms = state.multi_dof_joint_state.transforms
+        if not transforms:
+            return None
+        if len(transforms) > 1:
+            raise _RequestError(
+                INVALID_ROBOT_STATE, "only the base may have several degrees of freedom"
+            )
+        self._check_frame(state.multi_dof_joint_state.header)
+        base = planar(pose_of(transforms[0].translation, transforms[0].rotation))
+        if not np.isfinite(base).all():
+            raise _RequestError(INVALID_ROBOT_STATE, "the base pose is invalid")
+        return list(base)
+
+    def _arm(self, state: Any) -> list[float] | None:
+        """Return the arm joints; None if the state has none of them."""
+        names, positions = state.joint_state.name, state.joint_state.position
+        if len(names) != len(positions):
+            raise _RequestError(INVALID_ROBOT_STATE, "each joint needs a position")
+        given = dict(zip(names, positions, strict=True))
+        joints = [given[name] for name in self._joints if name in given]
+        if not joints:
+            return None
+        if len(joints) < len(self._joints) or not np.isfinite(joints).all():
+            raise _RequestError(INVALID_ROBOT_STATE, "each arm joint needs a finite position")
+        return joints
+
+    def _ee(self, start: Sequence[float], joints: Sequence[float] | None) -> Array:
+        arm = self._solver.robot.home["home"] if joints is None else np.array(joints)
+        x, y, yaw = (np.array([value]) for value in start)
+        return compose(planar_pose(x, y, yaw), forward(self._solver.chain, arm[np.newaxis]))
+
+    def _fill_state(self, state: Any, base: Array, joints: Array) -> None:
+        state.joint_state.name, state.joint_state.position = self._joints, joints.tolist()
+        bases = state.multi_dof_joint_state
+        bases.header.frame_id, bases.joint_names = self._frame, [_BASE_JOINT]
+        bases.transforms = [_transform(base)]
+
+    def _fill_trajectory(self, trajectory: Any, plan: Moments) -> None:
+        arm, base = trajectory.joint_trajectory, trajectory.multi_dof_joint_trajectory
+        base.header.frame_id, base.joint_names = self._frame, [_BASE_JOINT]
+        arm.joint_names = self._joints
+        moments = zip(
+            plan.time.tolist(), plan.base_pose, plan.joint_positions.tolist(), strict=True
+        )
+        for seconds, pose, joints in moments:
+            stamp = MOVEIT.Duration.from_sec(seconds)
+            arm.points.append(MOVEIT.JointTrajectoryPoint(joints, time_from_start=stamp))
+            transforms = [_transform(pose)]
+            point = MOVEIT.MultiDOFJointTrajectoryPoint(transforms, time_from_start=stamp)
+            base.points.append(point)
+
+
+class _RequestError(Exception):
+    """A request without a solution, with its code of `MoveItErrorCodes`."""
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@contextmanager
+def _failing(code: int) -> Iterator[None]:
+    try:
+        yield
+    except (KinfeasError, ValueError) as error:
+        raise _RequestError(code, str(error)) from error
+
+
+def _replying(kind: Any, fill: Callable[[Any, Any], None]) -> Callable[[Any], Any]:
+    """Return a function from requests to replies of a class, with an error code."""
+
+    def answer(request: Any) -> Any:
+        reply = kind()
+        reply.error_code.val, reply.error_code.source = SUCCESS, "kinfeas"
+        try:
+            fill(request, reply)
+        except _RequestError as error:
+            reply.error_code.val, reply.error_code.message = error.code, str(error)
+        return reply
+
+    return answer
+
+
+def _dense(waypoints: Array, max_step: float) -> Array:
+    """Return poses on straight lines through waypoints, at most `max_step` metres apart."""
+    if len(waypoints) < 2:
+        raise KinfeasError("'waypoints' must have 2 poses, or one with a start state")
+    if not 0.0 < max_step < np.inf:
+        raise KinfeasError("'max_step' must be positive")
+    metres, radians = distance(waypoints[:-1], waypoints[1:])
+    lengths = np.maximum(metres, radians / _TURN) / max_step
+    steps = np.ceil(lengths - 1e-6).clip(1.0)  # 10, not 11, of 0.1 m by 0.01 m
+    samples = np.concatenate([[0.0], np.cumsum(steps)])
+    if samples[-1] >= _MOST_WAYPOINTS:
+        raise KinfeasError(f"'max_step' makes more than {_MOST_WAYPOINTS} poses")
+    return interpolated(np.arange(samples[-1] + 1.0), samples, waypoints)
+
+
+def _numbers(pose: Any) -> list[float]:
+    return pose_of(pose.position, pose.orientation).tolist()
+
+
+def _transform(pose: Array) -> Any:
+    x, y, z, *rotation = pose.tolist()
+    return MOVEIT.Transform(MOVEIT.Vector3(x, y, z), MOVEIT.Quaternion(*rotation))
+
+
+_DEFINITIONS = """
+geometry_msgs/Point32 float32 x float32 y float32 z
+geometry_msgs/Polygon Point32[] points
+geometry_msgs/Wrench Vector3 force Vector3 torque
+shape_msgs/SolidPrimitive uint8 type float64[<=3] dimensions Polygon polygon
+shape_msgs/MeshTriangle uint32[3] vertex_indices
+shape_msgs/Mesh MeshTriangle[] triangles Point[] vertices
+shape_msgs/Plane float64[4] coef
+sensor_msgs/MultiDOFJointState Header header string[] joint_names Transform[] transforms \
+Twist[] twist Wrench[] wrench
+trajectory_msgs/MultiDOFJointTrajectoryPoint Transform[] transforms Twist[] velocities \
+Twist[] accelerations Duration time_from_start
+trajectory_msgs/MultiDOFJointTrajectory Header header string[] joint_names \
+MultiDOFJointTrajectoryPoint[] points
+object_recognition_msgs/ObjectType string key string db
+moveit_msgs/CollisionObject Header header Pose pose string id ObjectType type \
+SolidPrimitive[] primitives Pose[] primitive_poses Mesh[] meshes Pose[] mesh_poses \
+Plane[] planes Pose[] plane_poses string[] subframe_names Pose[] subframe_poses uint8 operation
+moveit_msgs/AttachedCollisionObject string link_name CollisionObject object string[] touch_links \
+JointTrajectory detach_posture float64 weight
+moveit_msgs/RobotState JointState joint_state MultiDOFJointState multi_dof_joint_state \
+AttachedCollisionObject[] attached_collision_objects bool is_diff
+moveit_msgs/RobotTrajectory JointTrajectory joint_trajectory \
+MultiDOFJointTrajectory multi_dof_joint_trajectory
+moveit_msgs/JointConstraint string joint_name float64 position float64 tolerance_above \
+float64 tolerance_below float64 weight
+moveit_msgs/BoundingVolume SolidPrimitive[] primitives Pose[] primitive_poses Mesh[] meshes \
+Pose[] mesh_poses
+moveit_msgs/PositionConstraint Header header string link_name Vector3 target_point_offset \
+BoundingVolume constraint_region float64 weight
+moveit_msgs/OrientationConstraint Header header Quaternion orientation string link_name \
+float64 absolute_x_axis_tolerance float64 absolute_y_axis_tolerance \
+float64 absolute_z_axis_tolerance uint8 parameterization float64 weight
+moveit_msgs/VisibilityConstraint float64 target_radius PoseStamped target_pose int32 cone_sides \
+PoseStamped sensor_pose float64 max_view_angle float64 max_range_angle \
+uint8 sensor_view_direction float64 weight
+moveit_msgs/Constraints string name JointConstraint[] joint_constraints \
+PositionConstraint[] position_constraints OrientationConstraint[] orientation_constraints \
+VisibilityConstraint[] visibility_constraints
+moveit_msgs/MoveItErrorCodes int32 val string message string source
+moveit_msgs/PositionIKRequest string group_name RobotState robot_state Constraints constraints \
+bool avoid_collisions string ik_link_name PoseStamped pose_stamped string[] ik_link_names \
+PoseStamped[] pose_stamped_vector Duration timeout
+moveit_msgs/srv/GetPositionIK_Request PositionIKRequest ik_request
+moveit_msgs/srv/GetPositionIK_Response RobotState solution MoveItErrorCodes error_code
+moveit_msgs/srv/GetCartesianPath_Request Header header RobotState start_state string group_name \
+string link_name Pose[] waypoints float64 max_step float64 jump_threshold \
+float64 prismatic_jump_threshold float64 revolute_jump_threshold bool avoid_collisions \
+Constraints path_constraints
+moveit_msgs/srv/GetCartesianPath_Response RobotState start_state RobotTrajectory solution \
+float64 fraction MoveItErrorCodes error_code
+"""
+
+MOVEIT = message_classes(_DEFINITIONS, vars(MESSAGES))
+"""Message classes by name."""

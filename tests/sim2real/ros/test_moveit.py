@@ -1,0 +1,230 @@
+"""Services of ROS 2, called as a node with `rmw_cyclonedds_cpp` does."""
+
+import os
+import struct
+
+import numpy as np
+import pytest
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from kinfeas.api.reach import reach
+from kinfeas.api.serve import PlanningServer
+from kinfeas.sim2real.ros.moveit import MOVEIT
+from tests.builders import TIMEOUT, wait
+from tests.sim2real.ros_processes import own_domain
+
+CLIENT = 0xFEDCBA9876543210
+DEFAULTS = Qos(
+    Policy.Reliability.Reliable(duration(seconds=1)),
+    Policy.Durability.Volatile,
+    Policy.History.KeepLast(10),
+    Policy.DataRepresentation(use_cdrv0_representation=True),
+)
+
+
+class Client:
+    def __init__(self, participant, service, kind):
+        request, reply = (getattr(MOVEIT, f"{kind}_{part}") for part in ("Request", "Response"))
+        topics = Topic(participant, f"rq{service}Request", request)
+        self.writer = DataWriter(participant, topics, qos=DEFAULTS)
+        replies = Topic(participant, f"rr{service}Reply", reply)
+        self.reader, self.number = DataReader(participant, replies, qos=DEFAULTS), 0
+        wait(
+            lambda: (
+                self.writer.get_matched_subscriptions() and self.reader.get_matched_publications()
+            )
+        )
+
+    def __call__(self, request):
+        self.number += 1
+        request.client, request.request_number = CLIENT, self.number
+        self.writer.write(request)
+        reply = next(self.reader.take_iter(timeout=duration(seconds=TIMEOUT)))
+        assert (reply.client, reply.request_number) == (CLIENT, self.number)
+        return reply
+
+
+@pytest.fixture(scope="module")
+def participant():
+    """A participant beside a server of HSR in a room."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", own_domain())
+        patch.setenv("ROS_LOCALHOST_ONLY", "1")
+        patch.setenv("CYCLONEDDS_URI", os.environ.get("CYCLONEDDS_URI", ""))
+        if not os.environ["CYCLONEDDS_URI"]:
+            patch.delenv("CYCLONEDDS_URI")
+        with PlanningServer("hsr", "room", 0, ros2=True):
+            yield DomainParticipant(int(own_domain()))
+
+
+@pytest.fixture(scope="module")
+def compute_ik(participant):
+    return Client(participant, "/kinfeas/compute_ik", "GetPositionIK")
+
+
+@pytest.fixture(scope="module")
+def compute_path(participant):
+    return Client(participant, "/kinfeas/compute_cartesian_path", "GetCartesianPath")
+
+
+def ik(x=1.0, z=0.8, frame="map"):
+    request = MOVEIT.GetPositionIK_Request()
+    goal = request.ik_request.pose_stamped
+    goal.header.frame_id, goal.pose = frame, pose(x, z)
+    return request
+
+
+def pose(x, z=0.8):
+    return MOVEIT.Pose(MOVEIT.Point(x, 0.5, z))
+
+
+def path(*xs, **fields):
+    return MOVEIT.GetCartesianPath_Request(
+        waypoints=[pose(x) for x in xs], **{"max_step": 0.01, **fields}
+    )
+
+
+def base_of(state):
+    (base,), frame = state.transforms, state.header.frame_id
+    assert (frame, state.joint_names) == ("map", ["world_joint"])
+    p, q = base.translation, base.rotation
+    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+
+
+def test_base_poses_are_those_of_reach(compute_ik):
+    reply = compute_ik(ik())
+    (placement,) = reach("hsr", [[1.0, 0.5, 0.8, 0, 0, 0, 1]], scene="room", k=1)
+    assert reply.error_code.val == 1
+    np.testing.assert_allclose(
+        base_of(reply.solution.multi_dof_joint_state), placement.base_pose[0]
+    )
+    joints = reply.solution.joint_state
+    np.testing.assert_allclose(joints.position, placement.joint_positions[0])
+    assert joints.name[0] == "arm_lift_joint"
+    several = MOVEIT.GetPositionIK_Request()
+    several.ik_request.pose_stamped_vector = [ik().ik_request.pose_stamped]
+    assert compute_ik(several).solution == reply.solution
+
+
+def test_plans_lead_along_straight_lines_from_the_start_state(compute_path):
+    reply = compute_path(path(1.0, 1.1, 1.2))
+    assert (reply.error_code.val, reply.fraction) == (1, 1.0)
+    arm, base = reply.solution.joint_trajectory, reply.solution.multi_dof_joint_trajectory
+    assert len(arm.points) == len(base.points) == 21
+    assert base.points[-1].time_from_start.to_sec() >= 2.0 - 1e-6
+    assert arm.points[0].positions == reply.start_state.joint_state.position
+    onward = path(1.2, start_state=reply.start_state)
+    again = compute_path(onward)
+    assert (again.error_code.val, len(again.solution.joint_trajectory.points)) == (1, 21)
+    assert base_of(again.start_state.multi_dof_joint_state) == pytest.approx(
+        base_of(reply.start_state.multi_dof_joint_state), abs=1e-6
+    )
+
+
+def _constrained():
+    request = ik()
+    request.ik_request.constraints.joint_constraints = [MOVEIT.JointConstraint("arm_lift_joint")]
+    return request
+
+
+def _of_link():
+    request = ik()
+    request.ik_request.ik_link_name = "base_link"
+    return request
+
+
+def _from(x):
+    request = ik()
+    transform = MOVEIT.Transform(MOVEIT.Vector3(x))
+    request.ik_request.robot_state.multi_dof_joint_state.transforms = [transform]
+    return request
+
+
+@pytest.mark.parametrize(("request_of", "code"), [
+    (lambda: ik(z=3.0), -31),
+    (lambda: ik(frame="odom"), -21),
+    (lambda: ik(x=np.nan), -16),
+    (_constrained, -16),
+    (_of_link, -18),
+    (lambda: _from(np.inf), -17),
+    (lambda: _from(2e4), -17),
+])  # fmt: skip
+def test_requests_without_base_pose_have_error_codes(compute_ik, request_of, code):
+    error = compute_ik(request_of()).error_code
+    assert (error.val, error.source) == (code, "kinfeas")
+    assert error.message
+
+
+@pytest.mark.parametrize(("request_of", "code"), [
+    (lambda: path(1.0), -16),
+    (lambda: path(1.0, np.nan), -16),
+    (lambda: path(1.0, 1.1, max_step=0.0), -16),
+    (lambda: path(1.0, 1.1, max_step=1e-9), -16),
+    (lambda: path(*[1.0] * 10_001), -16),
+    (lambda: path(1.0, 1.1, header=MOVEIT.Header(frame_id="base_footprint")), -21),
+    (lambda: path(1.0, 9.0, max_step=1.0), -1),
+    (lambda: path(1.0, 1.1, start_state=MOVEIT.RobotState(MOVEIT.JointState(name=["a"]))), -17),
+])  # fmt: skip
+def test_requests_without_plan_have_error_codes(compute_path, request_of, code):
+    reply = compute_path(request_of())
+    assert (reply.error_code.val, reply.fraction) == (code, 0.0)
+    assert reply.error_code.message
+
+
+def test_topics_and_types_have_the_names_of_ros(participant, compute_ik, compute_path):
+    names = set()
+    for kind in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription):
+        reader = BuiltinDataReader(participant, kind)
+        names |= {(topic.topic_name, topic.type_name) for topic in reader.take(100)}
+    assert names >= {
+        ("rq/kinfeas/compute_ikRequest", "moveit_msgs::srv::dds_::GetPositionIK_Request_"),
+        ("rr/kinfeas/compute_ikReply", "moveit_msgs::srv::dds_::GetPositionIK_Response_"),
+        (
+            "rq/kinfeas/compute_cartesian_pathRequest",
+            "moveit_msgs::srv::dds_::GetCartesianPath_Request_",
+        ),
+        (
+            "rr/kinfeas/compute_cartesian_pathReply",
+            "moveit_msgs::srv::dds_::GetCartesianPath_Response_",
+        ),
+    }
+
+
+def _cdr(*values):
+    """Return values in CDR: integers of 4 bytes, strings, flags, floats and the client's header."""
+    data = b""
+    for value in values:
+        kind = {int: "i", str: "I", bool: "?", float: "d", tuple: "Qq"}[type(value)]
+        data += bytes(-len(data) % struct.calcsize(kind[0]))
+        if isinstance(value, str):
+            data += struct.pack("<I", len(value) + 1) + value.encode() + b"\0"
+        else:
+            data += struct.pack(f"<{kind}", *value if isinstance(value, tuple) else [value])
+    return b"\0\1\0\0" + data
+
+
+def test_requests_on_the_wire_have_the_header_of_rmw_cyclonedds():
+    joints, bases = (0, 0, "", 0, 0, 0, 0), (0, 0, "", 0, 0, 0, 0)
+    state, constraints, none = (*joints, *bases, 0, False), ("", 0, 0, 0, 0), (0, 0)
+    goal = (0, 0, "map", 1.0, 0.5, 0.8, 0.0, 0.0, 0.0, 1.0)
+    data = _cdr((CLIENT, 7), "", *state, *constraints, False, "", *goal, *none, 0, 0)
+    request = ik()
+    request.client, request.request_number = CLIENT, 7
+    assert request.serialize(use_version_2=False) == data
+    header, waypoints = (0, 0, "map"), (1, 1.0, 0.5, 0.8, 0.0, 0.0, 0.0, 1.0)
+    steps = (0.01, 0.0, 0.0, 0.0, False)
+    data = _cdr((CLIENT, 8), *header, *state, "arm", "", *waypoints, *steps, *constraints)
+    newer = data + bytes(-len(data) % 4) + bytes(32)  # fields that Humble's type lacks
+    for read in map(MOVEIT.GetCartesianPath_Request.deserialize, (data, newer)):
+        assert (read.client, read.request_number, read.group_name) == (CLIENT, 8, "arm")
+        assert (read.waypoints, read.max_step) == ([pose(1.0)], 0.01)
