@@ -38,10 +38,11 @@ class BasePathSettings:
     commands: int = 900  # base commands that these try together
     robot_commands: int = 200  # largest number of commands that one robot tries
     noise: float = 0.5  # largest difference from the EE's velocity of half of the commands
-    backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on; the EE ...
-    slow: float = 0.1  # ... has this fraction of its speed from there; once for each number
-    jumps: tuple[int, ...] = (0, 4, 16, 0, 4, 16)  # the same where arms jump if that does not help
-    configurations: int = 2  # arm configurations that each robot tries there
+    # Poses back from where no robot goes on: from there the EE is slow, once for each number; where
+    # that does not help, arms jump there.
+    backtracking: tuple[int, ...] = (0, 4, 16)
+    slow: float = 0.1  # fraction of its speed that a slow EE has
+    configurations: int = 2  # arm configurations to which each robot tries to jump
     velocity: float = 0.3  # largest speed of the base, m/s
     rotation: float = 0.5  # largest angular speed of the base, rad/s
     base_fraction: float = 0.8  # of the limits of the base; the rest is for control
@@ -173,7 +174,7 @@ class BasePathPlanner:
         start = base_pose[np.newaxis], joints[np.newaxis], rest
         beams = [_Beam(*start, np.zeros(1), np.zeros(1, dtype=np.intp))]
         nodes, scales = _nodes(ee), np.ones(len(ee))
-        retries, jumps = list(SETTINGS.backtracking), list(SETTINGS.jumps if partial else ())
+        retries, jumps = list(SETTINGS.backtracking), list(SETTINGS.backtracking if partial else ())
         while len(beams) < len(nodes):
             k = len(beams)
             seconds = np.diff(nodes[: k + 1]) * step / scales[nodes[:k]] / time_scale
