@@ -5,7 +5,7 @@ import logging
 from contextlib import ExitStack
 from dataclasses import dataclass
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Lock
 from typing import Annotated, Any
 
@@ -57,7 +57,7 @@ class PlanRequest:
     joints: tuple[float, ...] | None = None
 
 
-class PlanningServer(HTTPServer):
+class PlanningServer(ThreadingHTTPServer):
     """Answers for one robot in one scene, one request at a time.
 
     HTTP answers only programs of this computer and pages of the same address. ROS 2 answers all

@@ -1,5 +1,7 @@
 import json
+import socket
 import threading
+import time
 import urllib.error
 import urllib.request
 
@@ -28,6 +30,7 @@ def post():
             except urllib.error.HTTPError as error:
                 return error.code, json.load(error)
 
+        send.address = server.socket.getsockname()
         yield send
         server.shutdown()
         thread.join()
@@ -43,6 +46,14 @@ def test_base_poses_and_plans_are_answered(post):
     assert (status, len(answer["joint_trajectory"]["points"])) == (200, 20)
     status, answer = post("/plan", {"path": path, "solids": [BOX]})
     assert (status, "solid" in answer["error"]) == (400, True)
+
+
+def test_a_slow_request_does_not_keep_others_waiting(post):
+    with socket.create_connection(post.address) as slow:
+        slow.sendall(b"POST /reach HTTP/1.1\r\nHost: 127.0.0.1\r\n")
+        begin = time.monotonic()
+        assert post("/reach", {"poses": [AHEAD]})[0] == 200
+        assert time.monotonic() - begin < 5.0  # a request may take 10 s to arrive
 
 
 @pytest.mark.parametrize(("path", "data", "headers", "status"), [
