@@ -2,6 +2,7 @@
 
 import json
 import logging
+import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -100,6 +101,11 @@ class PlanningServer(ThreadingHTTPServer):
         """Stop listening."""
         super().server_close()
         self._opened.close()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print errors, but not those of clients that have gone."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     def _reach(self, body: object) -> list[Placement]:
         request = from_mapping(ReachRequest, body, "request")
