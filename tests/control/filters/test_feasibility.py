@@ -128,6 +128,10 @@ def test_time_scaling_slows_the_planned_motion_and_holds_where_nothing_is_feasib
     able = feasible(solver, scaled, scaled.command, np.arange(ROWS))
     assert not (scaled.time_scale[~able].any() or scaled.command[~able].any())
     assert (fraction[able] < 1.0).any()
+    # Where the EE rests, the base does not depend on the policy.
+    other = TimeScalingFilter(solver, DT, response=AT_ONCE)(replace(begun, command=-begun.command))
+    rest = (scaled.time_scale == 0.0) & (other.time_scale == 0.0)
+    np.testing.assert_array_equal(scaled.command[rest], other.command[rest])
 
 
 @pytest.mark.parametrize(("metres", "fraction"), [(0.005, 1.0), (0.02, 0.5), (0.04, 0.0)])
