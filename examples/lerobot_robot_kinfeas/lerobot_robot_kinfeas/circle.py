@@ -39,10 +39,12 @@ class KinfeasCircle(Teleoperator):
 
     config_class = KinfeasCircleConfig
     name = "kinfeas_circle"
+    is_connected = False
+    is_calibrated = True
 
     def __init__(self, config: KinfeasCircleConfig) -> None:
         super().__init__(config)
-        self.config, self._count, self._connected = config, 0, False
+        self.config, self._count = config, 0
         robot = load_robot(config.robot)
         home = forward(IkSolver(robot).chain, robot.home["home"][np.newaxis])[0]
         self._start = spatial.compose(home, tool_pose(robot))
@@ -57,29 +59,18 @@ class KinfeasCircle(Teleoperator):
         """None."""
         return {}
 
-    @property
-    def is_connected(self) -> bool:
-        """Whether it was connected."""
-        return self._connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Nothing needs calibration."""
-        return True
-
     def calibrate(self) -> None:
         """Do nothing."""
 
-    def configure(self) -> None:
-        """Do nothing."""
+    configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
         """Begin at the home pose."""
-        self._count, self._connected = 0, True
+        self._count, self.is_connected = 0, True
 
     def disconnect(self) -> None:
         """End."""
-        self._connected = False
+        self.is_connected = False
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """Do nothing."""

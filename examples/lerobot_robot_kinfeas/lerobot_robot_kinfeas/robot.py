@@ -51,6 +51,7 @@ class Kinfeas(Robot):
 
     config_class = KinfeasConfig
     name = "kinfeas"
+    is_calibrated = True
 
     def __init__(self, config: KinfeasConfig) -> None:
         super().__init__(config)
@@ -80,16 +81,10 @@ class Kinfeas(Robot):
         """Whether the simulation runs."""
         return self._episode is not None
 
-    @property
-    def is_calibrated(self) -> bool:
-        """Nothing needs calibration."""
-        return True
-
     def calibrate(self) -> None:
         """Do nothing."""
 
-    def configure(self) -> None:
-        """Do nothing."""
+    configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
         """Begin a simulation, with the base at the origin and the arm at home."""
@@ -134,18 +129,15 @@ class Kinfeas(Robot):
         """Move for one frame, and return the action; the EE holds its pose without a valid one."""
         episode = self._running()
         values = np.array([float(action.get(name, np.nan)) for name in self._names])
-        twist = None
-        if self.config.action == "twist":
-            twist = values if np.isfinite(values).all() else None
-        elif np.isfinite(values).all() and np.linalg.norm(values[3:]) > 1e-3:
+        twist = self.config.action == "twist"
+        if not twist and np.isfinite(values).all() and np.linalg.norm(values[3:]) > 1e-3:
             values[3:] /= np.linalg.norm(values[3:])
             self._target = spatial.compose(values, spatial.relative(spatial.IDENTITY, self._tool))
         self._due += 1.0 / self.config.fps
         while self._due > DT / 2.0:
             self._due -= DT
-            if twist is not None:
-                episode.controller.set_twist(twist)
-            if self.config.action == "twist":
+            if twist:
+                episode.controller.set_twist(values)
                 self._target = episode.loop.desired[0]  # no pose: the twist leads
             episode.step(self._target)
         return action

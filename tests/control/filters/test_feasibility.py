@@ -128,6 +128,27 @@ def test_time_scaling_slows_the_planned_motion_and_holds_where_nothing_is_feasib
     able = feasible(solver, scaled, scaled.command, np.arange(ROWS))
     assert not (scaled.time_scale[~able].any() or scaled.command[~able].any())
     assert (fraction[able] < 1.0).any()
+    # Where the EE rests, the base does not depend on the policy.
+    other = TimeScalingFilter(solver, DT, response=AT_ONCE)(replace(begun, command=-begun.command))
+    rest = (scaled.time_scale == 0.0) & (other.time_scale == 0.0)
+    np.testing.assert_array_equal(scaled.command[rest], other.command[rest])
+
+
+@pytest.mark.parametrize(("metres", "fraction"), [(0.005, 1.0), (0.02, 0.5), (0.04, 0.0)])
+def test_arms_with_a_pose_tolerance_wait_only_where_they_deviate_far(hsr, metres, fraction):
+    solver, dt = IkSolver(hsr), 0.002
+    joints, base_pose = hsr.home["home"][np.newaxis], spatial.IDENTITY[np.newaxis]
+    desired = forward(solver.chain, joints)
+    desired[:, 0] += metres  # farther than base and arm move in a period
+    resting = Straight(desired)
+    resting.twist[:] = 0.0
+    begun = Period(
+        command=np.zeros((1, 3)), base_pose=base_pose, joints=joints, desired=desired,
+        step=MotionStep(desired, desired, [], np.full(1, dt)), time_scale=np.ones(1),
+        motions=resting,
+    )  # fmt: skip
+    scaled = TimeScalingFilter(solver, dt, response=AT_ONCE, max_deviation=0.01)(begun)
+    assert scaled.time_scale == fraction
 
 
 @pytest.mark.slow
