@@ -1,29 +1,16 @@
-"""Paths of base and arm along a known EE path, by beam search."""
+"""Paths of base and arm along known EE paths, by beam search."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import (
-    Array,
-    compose,
-    distance,
-    integrate,
-    planar_pose,
-    relative,
-    twist_between,
-    yaw,
-)
-from kinfeas.kinematics.drive import base_twist, command_size
-from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkSolution, IkSolver, spread_configurations
-from kinfeas.kinematics.solids import collides, in_base
-from kinfeas.planning.proposals import propose
-from kinfeas.robots.robot import joint_displacement
+from kinfeas.core.spatial import Array, distance, yaw
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.planning.beam import Beam, BeamExpander
 
 _ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
 
@@ -32,40 +19,10 @@ _ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
 class BasePathSettings:
     """Settings of the search for base paths."""
 
-    metres: float = 0.07  # distance of the EE poses at which the search has a robot, metres
+    metres: float = 0.07  # distance of the EE poses at which the search has a beam, metres
     radians: float = 0.07  # the same of orientations, radians
-    beam: int = 150  # robots that are kept at each pose
-    commands: int = 900  # base commands that these try together
-    robot_commands: int = 200  # largest number of commands that one robot tries
-    noise: float = 0.5  # largest difference from the EE's velocity of half of the commands
-    # Poses back from where no robot goes on: from there the EE is slow, once for each number; where
-    # that does not help, arms jump there.
-    backtracking: tuple[int, ...] = (0, 4, 16)
-    slow: float = 0.1  # fraction of its speed that a slow EE has
-    configurations: int = 2  # arm configurations to which each robot tries to jump
-    velocity: float = 0.3  # largest speed of the base, m/s
-    rotation: float = 0.5  # largest angular speed of the base, rad/s
-    base_fraction: float = 0.8  # of the limits of the base; the rest is for control
-    arm_fraction: float = 0.7  # of the velocity limits of the arm, likewise
-    cell: float = 0.12  # robots in one cell count as the same: its size, metres,
-    heading: float = math.pi / 8.0  # its size in heading, radians,
-    elbows: int = 4  # and the number of parts of the elbow's range
-    cell_robots: int = 4  # robots of a cell that try IK
-    centred: float = 0.6  # fraction of the joint ranges that costs nothing
-    limit_cost: float = 5.0  # cost of the squared rest of the range
-    effort_cost: float = 0.1  # cost of the squared base command
-    change_cost: float = 0.3  # cost of its squared change
-    sensitive_cost: float = 0.3  # cost of the logarithm of `Proposal.sensitivity`
-    farthest: float = 1.3  # joint motion by the Jacobian, as a fraction of its limit, that IK tries
-    tried: int = 150  # robots that try IK
-    joint_margin: float = 0.05  # distance from joint limits, as a fraction of half the range, and
-    clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
-    margin_cost: float = 5.0  # one of these
-    error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
-    off_metres: float = 0.08  # largest displacement of a base that arms should make up for, metres
-    off_radians: float = 0.1  # the same rotation, radians
-    off_cost: float = 15.0  # cost of an arm that cannot
-    memory: float = 0.8  # fraction of the costs that counts at the next pose
+    backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on
+    slow: float = 0.1  # fraction of its speed that the EE has from there
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
 
 
@@ -103,46 +60,16 @@ class BasePath:
         return float(self.time_scale[min(index, len(self.time_scale) - 1)])
 
 
-@dataclass(frozen=True)
-class _Beam:
-    """Robots with their EE at one pose."""
-
-    base: Array  # world poses of the base, shape (m, 7)
-    joints: Array  # arm joints, shape (m, j)
-    command: Array  # base commands that led here, shape (m, a)
-    cost: Array  # cost of the path, shape (m,)
-    parent: NDArray[np.intp]  # number of the robot of the beam before, shape (m,)
-
-    def of(self, rows: NDArray[np.intp]) -> "_Beam":
-        return _Beam(*(values[rows] for values in vars(self).values()))
-
-
 class BasePathPlanner:
-    """Finds paths of base and arm along EE paths; arms jump only where a partial path would end.
+    """Finds paths of base and arm along EE paths.
 
-    A beam search: at each EE pose, every robot of the beam tries random base commands. Those that
-    seem best by its Jacobian go to IK, which moves the arm within its velocity limits, and the best
-    robot of each cell goes on. Robots with arms far from joint limits, from self-collision and from
-    singularities are better, and those that reach the pose from a base a little elsewhere, since
-    these can make up for a base that is not where it should be.
+    A beam search: robots of the beam at one EE pose lead to the beam at the next. Where none goes
+    on, the search goes back to earlier poses; from there the EE is slow. If that does not help,
+    arms jump there to other configurations, unless the path must not have joint jumps.
     """
 
     def __init__(self, solver: IkSolver) -> None:
-        self.robot = robot = solver.robot
-        options = replace(solver.options, restarts=0)
-        careful = replace(
-            options, joint_margin=SETTINGS.joint_margin, self_clearance=SETTINGS.clearance
-        )
-        self.solver, self._careful = IkSolver(robot, options), IkSolver(robot, careful)
-        self._anywhere = solver
-        limits = [robot.base.max_velocity, robot.base.max_rotation]
-        fastest = np.array([SETTINGS.velocity, SETTINGS.rotation])
-        fastest = np.minimum(fastest / limits, SETTINGS.base_fraction)
-        self._fastest = np.repeat(fastest, [command_size(robot.base) - 1, 1])
-        lower, upper = robot.finite_joint_limits
-        self._middle, self._half = (lower + upper) / 2.0, np.maximum((upper - lower) / 2.0, 1e-9)
-        self._bounded = np.isfinite(np.subtract(*robot.joint_limits))
-        self._elbow = max(len(robot.arm) - 4, 0)
+        self.robot, self._expander = solver.robot, BeamExpander(solver)
 
     def plan(
         self,
@@ -169,192 +96,81 @@ class BasePathPlanner:
             partial: Whether arms may jump, and a path may end before the EE path, where no robot
                 goes on.
         """
-        solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
-        rng, rest = np.random.default_rng(0), np.zeros((1, len(self._fastest)))
-        start = base_pose[np.newaxis], joints[np.newaxis], rest
-        beams = [_Beam(*start, np.zeros(1), np.zeros(1, dtype=np.intp))]
-        nodes, scales = _nodes(ee), np.ones(len(ee))
-        retries, jumps = list(SETTINGS.backtracking), list(SETTINGS.backtracking if partial else ())
-        while len(beams) < len(nodes):
-            k = len(beams)
-            seconds = np.diff(nodes[: k + 1]) * step / scales[nodes[:k]] / time_scale
-            then = None if solids is None else solids.at(seconds.sum(keepdims=True))
-            beam = self._moved(beams[-1], ee[nodes[k]], float(seconds[-1]), rng, then)
-            if len(beam.cost):
-                beams.append(beam)
-            elif retries:
-                first = max(k - 1 - retries.pop(0), 0)
-                slow = np.arange(nodes[first], nodes[k], 2)
-                scales[slow] = SETTINGS.slow
-                nodes, beams = np.union1d(nodes, slow), beams[: first + 1]
-            elif jumps:
-                first = max(k - 1 - jumps.pop(0), 0)
-                then = None if solids is None else solids.at(seconds[:first].sum(keepdims=True))
-                beam = self._reconfigured(beams[first], ee[nodes[first]], then)
-                if len(beam.cost):
-                    later = np.unique(nodes[nodes > nodes[first]])
-                    nodes = np.concatenate([nodes[: first + 1], nodes[first : first + 1], later])
-                    beams = [*beams[: first + 1], beam]
-            elif partial and k > 1:
+        beam = self._expander.first(base_pose, joints)
+        search = _Search(self._expander, ee, step / time_scale, solids, beam)
+        ways = [(search.slow_down, back) for back in SETTINGS.backtracking]
+        if partial:
+            ways += [(search.jump, back) for back in SETTINGS.backtracking]
+        while not search.complete:
+            if search.go_on():
+                continue
+            if not ways:
                 break
-            else:
-                return None
-        nodes = nodes[: len(beams)]
-        robots = _traced(beams)
+            go_back, poses = ways.pop(0)
+            go_back(poses)
+        if not search.complete and not (partial and len(search.beams) > 1):
+            return None
+        nodes = search.nodes[: len(search.beams)]
+        robots = _traced(search.beams)
         turning = np.concatenate([[False, False, True], self.robot.continuous])
         robots[:, turning] = np.unwrap(robots[:, turning], axis=0)
         seconds = begin + step * nodes.astype(np.float64)
-        until = np.concatenate([[1.0], scales[nodes[:-1]]])
+        until = np.concatenate([[1.0], search.scales[nodes[:-1]]])
         return BasePath(ee, step, begin, seconds, robots, until)
 
-    def _moved(
-        self,
-        beam: _Beam,
-        target: Array,
-        seconds: float,
-        rng: np.random.Generator,
-        solids: Solids | None,
-    ) -> _Beam:
-        """Return the best robots with their EE at a target, some seconds after those of a beam."""
-        tried = self._proposed(beam, target, seconds, rng)
-        arm = self._reached(self._careful, tried.joints, target, tried.base, seconds, solids)
-        cost = tried.cost.copy()
-        if (rest := np.flatnonzero(~arm.feasible)).size:
-            joints, base = tried.joints[rest], tried.base[rest]
-            arm.put(rest, self._reached(self.solver, joints, target, base, seconds, solids))
-            cost[rest] += SETTINGS.margin_cost
-        cost += self._limit_cost(arm.joint_positions)
-        allowed = self.solver.options.position_tolerance
-        cost += SETTINGS.error_cost * np.maximum(arm.position_error - allowed, 0.0)
-        reached = replace(tried, joints=arm.joint_positions, cost=cost)
-        reached = reached.of(np.flatnonzero(arm.feasible))
-        best = self._best(reached, target)
-        best = best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
-        away = rng.uniform(-1.0, 1.0, (3, len(best.cost)))
-        away *= np.array([[SETTINGS.off_metres], [SETTINGS.off_metres], [SETTINGS.off_radians]])
-        base = compose(best.base, planar_pose(*away))
-        arm = self._reached(self.solver, best.joints, target, base, seconds, solids)
-        return replace(best, cost=best.cost + SETTINGS.off_cost * ~arm.feasible)
 
-    def _reconfigured(self, beam: _Beam, target: Array, solids: Solids | None) -> _Beam:
-        """Return robots at the target of a beam whose arms have other configurations there."""
-        rows = np.arange(len(beam.cost)).repeat(SETTINGS.configurations)
-        beam = replace(beam.of(rows), parent=rows)
-        seeds = spread_configurations(self.robot, len(rows))
-        among = None if solids is None else in_base(solids.repeated(len(rows)), beam.base)
-        targets = relative(np.broadcast_to(target, beam.base.shape), beam.base)
-        arm = self._anywhere.solve(targets, seeds, solids=among)
-        cost = beam.cost + self._limit_cost(arm.joint_positions)
-        beam = replace(beam, joints=arm.joint_positions, cost=cost)
-        return self._best(beam.of(np.flatnonzero(arm.feasible)), target)
+class _Search:
+    """A search for one path, with a beam at each node so far."""
 
-    def _proposed(
-        self, beam: _Beam, target: Array, seconds: float, rng: np.random.Generator
-    ) -> _Beam:
-        """Return robots, with their arms still as in the beam, that seem able to reach a target."""
-        base, command = self.robot.base, self._commands(beam, rng)
-        step = SETTINGS.arm_fraction * seconds * self.robot.max_joint_velocity
-        limits, near = (base.max_velocity, base.max_rotation), command.shape[1] // 2
-        proposal = propose(
-            self.solver.chain, beam.base, beam.joints, command, near, target, step, limits, seconds
-        )
-        parent, tried = np.nonzero(proposal.motion < SETTINGS.farthest)
-        before, command = beam.of(parent), command[parent, tried]
-        cost = SETTINGS.memory * before.cost
-        cost += SETTINGS.effort_cost * np.square(command).sum(axis=1)
-        cost += SETTINGS.change_cost * np.square(command - before.command).sum(axis=1)
-        cost += SETTINGS.sensitive_cost * np.log(proposal.sensitivity)[parent]
-        poses = planar_pose(*proposal.base[parent, tried].T)
-        proposed = _Beam(poses, before.joints, command, cost, parent)
-        expected = cost + self._limit_cost(proposal.joints[parent, tried])
-        rows = _cheapest(self._cells(proposed, target), expected, SETTINGS.cell_robots)
-        return proposed.of(rows[np.argsort(expected[rows], kind="stable")[: SETTINGS.tried]])
+    def __init__(
+        self, expander: BeamExpander, ee: Array, step: float, solids: Solids | None, beam: Beam
+    ) -> None:
+        self._expander, self._ee, self._step = expander, ee, step
+        self._solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
+        self._rng = np.random.default_rng(0)
+        self.beams = [beam]
+        self.nodes = _nodes(ee)  # numbers of EE poses; one twice where arms jump
+        self.scales = np.ones(len(ee))  # fraction of its speed at which the EE moves from each pose
 
-    def _limit_cost(self, joints: Array) -> Array:
-        """Return the cost of arms near their joint limits."""
-        off = np.where(self._bounded, np.abs(joints - self._middle) / self._half, 0.0)
-        beyond = np.maximum(off - SETTINGS.centred, 0.0).max(axis=1)
-        cost: Array = SETTINGS.limit_cost * np.square(beyond)
-        return cost
+    @property
+    def complete(self) -> bool:
+        return len(self.beams) == len(self.nodes)
 
-    def _driven(self, beam: _Beam, command: Array, seconds: float) -> Array:
-        """Return the bases after some time, shape (m, 7), along the chords of their arcs."""
-        twist = base_twist(self.robot.base, beam.base, command, seconds / 2.0)
-        return integrate(beam.base, twist, seconds)
+    def go_on(self) -> bool:
+        """Add the next beam; return whether it has a robot."""
+        k = len(self.beams)
+        seconds, target = self._seconds(k), self._ee[self.nodes[k]]
+        among = self._solids_at(seconds.sum())
+        beam = self._expander.moved(self.beams[-1], target, float(seconds[-1]), self._rng, among)
+        if len(beam.cost):
+            self.beams.append(beam)
+        return len(beam.cost) > 0
 
-    def _reached(
-        self,
-        solver: IkSolver,
-        joints: Array,
-        target: Array,
-        base: Array,
-        seconds: float,
-        solids: Solids | None,
-    ) -> IkSolution:
-        """Return the arms, as far as they get in some time from joints (m, j), at a target."""
-        among = None if solids is None else solids.repeated(len(base))
-        arm = solver.solve(
-            relative(np.broadcast_to(target, base.shape), base),
-            joints,
-            SETTINGS.arm_fraction * seconds * self.robot.max_joint_velocity,
-            allow_reconfiguration=False,
-            solids=None if among is None else in_base(among, base),
-        )
-        if among is not None:
-            clearance = solver.options.solid_clearance  # of the base, too
-            around = among.wider(clearance, clearance) if clearance else among
-            touches = collides(solver.collision, arm.joint_positions, base, around)
-            arm.feasible[touches[:, 0]] = False
-        return arm
+    def slow_down(self, back: int) -> None:
+        """Go back by some nodes, and let the EE be slow until the next one."""
+        k = len(self.beams)
+        first = max(k - 1 - back, 0)
+        slow = np.arange(self.nodes[first], self.nodes[k], 2)
+        self.scales[slow] = SETTINGS.slow
+        self.nodes, self.beams = np.union1d(self.nodes, slow), self.beams[: first + 1]
 
-    def _passable(
-        self, beam: _Beam, best: _Beam, target: Array, seconds: float, solids: Solids | None
-    ) -> NDArray[np.bool_]:
-        """Return which of the best robots, (m,), also reach the pose halfway to the target."""
-        before = beam.of(best.parent)
-        displacement = joint_displacement(self.robot, before.joints, best.joints)
-        first = compose(beam.base[:1], forward(self.solver.chain, beam.joints[:1]))[0]
-        halfway = integrate(first, twist_between(first, target, 1.0), 0.5)
-        base = self._driven(before, best.command, seconds / 2.0)
-        arm = self._reached(
-            self.solver, before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
-        )
-        passable = arm.feasible
-        for fraction in (0.25, 0.75):
-            passable &= self.solver.admissible(before.joints + fraction * displacement)
-        return passable
+    def jump(self, back: int) -> None:
+        """Go back by some nodes, and let the arms jump there if they can."""
+        first = max(len(self.beams) - 1 - back, 0)
+        node, among = self.nodes[first], self._solids_at(self._seconds(first).sum())
+        beam = self._expander.reconfigured(self.beams[first], self._ee[node], among)
+        if len(beam.cost):
+            later = np.unique(self.nodes[self.nodes > node])
+            self.nodes = np.concatenate([self.nodes[: first + 1], [node], later])
+            self.beams = [*self.beams[: first + 1], beam]
 
-    def _commands(self, beam: _Beam, rng: np.random.Generator) -> Array:
-        """Return the commands that each robot tries, shape (m, t, a).
+    def _seconds(self, node: int) -> Array:
+        """Return the times between the nodes until one, shape (node,), seconds."""
+        seconds: Array = np.diff(self.nodes[: node + 1]) * self._step
+        return seconds / self.scales[self.nodes[:node]]
 
-        The first is the last one, the second half is noise around the velocity of the EE.
-        """
-        tries = min(SETTINGS.commands // len(beam.cost), SETTINGS.robot_commands)
-        shape = len(beam.cost), tries, len(self._fastest)
-        command = rng.uniform(-self._fastest, self._fastest, shape)
-        command[:, 0], near = beam.command, tries // 2
-        command[:, near:] *= SETTINGS.noise * rng.random((len(beam.cost), tries - near, 1))
-        return command
-
-    def _best(self, beam: _Beam, target: Array) -> _Beam:
-        """Return the best robots of different cells, at most as many as the beam has."""
-        elbow = beam.joints[:, self._elbow] - self._middle[self._elbow]
-        bent = elbow / self._half[self._elbow] * SETTINGS.elbows / 2.0
-        cells = np.column_stack([self._cells(beam, target), np.floor(bent)])
-        best = beam.of(_cheapest(cells, beam.cost, 1))
-        return best.of(np.argsort(best.cost, kind="stable")[: SETTINGS.beam])
-
-    def _cells(self, beam: _Beam, target: Array) -> Array:
-        away = (beam.base[:, :2] - target[:2]) / SETTINGS.cell
-        return np.floor(np.column_stack([away, yaw(beam.base) / SETTINGS.heading]))
-
-
-def _cheapest(cells: Array, cost: Array, most: int) -> NDArray[np.intp]:
-    """Return which of m robots, in cells (m, c), are the `most` cheapest of their cells."""
-    order = np.lexsort((cost, *cells.T))
-    begins = np.append(True, np.diff(cells[order], axis=0).any(axis=1))
-    rank = np.arange(len(order))
-    return order[rank - np.maximum.accumulate(np.where(begins, rank, 0)) < most]
+    def _solids_at(self, seconds: float) -> Solids | None:
+        return None if self._solids is None else self._solids.at(np.array([seconds]))
 
 
 def _near(solids: Solids, ee: Array, reach: float) -> Solids | None:
@@ -372,7 +188,7 @@ def _nodes(ee: Array) -> NDArray[np.intp]:
     return np.unique([0, *np.searchsorted(length, even) + 1, len(ee) - 1])
 
 
-def _traced(beams: Sequence[_Beam]) -> Array:
+def _traced(beams: Sequence[Beam]) -> Array:
     """Return the path to the best robot of the last beam, shape (k, 3 + j)."""
     row, robots = int(beams[-1].cost.argmin()), []
     for beam in reversed(beams):

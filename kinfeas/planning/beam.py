@@ -1,0 +1,259 @@
+"""Robots with their EE at one pose of a path, and those that follow from them at the next."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import (
+    Array,
+    compose,
+    integrate,
+    planar_pose,
+    relative,
+    twist_between,
+    yaw,
+)
+from kinfeas.kinematics.drive import base_twist, command_size
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolution, IkSolver, spread_configurations
+from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.planning.proposals import propose
+from kinfeas.robots.robot import joint_displacement
+
+
+@dataclass(frozen=True)
+class BeamSettings:
+    """Settings of a beam and of those that follow it."""
+
+    beam: int = 150  # robots that are kept at each pose
+    commands: int = 900  # base commands that these try together
+    robot_commands: int = 200  # largest number of commands that one robot tries
+    noise: float = 0.5  # largest difference from the EE's velocity of half of the commands
+    configurations: int = 2  # arm configurations to which each robot tries to jump
+    velocity: float = 0.3  # largest speed of the base, m/s
+    rotation: float = 0.5  # largest angular speed of the base, rad/s
+    base_fraction: float = 0.8  # of the limits of the base; the rest is for control
+    arm_fraction: float = 0.7  # of the velocity limits of the arm, likewise
+    cell: float = 0.12  # robots in one cell count as the same: its size, metres,
+    heading: float = math.pi / 8.0  # its size in heading, radians,
+    elbows: int = 4  # and the number of parts of the elbow's range
+    cell_robots: int = 4  # robots of a cell that try IK
+    centred: float = 0.6  # fraction of the joint ranges that costs nothing
+    limit_cost: float = 5.0  # cost of the squared rest of the range
+    effort_cost: float = 0.1  # cost of the squared base command
+    change_cost: float = 0.3  # cost of its squared change
+    sensitive_cost: float = 0.3  # cost of the logarithm of `Proposal.sensitivity`
+    farthest: float = 1.3  # joint motion by the Jacobian, as a fraction of its limit, that IK tries
+    tried: int = 150  # robots that try IK
+    joint_margin: float = 0.05  # distance from joint limits, as a fraction of half the range, and
+    clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
+    margin_cost: float = 5.0  # one of these
+    error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
+    off_metres: float = 0.08  # largest displacement of a base that arms should make up for, metres
+    off_radians: float = 0.1  # the same rotation, radians
+    off_cost: float = 15.0  # cost of an arm that cannot
+    memory: float = 0.8  # fraction of the costs that counts at the next pose
+
+
+SETTINGS = BeamSettings()
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Robots with their EE at one pose."""
+
+    base: Array  # world poses of the base, shape (m, 7)
+    joints: Array  # arm joints, shape (m, j)
+    command: Array  # base commands that led here, shape (m, a)
+    cost: Array  # cost of the path, shape (m,)
+    parent: NDArray[np.intp]  # number of the robot of the beam before, shape (m,)
+
+    def of(self, rows: NDArray[np.intp]) -> "Beam":
+        """Return some of the robots."""
+        return Beam(*(values[rows] for values in vars(self).values()))
+
+
+class BeamExpander:
+    """Finds the beams that follow from others.
+
+    Every robot of a beam tries random base commands. Those that seem best by its Jacobian go to IK,
+    which moves the arm within its velocity limits, and the best robot of each cell goes on. Robots
+    with arms far from joint limits, from self-collision and from singularities are better, and
+    those that reach the pose from a base a little elsewhere, since these can make up for a base
+    that is not where it should be.
+    """
+
+    def __init__(self, solver: IkSolver) -> None:
+        self.robot = robot = solver.robot
+        options = replace(solver.options, restarts=0)
+        careful = replace(
+            options, joint_margin=SETTINGS.joint_margin, self_clearance=SETTINGS.clearance
+        )
+        self.solver, self._careful = IkSolver(robot, options), IkSolver(robot, careful)
+        self._anywhere = solver
+        limits = [robot.base.max_velocity, robot.base.max_rotation]
+        fastest = np.array([SETTINGS.velocity, SETTINGS.rotation])
+        fastest = np.minimum(fastest / limits, SETTINGS.base_fraction)
+        self._fastest = np.repeat(fastest, [command_size(robot.base) - 1, 1])
+        lower, upper = robot.finite_joint_limits
+        self._middle, self._half = (lower + upper) / 2.0, np.maximum((upper - lower) / 2.0, 1e-9)
+        self._bounded = np.isfinite(np.subtract(*robot.joint_limits))
+        self._elbow = max(len(robot.arm) - 4, 0)
+
+    def first(self, base_pose: Array, joints: Array) -> Beam:
+        """Return a beam of one robot, its base at a world pose (7,), with arm joints (j,)."""
+        rest, cost = np.zeros((1, len(self._fastest))), np.zeros(1)
+        parent = np.zeros(1, dtype=np.intp)
+        return Beam(base_pose[np.newaxis], joints[np.newaxis], rest, cost, parent)
+
+    def moved(
+        self,
+        beam: Beam,
+        target: Array,
+        seconds: float,
+        rng: np.random.Generator,
+        solids: Solids | None,
+    ) -> Beam:
+        """Return the best robots with their EE at a target, some seconds after those of a beam."""
+        tried = self._proposed(beam, target, seconds, rng)
+        arm = self._reached(self._careful, tried.joints, target, tried.base, seconds, solids)
+        cost = tried.cost.copy()
+        if (rest := np.flatnonzero(~arm.feasible)).size:
+            joints, base = tried.joints[rest], tried.base[rest]
+            arm.put(rest, self._reached(self.solver, joints, target, base, seconds, solids))
+            cost[rest] += SETTINGS.margin_cost
+        cost += self._limit_cost(arm.joint_positions)
+        allowed = self.solver.options.position_tolerance
+        cost += SETTINGS.error_cost * np.maximum(arm.position_error - allowed, 0.0)
+        reached = replace(tried, joints=arm.joint_positions, cost=cost)
+        reached = reached.of(np.flatnonzero(arm.feasible))
+        best = self._best(reached, target)
+        best = best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
+        away = rng.uniform(-1.0, 1.0, (3, len(best.cost)))
+        away *= np.array([[SETTINGS.off_metres], [SETTINGS.off_metres], [SETTINGS.off_radians]])
+        base = compose(best.base, planar_pose(*away))
+        arm = self._reached(self.solver, best.joints, target, base, seconds, solids)
+        return replace(best, cost=best.cost + SETTINGS.off_cost * ~arm.feasible)
+
+    def reconfigured(self, beam: Beam, target: Array, solids: Solids | None) -> Beam:
+        """Return robots at the target of a beam whose arms have other configurations there."""
+        rows = np.arange(len(beam.cost)).repeat(SETTINGS.configurations)
+        beam = replace(beam.of(rows), parent=rows)
+        seeds = spread_configurations(self.robot, len(rows))
+        among = None if solids is None else in_base(solids.repeated(len(rows)), beam.base)
+        targets = relative(np.broadcast_to(target, beam.base.shape), beam.base)
+        arm = self._anywhere.solve(targets, seeds, solids=among)
+        cost = beam.cost + self._limit_cost(arm.joint_positions)
+        beam = replace(beam, joints=arm.joint_positions, cost=cost)
+        return self._best(beam.of(np.flatnonzero(arm.feasible)), target)
+
+    def _proposed(
+        self, beam: Beam, target: Array, seconds: float, rng: np.random.Generator
+    ) -> Beam:
+        """Return robots, with their arms still as in the beam, that seem able to reach a target."""
+        base, command = self.robot.base, self._commands(beam, rng)
+        step = SETTINGS.arm_fraction * seconds * self.robot.max_joint_velocity
+        limits, near = (base.max_velocity, base.max_rotation), command.shape[1] // 2
+        proposal = propose(
+            self.solver.chain, beam.base, beam.joints, command, near, target, step, limits, seconds
+        )
+        parent, tried = np.nonzero(proposal.motion < SETTINGS.farthest)
+        before, command = beam.of(parent), command[parent, tried]
+        cost = SETTINGS.memory * before.cost
+        cost += SETTINGS.effort_cost * np.square(command).sum(axis=1)
+        cost += SETTINGS.change_cost * np.square(command - before.command).sum(axis=1)
+        cost += SETTINGS.sensitive_cost * np.log(proposal.sensitivity)[parent]
+        poses = planar_pose(*proposal.base[parent, tried].T)
+        proposed = Beam(poses, before.joints, command, cost, parent)
+        expected = cost + self._limit_cost(proposal.joints[parent, tried])
+        rows = _cheapest(self._cells(proposed, target), expected, SETTINGS.cell_robots)
+        return proposed.of(rows[np.argsort(expected[rows], kind="stable")[: SETTINGS.tried]])
+
+    def _limit_cost(self, joints: Array) -> Array:
+        """Return the cost of arms near their joint limits."""
+        off = np.where(self._bounded, np.abs(joints - self._middle) / self._half, 0.0)
+        beyond = np.maximum(off - SETTINGS.centred, 0.0).max(axis=1)
+        cost: Array = SETTINGS.limit_cost * np.square(beyond)
+        return cost
+
+    def _driven(self, beam: Beam, command: Array, seconds: float) -> Array:
+        """Return the bases after some time, shape (m, 7), along the chords of their arcs."""
+        twist = base_twist(self.robot.base, beam.base, command, seconds / 2.0)
+        return integrate(beam.base, twist, seconds)
+
+    def _reached(
+        self,
+        solver: IkSolver,
+        joints: Array,
+        target: Array,
+        base: Array,
+        seconds: float,
+        solids: Solids | None,
+    ) -> IkSolution:
+        """Return the arms, as far as they get in some time from joints (m, j), at a target."""
+        among = None if solids is None else solids.repeated(len(base))
+        arm = solver.solve(
+            relative(np.broadcast_to(target, base.shape), base),
+            joints,
+            SETTINGS.arm_fraction * seconds * self.robot.max_joint_velocity,
+            allow_reconfiguration=False,
+            solids=None if among is None else in_base(among, base),
+        )
+        if among is not None:
+            clearance = solver.options.solid_clearance  # of the base, too
+            around = among.wider(clearance, clearance) if clearance else among
+            touches = collides(solver.collision, arm.joint_positions, base, around)
+            arm.feasible[touches[:, 0]] = False
+        return arm
+
+    def _passable(
+        self, beam: Beam, best: Beam, target: Array, seconds: float, solids: Solids | None
+    ) -> NDArray[np.bool_]:
+        """Return which of the best robots, (m,), also reach the pose halfway to the target."""
+        before = beam.of(best.parent)
+        displacement = joint_displacement(self.robot, before.joints, best.joints)
+        first = compose(beam.base[:1], forward(self.solver.chain, beam.joints[:1]))[0]
+        halfway = integrate(first, twist_between(first, target, 1.0), 0.5)
+        base = self._driven(before, best.command, seconds / 2.0)
+        arm = self._reached(
+            self.solver, before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
+        )
+        passable = arm.feasible
+        for fraction in (0.25, 0.75):
+            passable &= self.solver.admissible(before.joints + fraction * displacement)
+        return passable
+
+    def _commands(self, beam: Beam, rng: np.random.Generator) -> Array:
+        """Return the commands that each robot tries, shape (m, t, a).
+
+        The first is the last one, the second half is noise around the velocity of the EE.
+        """
+        tries = min(SETTINGS.commands // len(beam.cost), SETTINGS.robot_commands)
+        shape = len(beam.cost), tries, len(self._fastest)
+        command = rng.uniform(-self._fastest, self._fastest, shape)
+        command[:, 0], near = beam.command, tries // 2
+        command[:, near:] *= SETTINGS.noise * rng.random((len(beam.cost), tries - near, 1))
+        return command
+
+    def _best(self, beam: Beam, target: Array) -> Beam:
+        """Return the best robots of different cells, at most as many as the beam has."""
+        elbow = beam.joints[:, self._elbow] - self._middle[self._elbow]
+        bent = elbow / self._half[self._elbow] * SETTINGS.elbows / 2.0
+        cells = np.column_stack([self._cells(beam, target), np.floor(bent)])
+        best = beam.of(_cheapest(cells, beam.cost, 1))
+        return best.of(np.argsort(best.cost, kind="stable")[: SETTINGS.beam])
+
+    def _cells(self, beam: Beam, target: Array) -> Array:
+        away = (beam.base[:, :2] - target[:2]) / SETTINGS.cell
+        return np.floor(np.column_stack([away, yaw(beam.base) / SETTINGS.heading]))
+
+
+def _cheapest(cells: Array, cost: Array, most: int) -> NDArray[np.intp]:
+    """Return which of m robots, in cells (m, c), are the `most` cheapest of their cells."""
+    order = np.lexsort((cost, *cells.T))
+    begins = np.append(True, np.diff(cells[order], axis=0).any(axis=1))
+    rank = np.arange(len(order))
+    return order[rank - np.maximum.accumulate(np.where(begins, rank, 0)) < most]
