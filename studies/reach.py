@@ -176,26 +176,28 @@ def reasons(robot: Robot) -> dict[str, list[int]]:
 def cases(robot: Robot, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
     """Yield constructed reasons, and whether they are named."""
     placer = BasePlacer(robot)
-    for height in np.concatenate([rng.uniform(-1.5, -0.4, 6), rng.uniform(2.2, 4.0, 6)]):
+    # Beyond the heights and limits of joints; at arms that touch the robot; and with weak motors.
+    strong = BasePlacer(replace(robot, max_gravity_load=None))
+    weak = BasePlacer(replace(robot, max_gravity_load=0.1))
+    joints = spread_configurations(robot, 20_000, seed=5)
+    free, touching = forward(placer.solver.chain, joints), ~strong.solver.admissible(joints)
+    low, high = free[:, 2].min() - 0.3, free[:, 2].max() + 0.3
+    for height in np.concatenate(
+        [rng.uniform(low - 1.0, low, 6), rng.uniform(high, high + 2.0, 6)]
+    ):
         goal = make_pose(np.array([1.0, 1.0, height]), Rotation.random(rng=rng))
         yield "height", placer.place(goal).limit == "height"
     drawn = iter(draw_goals(robot, 4000, rng))
     placed = (goal for goal in drawn if placer.place(goal).reachable)
     for kind, goal in zip(("top", "floor", "wall") * CASES, placed, strict=False):
         yield among_solids(placer, kind, goal, rng)
-    # Beyond the limits of joints; at arms that touch the robot; and with weak motors.
-    rigid = replace(placer.solver.options, self_collision=False)
-    weak = replace(robot, max_gravity_load=0.1)
-    joints = spread_configurations(robot, 20_000, seed=5)
-    free, touching = forward(placer.solver.chain, joints), ~placer.solver.admissible(joints)
     middle = np.quantile(free[:, 2], [0.01, 0.99])
     levels = [goal for goal in draw_goals(robot, 4000, rng) if middle[0] < goal[2] < middle[1]]
-    loose, solver = IkSolver(robot, rigid), placer.solver
-    yield from unreached("orientation", levels, None, loose, placer)
-    yield from unreached("self-collision", list(free[touching]), loose, solver, placer)
-    if BasePlacer(weak).solver.gravity.limited:
-        heavy = BasePlacer(weak)
-        yield from unreached("torque", levels, solver, heavy.solver, heavy)
+    loose = IkSolver(strong.solver.robot, replace(strong.solver.options, self_collision=False))
+    yield from unreached("orientation", levels, None, loose, strong)
+    yield from unreached("self-collision", list(free[touching]), loose, strong.solver, strong)
+    if weak.solver.gravity.limited:
+        yield from unreached("torque", levels, strong.solver, weak.solver, weak)
 
 
 def among_solids(

@@ -31,7 +31,7 @@ class ReachSettings:
     """Settings of the search for base poses and their margins."""
 
     first: tuple[int, ...] = (64, 512)  # base poses tried by each stage without restarts of IK
-    stages: tuple[int, ...] = (64, 512, 1024)  # the same with restarts, if these find none
+    stages: tuple[int, ...] = (8, 32, 128, 512, 1024)  # the same with restarts, if these find none
     without: int = 1024  # base poses that are tried without a limit
     together: int = 512  # base poses that are tried for several poses
     clearances: tuple[float, ...] = (0.02, 0.05, 0.1)  # distances from solids, metres
