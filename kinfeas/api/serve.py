@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval, Len
+from pydantic import FailFast
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot
@@ -32,15 +33,15 @@ Extent = Annotated[float, Interval(gt=0.0, le=FARTHEST)]
 Row = tuple[
     Metres, Metres, Radians, Extent, Extent, Metres, Metres, Share, Metres, Metres, Distance
 ]  # fmt: skip
-Rows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS)]
-Pose = Annotated[tuple[Metres, ...], Len(7, 7)]
+Rows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS), FailFast()]
+Pose = Annotated[tuple[Metres, ...], Len(7, 7), FailFast()]
 
 
 @dataclass(frozen=True)
 class ReachRequest:
     """Body of POST /reach; keys are arguments of `reach`, `solids` rows of `Solids.table`."""
 
-    poses: Annotated[tuple[Pose, ...], Len(1, 1000)]
+    poses: Annotated[tuple[Pose, ...], Len(1, 1000), FailFast()]
     solids: Rows = ()
     start: Vector | None = None
     k: Annotated[int, Interval(ge=1, le=512)] = 8
@@ -51,11 +52,11 @@ class ReachRequest:
 class PlanRequest:
     """Body of POST /plan; keys are arguments of `plan`, `solids` rows of `Solids.table`."""
 
-    path: Annotated[tuple[Pose, ...], Len(2, 10_000)]
+    path: Annotated[tuple[Pose, ...], Len(2, 10_000), FailFast()]
     step: Annotated[float, Interval(ge=0.001, le=10.0)] = 0.1
     solids: Rows = ()
     start: Vector | None = None
-    joints: tuple[float, ...] | None = None
+    joints: Annotated[tuple[float, ...], Len(1, 100)] | None = None
 
 
 class PlanningServer(ThreadingHTTPServer):
@@ -134,7 +135,7 @@ class PlanningServer(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     server: PlanningServer
-    timeout = 10.0  # seconds for a request to arrive
+    timeout = 10.0  # seconds of silence after which a request is given up
 
     def do_POST(self) -> None:
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
@@ -146,14 +147,17 @@ class _Handler(BaseHTTPRequestHandler):
         elif self.headers.get_content_type() != "application/json" or not length.isdecimal():
             text = "the body must be application/json with its length"
             self._answer(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, {"error": text})
-        elif int(length) > _MOST_BYTES:
+        elif len(length) > len(str(_MOST_BYTES)) or int(length) > _MOST_BYTES:
             text = f"the body must have at most {_MOST_BYTES} bytes"
             self._answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, {"error": text})
         else:
             try:
-                data = answer(json.loads(self.rfile.read(int(length))))
-            except (KinfeasError, ValueError, RecursionError) as error:
+                data = answer(_parsed(self.rfile.read(int(length))))
+            except KinfeasError as error:
                 self._answer(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+            except Exception:
+                self._answer(HTTPStatus.INTERNAL_SERVER_ERROR, {"error": "a fault of the server"})
+                raise
             else:
                 self._answer(HTTPStatus.OK, data)
 
@@ -167,6 +171,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *values: Any) -> None:
         _log.info(format, *values)
+
+
+def _parsed(body: bytes) -> object:
+    try:
+        return json.loads(body)
+    except (ValueError, RecursionError) as error:
+        raise KinfeasError(f"the body is no JSON: {error}") from error
 
 
 def _solids(rows: Rows) -> Solids | None:

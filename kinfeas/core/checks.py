@@ -25,7 +25,7 @@ from kinfeas.core.motion import (
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, integrate, twist_between
 
-_UNIT_TOLERANCE = 1e-6
+_UNIT_TOLERANCE, _TYPED_TOLERANCE = 1e-6, 1e-3
 
 Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
 
@@ -49,21 +49,24 @@ def check_array(
         raise error(f"{name} is not finite")
 
 
-def are_unit(poses: Array) -> bool:
+def are_unit(poses: Array, tolerance: float = _UNIT_TOLERANCE) -> bool:
     """Return whether the quaternions of poses, shape (..., 7), have unit length."""
     deviation = np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1.0).max(initial=0.0)
-    return bool(deviation < _UNIT_TOLERANCE)
+    return bool(deviation < tolerance)
 
 
 def ee_poses(poses: ArrayLike, name: str) -> Array:
-    """Return EE poses, shape (n, 7) with n at least 1, with unit quaternions; or raise an error."""
+    """Return EE poses, shape (n, 7) with n at least 1, or raise an error.
+
+    Quaternions may have three decimals; they are normalised.
+    """
     try:
         array = np.atleast_2d(np.array(poses, dtype=np.float64))
     except (TypeError, ValueError) as error:
         raise KinfeasError(f"{name!r} must be numbers x y z qx qy qz qw: {error}") from error
     if array.ndim != 2 or array.shape[1] != 7 or not len(array):
         raise KinfeasError(f"{name!r} must be of shape (n, 7), not {array.shape}")
-    if not (np.abs(array) <= FARTHEST).all() or not are_unit(array):
+    if not (np.abs(array) <= FARTHEST).all() or not are_unit(array, _TYPED_TOLERANCE):
         raise KinfeasError(f"{name!r} must be within {FARTHEST:g} m, with unit quaternions xyzw")
     array[:, 3:] /= np.linalg.norm(array[:, 3:], axis=1, keepdims=True)
     return array

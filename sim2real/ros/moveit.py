@@ -4,12 +4,14 @@ Types are those of `moveit_msgs`, branch `ros2`. Requests of its versions 2.2 (H
 in their last fields, which are not read. Clients of 2.2 do not read the last fields of replies.
 """
 
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
+from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, compose, distance, interpolated, planar_pose
@@ -21,18 +23,21 @@ from kinfeas.sim2real.ros.messages import planar, pose_of
 from kinfeas.sim2real.ros.ros2 import MESSAGES, Ros2Bus, message_classes
 from kinfeas.sim2real.ros.topics import BaseTopics, read_topics
 
+_log = logging.getLogger(__name__)
+
 SERVICES = {
     "GetPositionIK": "/kinfeas/compute_ik",
     "GetCartesianPath": "/kinfeas/compute_cartesian_path",
 }
 """Names of services by type."""
 
-SUCCESS, PLANNING_FAILED, INVALID_GOAL_CONSTRAINTS = 1, -1, -16
+SUCCESS, FAILURE, PLANNING_FAILED, INVALID_GOAL_CONSTRAINTS = 1, 99999, -1, -16
 INVALID_ROBOT_STATE, INVALID_LINK_NAME, FRAME_TRANSFORM_FAILURE, NO_IK_SOLUTION = -17, -18, -21, -31
 
 _BASE_JOINT = "world_joint"
 _MOST_WAYPOINTS = 10_000
 _EE_VELOCITY = 0.1  # m/s, slower where base or arm need time
+_STEPS = (1e-4, 1.0)  # least and largest `max_step`, metres
 _TURN = 3.5  # radians that count as a metre of `max_step`, as in MoveIt
 
 Body = Mapping[str, object]
@@ -102,6 +107,8 @@ class MoveItServices:
         with _failing(INVALID_GOAL_CONSTRAINTS):
             waypoints = ee_poses([_numbers(pose) for pose in request.waypoints], "waypoints")
         start, joints = self._start(request.start_state), self._arm(request.start_state)
+        if joints is not None and start is None:
+            raise _RequestError(INVALID_ROBOT_STATE, "an arm needs a base pose")
         if start is not None:
             waypoints = np.vstack([self._ee(start, joints), waypoints])
         with _failing(INVALID_GOAL_CONSTRAINTS):
@@ -140,8 +147,8 @@ class MoveItServices:
             )
         self._check_frame(state.multi_dof_joint_state.header)
         base = planar(pose_of(transforms[0].translation, transforms[0].rotation))
-        if not np.isfinite(base).all():
-            raise _RequestError(INVALID_ROBOT_STATE, "the base pose is invalid")
+        if not (np.abs(base) <= FARTHEST).all():
+            raise _RequestError(INVALID_ROBOT_STATE, f"the base must be within {FARTHEST:g} m")
         return list(base)
 
     def _arm(self, state: Any) -> list[float] | None:
@@ -153,8 +160,11 @@ class MoveItServices:
         joints = [given[name] for name in self._joints if name in given]
         if not joints:
             return None
-        if len(joints) < len(self._joints) or not np.isfinite(joints).all():
-            raise _RequestError(INVALID_ROBOT_STATE, "each arm joint needs a finite position")
+        lower, upper = self._solver.robot.joint_limits
+        within = len(joints) == len(lower) and (joints >= lower) & (joints <= upper)
+        if not np.isfinite(joints).all() or not np.all(within):
+            text = "each arm joint needs a position within its limits"
+            raise _RequestError(INVALID_ROBOT_STATE, text)
         return joints
 
     def _ee(self, start: Sequence[float], joints: Sequence[float] | None) -> Array:
@@ -195,7 +205,7 @@ class _RequestError(Exception):
 def _failing(code: int) -> Iterator[None]:
     try:
         yield
-    except (KinfeasError, ValueError) as error:
+    except KinfeasError as error:
         raise _RequestError(code, str(error)) from error
 
 
@@ -209,6 +219,9 @@ def _replying(kind: Any, fill: Callable[[Any, Any], None]) -> Callable[[Any], An
             fill(request, reply)
         except _RequestError as error:
             reply.error_code.val, reply.error_code.message = error.code, str(error)
+        except Exception:  # noqa: BLE001 - a client waits for a reply
+            _log.exception("a request was not answered")
+            reply.error_code.val = FAILURE
         return reply
 
     return answer
@@ -218,8 +231,9 @@ def _dense(waypoints: Array, max_step: float) -> Array:
     """Return poses on straight lines through waypoints, at most `max_step` metres apart."""
     if len(waypoints) < 2:
         raise KinfeasError("'waypoints' must have 2 poses, or one with a start state")
-    if not 0.0 < max_step < np.inf:
-        raise KinfeasError("'max_step' must be positive")
+    low, high = _STEPS
+    if not low <= max_step <= high:
+        raise KinfeasError(f"'max_step' must be {low} to {high} m, not {max_step}")
     metres, radians = distance(waypoints[:-1], waypoints[1:])
     lengths = np.maximum(metres, radians / _TURN) / max_step
     steps = np.ceil(lengths - 1e-6).clip(1.0)  # 10, not 11, of 0.1 m by 0.01 m

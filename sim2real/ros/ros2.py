@@ -56,7 +56,7 @@ _DOMAINS = 232  # the last domain with free ports on Linux
 _BLOCKING_MS = 5  # time that a command may wait for its place in the sender's queue
 _DELIVERY_MS = 50  # time that closing waits for the delivery of messages
 _QUEUE = 100  # messages of topics where every one counts
-_REQUESTS = 10  # requests and replies of services that wait, as by default in ROS 2
+_ENDING = 2.0  # s for which closing waits for the answer to a request
 _MATCHING = 0.1  # s that a reply waits until its writer knows the client's reader
 _MOST_BYTES = 4_000_000  # of a request
 # Fields that `rmw_cyclonedds_cpp` adds to requests; replies repeat them.
@@ -141,7 +141,7 @@ class Ros2Bus:
             answer: Returns the reply to a request.
         """
         name, reliable = service.lstrip("/"), Policy.Reliability.Reliable(duration(seconds=1))
-        qos = _qos(service, reliable, Policy.History.KeepLast(_REQUESTS))
+        qos = _qos(service, reliable, Policy.History.KeepLast(_QUEUE))
         topics = (f"rq/{name}Request", f"rr/{name}Reply")
         requests, replies = map(partial(Topic, self._participant), topics, kinds)
         reader = DataReader(self._participant, requests, qos=qos)
@@ -171,7 +171,7 @@ class Ros2Bus:
             publisher.flush()
         if self._thread is not None:
             self._end.set(True)
-            self._thread.join()
+            self._thread.join(_ENDING)
         self._readers, self._publishers = [], []
         self._thread = self._waits = self._end = self._participant = None
 

@@ -19,6 +19,7 @@ from cyclonedds.util import duration
 
 from kinfeas.api.reach import reach
 from kinfeas.api.serve import PlanningServer
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros.moveit import MOVEIT
 from tests.builders import TIMEOUT, wait
 from tests.sim2real.ros_processes import own_domain
@@ -150,6 +151,12 @@ def _from(x):
     return request
 
 
+def _arm_alone(lift):
+    names = [joint.name for joint in load_robot("hsr").arm]
+    position = [lift, *[0.0] * (len(names) - 1)]
+    return MOVEIT.RobotState(MOVEIT.JointState(name=names, position=position))
+
+
 @pytest.mark.parametrize(("request_of", "code"), [
     (lambda: ik(z=3.0), -31),
     (lambda: ik(frame="odom"), -21),
@@ -170,10 +177,13 @@ def test_requests_without_base_pose_have_error_codes(compute_ik, request_of, cod
     (lambda: path(1.0, np.nan), -16),
     (lambda: path(1.0, 1.1, max_step=0.0), -16),
     (lambda: path(1.0, 1.1, max_step=1e-9), -16),
+    (lambda: path(1.0, 1.1, max_step=2.0), -16),
     (lambda: path(*[1.0] * 10_001), -16),
     (lambda: path(1.0, 1.1, header=MOVEIT.Header(frame_id="base_footprint")), -21),
     (lambda: path(1.0, 9.0, max_step=1.0), -1),
     (lambda: path(1.0, 1.1, start_state=MOVEIT.RobotState(MOVEIT.JointState(name=["a"]))), -17),
+    (lambda: path(1.0, 1.1, start_state=_arm_alone(0.1)), -17),
+    (lambda: path(1.0, 1.1, start_state=_arm_alone(5.0)), -17),
 ])  # fmt: skip
 def test_requests_without_plan_have_error_codes(compute_path, request_of, code):
     reply = compute_path(request_of())
