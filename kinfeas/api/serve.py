@@ -85,18 +85,19 @@ class PlanningServer(ThreadingHTTPServer):
         """
         self._placer = BasePlacer(load_robot(robot))
         self._scene = None if scene is None else read_scene(str(scene))
-        self.access = Access("127.0.0.1", port)
-        super().__init__(("127.0.0.1", port), _Handler, bind_and_activate=False)
-        self.socket.close()
-        self.socket, self.url = self.access.listener, self.access.url
-        self.answers = {"/reach": self._base_poses, "/plan": self._motion}
         self._lock = Lock()
-        self._opened = ExitStack()
-        if ros2:
-            from kinfeas.sim2real.ros.moveit import MoveItServices
+        self.answers = {"/reach": self._base_poses, "/plan": self._motion}
+        with ExitStack() as opened:
+            if ros2:
+                from kinfeas.sim2real.ros.moveit import MoveItServices
 
-            services = MoveItServices(self._placer.solver, self._reach, self._plan)
-            self._opened.callback(services.close)
+                services = MoveItServices(self._placer.solver, self._reach, self._plan)
+                opened.callback(services.close)
+            self.access = Access("127.0.0.1", port)
+            super().__init__(("127.0.0.1", port), _Handler, bind_and_activate=False)
+            self.socket.close()
+            self.socket, self.url = self.access.listener, self.access.url
+            self._opened = opened.pop_all()
 
     def server_close(self) -> None:
         """Stop listening."""
