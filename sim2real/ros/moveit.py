@@ -160,11 +160,11 @@ class MoveItServices:
         joints = [given[name] for name in self._joints if name in given]
         if not joints:
             return None
+        if len(joints) < len(self._joints):
+            raise _RequestError(INVALID_ROBOT_STATE, "each arm joint needs a position")
         lower, upper = self._solver.robot.joint_limits
-        within = len(joints) == len(lower) and (joints >= lower) & (joints <= upper)
-        if not np.isfinite(joints).all() or not np.all(within):
-            text = "each arm joint needs a position within its limits"
-            raise _RequestError(INVALID_ROBOT_STATE, text)
+        if not (np.isfinite(joints) & (joints >= lower) & (joints <= upper)).all():
+            raise _RequestError(INVALID_ROBOT_STATE, "arm joints must be within their limits")
         return joints
 
     def _ee(self, start: Sequence[float], joints: Sequence[float] | None) -> Array:
