@@ -94,7 +94,8 @@ def pair_models(robot: Robot) -> Iterator[tuple[tuple[str, str], CollisionModel]
         names = ("body", "kind", "size", "radius", "rotation", "offset")
         own = {name: getattr(model, name)[used] for name in names}
         pairs = indices.reshape(-1, 2).astype(np.uintp)
-        yield pair, model._replace(**own, pairs=pairs, apart=model.apart[rows])
+        above = np.zeros(len(used), dtype=np.bool_)
+        yield pair, model._replace(**own, pairs=pairs, apart=model.apart[rows], above=above)
 
 
 def built_to_touch(

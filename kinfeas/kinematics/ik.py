@@ -191,7 +191,7 @@ def _make_problem(solver: IkSolver) -> Problem:
         chain=chain,
         descent=Descent(*aim, weight, options.max_iterations),
         collision=solver.collision,
-        check_collision=options.self_collision and len(solver.collision.pairs) > 0,
+        check_collision=options.self_collision,
         load=solver.gravity.load if solver.gravity.limited else np.empty((0, 6)),
         lower=lower, upper=upper, velocity=velocity, continuous=continuous, middle=middle,
         centering=_centering(half, options.centering),

@@ -1,5 +1,6 @@
-"""Self-collision of batches of configurations, on primitives."""
+"""Collisions of batches of configurations with the robot itself and the floor, on primitives."""
 
+import math
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ class CollisionModel(NamedTuple):
     pairs: NDArray[np.uintp]  # indices of shapes to check, (p, 2); signed ones are slower
     variables: int  # number of the arm's joints
     apart: Array  # distance below which the shapes of a pair count as touching, (p,), metres
+    above: NDArray[np.bool_]  # shapes that must stay above the floor, shape (s,)
 
 
 class CollisionScratch(NamedTuple):
@@ -55,6 +57,7 @@ def build_collision_model(robot: Robot, clearance: float = 0.0) -> CollisionMode
 
     It leaves out pairs of shapes on one link, on links that are joined rigidly or by one joint, on
     links that the arm does not move against each other, and the robot's `ignored_collisions`.
+    Shapes that the arm moves must stay above the floor if they are above it at `home`.
     """
     tree, mounts = build_tree(robot)
     named = [(link.name, shape) for link in robot.urdf.links.values() for shape in link.shapes]
@@ -79,9 +82,11 @@ def build_collision_model(robot: Robot, clearance: float = 0.0) -> CollisionMode
         pairs=np.array(pairs, dtype=np.uintp).reshape(-1, 2),
         variables=len(robot.arm),
         apart=np.full(len(pairs), MARGIN),
+        above=np.zeros(len(named), dtype=np.bool_),
     )
+    home = robot.home["home"][np.newaxis]
+    model.above[:] = _above_floor(model, home[0])
     if clearance:
-        home = robot.home["home"][np.newaxis]
         for p in range(len(pairs)):
             wider = model._replace(pairs=model.pairs[[p]], apart=np.array([MARGIN + clearance]))
             model.apart[p] += 0.0 if self_collides(wider, home)[0] else clearance
@@ -108,7 +113,7 @@ def checked_links(robot: Robot) -> list[tuple[str, str]]:
 
 
 def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.bool_]:
-    """Return whether the robot is in self-collision by the distances of the model, shape (...).
+    """Return whether the robot touches itself or the floor, shape (...).
 
     Joint positions are those of the arm, shape (..., v), radians or metres.
     """
@@ -123,6 +128,16 @@ def _self_collides_batch(model, joint_positions, touching):
     scratch = make_collision_scratch(model)
     for i in range(len(joint_positions)):
         touching[i] = touches_itself(model, joint_positions[i], scratch)
+
+
+@kernel
+def _above_floor(model, q):
+    scratch = make_collision_scratch(model)
+    place_shapes(model, q, scratch)
+    above = np.empty(len(model.body), dtype=np.bool_)
+    for s in range(len(model.body)):
+        above[s] = model.body[s] >= 0 and _lowest(model, s, scratch) >= MARGIN
+    return above
 
 
 @kernel
@@ -144,8 +159,11 @@ def make_collision_scratch(model):
 
 @inner
 def touches_itself(model: CollisionModel, q, scratch: CollisionScratch):
-    """Return whether the robot is in self-collision at the arm joints `q`, shape (v,)."""
+    """Return whether the robot touches itself or the floor at the arm joints `q`, shape (v,)."""
     place_shapes(model, q, scratch)
+    for s in range(len(model.body)):
+        if model.above[s] and _lowest(model, s, scratch) < MARGIN:
+            return True
     rot, pos, size = scratch.rotation, scratch.position, model.size
     for p in range(len(model.pairs)):
         a, b = model.pairs[p, 0], model.pairs[p, 1]
@@ -204,6 +222,20 @@ def _place_shape(model, s, scratch):
         scratch.position[s, r] = scratch.origins[body, r] + shift
         a, b, c = turn_row(a, b, c, model.rotation[s], 1.0, 0.0)
         out[s, r, 0], out[s, r, 1], out[s, r, 2] = a, b, c
+
+
+@inlined
+def _lowest(model, s, scratch):
+    """Return the height of the lowest point of a shape where `place_shapes` has put it, metres."""
+    x, y, z = scratch.rotation[s, 2]
+    half = model.size[s]
+    if model.kind[s] == BOX:
+        below = abs(x) * half[0] + abs(y) * half[1] + abs(z) * half[2]
+    elif model.kind[s] == CYLINDER:
+        below = math.sqrt(x * x + y * y) * half[0] + abs(z) * half[2]
+    else:
+        below = half[0]
+    return scratch.position[s, 2] - below
 
 
 @inlined

@@ -1,7 +1,9 @@
 from itertools import combinations
 
+import fcl
 import numpy as np
 
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
 from tests.kinematics.conftest import Primitives, draw, touch
 
@@ -13,10 +15,17 @@ class Pairs(Primitives):
         links = [link for link, _ in self.shapes]
         pairs = combinations(range(len(links)), 2)
         self.pairs = np.array([(i, k) for i, k in pairs if {links[i], links[k]} in checked])
+        carried = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
+        self.carried = [i for i, link in enumerate(links) if link in carried]
+        below = fcl.Transform(np.array([0.0, 0.0, -5.0]))
+        self.floor = fcl.CollisionObject(fcl.Box(20.0, 20.0, 10.0), below)
 
     def touch(self, joint_positions):
-        """Return whether any pair touches; bounding spheres rule most of them out."""
+        """Return whether any pair or the floor touches; bounding spheres rule most of them out."""
         centres = self.place(joint_positions)
+        low = [i for i in self.carried if centres[i, 2] < self.radius[i]]
+        if any(touch(self.objects[i], self.floor) for i in low):
+            return True
         a, b = self.pairs.T
         gaps = np.linalg.norm(centres[a] - centres[b], axis=1) - self.radius[a] - self.radius[b]
         return any(touch(self.objects[i], self.objects[k]) for i, k in self.pairs[gaps <= 0.0])
@@ -37,6 +46,17 @@ def test_free_configurations_are_free_for_fcl(robot, judge):
     assert touching > 15
     homes = np.array(list(robot.home.values()))
     assert not np.any(self_collides(build_collision_model(robot), homes))
+
+
+def test_arms_stay_above_the_floor(robot):
+    """An arm that reaches a pose only through the floor does not reach it."""
+    joints = draw(robot, 3000)
+    model = build_collision_model(robot)
+    without = model._replace(above=np.zeros_like(model.above))
+    low = ~self_collides(without, joints) & self_collides(model, joints)
+    heights = forward(build_chain(robot), joints)[:, 2]
+    assert low.any()
+    assert heights[low].mean() < heights.mean() - 0.2
 
 
 def test_mimic_joints_carry_their_shapes(odd_robot, odd_judge):
