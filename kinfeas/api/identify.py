@@ -8,7 +8,7 @@ from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.api.deploy import Deployment, recorded
 from kinfeas.api.load import checked, load_robot, read_adapters
 from kinfeas.config import PluginSpec, Settings, strict_yaml
-from kinfeas.config.quantities import Seed
+from kinfeas.config.quantities import Rate, Seed
 from kinfeas.config.recipes import default_engine, load_section
 from kinfeas.control.assemble import with_adapters
 from kinfeas.core.backend import build_backend
@@ -176,7 +176,8 @@ def drive(  # noqa: PLR0913 - options of the command
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
     """
-    model, dt, backend = load_robot(robot), 1.0 / rate, backend or default_engine()
+    dt = 1.0 / checked(Rate, rate, "rate")
+    model, backend = load_robot(robot), backend or default_engine()
     config = load_section(DeployConfig, "deploy", model.folder, settings)
     if record is not None and Path(record).exists():
         raise KinfeasError(f"{record}: exists")

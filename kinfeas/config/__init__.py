@@ -17,6 +17,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_type_hints
 
+import numpy as np
+
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
 
@@ -86,8 +88,11 @@ def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None
 def convert(kind: Any, value: object, source: str, key: str) -> Any:
     """Return the plain value of a key as an instance of the type `kind`.
 
-    Values that no YAML file can hold, and types that pydantic cannot validate, are passed through.
+    NumPy numbers count as plain ones. Values that no YAML file can hold, and types that pydantic
+    cannot validate, are passed through.
     """
+    if isinstance(value, np.generic):
+        value = value.item()
     from pydantic import PydanticUndefinedAnnotation, PydanticUserError
 
     if not isinstance(value, str | bool | int | float | list | dict | None):

@@ -242,6 +242,12 @@ class Loop:
         self._observe()
 
     @property
+    def resumable(self) -> bool:
+        """Whether `snapshot` holds the whole state, which filters with a `reset` have, too."""
+        stateful = any(hasattr(each, "reset") for each in self.filters)
+        return self.backend.resumable is not None and not stateful
+
+    @property
     def command_size(self) -> int:
         """Count of numbers that command a base."""
         return command_size(self.robot.base)

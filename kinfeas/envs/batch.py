@@ -78,7 +78,7 @@ class Batch:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state to resume from, by name."""
-        world = {} if self.world.loop.backend.resumable is None else self.world.snapshot()
+        world = self.world.snapshot() if self.world.loop.resumable else {}
         return {**world, "next_episode": np.array(self.number())}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Array:
@@ -87,8 +87,7 @@ class Batch:
         Without a state of the world the next episodes begin.
         """
         self.world.next_episode = int(snapshot["next_episode"])
-        resumable = self.world.loop.backend.resumable is not None
-        if resumable and snapshot.keys() > {"next_episode"}:
+        if self.world.loop.resumable and snapshot.keys() > {"next_episode"}:
             return self.world.restore(snapshot)
         return self.start()
 

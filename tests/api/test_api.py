@@ -35,6 +35,18 @@ def test_the_package_lists_its_functions():
     assert all(callable(getattr(kinfeas, name)) for name in kinfeas.__all__ if name[0] != "_")
 
 
+def test_a_folder_does_not_hide_an_included_policy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pretrained").mkdir()
+    assert kinfeas.evaluate("pretrained", episodes=1, settings=SHORT)["policy"] == "pretrained"
+
+
+@pytest.mark.parametrize("wrong", [{"episodes": np.int64(0)}, {"seed": np.int64(-5)}])
+def test_numpy_numbers_are_checked(wrong):
+    with pytest.raises(kinfeas.KinfeasError, match=next(iter(wrong))):
+        kinfeas.evaluate("stationary", **wrong)
+
+
 def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
     from kinfeas.cli import main
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -122,6 +124,19 @@ PHYSICAL = {
     "schedule": {"steps": 200, "minutes": None, "evaluations": 1, "evaluation_episodes": 1}
     | {"final_episodes": 1},
 }
+
+
+def test_filters_with_a_memory_begin_the_next_episodes():
+    config = replace(NOISY, adapters=(), filters=(PluginSpec("path_planner"),))
+    env = make(2, config)
+    env.reset()
+    run(env, 2)
+    snapshot = env.snapshot()
+    assert list(snapshot) == ["next_episode"]
+    other = make(2, config)
+    seen = other.restore(snapshot)
+    np.testing.assert_array_equal(seen, scaled(env.batch.start(), env.scale))
+    assert_equal(run(other, 2), run(env, 2))
 
 
 def physical(settings=None):
