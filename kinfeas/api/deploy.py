@@ -162,6 +162,12 @@ def servo(  # noqa: PLR0913 - options of the command
     controller = TargetController(model, config.rules)
     limits = {**config.rules.generator_limits, **config.generator}
     task = ServoTask(controller, MotionSpec("servo", limits))
+    if not isinstance(source, str):
+        ends = (getattr(source, end, None) for end in ("start", "close"))
+        if isinstance(source, type) or not all(map(callable, ends)):
+            raise KinfeasError(
+                f"'source' must be a name or an object with start and close, not {source!r}"
+            )
     name = f"target source {source if isinstance(source, str) else type(source).__name__!r}"
     targets = _build_source(source, config.source) if isinstance(source, str) else source
     backend = backend or default_engine()
@@ -186,6 +192,8 @@ def servo(  # noqa: PLR0913 - options of the command
     outcome = done.outcome
     if unclosed:
         outcome = replace(outcome, code=outcome.code or Code.FAULT, unclosed=unclosed)
+    if outcome.code is Code.REACHED and (refusal := controller.refusal):
+        outcome = replace(outcome, code=Code.TIME_OVER, reason=refusal)
     return replace(done, outcome=outcome, targets=controller.statistics())
 
 

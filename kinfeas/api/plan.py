@@ -11,14 +11,23 @@ from numpy.typing import ArrayLike
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot
 from kinfeas.api.reach import base_pose, surroundings
-from kinfeas.config import Settings
+from kinfeas.config import Settings, nested
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.subgoal_motions import LONGEST, begin_motions
 from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import IDENTITY, Array, compose, distance, make_pose, relative, rotation
+from kinfeas.core.spatial import (
+    IDENTITY,
+    Array,
+    compose,
+    distance,
+    interpolated,
+    make_pose,
+    relative,
+    rotation,
+)
 from kinfeas.core.start import Start
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.demonstrations import check_samples, columns
@@ -28,13 +37,14 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.reach import BasePlacer
 from kinfeas.planning.whole_body import Moments, State, plan_along
 from kinfeas.plugins.waypoints import read_waypoints
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Base, Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
 
 _BASE = ("x", "y", "yaw")
 _AT_START = 0.02  # distance of the EE from the first pose of a path, metres
 _ROUNDING = 1e-6  # of the numbers of a file
+_SLOWER = 0.5  # velocity of an EE that would be faster than the base, as a fraction of the base's
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +143,9 @@ def plan(  # noqa: PLR0913 - options of the command
 
     Args:
         robot: Name or folder, or a `BasePlacer` of `kinfeas.planning.reach`.
-        path: World poses of the EE, shape (k, 7), every `step` seconds; a file of poses, as of the
-            generator `waypoints`; or the name of a motion generator, which needs a `target`.
+        path: World poses of the EE, shape (k, 7), every `step` seconds, or later where the EE would
+            be faster than the base; a file of poses, as of the generator `waypoints`; or the name
+            of a motion generator, which needs a `target`.
         target: World pose at which the motion of a generator ends, shape (7,).
         step: Time from a pose to the next, seconds.
         start: x, y and yaw of the base now. The EE moves from there to the first pose of a file. By
@@ -151,19 +162,22 @@ def plan(  # noqa: PLR0913 - options of the command
     placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
     state = None if start is None else _state(placer.solver.robot, start, joints)
     around, names = surroundings(scene, solids)
+    if not 1e-3 <= step <= 10.0:
+        raise KinfeasError(f"'step' must be 0.001 to 10 s, not {step}")
     if joints is not None and start is None:
         raise KinfeasError("'joints' needs 'start'")
     if isinstance(path, str | Path):
         ee = _rolled_out(placer.solver, path, target, state, around, settings)
         step = HORIZON
+    elif nested(settings) or target is not None:
+        raise KinfeasError("'settings' and 'target' are for files and generators, not for poses")
     else:
         ee = ee_poses(path, "path")
         if len(ee) < 2:
             raise KinfeasError("'path' must have at least 2 poses")
         if state is not None:
             _check_start(placer.solver, *state, ee[0])
-    if not 1e-3 <= step <= 10.0:
-        raise KinfeasError(f"'step' must be 0.001 to 10 s, not {step}")
+        ee = _divided(ee, step, placer.solver.robot.base)
     moments = plan_along(placer, ee, step, state, around, names)
     return Plan(**vars(moments), robot=placer.solver.robot, solids=around)
 
@@ -225,6 +239,21 @@ def _check_start(solver: IkSolver, base: Array, joints: Array, first: Array) -> 
         raise KinfeasError(f"'path' must begin where the EE is; its first pose is {gap:.2f} m away")
 
 
+def _divided(ee: Array, step: float, base: Base) -> Array:
+    """Return the poses with more between them where the EE would be faster than the base."""
+    metres, radians = distance(ee[:-1], ee[1:])
+    speed = np.maximum(metres / base.max_velocity, radians / base.max_rotation) / step
+    pieces = np.ceil(np.where(speed > 1.0, speed / _SLOWER, 1.0))
+    if pieces.sum() * step >= LONGEST:
+        raise KinfeasError(f"'path': the EE motion takes longer than {LONGEST:g} s")
+    counts = pieces.astype(int).tolist()
+    times = [i + np.arange(n) / n for i, n in enumerate(counts)]
+    last = float(len(counts))
+    if max(counts) == 1:
+        return ee
+    return interpolated(np.array([*np.concatenate(times), last]), np.arange(last + 1.0), ee)
+
+
 def _rolled_out(
     solver: IkSolver,
     path: Name,
@@ -236,14 +265,15 @@ def _rolled_out(
     """Return the EE poses of a file or a generator every `HORIZON` seconds, shape (k, 7)."""
     if isinstance(path, Path) or Path(path).suffix:
         poses, parameters = read_waypoints(Path(path))[0], {"file": str(path), "frame": "world"}
-        if fixed := parameters.keys() & (settings or {}).keys():
+        if fixed := parameters.keys() & nested(settings).keys():
             raise KinfeasError(f"{min(fixed)!r} is no setting of a plan")
-        motion = MotionSpec("waypoints", {**parameters, **(settings or {})})
+        motion = MotionSpec("waypoints", {**parameters, **nested(settings)})
         first, goal = poses[0], poses[-1]
     else:
         if target is None or state is None:
+            build_subgoals([Subgoal(MotionSpec(str(path), nested(settings)))])  # is there one?
             raise KinfeasError(f"motion generator {str(path)!r} needs 'target' and 'start'")
-        motion, goal = MotionSpec(str(path), dict(settings or {})), ee_poses(target, "target")[0]
+        motion, goal = MotionSpec(str(path), nested(settings)), ee_poses(target, "target")[0]
     if state is None:  # any robot with its EE there
         home = solver.robot.home["home"]
         ee = forward(solver.chain, home[np.newaxis])[0]

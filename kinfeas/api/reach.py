@@ -100,4 +100,5 @@ def reach_map(
 
     model, around = load_robot(robot), surroundings(scene, solids)[0]
     goal, origin = ee_poses(pose, "pose")[0], None if start is None else base_pose(start, "start")
-    return png(reach_figure(model, goal, BasePlacer(model).region(goal, around, origin), around))
+    placer, where = BasePlacer(model), (goal, around, origin)
+    return png(reach_figure(model, goal, placer.place(*where), placer.region(*where), around))

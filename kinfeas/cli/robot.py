@@ -24,7 +24,7 @@ app = typer.Typer(no_args_is_help=True, help="Create the files of a robot.")
 def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     file: Path = argument(..., "URDF, xacro or MJCF of a mobile manipulator.", metavar="FILE"),
     arguments: list[str] | None = argument(None, "Arguments of a xacro.", metavar="NAME:=VALUE"),
-    out: Path = option(..., "Folder of the robot, for robot.yaml and robot.urdf."),
+    out: Path = option(..., "Folder of the robot, for its three files."),
     name: str | None = option(None, "Name of the robot.  [default: that of the folder]"),
     drive: Drive | None = option(None, "Drive of the base.  [default: by the wheels]"),
     ee: str | None = option(None, "EE link.  [default: end of the longest chain]"),
@@ -39,13 +39,14 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Draft the folder of a robot from its URDF, xacro or MJCF.
 
     robot.yaml has arm, hand, home, reach and ignored collisions, and marks guesses: check them,
-    above all the speed of the base. In robot.urdf, primitives replace collision meshes.
+    above all the speed of the base. In robot.urdf, primitives replace collision meshes. By
+    recipes.yaml, known motions are planned.
 
     Example: kinfeas robot import fetch.urdf --out robots/fetch --picture fetch.png
     """
     from kinfeas.core.errors import check_name
     from kinfeas.importer.draft import draft_robot
-    from kinfeas.importer.text import warnings
+    from kinfeas.importer.text import RECIPES, warnings
     from kinfeas.io.files import write_file, writing
 
     called = out.resolve().name if name is None else name
@@ -53,8 +54,8 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         check_name(called)
     except ValueError as error:
         raise KinfeasError(f"--name: {error}") from error
-    yaml_path, urdf_path = out / "robot.yaml", out / "robot.urdf"
-    for path in (yaml_path, urdf_path):
+    yaml_path, urdf_path, recipes = (out / n for n in ("robot.yaml", "robot.urdf", "recipes.yaml"))
+    for path in (yaml_path, urdf_path, recipes):
         if path.exists():
             raise KinfeasError(f"{path}: exists; choose another --out")
     replacements = dict(_replacement(text) for text in mesh_path or ())
@@ -66,7 +67,7 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         )  # fmt: skip
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml)):
+    for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml), (recipes, RECIPES)):
         check_file_path(path)
         write_file(path, text.encode())
     summary = _summary(draft)

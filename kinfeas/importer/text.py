@@ -10,6 +10,15 @@ from kinfeas.robots.spec import RobotSpec
 _FREE = 0.5
 """Fraction of configurations free of self-collision below which a warning says so."""
 
+RECIPES = """\
+# Known motions are planned: the arm often has to change its configuration.
+analytic: {world: {filters: [path_planner, feasibility]}}
+physics: {world: {filters: [path_planner, feasibility]}}
+sim2real: {world: {filters: [path_planner, feasibility]}}
+deploy: {filters: [path_planner, feasibility]}
+"""
+"""Recipes of a drafted robot."""
+
 _BASE_UNITS = {
     "max_velocity": "m/s", "max_rotation": "rad/s",
     "max_acceleration": "m/s^2", "max_rotation_acceleration": "rad/s^2",
@@ -54,8 +63,13 @@ class Guesses:
 
 
 def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
-    """Return what limits the postures of a draft; `free` is as of `Draft`."""
+    """Return what limits the postures of a draft, and a guess of its drive.
+
+    `free` is as of `Draft`.
+    """
     messages = []
+    if guesses.drive.startswith("a guess"):
+        messages.append(f"the drive is {spec.base.drive}, {guesses.drive}; --drive sets it")
     if free < _FREE:
         often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
         pairs = ", ".join(

@@ -37,7 +37,8 @@ class IkOptions:
     restarts: Annotated[int, Interval(ge=0, le=65536)] = 24
     # number of solutions of which the one nearest to the seed is taken
     candidates: Annotated[int, Interval(ge=1, le=65536)] = 3
-    # whether solutions in self-collision are rejected. Those that motors cannot hold always are
+    # whether solutions that touch the robot or the floor are rejected. Those that motors cannot
+    # hold always are
     self_collision: bool = True
     pose_tolerance: bool = True  # whether the robot's pose tolerance counts as feasible
     position_tolerance: Positive = 1e-4  # position error of an exact solution, metres

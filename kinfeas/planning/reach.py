@@ -18,7 +18,7 @@ from kinfeas.robots.robot import Robot
 LIMITS = {  # reasons for which a pose is out of reach; the first that applies
     "height": "above or below the heights of the EE",
     "orientation": "no arm configuration has this height and tilt",
-    "self-collision": "arm configurations touch the robot",
+    "self-collision": "arm configurations touch the robot or the floor",
     "torque": "motors cannot hold arm configurations",
     "solids": "solids are in the way of base or arm",
     "path": "solids block the base's way from the start",
@@ -32,6 +32,7 @@ class ReachSettings:
 
     first: tuple[int, ...] = (64, 512)  # base poses tried by each stage without restarts of IK
     stages: tuple[int, ...] = (8, 32, 128, 512, 1024)  # the same with restarts, if these find none
+    compared: int = 64  # base poses of which the best are returned
     without: int = 1024  # base poses that are tried without a limit
     together: int = 512  # base poses that are tried for several poses
     clearances: tuple[float, ...] = (0.02, 0.05, 0.1)  # distances from solids, metres
@@ -98,7 +99,7 @@ class BasePlacer:
     ) -> Placement:
         """Return up to `count` base poses from which the arm reaches an EE pose.
 
-        They are the best of those that the stages of `ReachSettings` find until these are enough.
+        They are the best of at least 64, if the stages of `ReachSettings` find as many.
 
         Args:
             goal: World pose of the EE, shape (7,).
@@ -107,7 +108,8 @@ class BasePlacer:
                 able to drive to the base poses.
             count: Largest number of base poses.
         """
-        base, joints = self._search(goal, _SETTINGS.stages, solids, start, count)
+        most = max(count, _SETTINGS.compared)
+        base, joints = self._search(goal, _SETTINGS.stages, solids, start, most)
         if len(base):
             return self._rated(base, joints[:, np.newaxis], solids, count, single=True)
         limit = self.limit(goal, solids, start)

@@ -109,7 +109,7 @@ class TaskScene:
     """Objects of a task, in worlds that have them."""
 
     name: str  # the scene, by its name or the path of its YAML
-    success: SuccessCondition  # condition of the task's success
+    success: SuccessCondition | None = None  # of the task; by default the goal is reached
     grasped_object: GraspedObject | None = None  # object that the gripper grasps; none by default
     # poses of objects that an episode moves, by their names
     moves: dict[str, Move] = field(default_factory=dict)
@@ -255,7 +255,8 @@ def check_scene(task_scene: TaskScene, scene: Scene) -> None:
                 f"'scene.grasped_object': link {grasped.link!r} of the fixed object "
                 f"{grasped.object!r} is below no moving joint"
             )
-    success = task_scene.success
+    if (success := task_scene.success) is None:
+        return
     need("success.object", success.object, objects, "object")
     if success.parent is not None:
         others = [name for name in objects if name != success.object]

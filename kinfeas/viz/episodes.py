@@ -68,13 +68,16 @@ def episodes_figure(
     return figure
 
 
-def reach_figure(robot: Robot, goal: Array, placement: Placement, solids: Solids | None) -> Figure:
-    """Return a picture from above of base poses, coloured by margin, with the best robot.
+def reach_figure(
+    robot: Robot, goal: Array, best: Placement, placement: Placement, solids: Solids | None
+) -> Figure:
+    """Return a picture from above of base poses, coloured by margin, and of a robot.
 
     Args:
         robot: The robot.
         goal: World pose of the EE, shape (7,).
-        placement: Base poses that reach it.
+        best: Base poses that reach it; the robot is at the first.
+        placement: All base poses that reach it.
         solids: In the world, one row.
     """
     with rc_context(STYLE):
@@ -82,9 +85,8 @@ def reach_figure(robot: Robot, goal: Array, placement: Placement, solids: Solids
         axes = figure.add_subplot()
         for solid in shapes.solid_shapes(solids).values():
             draw_outline(axes, shapes.corners([solid]), (*to_rgb(solid.colour[:7]), 0.75), 1.8)
-        if placement.reachable:
-            best = placement.base_pose[0], placement.joint_positions[0]
-            for solid in shapes.robot_solids(robot, *best):
+        if best.reachable and placement.reachable:
+            for solid in shapes.robot_solids(robot, best.base_pose[0], best.joint_positions[0]):
                 draw_outline(axes, shapes.corners([solid]), (*to_rgb(BODY), 0.4), 2.0)
             base, heading = placement.base_pose[::-1], spatial.yaw(placement.base_pose[::-1])
             arrows = axes.quiver(

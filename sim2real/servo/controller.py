@@ -66,7 +66,7 @@ class TargetController:
         self._sender = SenderClock(self.rules.timeout)
         self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
         self._ignored: tuple[float, float, dict[str, int]] | None = None  # since, until, before
-        self._failure = ""
+        self._failure = self._invalid = ""
 
     def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
         """Send the EE to a pose (7,) in the world, base or EE frame, by its name.
@@ -207,13 +207,21 @@ class TargetController:
         if last - since < _LONG <= now - since:
             new = {rule: n - counts[rule] for rule, n in self.counts.items()}
             why = ", ".join(f"{n} {rule}" for rule, n in new.items() if n)
+            why += f"; the last invalid one had {self._invalid}" if self._invalid else ""
             _log.warning("all messages are ignored, for %.1f s: %s", now - since, why)
+
+    @property
+    def refusal(self) -> str:
+        """Why no message was accepted; empty if one was."""
+        refused = ", ".join(f"{n} {rule}" for rule, n in self.counts.items() if n) or "none came"
+        last = f"; the last invalid one had {self._invalid}" if self._invalid else ""
+        return "" if self.counts["accepted"] else f"no message was accepted: {refused}{last}"
 
     def _read(self, message: Message, now: Array) -> None:
         values, times, stamp = message.values, message.times, message.stamp
         numbers = [stamp or 0.0, message.observed or 0.0, message.keep]
         if values is None or not (np.isfinite(numbers).all() and np.isfinite(values).all()):
-            self._inbox.reject(_ROW)
+            self._reject("no array of finite numbers")
             return
         if message.frame not in self._frames:
             self._others["frame"] += 1
@@ -237,10 +245,15 @@ class TargetController:
             return
         chunk = chunk_in_world(values, times, frame, when, offset)
         if chunk is None:
-            self._inbox.reject(_ROW)
+            rule = "no twist (6,), or poses (k, 7) with unit quaternions and ascending times"
+            self._reject(f"{rule}, but shape {values.shape}")
             return
         self._kept.append((when + message.keep, np.array([when]), *chunk))
         self._put_kept(now)
+
+    def _reject(self, why: str) -> None:
+        self._inbox.reject(_ROW)
+        self._invalid = why
 
     def _put_kept(self, now: Array) -> None:
         """Take the poses for which the last chunk no longer stays."""

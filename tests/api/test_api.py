@@ -95,7 +95,8 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
     source, options = Targets(), {"robot": "hsr", "backend": "analytic", "seconds": 0.3}
     relaxed = {"guards": {"max_age": 5.0, "max_period": 5.0, "max_clock_skew": 5.0}}
     run = kinfeas.servo(source=source, record=tmp_path / "a.csv", settings=relaxed, **options)
-    assert (run.outcome.code, source.closed, run.targets["messages"]["accepted"]) == (0, True, 0)
+    assert (run.outcome.code, source.closed, run.targets["messages"]["accepted"]) == (4, True, 0)
+    assert run.outcome.reason == "no message was accepted: none came"
     started = []
     run = kinfeas.deploy(
         "pretrained", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "b.csv",

@@ -97,6 +97,15 @@ def test_plans_begin_where_the_robot_is(hsr):
         kinfeas.plan("hsr", line(0.1, 0, 0, 0, 0, 0), start=(4.0, 0.0, 0.0))
 
 
+def test_poses_faster_than_the_base_take_longer(hsr):
+    ends = [[1.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0], [4.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0]]
+    plan = kinfeas.plan("hsr", ends)
+    np.testing.assert_allclose(plan.ee_pose[[0, -1]], ends, atol=1e-9)
+    assert plan.time[-1] >= 3.0 / hsr.base.max_velocity
+    with pytest.raises(KinfeasError, match="settings"):
+        kinfeas.plan("hsr", ends, settings={"max_velocity": 0.2})
+
+
 def test_the_error_names_the_pose_out_of_reach_and_the_reason():
     with pytest.raises(KinfeasError, match=r"EE at 1, 0.5, 1.\d+ m after .* heights"):
         kinfeas.plan("hsr", line(0, 0, 0.2, 0, 0, 0)[25:50])

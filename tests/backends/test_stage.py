@@ -137,6 +137,16 @@ def test_a_task_without_objects_has_no_success_condition(hsr, engine):
     stage.backend.close()
 
 
+def test_a_scene_without_a_success_condition_is_done_at_the_goal(hsr, scene_path, engine):
+    here = {"here": Place((1.0, 0.0, 0.8))}
+    task = ChainTask("visit", (ChainSubgoal(place="here"),), here, scene=TaskScene(scene_path))
+    stage = engine(hsr).stage(task)
+    begin(stage, IkSolver(hsr), 0)
+    joints = np.zeros((1, len(hsr.arm)))
+    assert [stage.task_done(0, joints, 0.1, reached=r) for r in (False, True)] == [False, True]
+    stage.backend.close()
+
+
 def test_grasping_needs_a_gripper(hsr, engine):
     bare, door = replace(hsr, gripper=None), load_task("door")
     with pytest.raises(KinfeasError, match="gripper"):

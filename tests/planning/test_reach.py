@@ -50,8 +50,8 @@ def test_base_poses_reach_and_are_free_with_the_best_first(robot):
             assert not collides(*shapes, grown).any()
             assert placer.solver.admissible(joints)
         assert (np.diff(placement.margin) <= 0.0).all()
-        again = placer.place(goal, solids, count=5)
-        np.testing.assert_array_equal(again.base_pose, placement.base_pose)
+        again = placer.place(goal, solids, count=64)
+        np.testing.assert_array_equal(again.base_pose[:5], placement.base_pose)
     assert reached >= 8
 
 

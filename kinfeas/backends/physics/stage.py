@@ -9,7 +9,7 @@ from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.chain import ChainTask, SuccessCondition
 from kinfeas.tasks.task import StreamTask, Task
 
 if TYPE_CHECKING:
@@ -89,26 +89,29 @@ class Stage:
     @property
     def has_success_condition(self) -> bool:
         """Whether the task has a success condition on objects of the scene."""
-        return self._task_scene is not None
+        return self._success is not None
+
+    @property
+    def _success(self) -> SuccessCondition | None:
+        return self._task_scene.success if self._task_scene else None
 
     def task_done(
         self, row: int, joint_positions: Array, dt: float, *, reached: bool
     ) -> bool | None:
         """Return whether the episode that ends in a row did its task.
 
-        A task without objects is done if the goal is reached. None if the objects are left out.
+        A task without a condition is done if the goal is reached. None if the objects are left out.
         """
-        if not self.has_success_condition:
-            return None if self._chain and self._chain.scene else reached
+        if (success := self._success) is None:
+            objects_left_out = self._chain and self._chain.scene and self.scene is None
+            return None if objects_left_out else reached
         self.settle(joint_positions, dt, row)
-        must_reach = self._task_scene is not None and self._task_scene.success.reached
-        return False if must_reach and not reached else self.done(row)
+        return False if success.reached and not reached else self.done(row)
 
     def done(self, row: int = 0) -> bool | None:
         """Return whether the objects of a row meet the success condition; None without one."""
-        if self._task_scene is None:
+        if (success := self._success) is None:
             return None
-        success = self._task_scene.success
         if success.joint is not None:
             position = self.backend.object_joint(row, success.object, success.joint)
             limit = success.threshold
