@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 
 from kinfeas.api import Name
-from kinfeas.api.load import checked
+from kinfeas.api.load import checked, text_of
 from kinfeas.config.quantities import Count, Seed
 from kinfeas.core.extras import require
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
@@ -29,13 +29,15 @@ def fit(
     kind = checked(Kind, kind, "kind")
     components, seed = checked(Count, components, "components"), checked(Seed, seed, "seed")
     # The model is for other machines, too: only the name of the folder.
-    folder = shlex.quote(Path(demonstrations).resolve().name)
+    source = Path(text_of(demonstrations, "demonstrations"))
+    out = Path(text_of(out, "out"))
+    folder = shlex.quote(source.resolve().name)
     command = (
         f"kinfeas fit --demonstrations {folder} --kind {kind} "
         f"--components {components} --seed {seed}"
     )
-    files = demonstration_files(Path(demonstrations))
+    files = demonstration_files(source)
     motions = [read_demonstration(file) for file in files]
     fitted = learn(motions, kind, components, seed, command, [str(file) for file in files])
-    write_model(fitted.model, Path(out))
+    write_model(fitted.model, out)
     return fitted

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.api.deploy import Deployment, recorded
-from kinfeas.api.load import checked, load_robot, read_adapters
+from kinfeas.api.load import checked, load_robot, read_adapters, text_of
 from kinfeas.config import PluginSpec, Settings, strict_yaml
 from kinfeas.config.quantities import Rate, Seed
 from kinfeas.config.recipes import default_engine, load_section
@@ -107,7 +107,8 @@ def identify(
     Raises:
         KinfeasError: If a record is invalid, of another robot, or shows no motion.
     """
-    paths = [Path(records)] if isinstance(records, str | Path) else list(map(Path, records))
+    several = records if isinstance(records, Sequence) and not isinstance(records, str) else [records]
+    paths = [Path(text_of(record, "records")) for record in several]
     if not paths:
         raise KinfeasError("give at least one record")
     if out is not None and Path(out).suffix not in (".yaml", ".yml"):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinfeas.api import Name
-from kinfeas.api.load import load_robot
+from kinfeas.api.load import load_robot, text_of
 from kinfeas.api.reach import base_pose, surroundings
 from kinfeas.config import Settings, nested
 from kinfeas.config.quantities import FARTHEST
@@ -188,7 +188,7 @@ def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> 
     Raises:
         KinfeasError: If the file is no plan of the robot, or beyond the limits of base or arm.
     """
-    model, file = load_robot(robot), Path(path)
+    model, file = load_robot(robot), Path(text_of(path, "path"))
     joints = [joint.name for joint in model.arm]
     values = read_csv(file, ["time", *_BASE, *joints, *columns("ee_pose")])
     base, arm, ee = (

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 from kinfeas.api import Name
-from kinfeas.api.load import load_robot, read_adapters, robot_of
+from kinfeas.api.load import load_robot, read_adapters, robot_of, text_of
 from kinfeas.config import Settings, nested
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
@@ -66,7 +66,8 @@ def train(
         KinfeasError: If an option or a setting is invalid, or the folder holds a run.
     """
     config = configure(robot, **options)
-    return begin(config, default_folder(config) if out is None else Path(out), on_progress)
+    folder = default_folder(config) if out is None else Path(text_of(out, "out"))
+    return begin(config, folder, on_progress)
 
 
 def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainConfig:
@@ -111,7 +112,7 @@ def resume(
     Raises:
         KinfeasError: If the folder is no run, or a limit is invalid.
     """
-    path, longer = Path(folder), duration(minutes, steps)
+    path, longer = Path(text_of(folder, "folder")), duration(minutes, steps)
     progress = training.finished(path, longer)
     if progress is None:
         from kinfeas.training.train import resume as run

@@ -34,7 +34,7 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas sweep sweep/pr2
 
-    Example: kinfeas train --config runs/sweep/pr2/best.yaml --seed 1
+    Example: kinfeas train --config runs/sweep/pr2/best.yaml --minutes 3
     """
     require("torch", "stable_baselines3", "matplotlib", "optuna")
     from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best

@@ -278,7 +278,7 @@ class _Run:
         reason, unstopped = " ".join(reason.split()), self.guarded.unstopped
         seconds = self.seconds()
         return Outcome(
-            code, reason, unstopped, seconds, self.failures, timing, scale, "", done,
+            code, reason + TASK_DONE[done], unstopped, seconds, self.failures, timing, scale, "", done,
             self.lateness(),
         )  # fmt: skip
 
