@@ -26,14 +26,14 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import try_lock
 
 # Explicit, because a kernel without an option inherits its first caller's.
-_OPTIONS = {"cache": True, "error_model": "numpy"}
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 # Sums may be regrouped and multiply-adds fused, always in the same way.
 _FAST = {**_OPTIONS, "fastmath": {"contract", "reassoc", "nsz"}}
 _EXACT = {**_OPTIONS, "fastmath": False}
-_CALLED = {"nogil": True, "forceinline": False}
+_CALLED: dict[str, Any] = {"nogil": True, "forceinline": False}
 # Counts of references to arrays take half of the time where many rows of arrays are passed on.
 # Without them a kernel allocates nothing, which numba checks, and returns no array.
-_UNCOUNTED = {"_nrt": False}
+_UNCOUNTED: dict[str, Any] = {"_nrt": False}
 
 kernel = njit(**_FAST, **_CALLED)
 inner = njit(**_FAST, **_CALLED, **_UNCOUNTED)
@@ -56,7 +56,7 @@ def _settle() -> None:
         njit(cache=True)(_any)
     except RuntimeError:
         os.environ["NUMBA_CACHE_DIR"] = str(_own_folder())
-        numba.config.reload_config()  # type: ignore[no-untyped-call]
+        numba.config.reload_config()
 
 
 def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., None]], Any]:
