@@ -17,8 +17,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_type_hints
 
-import numpy as np
-
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
 
@@ -91,10 +89,11 @@ def convert(kind: Any, value: object, source: str, key: str) -> Any:
     NumPy numbers count as plain ones. Values that no YAML file can hold, and types that pydantic
     cannot validate, are passed through.
     """
-    if isinstance(value, np.generic):
-        value = value.item()
+    import numpy as np  # slow to import, as pydantic
     from pydantic import PydanticUndefinedAnnotation, PydanticUserError
 
+    if isinstance(value, np.generic):
+        value = value.item()
     if not isinstance(value, str | bool | int | float | list | dict | None):
         return value
     try:
