@@ -26,12 +26,11 @@ from scipy.spatial.transform import RotationSpline
 from kinfeas import config
 from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
+from kinfeas.core.spatial import IDENTITY, POSE_COLUMNS, Array, make_pose, rotation, twist_between
 from kinfeas.io.demonstrations import check_samples
 from kinfeas.io.files import read_csv
 from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame, norm
 
-_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _FINE = 2000  # samples of a spline, or 20 between waypoints if these are more
 _REPEATED = 1e-9  # metres and radians
 
@@ -141,8 +140,8 @@ def read_waypoints(path: Path) -> tuple[Array, Array | None]:
         poses = np.array(data.poses, dtype=np.float64).reshape(-1, 7)
         time = None if data.time is None else np.array(data.time)
     elif path.suffix.lower() == ".csv":
-        values = read_csv(path, (*_COLUMNS, "time"), ("time",))
-        poses, time = np.stack([values[name] for name in _COLUMNS], axis=1), values.get("time")
+        values = read_csv(path, (*POSE_COLUMNS, "time"), ("time",))
+        poses, time = np.stack([values[name] for name in POSE_COLUMNS], axis=1), values.get("time")
     else:
         raise KinfeasError(f"{path}: must be a .yaml or .csv file of waypoints")
     if time is not None and len(time) != len(poses):

@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 from kinfeas.cli.main import app
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.templates import Kind
-from kinfeas.templates.distribution import write_distribution
+from kinfeas.templates import Kind, write_distribution
 from kinfeas.testing import check_motion_generator
 
 EXAMPLE = Path(__file__).parent / "example_plugin"

@@ -109,27 +109,19 @@ class PlanningServer(ThreadingHTTPServer):
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
-    def _reach(self, body: object) -> list[Placement]:
-        request = from_mapping(ReachRequest, body, "request")
+    def _reach(self, **arguments: Any) -> list[Placement]:
         with self._lock:
-            return reach(
-                self._placer, request.poses, scene=self._scene, solids=_solids(request.solids),
-                start=request.start, k=request.k, together=request.together,
-            )  # fmt: skip
+            return reach(self._placer, scene=self._scene, **arguments)
 
-    def _plan(self, body: object) -> Plan:
-        request = from_mapping(PlanRequest, body, "request")
+    def _plan(self, **arguments: Any) -> Plan:
         with self._lock:
-            return plan(
-                self._placer, request.path, step=request.step, start=request.start,
-                joints=request.joints, scene=self._scene, solids=_solids(request.solids),
-            )  # fmt: skip
+            return plan(self._placer, scene=self._scene, **arguments)
 
     def _base_poses(self, body: object) -> object:
-        return [facts(placement) for placement in self._reach(body)]
+        return [facts(placement) for placement in self._reach(**_arguments(ReachRequest, body))]
 
     def _motion(self, body: object) -> object:
-        motion = self._plan(body)
+        motion = self._plan(**_arguments(PlanRequest, body))
         messages = {"joint_trajectory": motion.joint_trajectory(), "base_path": motion.base_path()}
         return {"time": motion.time.tolist(), "base": motion.base.tolist(), **messages}
 
@@ -179,6 +171,11 @@ def _parsed(body: bytes) -> object:
         return json.loads(body)
     except (ValueError, RecursionError) as error:
         raise KinfeasError(f"the body is no JSON: {error}") from error
+
+
+def _arguments(kind: type[ReachRequest | PlanRequest], body: object) -> dict[str, Any]:
+    request = from_mapping(kind, body, "request")
+    return {**vars(request), "solids": _solids(request.solids)}
 
 
 def _solids(rows: Rows) -> Solids | None:

@@ -15,7 +15,7 @@ from kinfeas.cli.output import print_facts, print_table, progress, write_drawing
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.core.registry import GROUPS, Plugin
-from kinfeas.templates import Kind
+from kinfeas.templates import Kind, write_distribution
 
 if TYPE_CHECKING:
     from kinfeas.testing.rules import Trial
@@ -80,8 +80,6 @@ def new(
 
     Example: kinfeas plugins new porter --kind robot --out porter
     """
-    from kinfeas.templates.distribution import write_distribution
-
     folder = out or Path(f"kinfeas-{name.replace('_', '-')}")
     for path in write_distribution(kind, name, folder):
         typer.echo(str(path))

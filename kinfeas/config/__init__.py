@@ -17,8 +17,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_type_hints
 
-import numpy as np
-
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
 
@@ -91,10 +89,11 @@ def convert(kind: Any, value: object, source: str, key: str) -> Any:
     NumPy numbers count as plain ones. Values that no YAML file can hold, and types that pydantic
     cannot validate, are passed through.
     """
-    if isinstance(value, np.generic):
-        value = value.item()
+    import numpy as np  # slow to import, as pydantic
     from pydantic import PydanticUndefinedAnnotation, PydanticUserError
 
+    if isinstance(value, np.generic):
+        value = value.item()
     if not isinstance(value, str | bool | int | float | list | dict | None):
         return value
     try:
@@ -128,26 +127,27 @@ def nested(*sources: Settings | None) -> dict[str, Any]:
     return data
 
 
-def merged(data: Any, changes: Any) -> Any:
+def merged(data: Any, changes: Any, source: str = "settings", whole: str | None = None) -> Any:
     """Return nested mappings with changed keys; other values, lists too, are replaced.
 
-    Keys such as `0` change an entry of a list.
+    Keys such as `0` change an entry of a list; `source` names the changes in errors. A mapping
+    whose value of the key `whole` changes, such as the name of a plugin, is replaced.
     """
+
+    def changed(value: Any, change: Any) -> Any:
+        return change if _is_empty(change) else merged(value, change, source, whole)
+
     if not isinstance(changes, Mapping):
         return changes
     if isinstance(data, list):
         entries = list(data)
         for key, value in changes.items():
-            index = index_in(entries, key, "settings")
-            entries[index] = _changed(entries[index], value)
+            index = index_in(entries, key, source)
+            entries[index] = changed(entries[index], value)
         return entries
-    if not isinstance(data, Mapping):
+    if not isinstance(data, Mapping) or (whole in changes and changes[whole] != data.get(whole)):
         return changes
-    return {**data, **{key: _changed(data.get(key), value) for key, value in changes.items()}}
-
-
-def _changed(value: Any, change: Any) -> Any:
-    return change if _is_empty(change) else merged(value, change)
+    return {**data, **{key: changed(data.get(key), value) for key, value in changes.items()}}
 
 
 def _is_empty(changes: Any) -> bool:

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.backend import LOCALISATION_SPEED, RobotState
+from kinfeas.core.kernels import inlined, kernel, square
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.pose_kernels import wrapped
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array, compose, integrate, relative, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.kernels import inlined, kernel, square
 
 _POSE_SECONDS, _VELOCITY_SECONDS = 0.02, 0.4
 """Time constants with which the prediction takes over measured positions and velocities."""

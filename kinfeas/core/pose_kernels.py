@@ -7,20 +7,13 @@ xyzw; results have w >= 0 and unit length. The result of a row does not depend o
 import math
 
 import numpy as np
-from numba import njit
 
-from kinfeas.core import kernel_cache
-from kinfeas.core.kernel_cache import compiled
-
-kernel_cache.settle()  # before the first kernel: all modules with kernels import this one
+from kinfeas.core.kernels import compiled, exact_inlined
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
-# Explicit options, because those of the first caller would decide the last bits.
-inlined = njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)
 
-
-@inlined
+@exact_inlined
 def product(ax, ay, az, aw, bx, by, bz, bw):
     """Return the unit quaternion of b followed by a, with w >= 0."""
     x = aw * bx + ax * bw + ay * bz - az * by
@@ -33,7 +26,7 @@ def product(ax, ay, az, aw, bx, by, bz, bw):
     return x * scale, y * scale, z * scale, w * scale
 
 
-@inlined
+@exact_inlined
 def _rotated(x, y, z, w, vx, vy, vz):
     tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
     return (
@@ -53,7 +46,7 @@ def compose(parent, child, out):
     out[3], out[4], out[5], out[6] = quaternion
 
 
-@inlined
+@exact_inlined
 def _write_relative(pose, frame, out):
     a, b = frame, pose
     x, y, z = _rotated(-a[3], -a[4], -a[5], a[6], b[0] - a[0], b[1] - a[1], b[2] - a[2])
@@ -67,7 +60,7 @@ def relative(pose, frame, out):
     _write_relative(pose, frame, out)
 
 
-@inlined
+@exact_inlined
 def write_reached(pose, twist, dt, out):
     """Write the pose after `dt` seconds of constant world `twist`."""
     x, y, z = twist[3] * dt, twist[4] * dt, twist[5] * dt
@@ -88,7 +81,7 @@ def integrate(pose, twist, dt, out):
     write_reached(pose, twist, dt, out)
 
 
-@inlined
+@exact_inlined
 def write_twist(start, end, dt, out):
     """Write the world twist that leads from `start` to `end` in `dt` seconds."""
     x, y, z, w = product(end[3], end[4], end[5], end[6], -start[3], -start[4], -start[5], start[6])
@@ -140,13 +133,13 @@ def distance(a, b, metres, radians):
     radians[0] = 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
 
 
-@inlined
+@exact_inlined
 def clipped(value):
     """Return a number clipped to [-1, 1]; NaN stays."""
     return 1.0 if value > 1.0 else -1.0 if value < -1.0 else value
 
 
-@inlined
+@exact_inlined
 def wrapped(angle):
     """Return the angle in (-pi, pi]."""
     circle = 2.0 * math.pi
@@ -160,7 +153,7 @@ def wrap(angle, out):
     out[0] = wrapped(angle)
 
 
-@inlined
+@exact_inlined
 def heading(pose):
     """Return the heading of a pose on the floor, radians in (-pi, pi]."""
     return wrapped(2.0 * math.atan2(pose[5], pose[6]))

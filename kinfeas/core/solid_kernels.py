@@ -8,13 +8,10 @@ around it; metres. A cylinder is a rounded point.
 import math
 
 import numpy as np
-from numba import njit
 
-from kinfeas.core.kernel_cache import FAST, UNCOUNTED, compiled
+from kinfeas.core.kernels import compiled, inlined
 
 PRISM = 10
-
-inlined = njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, **UNCOUNTED)
 
 
 @inlined

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 
 IDENTITY: Array = pose_kernels.IDENTITY
 
+POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+"""Names of the numbers of a pose in files."""
+
 UNIT = 1e-2
 """Largest deviation of the norm of a quaternion in an input from 1."""
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
 from kinfeas.config.quantities import NotNegative, PositiveShare
 from kinfeas.control.loop import Outcome
+from kinfeas.core.kernels import exact
 from kinfeas.core.metrics import WITHIN
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -79,7 +79,7 @@ def reward(
     return earned
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@exact
 def _earn(
     weights, tolerance, feasible, metres, radians, deviation, jumps, action, joints, lower, upper,
     earned,
@@ -106,7 +106,7 @@ def _earn(
         earned[i] = total
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@exact
 def _limit_distance(joints, lower, upper):
     """Return the distance to the nearest limit as a share of half the range; 1 without limits."""
     distance = 1.0
@@ -117,7 +117,7 @@ def _limit_distance(joints, lower, upper):
     return distance
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@exact
 def _squares(metres, radians, unit_metres, unit_radians):
     linear, angular = metres / unit_metres, radians / unit_radians
     return linear * linear + angular * angular

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import LONGEST, REMOTEST
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import POSE_COLUMNS, Array
 from kinfeas.io.files import read_csv, replacing
 
-_AXES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _POSES = ("ee_pose", "base_pose", "object_pose")
 _UNIT_TOLERANCE = 1e-3
 
@@ -56,7 +55,7 @@ def read_demonstration(path: Path, optional: Collection[str] = ("base_pose",)) -
         missing = [name for name in columns(kind) if name not in values]
         if not missing:
             poses[kind] = np.stack([values[name] for name in columns(kind)], axis=1)
-        elif len(missing) < len(_AXES):
+        elif len(missing) < len(POSE_COLUMNS):
             raise KinfeasError(f"{path}: column {missing[0]!r} is missing")
     check_samples(path, time, poses)
     for pose in poses.values():
@@ -81,7 +80,7 @@ def columns(pose: str | None = None) -> list[str]:
     """Return the columns of a pose, by default those of a file with all poses."""
     if pose is None:
         return ["time", *(name for pose in _POSES for name in columns(pose))]
-    return [f"{pose.removesuffix('_pose')}_{axis}" for axis in _AXES]
+    return [f"{pose.removesuffix('_pose')}_{axis}" for axis in POSE_COLUMNS]
 
 
 def unit_hint(time: Array) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kinfeas import config
 from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import POSE_COLUMNS, Array
 from kinfeas.io.files import reading, writing
 
 REACHED = "goal reached"
@@ -27,7 +27,6 @@ TASK_DONE = {True: ", task done", False: ", task not done", None: ""}
 
 _FORMAT = "kinfeas record 1"
 _ARRAYS = "base_pose", "joint_positions", "desired", "goal", "base_twist", "joint_targets"
-_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
@@ -191,8 +190,10 @@ def _about(line: str, path: Path) -> About:
 
 
 def _names(joints: Sequence[str]) -> list[str]:
-    groups = {"base": _POSE, "joint": joints, "desired": _POSE, "goal": _POSE, "command": _TWIST}
-    groups["target"] = joints
+    groups = {
+        "base": POSE_COLUMNS, "joint": joints, "desired": POSE_COLUMNS, "goal": POSE_COLUMNS,
+        "command": _TWIST, "target": joints,
+    }  # fmt: skip
     names = [f"{group}.{name}" for group, members in groups.items() for name in members]
     return ["time", "age", *names, "feasible", "subgoal", "event"]
 

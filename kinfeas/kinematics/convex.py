@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from kinfeas.kinematics.kernels import copy_row, inner, square
+from kinfeas.core.kernels import copy_row, inner, square
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 MAX_ITERATIONS = 30

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinfeas.core.kernels import copy_row, inlined, kernel, square
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.forward import Chain, Frames, fill_columns, make_frames, place_chain
-from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 
 
 class Descent(NamedTuple):

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from kinfeas.core.kernel_cache import compiled
-from kinfeas.core.pose_kernels import TWIST, clipped, heading, inlined
+from kinfeas.core.kernels import compiled, exact_inlined
+from kinfeas.core.pose_kernels import TWIST, clipped, heading
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Base
 
@@ -65,7 +65,7 @@ def _turned_first(base: Base, dt: float) -> float:
     return 0.0 if base.drive == "omnidirectional" else dt
 
 
-@inlined
+@exact_inlined
 def _write_twist(pose, forward, left, turn, seconds, out):
     angle = heading(pose) + turn * seconds
     cosine, sine = math.cos(angle), math.sin(angle)
@@ -73,7 +73,7 @@ def _write_twist(pose, forward, left, turn, seconds, out):
     out[2], out[3], out[4], out[5] = 0.0, 0.0, 0.0, turn
 
 
-@inlined
+@exact_inlined
 def within_speed(forward, left, fastest):
     """Return a planar velocity, slowed down to the fastest one."""
     scale = fastest / max(math.sqrt(forward * forward + left * left), fastest)
@@ -104,7 +104,7 @@ def _base_velocity(pose, twist, seconds, like, out):
     out[2] = twist[5]
 
 
-@inlined
+@exact_inlined
 def write_action_toward(pose, velocity, limits, dt, out):
     """Write the action that comes closest to a velocity, as `action_toward`."""
     angle, fastest, fastest_turn = heading(pose), limits[0], limits[1]

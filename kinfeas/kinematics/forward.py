@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.kernels import inlined, kernel
+from kinfeas.core.pose_kernels import product
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.kernels import inlined, kernel, write_pose
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint
 
@@ -245,3 +246,41 @@ def fill_columns(tree: Tree, frames: Frames, out):
             out[j, 3] += zx
             out[j, 4] += zy
             out[j, 5] += zz
+
+
+@inlined
+def write_matrix(pose, out):
+    """Write the orientation of a pose, shape (7,), as a matrix, shape (3, 3)."""
+    x, y, z, w = pose[3], pose[4], pose[5], pose[6]
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    out[0, 0], out[1, 1] = 1.0 - s * (y * y + z * z), 1.0 - s * (x * x + z * z)
+    out[2, 2] = 1.0 - s * (x * x + y * y)
+    out[0, 1], out[1, 0] = s * (x * y - z * w), s * (x * y + z * w)
+    out[0, 2], out[2, 0] = s * (x * z + y * w), s * (x * z - y * w)
+    out[1, 2], out[2, 1] = s * (y * z - x * w), s * (y * z + x * w)
+
+
+@inlined
+def write_pose(position, matrix, out):
+    """Write a position, shape (3,), and a rotation matrix, shape (3, 3), as a pose, shape (7,).
+
+    The largest component comes from the diagonal, the others from quotients by it (Shepperd, J.
+    Guidance and Control 1978).
+    """
+    a, b, c = matrix[0, 0], matrix[1, 1], matrix[2, 2]
+    if a + b + c > 0.0:
+        w = 1.0 + a + b + c
+        x, y = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0]
+        z = matrix[1, 0] - matrix[0, 1]
+    elif a >= b and a >= c:
+        x, w = 1.0 + a - b - c, matrix[2, 1] - matrix[1, 2]
+        y, z = matrix[0, 1] + matrix[1, 0], matrix[0, 2] + matrix[2, 0]
+    elif b >= c:
+        y, w = 1.0 + b - a - c, matrix[0, 2] - matrix[2, 0]
+        x, z = matrix[0, 1] + matrix[1, 0], matrix[1, 2] + matrix[2, 1]
+    else:
+        z, w = 1.0 + c - a - b, matrix[1, 0] - matrix[0, 1]
+        x, y = matrix[0, 2] + matrix[2, 0], matrix[1, 2] + matrix[2, 1]
+    for i in range(3):
+        out[i] = position[i]
+    out[3], out[4], out[5], out[6] = product(x, y, z, w, 0.0, 0.0, 0.0, 1.0)

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.kernels import inlined, inner, kernel
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.forward import Tree, build_tree, flattened
-from kinfeas.kinematics.kernels import inlined, inner, kernel
 from kinfeas.kinematics.self_collision import CollisionScratch, place_bodies
 from kinfeas.robots.robot import Robot
 

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.kernels import copy_row, inlined, inner, kernel, square
 from kinfeas.core.solid_kernels import is_empty
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
-from kinfeas.kinematics.forward import Chain, place_chain
+from kinfeas.kinematics.forward import Chain, place_chain, write_matrix
 from kinfeas.kinematics.gravity import overloads
-from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel, square, write_matrix
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
     make_collision_scratch,

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.kernels import copy_row, inlined, inner, kernel
 from kinfeas.core.solid_kernels import PRISM
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.convex import BOX, CYLINDER, SCRATCH_ROWS, SPHERE, closer_than
 from kinfeas.kinematics.forward import Mount, Tree, build_tree, flattened, place_joints, turn_row
-from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 

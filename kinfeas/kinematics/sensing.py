@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE, ObstacleDistances
+from kinfeas.core.kernels import copy_row, inlined, inner, kernel, square
 from kinfeas.core.pose_kernels import heading
 from kinfeas.core.solid_kernels import PRISM, is_empty, outward, squared_radius, write_prism
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import CYLINDER, SPHERE
-from kinfeas.kinematics.kernels import copy_row, inlined, inner, kernel, square
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
 from kinfeas.kinematics.solids import surroundings, write_local
 

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.kernels import compiled, inlined, inner, kernel, square
 from kinfeas.core.pose_kernels import heading
 from kinfeas.core.solid_kernels import is_empty, squared_distance, squared_radius, write_prism
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than
 from kinfeas.kinematics.forward import flattened
-from kinfeas.kinematics.kernels import inlined, inner, kernel, square
 from kinfeas.kinematics.self_collision import (
     MARGIN,
     CollisionModel,

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from kinfeas.core.kernels import kernel
 from kinfeas.core.motion import WholeBodyPath
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, planar_pose, relative, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.kernels import kernel
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
 from kinfeas.kinematics.solids import collides
 from kinfeas.planning.base_lattice import LATTICE, driving_costs, lattice_moves, search_base

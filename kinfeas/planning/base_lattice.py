@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.kernels import inner, kernel, square
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.kernels import inner, kernel, square
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
 from kinfeas.kinematics.solids import bounds, touches_solids
 from kinfeas.planning.lattice import (

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.kernels import inner, kernel
 from kinfeas.core.solid_kernels import horizontal_gap, vertical_gap
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.kernels import inner, kernel
 from kinfeas.planning.lattice import UNSEEN, make_prisms, path_to, scan_grid, search_grid
 from kinfeas.planning.spline import POINTS, squared_length, write_position
 

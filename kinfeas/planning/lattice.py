@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.kernels import inner, kernel, square
 from kinfeas.core.solid_kernels import PRISM, horizontal_gap, is_empty, vertical_gap, write_prism
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.kernels import inner, kernel, square
 
 UNSEEN, CLOSED = -1, -2  # values of `Frontier.slot` of nodes that are not open
 

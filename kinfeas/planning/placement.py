@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from kinfeas.core.kernels import kernel
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, Proportion, wilson
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose, relative, rotation
@@ -14,7 +15,6 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.convex import add_support
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
-from kinfeas.kinematics.kernels import kernel
 from kinfeas.kinematics.self_collision import CollisionModel
 from kinfeas.kinematics.solids import base_collides, in_base
 from kinfeas.planning.base_lattice import driving_costs

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinfeas.core.kernels import inlined, kernel, square
 from kinfeas.core.pose_kernels import heading
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.descent import rotation_error
 from kinfeas.kinematics.drive import write_action_toward
-from kinfeas.kinematics.forward import Chain, fill_columns, make_frames, place_chain
-from kinfeas.kinematics.kernels import inlined, kernel, square, write_matrix
+from kinfeas.kinematics.forward import Chain, fill_columns, make_frames, place_chain, write_matrix
 
 _DAMPING = 1e-4  # of arm motions, squared metres that the EE moves with a whole joint step
 

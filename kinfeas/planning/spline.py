@@ -3,26 +3,22 @@
 import math
 
 import numpy as np
-from numba import njit
 
-from kinfeas.core.kernel_cache import UNCOUNTED, compiled
+from kinfeas.core.kernels import compiled, exact, exact_inner
 from kinfeas.core.motion import WAYPOINTS
 from kinfeas.core.pose_kernels import write_reached, write_twist
-
-kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
-inner = njit(cache=True, error_model="numpy", fastmath=False, nogil=True, **UNCOUNTED)
 
 POINTS = WAYPOINTS  # control points of a path
 
 
-@inner
+@exact_inner
 def squared_length(a, b):
     """Return the squared distance of two points, shape (3,) each, m^2."""
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return x * x + y * y + z * z
 
 
-@kernel
+@exact
 def fractions_ahead(points, fraction, distances, out):
     """Write the fractions of paths some metres ahead, (n,) and (d,) -> (n, d), at most 1."""
     lengths, ends = np.empty(POINTS - 1), np.empty((2, 3))
@@ -45,7 +41,7 @@ def fractions_ahead(points, fraction, distances, out):
             out[i, d] = min((k + min(done, 1.0)) / (POINTS - 1), 1.0)
 
 
-@inner
+@exact_inner
 def write_position(points, t, out):
     """Write the position, or the first columns, of a path `t` control points from its beginning."""
     k = min(int(t), POINTS - 2)
@@ -84,7 +80,7 @@ def pose_at(points, fraction, rate, origin, target, out):
     write_reached(out, displacement, fraction, out)
 
 
-@inner
+@exact_inner
 def phases(first, rate, ramp):
     """Return the seconds in which the rate of a motion changes, is constant, and falls to rest."""
     rate = max(rate, 1e-9)
@@ -100,7 +96,7 @@ def duration(first, rate, ramp, out):
     out[0] = rise + cruise + fall
 
 
-@inner
+@exact_inner
 def _ramped(u):
     """Return the integral of the quintic step `10 u^3 - 15 u^4 + 6 u^5` from 0 to u in [0, 1]."""
     return u * u * u * u * (2.5 + u * (u - 3.0))

@@ -15,8 +15,8 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
     """Return the task of a YAML file with the fields of `ChainTask`.
 
     Files that it names are searched for beside it, then in the current folder. `changes` replace
-    its entries; a mapping changes its own keys only, and entries of a list by index. In the same
-    way the file changes the one that its key `extends` names.
+    its entries; a mapping that is not empty changes its own keys only, and entries of a list by
+    index. In the same way the file changes the one that its key `extends` names.
     """
     data = _read(path)
     task = config.from_mapping(ChainTask, data, str(path))
@@ -94,22 +94,8 @@ def _check_places(task: ChainTask, names: Iterable[str], source: str) -> None:
             raise KinfeasError(f"{source}: {error}") from error
 
 
-def _changed(old: object, change: object, source: str) -> Any:
-    """Return `old` with a `change`, recursively in mappings and in the named entries of lists."""
-    if not isinstance(change, Mapping):
-        return change
-    if isinstance(old, list):
-        new = list(old)
-        for key, value in change.items():
-            i = config.index_in(old, key, source)
-            new[i] = _changed(old[i], value, source)
-        return new
-    if not isinstance(old, Mapping):
-        return change
-    if change.get("generator", old.get("generator")) != old.get("generator"):
-        return change  # parameters belong to one generator
-    changes = {key: _changed(old.get(key), value, source) for key, value in change.items()}
-    return {**old, **changes}
+def _changed(data: Any, changes: Any, source: str) -> Any:
+    return config.merged(data, changes, source, whole="generator")  # has parameters of its own
 
 
 def _located(entry: object, folder: Path) -> object:

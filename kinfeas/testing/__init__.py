@@ -1,19 +1,28 @@
 """Conformance checks of motion generators and policies, for tests of plugins."""
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from kinfeas.core.checks import CheckedMotion, ConformanceError
-from kinfeas.core.errors import PLUGIN_ERRORS
+import numpy as np
+
+from kinfeas.core.checks import CheckedMotion, ConformanceError, check_array
+from kinfeas.core.errors import PLUGIN_ERRORS, plugin_note
 from kinfeas.core.motion import MotionGenerator
-from kinfeas.testing.policies import check_policy
+from kinfeas.core.policy import Policy
+from kinfeas.core.spatial import Array
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.robots.robot import Robot
+from kinfeas.tasks.loading import load_task
 from kinfeas.testing.rules import RULES, Probe, Trial, describe, run_trial
 
 __all__ = [
     "RULES", "ConformanceError", "Finding", "Trial", "check_motion_generator", "check_policy",
     "examine",
 ]  # fmt: skip
+
+_ROWS, _STEPS = 6, 20  # of the check of policies
 
 
 @dataclass(frozen=True)
@@ -70,3 +79,56 @@ def examine(
     except PLUGIN_ERRORS as error:
         violations["form"] = describe(error, probe.motion.subject)
     return [Finding(rule, violations.get(rule), ended or rule in violations) for rule in RULES]
+
+
+def check_policy(policy: Policy, robot: Robot) -> None:
+    """Raise if a policy breaks its contract; takes about a second.
+
+    Actions must be finite, in [-1, 1] and of shape (n, action size); no row may depend on the
+    others; the inputs must stay as they are; a `reset` must make episodes repeatable; and a copy
+    made by pickle, as worker processes get it, must act alike.
+
+    Raises:
+        ConformanceError: If a rule is broken.
+    """
+    together = _run(policy, robot, range(_ROWS))
+    try:
+        copy = pickle.loads(pickle.dumps(policy))  # noqa: S301 - in memory, nothing is read
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ConformanceError(f"{_name(policy)} cannot be pickled: {error}") from error
+    for rule, again in (
+        ("repeats its actions after reset", _run(policy, robot, range(_ROWS))),
+        ("acts alike as a copy by pickle", _run(copy, robot, range(_ROWS))),
+    ):
+        if not np.array_equal(together, again):
+            raise ConformanceError(f"{_name(policy)} breaks the rule: {rule}")
+    alone = _run(policy, robot, [_ROWS - 1])
+    if not np.allclose(alone[:, 0], together[:, -1], atol=1e-6):
+        raise ConformanceError(f"{_name(policy)} breaks the rule: no row depends on the others")
+
+
+def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
+    world = World(robot, load_task("ggr"), WorldConfig(max_failures=10**6), seed=0)
+    world.loop.set_policy(policy)
+    world.start(list(episodes))
+    actions = []
+    for _ in range(_STEPS):
+        observed = world.loop.observation
+        arrays = {k: value for k, value in vars(observed).items() if isinstance(value, np.ndarray)}
+        before = {key: value.copy() for key, value in arrays.items()}
+        with plugin_note(_name(policy)):
+            action = policy.act(observed)
+        shape, subject = (len(episodes), world.action_size), f"{_name(policy)}: the action"
+        check_array(action, shape, subject, error=ConformanceError)
+        if np.abs(action).max() > 1.0:
+            raise ConformanceError(f"{subject} must be in [-1, 1]")
+        for key, values in before.items():
+            if not np.array_equal(values, getattr(observed, key), equal_nan=True):
+                raise ConformanceError(f"{_name(policy)} writes into its input: {key}")
+        actions.append(action.copy())
+        world.step(action)
+    return np.stack(actions)
+
+
+def _name(policy: Policy) -> str:
+    return f"policy {type(policy).__name__}"

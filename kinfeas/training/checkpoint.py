@@ -1,4 +1,4 @@
-"""Checkpoints to resume from: tensors in safetensors, numbers in JSON; nothing is unpickled."""
+"""Checkpoints to resume from: arrays in safetensors, numbers in JSON; nothing is unpickled."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,25 +7,23 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import load_file, save_file
+from safetensors.numpy import load_file, save_file
 
 from kinfeas.io.files import reading
 from kinfeas.training.fast_sac import FastSAC
 from kinfeas.training.run import loading, read_state, write_state
 
-_TENSORS = "state.safetensors"
+_ARRAYS = "state.safetensors"
 _MOTION = "world.motion."  # prefix of the states of motions
-_UNSIGNED = ".unsigned"  # suffix of unsigned numbers stored as signed
 
-Tensors = dict[str, torch.Tensor]
+Arrays = dict[str, NDArray[Any]]
 
 
 def save_learner(
     folder: Path, learner: FastSAC, world: Mapping[str, NDArray[Any]], state: dict[str, Any]
 ) -> None:
     """Write a learner, a snapshot of its environments and the entries of `state` into a folder."""
-    tensors = _tensors(learner, world)
-    save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
+    save_file(_arrays(learner, world), folder / _ARRAYS)
     buffer = learner.replay_buffer
     position = {"position": buffer.pos, "full": buffer.full}
     write_state(folder, {"updates": learner._n_updates, "buffer": position, **state})
@@ -41,26 +39,26 @@ def load_learner(
     """
     about = read_state(folder)
     with loading(folder):
-        with reading(folder / _TENSORS):
-            tensors = load_file(folder / _TENSORS)
+        with reading(folder / _ARRAYS):
+            arrays = load_file(folder / _ARRAYS)
         buffer = learner.replay_buffer
         buffer.pos, buffer.full = int(about["buffer"]["position"]), bool(about["buffer"]["full"])
         if not 0 <= buffer.pos < buffer.buffer_size:
             raise ValueError(f"the position of its replay buffer is {buffer.pos}")
-        _check_layout(tensors, _tensors(learner, world) | _optimizer_slots(learner, tensors))
-        learner.policy.load_state_dict(_below("policy.", tensors))
+        _check_layout(arrays, _arrays(learner, world) | _optimizer_slots(learner, arrays))
+        learner.policy.load_state_dict(_tensors("policy.", arrays))
         if (entropy := _learned_entropy(learner)) is not None:
-            entropy.copy_(tensors["log_ent_coef"])
+            entropy.copy_(torch.from_numpy(arrays["log_ent_coef"]))
         for name, optimizer in _optimizers(learner).items():
-            _load_optimizer(optimizer, _below(f"optimizer.{name}.", tensors))
-        buffer.rows[: buffer.size()] = tensors["buffer"].numpy()
+            _load_optimizer(optimizer, _tensors(f"optimizer.{name}.", arrays))
+        buffer.rows[: buffer.size()] = arrays["buffer"]
         learner._n_updates = int(about["updates"])
-        torch.set_rng_state(tensors["random"])
-        return _world_arrays(tensors)
+        torch.set_rng_state(torch.from_numpy(arrays["random"]))
+        return _below("world.", arrays)
 
 
-def _tensors(learner: FastSAC, world: Mapping[str, NDArray[Any]]) -> Tensors:
-    tensors = _world_tensors(world) | {"random": torch.get_rng_state()}
+def _arrays(learner: FastSAC, world: Mapping[str, NDArray[Any]]) -> Arrays:
+    tensors = {"random": torch.get_rng_state()}
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
     if (entropy := _learned_entropy(learner)) is not None:
         tensors["log_ent_coef"] = entropy
@@ -68,18 +66,19 @@ def _tensors(learner: FastSAC, world: Mapping[str, NDArray[Any]]) -> Tensors:
         for index, slots in optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
     buffer = learner.replay_buffer
-    tensors["buffer"] = torch.from_numpy(buffer.rows[: buffer.size()])
-    return tensors
+    arrays = {f"world.{key}": values for key, values in world.items()}
+    arrays |= {key: values.numpy(force=True) for key, values in tensors.items()}
+    return arrays | {"buffer": buffer.rows[: buffer.size()]}
 
 
-def _check_layout(tensors: Tensors, expected: Tensors) -> None:
+def _check_layout(arrays: Arrays, expected: Arrays) -> None:
     """Raise ValueError unless names, types and shapes agree.
 
     Motions that have not begun have no state yet, and delay buffers grow along axis 1.
     """
     rows = {len(expected[key]) for key in ("world.steps",) if key in expected}
-    for key in sorted(tensors.keys() | expected.keys()):
-        values, like = tensors.get(key), expected.get(key)
+    for key in sorted(arrays.keys() | expected.keys()):
+        values, like = arrays.get(key), expected.get(key)
         if like is None and values is not None and key.startswith(_MOTION):
             if {*values.shape[:1]} == rows:
                 continue
@@ -92,20 +91,21 @@ def _check_layout(tensors: Tensors, expected: Tensors) -> None:
         raise ValueError(f"{key} is missing, unknown or of another type or shape")
 
 
-def _optimizer_slots(learner: FastSAC, tensors: Tensors) -> Tensors:
-    """Return the state of Adam like that in `tensors`; what has not learned has none."""
-    slots: Tensors = {}
+def _optimizer_slots(learner: FastSAC, arrays: Arrays) -> Arrays:
+    """Return the state of Adam like that in `arrays`; what has not learned has none."""
+    slots: Arrays = {}
     for name, optimizer in _optimizers(learner).items():
         prefix = f"optimizer.{name}."
-        if _below(prefix, tensors):
-            for index, values in enumerate(optimizer.param_groups[0]["params"]):
-                likes = {"step": torch.zeros(()), "exp_avg": values, "exp_avg_sq": values}
+        if _below(prefix, arrays):
+            for index, parameter in enumerate(optimizer.param_groups[0]["params"]):
+                values = parameter.numpy(force=True)
+                likes = {"step": np.zeros((), np.float32), "exp_avg": values, "exp_avg_sq": values}
                 slots |= {f"{prefix}{index}.{slot}": like for slot, like in likes.items()}
     return slots
 
 
-def _load_optimizer(optimizer: torch.optim.Optimizer, tensors: Tensors) -> None:
-    state: dict[int, Tensors] = {}
+def _load_optimizer(optimizer: torch.optim.Optimizer, tensors: dict[str, torch.Tensor]) -> None:
+    state: dict[int, dict[str, torch.Tensor]] = {}
     for key, values in tensors.items():
         index, slot = key.split(".")
         state.setdefault(int(index), {})[slot] = values
@@ -126,25 +126,9 @@ def _optimizers(learner: FastSAC) -> dict[str, torch.optim.Optimizer]:
     return optimizers
 
 
-def _below(prefix: str, tensors: Tensors) -> Tensors:
-    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+def _below(prefix: str, arrays: Arrays) -> Arrays:
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
 
-def _world_tensors(world: Mapping[str, NDArray[Any]]) -> Tensors:
-    """Return the snapshot with unsigned numbers viewed as signed: torch saves no others."""
-    tensors = {}
-    for key, values in world.items():
-        unsigned = values.dtype == np.uint64
-        viewed = values.view(np.int64) if unsigned else values
-        # A copy, since several entries may share memory.
-        tensors[f"world.{key}{_UNSIGNED if unsigned else ''}"] = torch.from_numpy(np.array(viewed))
-    return tensors
-
-
-def _world_arrays(tensors: Tensors) -> dict[str, NDArray[Any]]:
-    world = {}
-    for key, tensor in _below("world.", tensors).items():
-        unsigned = key.endswith(_UNSIGNED)
-        values = tensor.numpy()
-        world[key.removesuffix(_UNSIGNED)] = values.view(np.uint64) if unsigned else values
-    return world
+def _tensors(prefix: str, arrays: Arrays) -> dict[str, torch.Tensor]:
+    return {key: torch.from_numpy(values) for key, values in _below(prefix, arrays).items()}

@@ -35,7 +35,7 @@ EVALUATIONS = 0.25
 
 _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
-_FORMAT, _STATE = 2, "state.json"
+_FORMAT, _STATE = 3, "state.json"
 _BROKEN = (
     ArithmeticError, LookupError, OSError, RuntimeError, SafetensorError, TypeError, ValueError
 )  # fmt: skip

@@ -17,7 +17,7 @@ from kinfeas.control.assemble import with_adapters
 from kinfeas.core.backend import SCAN_BEAMS, Backend, BackendWrapper, Grip, RobotState, Scan
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
-from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.kernels import compiled
 from kinfeas.core.pose_kernels import wrapped
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import base_velocity, world_twist

@@ -5,7 +5,7 @@ in their last fields, which are not read. Clients of 2.2 do not read the last fi
 """
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -40,9 +40,6 @@ _EE_VELOCITY = 0.1  # m/s, slower where base or arm need time
 _STEPS = (1e-4, 1.0)  # least and largest `max_step`, metres
 _TURN = 3.5  # radians that count as a metre of `max_step`, as in MoveIt
 
-Body = Mapping[str, object]
-"""Keyword arguments of `kinfeas.reach` or `kinfeas.plan` as plain data."""
-
 
 class MoveItServices:
     """Answers `moveit_msgs/srv/GetPositionIK` and `GetCartesianPath` for one robot."""
@@ -50,15 +47,15 @@ class MoveItServices:
     def __init__(
         self,
         solver: IkSolver,
-        reach: Callable[[Body], Sequence[Placement]],
-        plan: Callable[[Body], Moments],
+        reach: Callable[..., Sequence[Placement]],
+        plan: Callable[..., Moments],
     ) -> None:
         """Join the domain of `ROS_DOMAIN_ID` and answer from a thread.
 
         Args:
             solver: Of the robot.
-            reach: Returns base poses for EE poses, or raises KinfeasError.
-            plan: Returns base and arm along an EE path, or raises KinfeasError.
+            reach: `kinfeas.reach` for the robot; raises KinfeasError.
+            plan: `kinfeas.plan` for the robot; raises KinfeasError.
 
         Raises:
             KinfeasError: If there is no such domain, or the robot's `ros2.yaml` is invalid.
@@ -94,7 +91,7 @@ class MoveItServices:
         self._check_frame(goals[0].header)
         start = self._start(ik.robot_state)
         with _failing(INVALID_ROBOT_STATE):
-            (found,) = self._reach({"poses": pose.tolist(), "start": start, "k": 1})
+            (found,) = self._reach(poses=pose, start=start, k=1)
         if not found.reachable:
             raise _RequestError(NO_IK_SOLUTION, found.reason)
         self._fill_state(reply.solution, found.base_pose[0], found.joint_positions[0])
@@ -114,9 +111,8 @@ class MoveItServices:
         with _failing(INVALID_GOAL_CONSTRAINTS):
             path = _dense(waypoints, request.max_step)
         step = request.max_step / _EE_VELOCITY
-        body = {"path": path.tolist(), "step": step, "start": start, "joints": joints}
         with _failing(PLANNING_FAILED):
-            plan = self._plan(body)
+            plan = self._plan(path=path, step=step, start=start, joints=joints)
         self._fill_trajectory(reply.solution, plan)
         self._fill_state(reply.start_state, plan.base_pose[0], plan.joint_positions[0])
         reply.fraction = 1.0

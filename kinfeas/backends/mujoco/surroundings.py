@@ -9,7 +9,7 @@ import numpy as np
 
 from kinfeas.backends.mujoco.model import ROBOT, Model
 from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacles_around
-from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.kernels import compiled
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.sensing import AS_NEAR

@@ -3,18 +3,15 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.robot import arm_followers
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.kernels import exact, exact_inlined
 from kinfeas.core.motion import Rows
-from kinfeas.core.pose_kernels import inlined, wrapped
+from kinfeas.core.pose_kernels import wrapped
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-
-# Explicit options, because those of the first caller would decide the last bits.
-kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
 
 
 def base_forces(
@@ -99,7 +96,7 @@ class ArmSetpoints:
         return path, speed
 
 
-@kernel
+@exact
 def arm_paths(at, velocity, targets, continuous, fastest, horizon, time):
     """Return the paths of `ArmSetpoints.plan` and their velocities, shape (m, t, j)."""
     m, j = targets.shape
@@ -123,7 +120,7 @@ def arm_paths(at, velocity, targets, continuous, fastest, horizon, time):
     return path, speed
 
 
-@inlined
+@exact_inlined
 def cubic(position, velocity, change, duration, time):
     """Return position and velocity on a cubic that ends at rest after `duration` seconds.
 
@@ -136,7 +133,7 @@ def cubic(position, velocity, change, duration, time):
     return path, velocity * rest * (1.0 - 3.0 * s) + 6.0 * change / duration * s * rest
 
 
-@kernel
+@exact
 def base_path(base, rows, twist, yaw, time, differential, acceleration, rotation_acceleration):
     """Return setpoints of x, y and yaw at t times within the acceleration limits, (m, t, 3).
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.kernels import compiled, inlined, kernel, square
 from kinfeas.core.pose_kernels import clipped
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.kernels import inlined, kernel, square
 
 LEVER = 0.05
 """Radius in metres by which rotations are compared with translations. It is small, so that a base

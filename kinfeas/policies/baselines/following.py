@@ -8,7 +8,7 @@ import numpy as np
 
 from kinfeas.config.recipes import load_section
 from kinfeas.control.observation import HORIZON
-from kinfeas.core.kernel_cache import compiled
+from kinfeas.core.kernels import compiled
 from kinfeas.core.policy import Observation
 from kinfeas.core.pose_kernels import TWIST, clipped, heading, wrapped
 from kinfeas.core.spatial import Array

@@ -7,8 +7,7 @@ import pytest
 
 PROGRAM = """
 import numba
-from kinfeas.core import kernel_cache
-kernel_cache.settle()
+import kinfeas.core.kernels
 print(numba.config.CACHE_DIR)
 
 @numba.njit(cache=True)

@@ -1,4 +1,14 @@
-"""Option of kernels, and folder and lock of numba's cache of them."""
+"""Decorators that compile kernels with numba, and folder and lock of numba's cache of them.
+
+`kernel` is for functions that Python calls, `inner` and `inlined` for those that kernels call;
+`exact`, `exact_inner` and `exact_inlined` compute sums in the written order. `compiled` makes a
+generalized ufunc.
+
+Results are deterministic; divisions have no check for zero. Functions that compute numbers for
+other kernels are inlined: otherwise each kernel has its own, regrouped copy, and the kernels that a
+process compiled before determine which copy runs. No kernel has a `**`, since numba compiles it
+once in a process, with the flags of the first kernel.
+"""
 
 import os
 import stat
@@ -10,35 +20,43 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba import njit
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import try_lock
 
-UNCOUNTED: dict[str, Any] = {"_nrt": False}
-"""Option of kernels that other kernels call: they count no references to arrays.
+# Explicit, because a kernel without an option inherits its first caller's.
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}
+# Sums may be regrouped and multiply-adds fused, always in the same way.
+_FAST = {**_OPTIONS, "fastmath": {"contract", "reassoc", "nsz"}}
+_EXACT = {**_OPTIONS, "fastmath": False}
+_CALLED: dict[str, Any] = {"nogil": True, "forceinline": False}
+# Counts of references to arrays take half of the time where many rows of arrays are passed on.
+# Without them a kernel allocates nothing, which numba checks, and returns no array.
+_UNCOUNTED: dict[str, Any] = {"_nrt": False}
 
-The counts take half of the time where many rows of arrays are passed on. A kernel with this option
-allocates nothing, which numba checks, and returns no array.
-"""
-
-FAST = {"contract", "reassoc", "nsz"}
-"""Flags of kernels whose sums may be regrouped and multiply-adds fused, always in the same way."""
+kernel = njit(**_FAST, **_CALLED)
+inner = njit(**_FAST, **_CALLED, **_UNCOUNTED)
+inlined = njit(**_FAST, forceinline=True, **_UNCOUNTED)
+exact = njit(**_EXACT, **_CALLED)
+exact_inner = njit(**_EXACT, **_CALLED, **_UNCOUNTED)
+exact_inlined = njit(**_EXACT, forceinline=True)
 
 _POLL, _DEADLINE = 0.02, time.monotonic() + 10.0
 """Seconds between attempts to lock, and the time after which an import does not wait."""
 
 
-def settle() -> None:
+def _settle() -> None:
     """Set numba's cache folder if neither the sources nor the user's cache are writable.
 
     Raises:
         KinfeasError: If no folder is writable by this user alone.
     """
     try:
-        numba.njit(cache=True)(_any)
+        njit(cache=True)(_any)
     except RuntimeError:
         os.environ["NUMBA_CACHE_DIR"] = str(_own_folder())
-        numba.config.reload_config()  # type: ignore[no-untyped-call]
+        numba.config.reload_config()
 
 
 def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., None]], Any]:
@@ -98,3 +116,19 @@ def _private(folder: Path) -> Path:
     if others or status.st_mode & 0o022 or not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f"other users can write {folder}")
     return folder
+
+
+_settle()  # before the first kernel
+
+
+@inlined
+def copy_row(values, out):
+    """Copy values, shape (n,); a slice assignment takes much longer to compile."""
+    for i in range(len(values)):
+        out[i] = values[i]
+
+
+@inlined
+def square(value):
+    """Return the square."""
+    return value * value
