@@ -107,8 +107,8 @@ def identify(
     Raises:
         KinfeasError: If a record is invalid, of another robot, or shows no motion.
     """
-    several = records if isinstance(records, Sequence) and not isinstance(records, str) else [records]
-    paths = [Path(text_of(record, "records")) for record in several]
+    several = isinstance(records, Sequence) and not isinstance(records, str)
+    paths = [Path(text_of(each, "records")) for each in (records if several else [records])]
     if not paths:
         raise KinfeasError("give at least one record")
     if out is not None and Path(out).suffix not in (".yaml", ".yml"):

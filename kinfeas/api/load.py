@@ -20,13 +20,13 @@ from kinfeas.robots import loading as robots
 from kinfeas.robots.robot import Robot
 
 
-def load_robot(robot: Name) -> Robot:
-    """Return a robot by its name or folder.
+def load_robot(robot: Name | Robot) -> Robot:
+    """Return a robot by its name or folder; one that is loaded already as it is.
 
     Raises:
         KinfeasError: If there is no such robot, or a file is invalid.
     """
-    return robots.load_robot(text_of(robot, "robot"))
+    return robot if isinstance(robot, Robot) else robots.load_robot(text_of(robot, "robot"))
 
 
 def load_policy(policy: Name, *, robot: Name | None = None) -> Policy:

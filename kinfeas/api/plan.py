@@ -126,7 +126,7 @@ class Plan(Moments):
 
 
 def plan(  # noqa: PLR0913 - options of the command
-    robot: Name | BasePlacer,
+    robot: Name | Robot | BasePlacer,
     path: Name | ArrayLike,
     *,
     target: ArrayLike | None = None,
@@ -142,7 +142,7 @@ def plan(  # noqa: PLR0913 - options of the command
     Example: `kinfeas.plan("pr2", "ee.csv", scene="room").save("plan.csv")`
 
     Args:
-        robot: Name or folder, or a `BasePlacer` of `kinfeas.planning.reach`.
+        robot: Name, folder, loaded robot, or a `BasePlacer` of `kinfeas.planning.reach`.
         path: World poses of the EE, shape (k, 7), every `step` seconds, or later where the EE would
             be faster than the base; a file of poses, as of the generator `waypoints`; or the name
             of a motion generator, which needs a `target`.

@@ -12,11 +12,12 @@ from kinfeas.core.checks import ee_poses
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose
 from kinfeas.planning.reach import BasePlacer, Placement
+from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, furniture_solids, read_scene, solid_names
 
 
 def reach(  # noqa: PLR0913 - options of the command
-    robot: Name | BasePlacer,
+    robot: Name | Robot | BasePlacer,
     poses: ArrayLike,
     *,
     scene: Name | Scene | None = None,
@@ -30,7 +31,8 @@ def reach(  # noqa: PLR0913 - options of the command
     Example: `kinfeas.reach("pr2", [[2, 1, 0.8, 0, 0, 0, 1]])[0].base_pose`
 
     Args:
-        robot: Name or folder. A `BasePlacer` of `kinfeas.planning.reach` answers many calls sooner.
+        robot: Name, folder or loaded robot. A `BasePlacer` of `kinfeas.planning.reach` answers
+            many calls sooner.
         poses: World poses of the EE, shape (n, 7).
         scene: Scene, or its name or YAML file, whose furniture base and arm avoid.
         solids: Other solids, in the world, one row.

@@ -275,10 +275,10 @@ class _Run:
                 self.record(end + TASK_DONE[done] + self.doubt())
                 self.write()
         scale, timing = self.scales / max(self.steps, 1), self.rate.timing()
-        reason, unstopped = " ".join(reason.split()), self.guarded.unstopped
+        reason, unstopped = " ".join(reason.split()) + TASK_DONE[done], self.guarded.unstopped
         seconds = self.seconds()
         return Outcome(
-            code, reason + TASK_DONE[done], unstopped, seconds, self.failures, timing, scale, "", done,
+            code, reason, unstopped, seconds, self.failures, timing, scale, "", done,
             self.lateness(),
         )  # fmt: skip
 
