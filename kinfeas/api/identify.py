@@ -107,8 +107,9 @@ def identify(
     Raises:
         KinfeasError: If a record is invalid, of another robot, or shows no motion.
     """
-    several = isinstance(records, Sequence) and not isinstance(records, str)
-    paths = [Path(text_of(each, "records")) for each in (records if several else [records])]
+    if isinstance(records, str) or not isinstance(records, Sequence):
+        records = [records]
+    paths = [Path(text_of(record, "records")) for record in records]
     if not paths:
         raise KinfeasError("give at least one record")
     if out is not None and Path(out).suffix not in (".yaml", ".yml"):
