@@ -132,7 +132,7 @@ class Search(NamedTuple):
     metre_cost: Array  # finite `driving_costs`
     first: int  # node of the start
     ends: NDArray[np.int64]  # nodes of the goals, shape (p,)
-    moving: bool  # whether any solid moves
+    moving: np.bool_  # whether any solid moves
     outlines: tuple[Array, Array]  # `bounds` of the shapes on the base and on the arm
     base: Array  # memory for a base pose
     local: Array  # memory for poses of the solids in the base frame
