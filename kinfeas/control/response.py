@@ -35,7 +35,6 @@ _MEMORY = 1.0  # time constant, seconds, in which differences count less for `la
 
 _LEVER = 0.3  # radius at which rotations are compared with translations, metres
 
-
 _ACCELERATION, _VELOCITY = 3, 6
 """First columns in the motion of a base, shape (9,), which begins with the planar velocity that its
 controller asks for: the acceleration of that, and the velocity of the base. It is one array, since
