@@ -95,16 +95,31 @@ class SmoothPath(MinimumJerk):
     ) -> State:
         """Return the state at the beginning of new paths, control points of shape (n, 64, 7).
 
-        `poses` are of EE and target; the paths begin with a twist `velocity`, (n, 6).
+        A motion is at the fraction f(t) of its path p(f): from its first rate r, f' rises within
+        `ramp` to a rate R, and falls to 0 as fast. With the tangent p' at the beginning, and the
+        time T that the path takes at the velocity limits,
+
+            v = r p' + drift,  r = min(max(v . p' / |p'|^2, 0), 1 / max(T, ramp)),
+            R = max(min(1 / T, 1 / ramp - r / 2), r),
+
+        with the scalar products of positions alone. Both ramps take ramp (R + r / 2) <= 1 of the
+        path, unless r is larger than R would be.
+
+        Args:
+            state: As of `start`.
+            poses: Of EE and target.
+            points: Control points of the paths.
+            velocity: Twist v at the beginning, shape (n, 6).
+            least_seconds: Least T.
         """
-        (ee_pose, target_pose), steps = poses, points[:, 1:] - points[:, :-1]
-        seconds = self._seconds(points[:, :-1], points[:, 1:]).max(axis=1) * (POINTS - 1)
-        seconds = np.maximum(seconds, least_seconds)
-        angular = twist_between(points[:, 0], points[:, 1], 1.0 / (POINTS - 1))[:, 3:]
-        tangent = np.concatenate([steps[:, 0, :3] * (POINTS - 1), angular], axis=1)  # per fraction
-        squared = np.maximum(norm(tangent) ** 2, 1e-12)
-        forward = velocity[:, 0] * tangent[:, 0] + velocity[:, 1] * tangent[:, 1]
-        first = np.maximum(forward + velocity[:, 2] * tangent[:, 2], 0.0) / squared
+        (ee_pose, target_pose), pieces = poses, POINTS - 1
+        shortest = self._seconds(points[:, :-1], points[:, 1:]).max(axis=1) * pieces
+        seconds = np.maximum(shortest, least_seconds)
+        linear = (points[:, 1, :3] - points[:, 0, :3]) * pieces
+        angular = twist_between(points[:, 0], points[:, 1], 1.0 / pieces)[:, 3:]
+        tangent = np.concatenate([linear, angular], axis=1)
+        x, y, z = (velocity[:, :3] * linear).T  # by elements, so that no row depends on the batch
+        first = np.maximum(x + y + z, 0.0) / np.maximum(norm(linear) ** 2, 1e-12)
         first = np.minimum(first, 1.0 / np.maximum(seconds, self._ramp))
         rate = np.minimum(1.0 / np.maximum(seconds, 1e-6), 1.0 / self._ramp - first / 2.0)
         rate = np.maximum(rate, first)

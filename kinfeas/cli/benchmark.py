@@ -2,9 +2,9 @@
 
 import shlex
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -13,6 +13,11 @@ from kinfeas.cli.options import option
 from kinfeas.cli.output import print_paths, status, write_json
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from kinfeas.jobs.job import Job, Result
 
 
 def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -40,15 +45,14 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas benchmark --world pybullet,mujoco --policy pretrained --episodes 20
     """
     require("matplotlib")
-    from kinfeas.benchmark.config import read_benchmark, restricted
-    from kinfeas.benchmark.evaluations import check_baselines, plan_evaluations
     from kinfeas.benchmark.markdown import success_tables
     from kinfeas.benchmark.pictures import write_results
-    from kinfeas.benchmark.runs import find_runs, plan_runs, publish, read_run
+    from kinfeas.benchmark.runs import publish
+    from kinfeas.benchmark.study import plan_study
     from kinfeas.benchmark.table import tabulate
     from kinfeas.config.recipes import ENGINES
 
-    worlds, how = world.split(","), (engine, processes, address)
+    worlds = world.split(",")
     physics = worlds[0] in ENGINES
     shipped = ("physics", "physics_quick") if physics else ("study", "quick")
     name = config or f"benchmark/{shipped[quick]}"
@@ -57,31 +61,18 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         raise KinfeasError("--policy and --runs exclude each other")
     backend = worlds[0] if physics and not config else None
     own = {"backend": backend, "policies": policy, "episodes": episodes}
-    study = read_benchmark(name, options.read_settings(overrides, own))
-    trained_runs = find_runs(runs or [])
-    if trained_runs:
-        study = restricted(study, {run.robot for run in trained_runs})
-    if study.backend not in worlds or (len(worlds) > 1 and "analytic" in worlds):
-        raise KinfeasError(f"{name}: its 'backend', {study.backend}, does not fit --world {world}")
-    trainings = [] if trained_runs else plan_runs(study, out)
-    if not all(job.path.exists() for job in trainings):
-        require("torch", "stable_baselines3")
-    planned = plan_evaluations(study, trained_runs)
-    check_baselines([case for case in planned if not case.job(out / "results").path.exists()])
-    if trainings:
-        options.run_jobs(trainings, "trainings", *how)
-        trained_runs = [read_run(job.path.parent) for job in trainings]
-    plans = [plan_evaluations(replace(study, backend=each), trained_runs) for each in worlds]
-    # Engines have the same references.
-    unique = {(case.name, case.row, case.variant): case for cases in plans for case in cases}
-    jobs = [case.job(out / "results") for case in unique.values()]
-    results = options.run_jobs(jobs, "evaluations", *how)
-    cases = list(zip(unique.values(), results, strict=True))
+    study = plan_study(name, options.read_settings(overrides, own), worlds, runs or [], out)
+
+    def run_jobs(jobs: "Sequence[Job]", kind: str) -> "list[Result]":
+        return options.run_jobs(jobs, kind, engine, processes, address)
+
+    study = study.trained(run_jobs)
+    cases = study.evaluated(run_jobs)
     cells = tabulate(cases, *worlds)
     with status("drawing"):
         command = shlex.join(["kinfeas", *sys.argv[1:]])
-        paths = write_results(out, study, trained_runs, cases, cells, command)
+        paths = write_results(out, study.benchmark, study.runs, cases, cells, command)
     write_json([asdict(cell) for cell in cells], json)
-    paths += publish(trained_runs if world == "analytic" else [], cases, out / "pretrained")
-    typer.echo("\n".join([*success_tables(cells), study.note]))
+    paths += publish(study.runs if world == "analytic" else [], cases, out / "pretrained")
+    typer.echo("\n".join([*success_tables(cells), study.benchmark.note]))
     print_paths(*paths)

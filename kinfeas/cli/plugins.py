@@ -106,47 +106,57 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas plugins check minimum_jerk --set min_duration=2 --picture motions.png
     """
-    from kinfeas.api import counter
     from kinfeas.config import nested
-    from kinfeas.policies.loading import load_policy
-    from kinfeas.robots.loading import load_robot
-    from kinfeas.testing import RULES, check_policy, examine
-    from kinfeas.testing.rules import Trial
+    from kinfeas.testing import Trial
 
     if name in registry.names("kinfeas.policies") or ":" in name:
         if overrides or picture is not None:
             raise KinfeasError(f"policy {name!r} has no settings and no picture")
-        if robot is None:
-            robots = ", ".join(registry.names("kinfeas.robots"))
-            raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a folder")
-        model = load_robot(robot)
-        check_policy(load_policy(name, model), model)
-        write_json({"policy": name, "robot": robot, "passed": True}, json)
-        typer.echo(f"policy {name} keeps the contract on robot {model.name}")
-        return
-    parameters = nested(options.read_settings(overrides))
-    trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
+        _check_policy(name, robot, json)
+    else:
+        parameters = nested(options.read_settings(overrides))
+        trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
+        _check_generator(name, parameters, trial, picture, json)
+
+
+def _check_policy(name: str, robot: str | None, json: Path | None) -> None:
+    from kinfeas.policies.loading import load_policy
+    from kinfeas.robots.loading import load_robot
+    from kinfeas.testing import check_policy
+
+    if robot is None:
+        robots = ", ".join(registry.names("kinfeas.robots"))
+        raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a folder")
+    model = load_robot(robot)
+    check_policy(load_policy(name, model), model)
+    write_json({"policy": name, "robot": robot, "passed": True}, json)
+    typer.echo(f"policy {name} keeps the contract on robot {model.name}")
+
+
+def _check_generator(
+    name: str, parameters: dict[str, object], trial: "Trial", picture: Path | None,
+    json: Path | None,
+) -> None:  # fmt: skip
+    from kinfeas.api import counter
+    from kinfeas.testing import RULES, examine
+
     generator = registry.build(_GENERATORS, name, parameters)
     with progress() as on_progress:
-        count = counter(on_progress, f"checking {name}", trial.steps)
-        findings = examine(generator, trial, name, count)
-    rules = [
-        {"rule": result.rule, "text": RULES[result.rule], "checked": result.checked,
-         "broken": result.broken}
-        for result in findings
-    ]  # fmt: skip
-    broken = [result.broken for result in findings if result.broken is not None]
-    passed = all(result.kept for result in findings)
+        findings = examine(
+            generator, trial, name, counter(on_progress, f"checking {name}", trial.steps)
+        )
+    rules = [finding.facts() for finding in findings]
+    passed = all(finding.kept for finding in findings)
     report = {"generator": name, "parameters": parameters, "passed": passed, "rules": rules}
     write_json(report, json)
     rows = [
-        [RULES[result.rule], result.broken or ("kept" if result.checked else "not checked")]
-        for result in findings
+        [RULES[found.rule], found.broken or ("kept" if found.checked else "not checked")]
+        for found in findings
     ]
     print_table(f"motion generator {name}", ["rule", "result"], rows)
     if all(finding.checked for finding in findings):  # a severe violation ends the motions
         write_drawing(lambda: _drawing(name, parameters, trial), picture)
-    if broken:
+    if broken := [finding.broken for finding in findings if finding.broken is not None]:
         raise KinfeasError(f"{len(broken)} of {len(findings)} rules broken: {broken[0]}")
     typer.echo(f"motion generator {name} passes all {len(findings)} rules")
 

@@ -1,5 +1,6 @@
 """Motions of n EEs, each made by the generator of its sub-goal."""
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -103,6 +104,12 @@ class EeMotions:
                 for state, old in pairs
             ]
         self.states = list(states)
+
+    def at(self, states: Sequence[State]) -> "EeMotions":
+        """Return the same motions in other states, which move on their own."""
+        other = copy.copy(self)
+        other.states = list(states)
+        return other
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the states as arrays by name."""

@@ -1,13 +1,12 @@
 """Prediction of robots that carry out their commands late: their state when a command arrives.
 
-Planar poses are (x, y, yaw) in the world. The motion of a base is the velocity that its controller
-asks for, the acceleration of that, and the velocity of the base, (vx, vy, turn) each: shape (9,).
+Planar poses are (x, y, yaw) in the world, planar velocities (vx, vy, turn).
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,17 +31,42 @@ _OLDEST = 0.3  # age of a measurement, seconds, up to which commands are kept
 
 _TINY = 1e-9  # seconds
 
-_POSE, _JUMP_LEFT, _MEASURED = slice(0, 3), slice(3, 6), slice(6, 9)
-_MOTION, _CORRECTION = slice(9, 18), slice(18, 21)
-_BEHIND, _FASTER, _SUMS, _SIZE = slice(21, 24), slice(24, 27), slice(27, 29), 29
-"""What is known of a base: the predicted planar pose; the part of a jump of the localisation that
-is yet to be followed; the last measurement; its motion then, and the part of its velocity that
-comes of measurements; and for `lateness` how far it has come less than the model without them, how
-much faster that has become, and sums of both."""
-
-_MEMORY = 1.0  # time constant in which these two are forgotten, seconds
+_MEMORY = 1.0  # time constant, seconds, in which differences count less for `lateness`
 
 _LEVER = 0.3  # radius at which rotations are compared with translations, metres
+
+_ACCELERATION, _VELOCITY = 3, 6
+"""First columns in the motion of a base, shape (9,), which begins with the planar velocity that its
+controller asks for: the acceleration of that, and the velocity of the base. It is one array, since
+compilers see that its parts do not overlap."""
+
+
+class Lateness(NamedTuple):
+    """Differences of a base from its model, of which `lateness` is the regression."""
+
+    behind: Array  # how far it has come less lately, shape (3,)
+    faster: Array  # how much faster it has become lately, shape (3,)
+    sums: Array  # sums of products of both, and of squares of the latter, shape (2,)
+
+
+class Base(NamedTuple):
+    """What is known of a base, shape (3,) each."""
+
+    pose: Array  # predicted planar pose
+    jump: Array  # part of a jump of the localisation that is yet to be followed
+    measured: Array  # last measurement of the planar pose
+    motion: Array  # at that time, shape (9,)
+    correction: Array  # part of its velocity that comes of measurements
+    lateness: Lateness
+
+
+def _base_of(row: Array) -> Base:
+    """Return views of a base, shape (29, ...), by name."""
+    lateness = Lateness(row[21:24], row[24:27], row[27:29])
+    return Base(row[0:3], row[3:6], row[6:9], row[9:18], row[18:21], lateness)
+
+
+_base = kernel(_base_of)
 
 
 class BaseResponse:
@@ -105,8 +129,10 @@ class Predictor:
     def start(self, robots: RobotState, rows: Rows | None = None) -> RobotState:
         """Begin with robots at rest in some rows, or in all of n, and return the state of all n."""
         n, joints = len(robots.base_pose), robots.joint_positions
-        ee, base = compose(robots.base_pose, forward(self._chain, joints)), np.zeros((n, _SIZE))
-        base[:, _POSE] = base[:, _MEASURED] = _planar(robots.base_pose)
+        ee = compose(robots.base_pose, forward(self._chain, joints))
+        base, planar = np.zeros((n, 29)), _planar(robots.base_pose).T
+        known = _base_of(base.T)
+        known.pose[:], known.measured[:] = planar, planar
         fresh = {
             "_base": base,
             "_age": self._ages(robots),
@@ -156,7 +182,7 @@ class Predictor:
     @property
     def sums(self) -> Array:
         """Sums over the episodes so far, from which `lateness` follows, shape (n, 2)."""
-        return self._base[:, _SUMS]
+        return _base_of(self._base.T).lateness.sums.T
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all n robots by name."""
@@ -231,13 +257,14 @@ def advance(motion, twist, seconds, limits, moved):
         (twist[1] - motion[1]) / seconds,
         (twist[2] - motion[2]) / seconds,
     )
-    motion[3], motion[4] = _accelerated(x, y, motion[3], motion[4], most, jerk, seconds)
-    motion[5], _ = _accelerated(turn, 0.0, motion[5], 0.0, turning, twisting, seconds)
+    a, v = _ACCELERATION, _VELOCITY
+    motion[a], motion[a + 1] = _accelerated(x, y, motion[a], motion[a + 1], most, jerk, seconds)
+    motion[a + 2], _ = _accelerated(turn, 0.0, motion[a + 2], 0.0, turning, twisting, seconds)
     left = math.exp(-seconds / lag) if lag > 0.0 else 0.0
     for i in range(3):
-        motion[i] += motion[3 + i] * seconds
-        behind = motion[6 + i] - motion[i]
-        motion[6 + i] = motion[i] + behind * left
+        motion[i] += motion[a + i] * seconds
+        behind = motion[v + i] - motion[i]
+        motion[v + i] = motion[i] + behind * left
         moved[i] += motion[i] * seconds + behind * lag * (1.0 - left)
 
 
@@ -277,16 +304,16 @@ def _predict(
     slots, planar = targets.shape[1], np.empty(3)
     for i in range(len(measured)):
         begin, now = -ages_before[i] - dt, -ages[i]
-        pose, motion = bases[i, _POSE], motions[i]
-        motion[:] = bases[i, _MOTION]
+        base, motion = _base(bases[i]), motions[i]
+        motion[:] = base.motion
         if now - begin > _TINY:
             planar[:] = 0.0
             _travel(begin, now, twists[i], timing, limits, motion, planar)
-            _judge(bases[i], motion, planar, measured[i], now - begin, limits[0])
-            _correct(bases[i], motion, planar, measured[i], now - begin)
-            bases[i, _MOTION] = motion
-        planar[0], planar[1] = pose[0] - measured[i, 0], pose[1] - measured[i, 1]
-        planar[2] = wrapped(pose[2] - measured[i, 2])
+            _compare(base, motion, planar, measured[i], now - begin, limits[0])
+            _correct(base, motion, planar, measured[i], now - begin)
+            base.motion[:] = motion
+        planar[0], planar[1] = base.pose[0] - measured[i, 0], base.pose[1] - measured[i, 1]
+        planar[2] = wrapped(base.pose[2] - measured[i, 2])
         _travel(now, delay, twists[i], timing, limits, motion, planar)
         moved[i, 0], moved[i, 1], moved[i, 5] = planar[0], planar[1], planar[2]
         for k in range(slots):
@@ -306,52 +333,52 @@ def _predict(
 
 
 @inlined
-def _judge(base, motion, planar, measured, seconds, lag):
-    """Compare a measured displacement of a base, shape (29,), with the predicted one, shape (3,).
+def _compare(base, motion, planar, measured, seconds, lag):
+    """Compare a measured displacement of a base with the predicted one, shape (3,).
 
     A base that is late by t has come t times the change of its velocity less far.
     """
-    last, before, correction = base[_MEASURED], base[_MOTION], base[_CORRECTION]
-    behind, faster, sums = base[_BEHIND], base[_FASTER], base[_SUMS]
+    last, before, correction = base.measured, base.motion, base.correction
+    behind, faster, sums = base.lateness
     off_x, off_y = measured[0] - last[0] - planar[0], measured[1] - last[1] - planar[1]
     off = off_x, off_y, wrapped(measured[2] - last[2] - planar[2])
     beyond = max(math.sqrt(square(off_x) + square(off_y)), abs(off[2]))
     left = math.exp(-seconds / lag) if lag > 0.0 else 0.0
     forgotten = math.exp(-seconds / _MEMORY)
-    for i in range(3):
-        change = motion[6 + i] - before[6 + i] + correction[i] * (1.0 - left)
-        missing = -off[i] - correction[i] * lag * (1.0 - left)
+    for k in range(3):
+        change = motion[_VELOCITY + k] - before[_VELOCITY + k] + correction[k] * (1.0 - left)
+        missing = -off[k] - correction[k] * lag * (1.0 - left)
         if beyond > _JUMP + _JUMP_SPEED * seconds:
             missing = 0.0
-        behind[i] = behind[i] * forgotten + missing
-        faster[i] = faster[i] * forgotten + change
-        correction[i] *= left
-        weight = square(_LEVER) if i == 2 else 1.0
-        sums[0] += behind[i] * faster[i] * weight
-        sums[1] += square(faster[i]) * weight
+        behind[k] = behind[k] * forgotten + missing
+        faster[k] = faster[k] * forgotten + change
+        correction[k] *= left
+        weight = square(_LEVER) if k == 2 else 1.0
+        sums[0] += behind[k] * faster[k] * weight
+        sums[1] += square(faster[k]) * weight
 
 
 @inlined
 def _correct(base, motion, planar, measured, seconds):
-    """Correct a base, shape (29,), and its motion after a predicted displacement, shape (3,)."""
-    pose, jump, last, correction = base[_POSE], base[_JUMP_LEFT], base[_MEASURED], base[_CORRECTION]
-    for i in range(3):
-        last[i] = measured[i]
-        pose[i] += planar[i]
-        planar[i] = measured[i] - jump[i] - pose[i]
+    """Correct a base and its motion after a predicted displacement, shape (3,)."""
+    pose, jump, last, correction = base.pose, base.jump, base.measured, base.correction
+    for k in range(3):
+        last[k] = measured[k]
+        pose[k] += planar[k]
+        planar[k] = measured[k] - jump[k] - pose[k]
     planar[2] = wrapped(planar[2])
     error = max(math.sqrt(square(planar[0]) + square(planar[1])), abs(planar[2]))
     if error > _JUMP + _JUMP_SPEED * seconds:
-        for i in range(3):
-            jump[i] += planar[i]
-            planar[i] = 0.0
+        for k in range(3):
+            jump[k] += planar[k]
+            planar[k] = 0.0
     position = 1.0 - math.exp(-seconds / _POSE_SECONDS)
     velocity = (1.0 - math.exp(-seconds / _VELOCITY_SECONDS)) / seconds
     longest = LOCALISATION_SPEED * seconds
     x, y = _shortened(jump[0], jump[1], longest)
     followed = x, y, min(max(jump[2], -longest), longest)
-    for i in range(3):
-        jump[i] -= followed[i]
-        pose[i] += position * planar[i] + followed[i]
-        correction[i] += velocity * planar[i]
-        motion[6 + i] += velocity * planar[i]
+    for k in range(3):
+        jump[k] -= followed[k]
+        pose[k] += position * planar[k] + followed[k]
+        correction[k] += velocity * planar[k]
+        motion[_VELOCITY + k] += velocity * planar[k]

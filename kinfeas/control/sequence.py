@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,10 +83,10 @@ class MotionSequence(SubgoalMotions):
         """Compute goals and the next step, which stay until something changes."""
         _ = self.goal, self.next_step, self.planned
 
-    @cached_property
+    @property
     def next_step(self) -> MotionStep:
         """Next step of the motions, of one control period."""
-        return self.step_of(self._motion_time)
+        return self._until_changed("next_step", lambda: self.step_of(self._motion_time))
 
     def step(self, time_scale: Array) -> MotionStep:
         """Return the next step with fractions, shape (n,), of the planned motion."""

@@ -1,10 +1,9 @@
 """Motions of n EEs from sub-goal to sub-goal, without the times between them."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,8 @@ from kinfeas.kinematics.ik import IkSolver
 LONGEST = 300.0  # seconds after which a motion counts as ended where it is looked at in advance
 
 _PATHS = "waypoints"
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ class SubgoalMotions:
         self._solids: Solids | None = None
         self.whole_body = WholeBodyMotions(solver, dt, time_scale, generators)
         self.revision = 0
+        self._kept: dict[str, Any] = {}
 
     def start(self, ee_pose: Array, targets: Array, rngs: Rngs, rows: Rows | None = None) -> None:
         """Begin the first sub-goal.
@@ -97,13 +99,10 @@ class SubgoalMotions:
             self._solids, rows = None, np.arange(n)
         self._begin(rows)
 
-    @cached_property  # until something changes
+    @property
     def goal(self) -> Array:
         """World pose of the EE at the end of each row's sub-goal, shape (n, 7)."""
-        targets, ask = self._target, self._motions.ask
-        return self._to_ee(
-            ask(lambda group: group.generator.goal_pose(group.state, targets[group.rows]))
-        )
+        return self._until_changed("goal", self._goal)
 
     @property
     def last(self) -> NDArray[np.bool_]:
@@ -118,11 +117,10 @@ class SubgoalMotions:
             lambda group: group.generator.base_pose(group.state, targets[group.rows])
         )
 
-    @cached_property
+    @property
     def planned(self) -> PlannedRobots:
         """Bases and arms on whole-body paths soon."""
-        motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
-        return self.whole_body.soon(motions)
+        return self._until_changed("planned", self._planned)
 
     def aim(self, target_poses: Array) -> None:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
@@ -169,18 +167,15 @@ class SubgoalMotions:
 
         Motions along a path of their own also have to be at the end of it.
         """
-        ended, targets = near.copy(), self._target
-        for group in self._motions.of(np.flatnonzero(near)):
-            ended[group.rows] = group.generator.finished(group.state, targets[group.rows])
-        return ended
+        return self._ended(self._motions, near)
 
-    def copied(self) -> "SubgoalMotions":
-        """Return the motions alone, which move on their own.
+    def copied(self) -> Self:
+        """Return motions that move on their own.
 
         Both share arrays, which are never written into.
         """
-        twin = object.__new__(SubgoalMotions)
-        vars(twin).update(vars(self), _motions=copy.copy(self._motions))
+        twin = copy.copy(self)
+        twin._motions, twin._kept = self._motions.at(self._motions.states), dict(self._kept)
         return twin
 
     def to_the_end(self, rows: Rows) -> list[Array]:
@@ -188,15 +183,15 @@ class SubgoalMotions:
 
         There is one array for each of the rows; nothing moves.
         """
-        twin = self.copied()
+        desired, motions = self.desired, self._motions
         steps = np.zeros(len(rows), dtype=np.intp)
-        poses, goal = [self.desired[rows]], self.goal[rows]
+        poses, goal = [desired[rows]], self.goal[rows]
         while not steps.all() and len(poses) * HORIZON < LONGEST:
-            step = twin.step_of(HORIZON)
-            twin.desired, twin._motions.states = step.desired, step.states
-            poses.append(step.desired[rows])
+            step = self._step(motions, desired, HORIZON)
+            desired, motions = step.desired, motions.at(step.states)
+            poses.append(desired[rows])
             metres, radians = spatial.distance(poses[-1], goal)
-            there = twin.ended((metres <= GRASP_METRES) & (radians <= GOAL_RADIANS))
+            there = self._ended(motions, (metres <= GRASP_METRES) & (radians <= GOAL_RADIANS))
             steps = np.where((steps == 0) & there, len(poses), steps)
         steps[steps == 0] = len(poses)
         return [np.stack([pose[i] for pose in poses[:k]]) for i, k in enumerate(steps.tolist())]
@@ -206,16 +201,7 @@ class SubgoalMotions:
 
         Generators are called, nothing moves.
         """
-        frame, targets = self._to_frame(self.desired), self._target
-        each = np.full(len(frame), seconds)
-        twist, states = self._motions.twist(frame, targets, each)
-        desired = preview = self._to_ee(spatial.integrate(frame, twist, seconds))
-        if isinstance(seconds, np.ndarray) or seconds != HORIZON:
-            preview = self._to_ee(spatial.integrate(frame, twist, HORIZON))
-        if not each.all():
-            rests = each[:, np.newaxis] == 0.0
-            desired, preview = (np.where(rests, self.desired, pose) for pose in (desired, preview))
-        return MotionStep(desired, preview, states, each)
+        return self._step(self._motions, self.desired, seconds)
 
     def after(self, step: MotionStep, paused: NDArray[np.bool_] | None = None) -> Array:
         """Return the desired poses after a step, but for the rows that are paused, shape (n, 7)."""
@@ -297,8 +283,42 @@ class SubgoalMotions:
 
     def _changed(self) -> None:
         self.revision += 1
-        for name in ("goal", "next_step", "planned"):
-            vars(self).pop(name, None)
+        self._kept = {}
+
+    def _until_changed(self, name: str, compute: Callable[[], _T]) -> _T:
+        """Return a value that is kept by its name until something changes."""
+        if name not in self._kept:
+            self._kept[name] = compute()
+        value: _T = self._kept[name]
+        return value
+
+    def _goal(self) -> Array:
+        targets, ask = self._target, self._motions.ask
+        return self._to_ee(
+            ask(lambda group: group.generator.goal_pose(group.state, targets[group.rows]))
+        )
+
+    def _planned(self) -> PlannedRobots:
+        motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
+        return self.whole_body.soon(motions)
+
+    def _step(self, motions: EeMotions, desired: Array, seconds: float | Array) -> MotionStep:
+        frame, targets = self._to_frame(desired), self._target
+        each = np.full(len(frame), seconds)
+        twist, states = motions.twist(frame, targets, each)
+        after = preview = self._to_ee(spatial.integrate(frame, twist, seconds))
+        if isinstance(seconds, np.ndarray) or seconds != HORIZON:
+            preview = self._to_ee(spatial.integrate(frame, twist, HORIZON))
+        if not each.all():
+            rests = each[:, np.newaxis] == 0.0
+            after, preview = (np.where(rests, desired, pose) for pose in (after, preview))
+        return MotionStep(after, preview, states, each)
+
+    def _ended(self, motions: EeMotions, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        ended, targets = near.copy(), self._target
+        for group in motions.of(np.flatnonzero(near)):
+            ended[group.rows] = group.generator.finished(group.state, targets[group.rows])
+        return ended
 
     def _to_frame(self, ee_pose: Array) -> Array:
         """Return the pose of the frame that each row's sub-goal moves, shape (n, 7)."""

@@ -1,11 +1,12 @@
 """Drafts of a robot's YAML and URDF from a vendor's URDF, xacro or MJCF."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.text import Guesses, robot_yaml
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import POSE_DIMENSIONS
-from kinfeas.robots.elements import parse_xml
+from kinfeas.robots.elements import Element, parse_xml
 from kinfeas.robots.loading import build_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.spec import (
@@ -93,53 +94,35 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
             or the arm reaches hardly any goal.
     """
     report, source = on_done or (lambda fraction: None), str(path)
-    originals: dict[str, list[Part]] = {}
     with TemporaryDirectory(prefix="kinfeas-") as folder:
         description = read_description(
             path, Path(folder), meshes=meshes, mesh_paths=mesh_paths, arguments=arguments
         )
-        links = len(description.children("link"))
-        write = partial(boxed_urdf, path, base, robot=description)
-        # A choice between arms comes before the work: fitting meshes takes most of the time.
-        bare = _parsed(write(fitted=()), source)
-        if hand is not None:
-            find_arm(bare, hand, source)
-        elif ends := ends_of_arms(bare, source):
-            find_arm(_parsed(write(fitted=ends), source), None, source)
-        whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
-    arm = find_arm(_parsed(whole, source), hand, source)
-    text, lifted = on_the_floor(whole, arm, source)
-    urdf = _parsed(text, source)
+        boxed = _boxed(path, description, hand, base, report)
+    urdf, arm = boxed.urdf, boxed.arm
     fingers = read_hand(urdf, arm)
     wheel_drive, why = find_drive(urdf, arm)
-    spec = stated(name, urdf, arm, fingers, drive or wheel_drive)
-    robot = build_robot(spec, urdf, path, path)
-    fractions = reach.touching(robot)
-    ignored = reach.built_to_touch(robot, fractions)
-    checked = {pair: fraction for pair, fraction in fractions.items() if pair not in ignored}
-    false = reach.only_fitted(robot, originals, checked)
-    ignored |= false
-    tolerance = pose_tolerance(robot)
-    robot = replace(reach.with_pairs(robot, ignored), pose_tolerance=tolerance)
-    if overloads := reach.overload_fractions(robot):
-        robot = reach.limited(robot)
-    home = reach.comfortable(robot)
+    given = stated(name, urdf, arm, fingers, drive or wheel_drive)
+    bare = build_robot(given, urdf, path, path)
+    contacts = _contacts(bare, boxed.originals)
+    limited = _limited(bare, contacts)
+    robot, home = limited.robot, reach.comfortable(limited.robot)
     report(_TOUCHING)
     heights = reach.useful_heights(robot, lambda fraction: report(_REACHING * fraction))
     spec = replace(
-        spec, home={"home": tuple(home.tolist())}, reach=reach_of(heights, source),
-        pose_tolerance=tolerance, ignored_collisions=tuple(ignored),
+        given, home={"home": tuple(home.tolist())}, reach=reach_of(heights, source),
+        pose_tolerance=robot.pose_tolerance, ignored_collisions=tuple(contacts.ignored),
         max_gravity_load=robot.max_gravity_load,
     )  # fmt: skip
     names = [joint.name for joint in arm.joints]
     guesses = Guesses(
-        lifted=lifted,
+        lifted=boxed.lifted,
         speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
         stuck=tuple(joint.name for joint in arm.stuck),
-        touching=ignored,
-        contacts={pair: fraction for pair, fraction in checked.items() if pair not in false},
-        overloads=overloads,
+        touching=contacts.ignored,
+        contacts=contacts.checked,
+        overloads=limited.overloads,
         overloaded_at_home=reach.overloads_at(robot, home),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
         drive="" if drive else why,
@@ -149,7 +132,69 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     yaml = robot_yaml(spec, guesses)
     read = config.from_mapping(RobotSpec, strict_yaml.parse(yaml, source), source)
     final = build_robot(read, urdf, path, path)
-    return Draft(spec, yaml, text, heights, reach.free_fraction(robot), guesses, final)
+    return Draft(spec, yaml, boxed.text, heights, reach.free_fraction(robot), guesses, final)
+
+
+class _Boxed(NamedTuple):
+    """A description on the floor, of primitives."""
+
+    text: str
+    urdf: Urdf
+    arm: Arm
+    lifted: float  # metres
+    originals: dict[str, list[Part]]  # parts that primitives replace, by link
+
+
+def _boxed(
+    path: Path, description: Element, hand: str | None, base: str | None,
+    report: Callable[[float], None],
+) -> _Boxed:  # fmt: skip
+    source, originals = str(path), dict[str, list[Part]]()
+    links = len(description.children("link"))
+    write = partial(boxed_urdf, path, base, robot=description)
+    # A choice between arms comes before the work: fitting meshes takes most of the time.
+    bare = _parsed(write(fitted=()), source)
+    if hand is not None:
+        find_arm(bare, hand, source)
+    elif ends := ends_of_arms(bare, source):
+        find_arm(_parsed(write(fitted=ends), source), None, source)
+    whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
+    arm = find_arm(_parsed(whole, source), hand, source)
+    text, lifted = on_the_floor(whole, arm, source)
+    return _Boxed(text, _parsed(text, source), arm, lifted, originals)
+
+
+class _Contacts(NamedTuple):
+    """Pairs of links that touch, and the fraction of configurations in which they do."""
+
+    ignored: dict[tuple[str, str], float]  # by design, or only by their primitives
+    checked: dict[tuple[str, str], float]  # others
+
+
+def _contacts(robot: Robot, originals: Mapping[str, Sequence[Part]]) -> _Contacts:
+    fractions = reach.touching(robot)
+    designed = reach.built_to_touch(robot, fractions)
+    others = {pair: fraction for pair, fraction in fractions.items() if pair not in designed}
+    fitted = reach.only_fitted(robot, originals, others)
+    checked = {pair: fraction for pair, fraction in others.items() if pair not in fitted}
+    return _Contacts(designed | fitted, checked)
+
+
+class _Limited(NamedTuple):
+    """A robot with its pose tolerance, ignored contacts and `max_gravity_load`, if it needs them.
+
+    `overloads` are as of `overload_fractions`, without a `max_gravity_load`.
+    """
+
+    robot: Robot
+    overloads: dict[str, float]
+
+
+def _limited(bare: Robot, contacts: _Contacts) -> _Limited:
+    robot = reach.with_pairs(bare, contacts.ignored)
+    robot = replace(robot, pose_tolerance=pose_tolerance(bare))
+    overloads = reach.overload_fractions(robot)
+    return _Limited(reach.limited(robot) if overloads else robot, overloads)
 
 
 def _parsed(text: str, source: str) -> Urdf:

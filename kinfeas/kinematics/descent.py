@@ -22,6 +22,13 @@ class Descent(NamedTuple):
     damping_gain: float = 0.02  # factor of the squared error, m^2, that is added to it
 
 
+class Limits(NamedTuple):
+    """Lower and upper limits of joint positions, shape (v,) each; infinite for none."""
+
+    lower: Array
+    upper: Array
+
+
 class Scratch(NamedTuple):
     """Memory of a descent, allocated once for a whole batch."""
 
@@ -51,7 +58,7 @@ def make_scratch(joints, variables):
 
 
 @inlined
-def descend(chain: Chain, options: Descent, limits, target, q, scratch):
+def descend(chain: Chain, options: Descent, limits: Limits, target, q, scratch: Scratch):
     """Move `q` towards the target; return the remaining position and rotation error, m and rad.
 
     Each step is damped by the squared error (Sugihara, IEEE T-RO 2011) and solves the damped
@@ -61,7 +68,7 @@ def descend(chain: Chain, options: Descent, limits, target, q, scratch):
     Args:
         chain: From base to EE, driven by v variables.
         options: Tolerances, weight and largest number of steps.
-        limits: Lower and upper joint limits, shape (v,) each; infinite for continuous joints.
+        limits: Joint limits.
         target: EE orientation in the base frame, shape (3, 3), and position, (3,), metres.
         q: First joint positions, within the limits; receives the last ones, shape (v,).
         scratch: Memory of `make_scratch`; its frames are those of `q`, before and after.
@@ -177,10 +184,10 @@ def _step_within_limits(limits, q, damping, scratch):
                 unbounded[j] += scratch.columns[j, i] * scratch.solved[i]
             if side[j] == 0:
                 step[j] = unbounded[j]
-                if q[j] + unbounded[j] > limits[1][j]:
-                    step[j], side[j], blocked = limits[1][j] - q[j], 1, True
-                elif q[j] + unbounded[j] < limits[0][j]:
-                    step[j], side[j], blocked = limits[0][j] - q[j], -1, True
+                if q[j] + unbounded[j] > limits.upper[j]:
+                    step[j], side[j], blocked = limits.upper[j] - q[j], 1, True
+                elif q[j] + unbounded[j] < limits.lower[j]:
+                    step[j], side[j], blocked = limits.lower[j] - q[j], -1, True
         if not blocked and not _release(scratch):
             return
 

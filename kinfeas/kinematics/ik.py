@@ -11,7 +11,7 @@ from kinfeas.config.quantities import NotNegative, Positive, Share
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
-from kinfeas.kinematics.descent import Descent
+from kinfeas.kinematics.descent import Descent, Limits
 from kinfeas.kinematics.forward import Chain, build_chain, forward
 from kinfeas.kinematics.gravity import build_gravity_model, overloaded
 from kinfeas.kinematics.search import SEARCH, Problem, library_features, solve_batch
@@ -194,7 +194,7 @@ def _make_problem(solver: IkSolver) -> Problem:
         collision=solver.collision,
         check_collision=options.self_collision,
         load=solver.gravity.load if solver.gravity.limited else np.empty((0, 6)),
-        lower=lower, upper=upper, velocity=velocity, continuous=continuous, middle=middle,
+        limits=Limits(lower, upper), velocity=velocity, continuous=continuous, middle=middle,
         centering=_centering(half, options.centering),
         reach=_reach(chain, middle, half),
         library=library,

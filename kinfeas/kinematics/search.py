@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from kinfeas.core.kernels import copy_row, inlined, inner, kernel, square
 from kinfeas.core.solid_kernels import is_empty
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
+from kinfeas.kinematics.descent import Descent, Limits, Scratch, descend, make_scratch, measure
 from kinfeas.kinematics.forward import Chain, place_chain, write_matrix
 from kinfeas.kinematics.gravity import overloads
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
+    CollisionScratch,
     make_collision_scratch,
     place_shapes,
     touches_itself,
@@ -32,9 +33,10 @@ class SearchSettings(NamedTuple):
 
 SEARCH = SearchSettings()
 
-GUIDED, CENTRED, NEAR, JUMP, WIDE = range(5)
-"""Descents within `max_joint_step` of the seed: towards the guide, centring the joints or not; and
-to anywhere: from the guide, and from the seed."""
+GUIDED, CENTRED, NEAR, FROM_GUIDE, ANYWHERE = range(5)
+"""Descents from a seed, in this order: within `max_joint_step`, towards the guide, centring the
+joints, or neither; then within the joint limits, from the guide, and from the seed or where the
+last descent near it ended."""
 
 
 class Problem(NamedTuple):
@@ -49,8 +51,7 @@ class Problem(NamedTuple):
     collision: CollisionModel  # self-collision model
     check_collision: bool  # whether self-collision is checked
     load: Array  # of a `GravityModel`, shape (m, 6); (0, 6) if any posture can be held
-    lower: Array  # joint limits, shape (v,); -inf for continuous joints
-    upper: Array  # same, +inf for continuous joints
+    limits: Limits  # joint limits
     velocity: Array  # joint velocity limits, shape (v,)
     continuous: NDArray[np.bool_]  # whether joints are continuous, shape (v,)
     middle: Array  # middles of the joint ranges, shape (v,)
@@ -89,128 +90,165 @@ def solve_batch(
     `solution`, shape (n, v), has the seeds and receives the solutions, `feasible` whether there is
     one, `errors`, shape (n, 2), its errors or those of the closest attempt, metres and radians.
     """
-    scratch = make_scratch(len(problem.chain.tree.variable), solution.shape[1])
-    touching = make_collision_scratch(problem.collision)
-    near = np.empty((6, len(max_joint_step)))
+    joints, n = solution.shape[1], len(solution)
+    memory = Memory(
+        make_scratch(len(problem.chain.tree.variable), joints),
+        make_collision_scratch(problem.collision),
+        _make_limits(joints), _make_limits(joints), _make_limits(joints),
+    )  # fmt: skip
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
     orientation = np.empty((3, 3))
-    limits, (pose, size, cylinder) = (problem.lower, problem.upper), solids
+    pose, size, cylinder = solids
     grown = np.empty(size.shape[1:])
-    for i in range(len(solution)):
+    for i in range(n):
         write_matrix(targets[i], orientation)
         target = orientation, targets[i, :3]
         row = min(i, len(pose) - 1)
         _grow(size[row], clearance, grown)
         around = pose[row], grown, cylinder[row]
-        if _solve_from_seed(
-            problem, limits, target, max_joint_step, allow_reconfiguration, near,
-            guide[i : i + 1], solution[i], errors[i], scratch, touching, around,
-        ):  # fmt: skip
+        query = Query(target, guide[i : i + 1], around, solution[i], errors[i])
+        if _solve_from_seed(problem, query, max_joint_step, allow_reconfiguration, memory):
             feasible[i] = True
         elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
             feasible[i] = False
         else:
             _rank_library(problem, target, scores, order)
-            feasible[i] = _solve_from_library(
-                problem, limits, target, solution[i], errors[i], order, scratch, touching, around
-            )
-        for j in range(solution.shape[1]):
+            feasible[i] = _solve_from_library(problem, query, order, memory)
+        for j in range(joints):
             if feasible[i] and problem.continuous[j]:
                 solution[i, j] = _wrap(solution[i, j])
 
 
-@inlined
-def _solve_from_seed(
-    problem, limits, target, max_joint_step, allow_reconfiguration, near, guide, solution, error,
-    scratch, touching, around,
-):  # fmt: skip
-    """Descend from the seed if it is near the target; return whether there is a solution.
+class Query(NamedTuple):
+    """One row of a batch."""
 
-    The first descents stay within `max_joint_step`, towards the guide if there is one, then with
-    and without centring of the joints. There a joint of the seed beyond a limit may stay where it
-    is, since it cannot jump. The last descents, if `allow_reconfiguration`, have the joint limits
-    only: from the guide, then from the seed.
-    """
-    q, own = scratch.trial, limits
-    if len(max_joint_step) > 0:
-        own = near[4], near[5]
-        for j in range(len(q)):
-            own[0][j] = min(limits[0][j], solution[j])
-            own[1][j] = max(limits[1][j], solution[j])
-    _start(own, solution, q)
-    place_chain(problem.chain, q, scratch.frames)
-    cost, trace = 0.0, 0.0
-    for i in range(3):
-        cost += square(target[1][i] - scratch.frames.position[i])
-        for k in range(3):
-            trace += target[0][i, k] * scratch.frames.rotation[i, k]
-    cost += square(problem.descent.rotation_weight) * (3.0 - trace)
-    error[0], error[1] = measure(target, scratch)
-    if cost > SEARCH.warm_cost:
+    target: tuple[Array, Array]  # EE orientation in the base frame, (3, 3), and position, (3,)
+    guide: Array  # shape (1, v) or (0, v)
+    around: tuple[Array, Array, NDArray[np.bool_]]  # solids: pose, size and whether cylinders
+    solution: Array  # the seed, which a solution replaces, shape (v,)
+    error: Array  # of the solution or the closest attempt, shape (2,), metres and radians
+
+
+class Memory(NamedTuple):
+    """Memory of a search, allocated once for a whole batch."""
+
+    scratch: Scratch
+    touching: CollisionScratch
+    seeded: Limits  # joint limits, but a joint of the seed beyond may stay, since it cannot jump
+    near: Limits  # of these, within `max_joint_step` of the seed
+    guided: Limits  # of those, within `max_joint_step` of the guide
+
+
+@kernel
+def _make_limits(joints):
+    return Limits(np.empty(joints), np.empty(joints))
+
+
+@inlined
+def _solve_from_seed(problem, query, max_joint_step, allow_reconfiguration, memory):
+    """Descend from the seed if it is near the target; return whether there is a solution."""
+    scratch, q, seeded = memory.scratch, memory.scratch.trial, memory.seeded
+    stepwise = len(max_joint_step) > 0
+    guided = stepwise and len(query.guide) > 0 and not math.isnan(query.guide[0, 0])
+    wanted = (
+        guided,  # GUIDED
+        stepwise and len(problem.centering) > 0,  # CENTRED
+        stepwise,  # NEAR
+        guided and allow_reconfiguration,  # FROM_GUIDE
+        allow_reconfiguration,  # ANYWHERE
+    )
+    _write_seeded(problem.limits, query.solution, stepwise, seeded)
+    _begin_at(problem, seeded, query.solution, scratch)
+    far = _chordal_cost(problem, query.target, scratch.frames) > SEARCH.warm_cost
+    at_seed = measure(query.target, scratch)
+    query.error[0], query.error[1] = at_seed
+    if far:
         return False
-    metres_here, radians_here = error[0], error[1]
-    first = WIDE if len(max_joint_step) == 0 else NEAR if len(problem.centering) == 0 else CENTRED
-    if first != WIDE and len(guide) > 0 and not math.isnan(guide[0, 0]):
-        first = GUIDED
-    if first != WIDE:
-        for j in range(len(q)):
-            near[0, j] = max(own[0][j], q[j] - max_joint_step[j])
-            near[1, j] = min(own[1][j], q[j] + max_joint_step[j])
-    for attempt in range(first, WIDE + 1 if allow_reconfiguration else JUMP):
-        if attempt == CENTRED and len(problem.centering) == 0:
+    if stepwise:
+        _write_near(seeded, q, max_joint_step, memory.near)
+    for attempt in range(len(wanted)):
+        if not wanted[attempt]:
             continue
-        if attempt == JUMP and first != GUIDED:
-            continue
-        bounds = limits if attempt >= JUMP else (near[0], near[1])
+        limits = memory.near if attempt <= NEAR else problem.limits
         if attempt == GUIDED:
-            _go_to_guide(problem, max_joint_step, guide[0], near, q)
-            bounds = near[2], near[3]
+            limits = memory.guided
+            _go_to_guide(problem, max_joint_step, query.guide[0], memory, q)
             place_chain(problem.chain, q, scratch.frames)
         elif attempt == CENTRED:
             _centre(problem, max_joint_step, q, scratch.pull)
-        elif attempt == JUMP:
-            _start(limits, guide[0], q)
-            place_chain(problem.chain, q, scratch.frames)
-        metres, radians = descend(problem.chain, problem.descent, bounds, target, q, scratch)
-        # A guide must not cost accuracy.
-        scale = SEARCH.aim if attempt == GUIDED else 1.0
+        elif attempt == FROM_GUIDE:
+            _begin_at(problem, limits, query.guide[0], scratch)
+        metres, radians = descend(problem.chain, problem.descent, limits, query.target, q, scratch)
+        scale = SEARCH.aim if attempt == GUIDED else 1.0  # a guide must not cost accuracy
         if _close_enough(problem, metres / scale, radians / scale):
-            if _free(problem, q, touching, around):
-                error[0], error[1] = metres, radians
-                copy_row(q, solution)
-                return True
-        elif _improves(problem, metres, radians, error, q, touching, around):
-            error[0], error[1] = metres, radians
-        if attempt <= CENTRED or attempt == JUMP:
-            _start(own, solution, q)
-            place_chain(problem.chain, q, scratch.frames)
+            if _free(problem, query, q, memory):
+                return _accept(query, q, metres, radians)
+        elif _improves(problem, query, q, metres, radians, memory):
+            query.error[0], query.error[1] = metres, radians
+        if attempt in (GUIDED, CENTRED, FROM_GUIDE):
+            _begin_at(problem, seeded, query.solution, scratch)
     # With a pose tolerance, the seed itself may be a solution that every descent has left.
-    if not _close_enough(problem, metres_here, radians_here):
+    metres, radians = at_seed
+    if not _close_enough(problem, metres, radians):
         return False
-    _start(own, solution, q)
-    if not _free(problem, q, touching, around):
-        return False
-    error[0], error[1] = metres_here, radians_here
-    copy_row(q, solution)
+    _clip(seeded, query.solution, q)
+    return _free(problem, query, q, memory) and _accept(query, q, metres, radians)
+
+
+@inlined
+def _accept(query, q, metres, radians):
+    query.error[0], query.error[1] = metres, radians
+    copy_row(q, query.solution)
     return True
 
 
 @inlined
-def _start(limits, seed, q):
-    for j in range(len(q)):
-        q[j] = min(max(seed[j], limits[0][j]), limits[1][j])
+def _write_seeded(limits, seed, stepwise, out):
+    for j in range(len(seed)):
+        out.lower[j] = min(limits.lower[j], seed[j]) if stepwise else limits.lower[j]
+        out.upper[j] = max(limits.upper[j], seed[j]) if stepwise else limits.upper[j]
 
 
 @inlined
-def _go_to_guide(problem, max_joint_step, guide, near, q):
-    """Move `q` to the guide within the first limits of `near`; write those around it, too."""
+def _write_near(limits, q, step, out):
+    for j in range(len(q)):
+        out.lower[j] = max(limits.lower[j], q[j] - step[j])
+        out.upper[j] = min(limits.upper[j], q[j] + step[j])
+
+
+@inlined
+def _begin_at(problem, limits, start, scratch):
+    _clip(limits, start, scratch.trial)
+    place_chain(problem.chain, scratch.trial, scratch.frames)
+
+
+@inlined
+def _clip(limits, values, q):
+    for j in range(len(q)):
+        q[j] = min(max(values[j], limits.lower[j]), limits.upper[j])
+
+
+@inlined
+def _chordal_cost(problem, target, frames):
+    """Return a squared error, m^2, of which the part of the rotation is |R - R'|^2 / 2."""
+    cost, trace = 0.0, 0.0
+    for i in range(3):
+        cost += square(target[1][i] - frames.position[i])
+        for k in range(3):
+            trace += target[0][i, k] * frames.rotation[i, k]
+    return cost + square(problem.descent.rotation_weight) * (3.0 - trace)
+
+
+@inlined
+def _go_to_guide(problem, step, guide, memory, q):
+    """Move `q` to the guide within the limits `near`; write the limits around it, too."""
+    near = memory.near
     for j in range(len(q)):
         move = guide[j] - q[j]
         move = _wrap(move) if problem.continuous[j] else move
-        q[j] = min(max(q[j] + move, near[0, j]), near[1, j])
-        near[2, j] = max(near[0, j], q[j] - max_joint_step[j])
-        near[3, j] = min(near[1, j], q[j] + max_joint_step[j])
+        q[j] = min(max(q[j] + move, near.lower[j]), near.upper[j])
+    _write_near(near, q, step, memory.guided)
 
 
 @inlined
@@ -223,10 +261,10 @@ def _centre(problem, max_joint_step, q, pull):
 
 
 @inlined
-def _solve_from_library(problem, limits, target, solution, error, order, scratch, touching, around):
+def _solve_from_library(problem, query, order, memory):
     """Descend from library entries; keep the solution nearest to the seed."""
-    q, seed = scratch.trial, scratch.seed
-    copy_row(solution, seed)
+    scratch, q, seed, error = memory.scratch, memory.scratch.trial, memory.scratch.seed, query.error
+    copy_row(query.solution, seed)
     closest = _cost(problem, error[0], error[1])
     nearest, solutions = np.inf, 0
     for attempt in range(len(order)):
@@ -234,20 +272,21 @@ def _solve_from_library(problem, limits, target, solution, error, order, scratch
             break
         copy_row(problem.library[order[attempt]], q)
         place_chain(problem.chain, q, scratch.frames)
-        metres, radians = descend(problem.chain, problem.descent, limits, target, q, scratch)
+        metres, radians = descend(
+            problem.chain, problem.descent, problem.limits, query.target, q, scratch
+        )
         closest = min(closest, _cost(problem, metres, radians))
         if _close_enough(problem, metres, radians):
-            if not _free(problem, q, touching, around):
+            if not _free(problem, query, q, memory):
                 continue
             solutions += 1
             seconds = _seconds_between(problem, seed, q)
             if seconds < nearest:
                 nearest = seconds
-                error[0], error[1] = metres, radians
-                copy_row(q, solution)
+                _accept(query, q, metres, radians)
             if solutions == problem.candidates:
                 break
-        elif solutions == 0 and _improves(problem, metres, radians, error, q, touching, around):
+        elif solutions == 0 and _improves(problem, query, q, metres, radians, memory):
             error[0], error[1] = metres, radians
     return solutions > 0
 
@@ -268,12 +307,12 @@ def _close_enough(problem, metres, radians):
 
 
 @inlined
-def _free(problem, q, touching, around):
-    if _collides(problem.collision, problem.check_collision, q, touching, *around):
+def _free(problem, query, q, memory):
+    """Return whether joint positions are free of collisions and can be held."""
+    collision, touching = problem.collision, memory.touching
+    if _collides(collision, problem.check_collision, q, touching, *query.around):
         return False
-    return len(problem.load) == 0 or not overloads(
-        problem.collision.tree, problem.load, q, touching
-    )
+    return len(problem.load) == 0 or not overloads(collision.tree, problem.load, q, touching)
 
 
 @inner
@@ -297,10 +336,10 @@ def _grow(size, clearance, out):
 
 
 @inlined
-def _improves(problem, metres, radians, error, q, touching, around):
+def _improves(problem, query, q, metres, radians, memory):
     """Return whether an attempt is the closest so far, free of collisions and can be held."""
-    closer = _cost(problem, metres, radians) < _cost(problem, error[0], error[1])
-    return closer and _free(problem, q, touching, around)
+    closer = _cost(problem, metres, radians) < _cost(problem, query.error[0], query.error[1])
+    return closer and _free(problem, query, q, memory)
 
 
 @inlined

@@ -17,7 +17,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
 from kinfeas.kinematics.solids import collides
-from kinfeas.planning.base_lattice import LATTICE, driving_costs, lattice_moves, search_base
+from kinfeas.planning.base_lattice import LATTICE, Query, driving_costs, lattice_moves, search_base
 from kinfeas.planning.placement import Postures, at_goals
 from kinfeas.robots.robot import joint_displacement
 
@@ -167,9 +167,13 @@ class BaseGoalPlanner:
         corners, border = np.vstack([start[:2], ends[:, :2]]), self.settings.border
         low, high = corners.min(axis=0) - border, corners.max(axis=0) + border
         rows = solids.pose[0], solids.size[0], solids.cylinder[0], solids.velocity[0]
-        grid = low, driving_costs(solids, low, high, LATTICE.cell, self._postures.footprint)
-        model, moves, speed = self.solver.collision, self._moves, self._speed
-        path, end = search_base(model, *arm, start, ends, cost, rows, grid, moves, speed)
+        query = Query(
+            model=self.solver.collision, rest=arm[0], reach=arm[1],
+            start=start, goals=ends, goal_costs=cost, solids=rows, origin=low,
+            driving=driving_costs(solids, low, high, LATTICE.cell, self._postures.footprint),
+            moves=self._moves, speed=self._speed,
+        )  # fmt: skip
+        path, end = search_base(query)
         return path, int(end)
 
     def _with_arm(

@@ -7,13 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.kernels import inner, kernel, square
+from kinfeas.core.kernels import inlined, inner, kernel, square
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
+from kinfeas.kinematics.self_collision import (
+    CollisionModel,
+    CollisionScratch,
+    make_collision_scratch,
+    place_shapes,
+)
 from kinfeas.kinematics.solids import bounds, touches_solids
 from kinfeas.planning.lattice import (
     UNSEEN,
+    Frontier,
     close_next,
     improves,
     make_frontier,
@@ -98,90 +104,131 @@ def driving_costs(
     return np.where(gaps < disc[0], np.inf, 1.0 + LATTICE.crowded * near * near)
 
 
-@kernel
-def search_base(model, rest, reach, start, goals, goal_costs, solids, grid, moves, speed):
-    """Return base poses on the cheapest path to a goal, shape (k, 3), and its number, or -1.
+class Query(NamedTuple):
+    """One search of a base path among solids, which are where they will be when the base comes by.
 
-    Solids that move are where they will be when the base comes by.
-
-    Args:
-        model: Shapes of the robot.
-        rest: Arm joints while driving, shape (j,).
-        reach: Distance from start and goals within which the arm is not at rest, metres.
-        start: x, y and yaw of the base, shape (3,).
-        goals: The same where it may arrive, shape (p, 3).
-        goal_costs: What it costs to arrive there, shape (p,), metres.
-        solids: Pose, size, cylinder and velocity of one row of `Solids`.
-        grid: Position of the first cell, and `driving_costs`.
-        moves: From `lattice_moves`.
-        speed: Of the base, m/s and rad/s.
+    The arm is at rest, except within `reach` of start and goals.
     """
-    origin, cost = grid
-    pose, _, _, velocity = solids
-    moving = np.any(velocity != 0.0)
-    nx, ny = cost.shape
-    total, first = nx * ny * LATTICE.headings, _node(start, origin, ny)
-    ends = np.empty(len(goals), dtype=np.int64)
-    for p in range(len(goals)):
-        ends[p] = _node(goals[p], origin, ny)
-    free, metre_cost = np.isfinite(cost), np.minimum(cost, 1.0 + LATTICE.crowded)
-    ahead = search_grid(
-        free.reshape(nx, ny, 1), metre_cost, LATTICE.cell, 0.0,
-        ends // LATTICE.headings, goal_costs, -1,
-    )  # fmt: skip
-    frontier, seconds = make_frontier(total + len(goals)), np.empty(total)
-    scratch = make_collision_scratch(model)
-    place_shapes(model, rest, scratch)
-    near = np.concatenate((start[np.newaxis], goals)), square(reach)
-    around = bounds(model, False, scratch), bounds(model, True, scratch)
-    base, local = np.empty(3), np.empty_like(pose)
-    seconds[first] = 0.0
-    if ahead.slot[first // LATTICE.headings] != UNSEEN:
-        open_node(frontier, first, first, 0.0, 0.0)
+
+    model: CollisionModel  # shapes of the robot
+    rest: Array  # arm joints while driving, shape (j,)
+    reach: float  # metres
+    start: Array  # x, y and yaw of the base, shape (3,)
+    goals: Array  # the same where it may arrive, shape (p, 3)
+    goal_costs: Array  # cost of arriving there, shape (p,), metres
+    solids: tuple[Array, Array, NDArray[np.bool_], Array]  # pose, size, cylinder and velocity
+    origin: Array  # position of the first cell, shape (2,), metres
+    driving: Array  # `driving_costs`
+    moves: NDArray[np.int64]  # `lattice_moves`
+    speed: Array  # of the base, m/s and rad/s
+
+
+class Search(NamedTuple):
+    """State of a search. Its nodes are those of the lattice, then the goals."""
+
+    frontier: Frontier
+    seconds: Array  # time at which the base is at a node, shape (lattice nodes,)
+    ahead: Frontier  # cheapest way from each cell to a goal, without headings and arm
+    metre_cost: Array  # finite `driving_costs`
+    first: int  # node of the start
+    ends: NDArray[np.int64]  # nodes of the goals, shape (p,)
+    moving: np.bool_  # whether any solid moves
+    outlines: tuple[Array, Array]  # `bounds` of the shapes on the base and on the arm
+    base: Array  # memory for a base pose
+    local: Array  # memory for poses of the solids in the base frame
+    scratch: CollisionScratch
+
+
+@kernel
+def search_base(query: Query):
+    """Return base poses on the cheapest path to a goal, shape (k, 3), and its number, or -1."""
+    search = _begin(query)
+    frontier, first, total = search.frontier, search.first, len(search.seconds)
     while True:
         node = close_next(frontier)
         if node < 0:
             return np.empty((0, 3)), -1
-        if node >= total:  # the arrival at a goal, at its whole cost
-            nodes = path_to(frontier, frontier.parent[node])
-            path = np.empty((len(nodes), 3))
-            for k in range(len(nodes)):
-                _write_base(nodes[k], origin, ny, path[k])
-            return path, node - total
-        best = -1
-        for p in range(len(goals)):
-            if ends[p] == node and (best < 0 or goal_costs[p] < goal_costs[best]):
-                best = p
-        if best >= 0:
-            arrival = frontier.cost[node] + goal_costs[best]
-            open_node(frontier, total + best, node, arrival, arrival)
-        elif node != first and not moving:  # not before, since most are seen and never come to
-            _write_base(node, origin, ny, base)
-            if _touches(model, around, base, near, solids, 0.0, local, scratch):
+        if node >= total:
+            return _path(query, path_to(frontier, frontier.parent[node])), node - total
+        goal = _goal_at(query, search, node)
+        if goal >= 0:  # the arrival, at its whole cost
+            cost = frontier.cost[node] + query.goal_costs[goal]
+            open_node(frontier, total + goal, node, cost, cost)
+        # Without motion nodes are checked here, since most are opened and never come to.
+        if goal >= 0 or node == first or search.moving or not _touches(query, search, node, 0.0):
+            _expand(query, search, node)
+
+
+@kernel
+def _begin(query):
+    nx, ny = query.driving.shape
+    total, first = nx * ny * LATTICE.headings, _node(query.start, query.origin, ny)
+    ends = np.empty(len(query.goals), dtype=np.int64)
+    for p in range(len(ends)):
+        ends[p] = _node(query.goals[p], query.origin, ny)
+    free = np.isfinite(query.driving)
+    metre_cost = np.minimum(query.driving, 1.0 + LATTICE.crowded)
+    ahead = search_grid(
+        free.reshape(nx, ny, 1), metre_cost, LATTICE.cell, 0.0,
+        ends // LATTICE.headings, query.goal_costs, -1,
+    )  # fmt: skip
+    frontier, seconds = make_frontier(total + len(ends)), np.empty(total)
+    scratch = make_collision_scratch(query.model)
+    place_shapes(query.model, query.rest, scratch)
+    outlines = bounds(query.model, False, scratch), bounds(query.model, True, scratch)
+    pose, _, _, velocity = query.solids
+    seconds[first] = 0.0
+    if ahead.slot[first // LATTICE.headings] != UNSEEN:
+        open_node(frontier, first, first, 0.0, 0.0)
+    return Search(
+        frontier, seconds, ahead, metre_cost, first, ends, np.any(velocity != 0.0), outlines,
+        np.empty(3), np.empty_like(pose), scratch,
+    )  # fmt: skip
+
+
+@kernel
+def _path(query, nodes):
+    path = np.empty((len(nodes), 3))
+    for k in range(len(nodes)):
+        _write_base(query, nodes[k], path[k])
+    return path
+
+
+@inlined
+def _goal_at(query, search, node):
+    """Return the number of the cheapest goal at a node, or -1."""
+    best = -1
+    for p in range(len(search.ends)):
+        if search.ends[p] == node and (best < 0 or query.goal_costs[p] < query.goal_costs[best]):
+            best = p
+    return best
+
+
+@inlined
+def _expand(query, search, node):
+    """Open the nodes to which the moves from a node lead, at `greed` times the cost ahead."""
+    frontier, metre_cost, ahead = search.frontier, search.metre_cost, search.ahead
+    nx, ny = metre_cost.shape
+    heading, x, y = _coordinates(node, ny)
+    for m in range(query.moves.shape[1]):
+        step_x, step_y, step_heading, length = query.moves[heading, m]
+        i, j = x + step_x, y + step_y
+        if i < 0 or j < 0 or i >= nx or j >= ny or ahead.slot[i * ny + j] == UNSEEN:
+            continue
+        turned = (heading + step_heading) % LATTICE.headings
+        other = (i * ny + j) * LATTICE.headings + turned
+        cost = frontier.cost[node]
+        cost += 0.0005 * length * (metre_cost[x, y] + metre_cost[i, j])
+        if not improves(frontier, other, cost):
+            continue
+        if search.moving:  # solids may have left when the base comes by another path
+            driven = LATTICE.cell * math.hypot(step_x, step_y)
+            angle = _TURN * abs(step_heading)
+            seconds = search.seconds[node] + max(driven / query.speed[0], angle / query.speed[1])
+            if _touches(query, search, other, min(seconds, LATTICE.foresight)):
                 continue
-        heading, x, y = _coordinates(node, ny)
-        for m in range(moves.shape[1]):
-            step_x, step_y, step_heading, length = moves[heading, m]
-            i, j = x + step_x, y + step_y
-            if i < 0 or j < 0 or i >= nx or j >= ny or ahead.slot[i * ny + j] == UNSEEN:
-                continue
-            turned = (heading + step_heading) % LATTICE.headings
-            other = (i * ny + j) * LATTICE.headings + turned
-            new = frontier.cost[node]
-            new += 0.0005 * length * (metre_cost[x, y] + metre_cost[i, j])
-            if not improves(frontier, other, new):
-                continue
-            if moving:  # solids may have left when the base comes by another path
-                driven = LATTICE.cell * math.hypot(step_x, step_y)
-                angle = _TURN * abs(step_heading)
-                time = seconds[node] + max(driven / speed[0], angle / speed[1])
-                _write_base(other, origin, ny, base)
-                then = min(time, LATTICE.foresight)
-                if _touches(model, around, base, near, solids, then, local, scratch):
-                    continue
-                seconds[other] = time
-            estimate = new + LATTICE.greed * ahead.cost[i * ny + j]
-            open_node(frontier, other, node, new, estimate)
+            search.seconds[other] = seconds
+        open_node(frontier, other, node, cost, cost + LATTICE.greed * ahead.cost[i * ny + j])
 
 
 @inner
@@ -201,30 +248,35 @@ def _coordinates(node, ny):
 
 
 @inner
-def _write_base(node, origin, ny, out):
-    heading, x, y = _coordinates(node, ny)
-    out[0], out[1] = origin[0] + LATTICE.cell * x, origin[1] + LATTICE.cell * y
+def _write_base(query, node, out):
+    heading, x, y = _coordinates(node, query.driving.shape[1])
+    out[0] = query.origin[0] + LATTICE.cell * x
+    out[1] = query.origin[1] + LATTICE.cell * y
     out[2] = _TURN * heading
 
 
-@inner
-def _touches(model, around, base, near, solids, seconds, local, scratch):
-    """Return whether the robot at a base pose, shape (3,), touches solids after some seconds.
-
-    `around` are the `bounds` of the shapes on the base and on the arm. The arm counts only beyond a
-    squared distance from the positions in `near`, (p, 3). `local` and `scratch` are memory.
-    """
-    pose, size, cylinder, velocity = solids
+@inlined
+def _touches(query, search, node, seconds):
+    """Return whether the robot at a node touches solids after some seconds."""
+    model, base, local, scratch = query.model, search.base, search.local, search.scratch
+    pose, size, cylinder, velocity = query.solids
+    _write_base(query, node, base)
     cosine, sine = math.cos(base[2]), math.sin(base[2])
     for k in range(len(pose)):
         dx = pose[k, 0] + velocity[k, 0] * seconds - base[0]
         dy = pose[k, 1] + velocity[k, 1] * seconds - base[1]
         local[k, 0], local[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
         local[k, 2] = pose[k, 2] - base[2]
-    if touches_solids(model, False, around[0], local, size, cylinder, scratch):
+    if touches_solids(model, False, search.outlines[0], local, size, cylinder, scratch):
         return True
-    poses, squared = near
-    for p in range(len(poses)):
-        if square(base[0] - poses[p, 0]) + square(base[1] - poses[p, 1]) <= squared:
+    if _within(base, query.start, query.reach):
+        return False
+    for p in range(len(query.goals)):
+        if _within(base, query.goals[p], query.reach):
             return False
-    return touches_solids(model, True, around[1], local, size, cylinder, scratch)
+    return touches_solids(model, True, search.outlines[1], local, size, cylinder, scratch)
+
+
+@inlined
+def _within(base, other, reach):
+    return square(base[0] - other[0]) + square(base[1] - other[1]) <= square(reach)

@@ -28,7 +28,13 @@ class Proposal(NamedTuple):
 def propose(chain: Chain, base, joints, command, near, target, step, limits, seconds):
     """Return the proposals of commands; some of these move towards the motion of the EE.
 
-    The arm's motion is the shortest one by the Jacobian, in fractions of `step`.
+    After a command the EE has an error e in the frame of the base. With the Jacobian J of the arm
+    and its largest displacements D = diag(`step`), it moves by D s, where
+
+        s = argmin |J D s - e|^2 + damping |s|^2 = C (C' C + damping)^-1 e,  C = (J D)'.
+
+    Only e depends on the command. Without damping, |s|^2 of unit errors e along the six axes sums
+    up to the `sensitivity`, trace (C' C + damping)^-1.
 
     Args:
         chain: From the base to the EE.
@@ -44,23 +50,16 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
     m, t, size = command.shape
     arms = joints.shape[1]
     out = Proposal(np.empty((m, t, 3)), np.empty((m, t)), np.empty((m, t, arms)), np.empty(m))
-    frames, columns = make_frames(len(chain.tree.variable)), np.empty((arms, 6))
+    frames, scaled = make_frames(len(chain.tree.variable)), np.empty((arms, 6))
     low, error, toward, velocity = np.empty((6, 6)), np.empty(6), np.empty(size), np.empty(2)
     orientation, turned = np.empty((3, 3)), np.empty((3, 3))
     write_matrix(target, orientation)
     for i in range(m):
         place_chain(chain, joints[i], frames)
-        fill_columns(chain.tree, frames, columns)
-        for j in range(arms):
-            for k in range(6):
-                columns[j, k] *= step[j]
-        out.sensitivity[i] = _factorize(columns, low)
+        _write_scaled(chain, frames, step, scaled)
+        out.sensitivity[i] = _factorize(scaled, low)
         yaw, position = heading(base[i]), frames.position
-        cosine, sine = math.cos(yaw), math.sin(yaw)
-        velocity[0] = target[0] - base[i, 0] - cosine * position[0] + sine * position[1]
-        velocity[1] = target[1] - base[i, 1] - sine * position[0] - cosine * position[1]
-        for k in range(2):
-            velocity[k] /= seconds
+        _write_velocity(base[i], yaw, position, target, seconds, velocity)
         write_action_toward(base[i], velocity, limits, seconds, toward)
         for n in range(t):
             action, new = command[i, n], out.base[i, n]
@@ -68,6 +67,7 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
                 for k in range(size):
                     action[k] = min(max(action[k] + toward[k], -1.0), 1.0)
             _drive(base[i], yaw, action, limits, seconds, new)
+            # The error e. In a function of its own, its sums would be regrouped in another way.
             cosine, sine = math.cos(new[2]), math.sin(new[2])
             dx, dy = target[0] - new[0], target[1] - new[1]
             error[0] = cosine * dx + sine * dy - position[0]
@@ -79,15 +79,40 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
                 turned[2, k] = orientation[2, k]
             rotation_error(turned, frames.rotation, error)
             _solve(low, error)
-            largest = 0.0
-            for j in range(arms):
-                part = 0.0
-                for k in range(6):
-                    part += columns[j, k] * error[k]
-                out.joints[i, n, j] = joints[i, j] + part * step[j]
-                largest = max(largest, abs(part))
-            out.motion[i, n] = largest
+            out.motion[i, n] = _move_arm(scaled, error, step, joints[i], out.joints[i, n])
     return out
+
+
+@inlined
+def _write_scaled(chain, frames, step, out):
+    """Write C, shape (j, 6)."""
+    fill_columns(chain.tree, frames, out)
+    for j in range(len(out)):
+        for k in range(6):
+            out[j, k] *= step[j]
+
+
+@inlined
+def _write_velocity(base, yaw, position, target, seconds, out):
+    """Write the velocity of a base that brings a resting arm's EE to the target's x and y."""
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    out[0] = target[0] - base[0] - cosine * position[0] + sine * position[1]
+    out[1] = target[1] - base[1] - sine * position[0] - cosine * position[1]
+    for k in range(2):
+        out[k] /= seconds
+
+
+@inlined
+def _move_arm(scaled, solved, step, joints, out):
+    """Write joints moved by D s, s = C `solved`; return the largest |s|."""
+    largest = 0.0
+    for j in range(len(joints)):
+        part = 0.0
+        for k in range(6):
+            part += scaled[j, k] * solved[k]
+        out[j] = joints[j] + part * step[j]
+        largest = max(largest, abs(part))
+    return largest
 
 
 @inlined
@@ -108,13 +133,13 @@ def _drive(base, yaw, command, limits, seconds, out):
 
 
 @inlined
-def _factorize(columns, low):
-    """Write the Cholesky factor of C' C + damping, (6, 6); return the trace of its inverse."""
+def _factorize(scaled, low):
+    """Write L of C' C + damping = L L', shape (6, 6); return trace (C' C + damping)^-1."""
     for i in range(6):
         for k in range(i + 1):
             total = _DAMPING if i == k else 0.0
-            for j in range(len(columns)):
-                total += columns[j, i] * columns[j, k]
+            for j in range(len(scaled)):
+                total += scaled[j, i] * scaled[j, k]
             for j in range(k):
                 total -= low[i, j] * low[k, j]
             low[i, k] = math.sqrt(total) if i == k else total / low[k, k]

@@ -44,6 +44,11 @@ class Finding:
         """Whether the rule was checked completely without a violation."""
         return self.checked and self.broken is None
 
+    def facts(self) -> dict[str, object]:
+        """Return the finding for a JSON file, with the description of the rule."""
+        text = RULES[self.rule]
+        return {"rule": self.rule, "text": text, "checked": self.checked, "broken": self.broken}
+
 
 def check_motion_generator(generator: MotionGenerator, **trial: Any) -> None:
     """Check that a generator fulfils the contract of `MotionGenerator`; takes about a second.

@@ -4,13 +4,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import Bounds, least_squares
 
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify import chain
-from kinfeas.sim2real.identify.base import LATENCY, TIMES, bounds_of
+from kinfeas.sim2real.identify.base import LATENCIES, SECONDS, TIMES
 from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.model import Delays
 from kinfeas.sim2real.identify.noise import joint_noise, overlap
@@ -31,6 +32,22 @@ _FAST = 0.1  # of the largest squared speed, from which on time errors count
 _LAGS = 3  # periods between pairs of neighbours at most
 _USUAL_LOSS = 0.04  # mean of the exponential prior of the probability of a loss
 _PAIRS = 0.1  # weight of the likelihood of pairs, each of which is in six and depends on others
+
+
+class Positions(NamedTuple):
+    """Positions of the joints that move in a log, shape (k, w) each."""
+
+    predicted: Array
+    measured: Array
+    speed: Array  # predicted
+
+
+class TimeErrors(NamedTuple):
+    """By how much an arm is late in a log, seconds; NaN where it is at rest."""
+
+    late: Array  # shape (k,)
+    noise: Array  # variance of these by the noise of positions, shape (k,)
+    shared: list[Array]  # covariance of those 1, 2, ... measurements apart, shape (k - lag,)
 
 
 class ArmProblem:
@@ -56,7 +73,7 @@ class ArmProblem:
             return overlap(at, lag) if interpolated else np.full(len(at) - lag, float(lag == 0))
 
         lags = range(_LAGS + 1)
-        self._variances = [[variance * correlation(at, lag) for at in self._at] for lag in lags]
+        self._variances = [[variance * correlation(at, lag) for lag in lags] for at in self._at]
         self._spread = 0.0  # s, of the delays
         self._blocks = time_blocks([log.joint_times for log in logs])
 
@@ -76,11 +93,11 @@ class ArmProblem:
 
     def _solve(self, delays: Delays, *, latency: bool) -> tuple[Delays, float]:
         def residuals(z: Array) -> Array:
-            shifted = replace(delays, latency=z[1] * LATENCY) if latency else delays
+            shifted = replace(delays, latency=z[1] * SECONDS) if latency else delays
             return self._residuals(shifted, float(np.exp(z[0])))
 
-        start = np.array([np.log(self.lag), max(delays.latency, 1e-3) / LATENCY])
-        bounds = np.array([TIMES, bounds_of("latency")])
+        start = np.array([np.log(self.lag), max(delays.latency, 1e-3) / SECONDS])
+        bounds = np.array([TIMES, LATENCIES])
         start, bounds = (start, bounds) if latency else (start[:1], bounds[:1])
         for _ in range(2):
             solution = least_squares(
@@ -89,46 +106,43 @@ class ArmProblem:
             )  # fmt: skip
             start, self.lag = solution.x, float(np.exp(solution.x[0]))
             if latency:
-                delays = replace(delays, latency=float(solution.x[1]) * LATENCY)
-            late, variance = self._time_errors(delays)
+                delays = replace(delays, latency=float(solution.x[1]) * SECONDS)
+            errors_of_logs = self._time_errors(delays)
+            late = np.concatenate([errors.late for errors in errors_of_logs])
+            variance = np.concatenate([errors.noise for errors in errors_of_logs])
             weights = 1.0 / (variance + self._spread**2)
             spread = np.nansum((late**2 - variance) * weights) / np.nansum(weights)
             self._spread = float(np.sqrt(max(0.0, spread)))
         blocks = np.repeat(self._blocks, int(self._joints.sum()))
         errors = standard_errors(residuals(start), derivatives(residuals, start), blocks)
         self.error = float(errors[0]) * self.lag
-        return delays, float(errors[1]) * LATENCY if latency else 0.0
+        return delays, float(errors[1]) * SECONDS if latency else 0.0
 
-    def _positions(self, delays: Delays, lag: float) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield predicted and measured positions, and speeds, shape (k, moving) each."""
+    def _positions(self, delays: Delays, lag: float) -> Iterator[Positions]:
         for log, at in zip(self._logs, self._at, strict=True):
             targets = log.targets[:, self._joints]
             ends = chain.moved_arm(chain.delayed(targets, delays.weights(log.dt)), log.dt, lag)
             ends = np.concatenate([targets[:1], ends])
             predicted, measured = interpolated(ends, at), log.joints[:, self._joints]
-            offset = np.median(measured - predicted, axis=0)
-            yield predicted + offset, measured, interpolated(np.gradient(ends, log.dt, axis=0), at)
+            predicted += np.median(measured - predicted, axis=0)
+            speed = interpolated(np.gradient(ends, log.dt, axis=0), at)
+            yield Positions(predicted, measured, speed)
 
     def _residuals(self, delays: Delays, lag: float) -> Array:
-        positions = zip(self._positions(delays, lag), self._variances[0], strict=True)
+        positions = zip(self._positions(delays, lag), self._variances, strict=True)
         parts = [
-            (p - m) / np.sqrt(variance[:, np.newaxis] + (self._spread * s) ** 2)
-            for (p, m, s), variance in positions
+            (p - m) / np.sqrt(variances[0][:, np.newaxis] + (self._spread * s) ** 2)
+            for (p, m, s), variances in positions
         ]
         return np.concatenate(parts).ravel()
 
-    def _time_errors(self, delays: Delays) -> tuple[Array, Array]:
-        """Return by how much the arm is late, seconds, and the noise's variance of that, (k,).
-
-        NaN where it does not move.
-        """
-        late, variances = [], []
+    def _time_errors(self, delays: Delays) -> list[TimeErrors]:
+        """Return the time errors of each log."""
         positions = self._positions(delays, self.lag)
-        for (p, m, s), variance in zip(positions, self._variances[0], strict=True):
-            square = _moving_square(s)
-            late.append(np.sum((p - m) * s, axis=1) / square)
-            variances.append(variance / square)
-        return np.concatenate(late), np.concatenate(variances)
+        return [
+            _time_errors(each, variances)
+            for each, variances in zip(positions, self._variances, strict=True)
+        ]
 
     def spread(self, delays: Delays) -> tuple[Estimate, Estimate, float]:
         """Return the jitter, the probability of a loss, and an error of the latency from both.
@@ -136,22 +150,14 @@ class ArmProblem:
         Time errors of the arm are compared with those of simulated delays, by the likelihood of
         pairs of neighbours.
         """
-        late, noise = self._time_errors(delays)
-        speeds = [speed for _, _, speed in self._positions(delays, self.lag)]
-        shared = [self._shared(speeds, lag) for lag in range(1, _LAGS + 1)]
+        errors = self._time_errors(delays)
+        speeds = [positions.speed for positions in self._positions(delays, self.lag)]
         likelihood = np.empty((len(_JITTERS), len(_LOST)))
         latencies = np.empty_like(likelihood)
         for (i, jitter), (k, lost) in product(enumerate(_JITTERS), enumerate(_LOST)):
             tried = delays.spread(jitter, lost, self._dt)
             latencies[i, k] = tried.latency
-            drawn = self._simulated(tried, speeds)
-            # At constant velocity it does not depend on the speed, and few draws are noisy.
-            variance = np.full(len(late), np.nanmean(drawn.var(axis=0, ddof=1)) + 1e-8)
-            normal = (drawn - drawn.mean(axis=0)) / np.sqrt(variance)
-            likelihood[i, k] = _PAIRS * sum(
-                _pairs(late, (variance, noise), normal, shared[lag - 1], lag)
-                for lag in range(1, _LAGS + 1)
-            )
+            likelihood[i, k] = _PAIRS * pair_likelihood(errors, self._simulated(tried, speeds))
             likelihood[i, k] -= lost / _USUAL_LOSS
             likelihood[i, k] += -np.inf if tried.latency < -0.25 * self._dt else 0.0
         weights = np.exp(likelihood - likelihood.max())
@@ -161,30 +167,33 @@ class ArmProblem:
         jitters = posterior(np.array(_JITTERS), weights.sum(axis=1))
         return jitters, posterior(np.array(_LOST), weights.sum(axis=0)), error
 
-    def _shared(self, speeds: Sequence[Array], lag: int) -> Array:
-        """Return the covariance of the noise of pairs of time errors, shape (k - lag,)."""
-        parts = []
-        for speed, variance in zip(speeds, self._variances[lag], strict=True):
-            square = _moving_square(speed)
-            inner = np.sum(speed[lag:] * speed[:-lag], axis=1)
-            parts.append(variance * inner / (square[lag:] * square[:-lag]))
-            parts.append(np.full(lag, np.nan))  # no pairs across logs
-        return np.concatenate(parts)[:-lag]
-
-    def _simulated(self, delays: Delays, speeds: Sequence[Array]) -> Array:
-        """Return time errors of draws of the delays, at given speeds, shape (draws, k)."""
+    def _simulated(self, delays: Delays, speeds: Sequence[Array]) -> list[Array]:
+        """Return time errors of draws of the delays in each log, at given speeds, (draws, k)."""
         errors, latency = [], max(0.0, delays.latency)
         for log, at, speed in zip(self._logs, self._at, speeds, strict=True):
-            targets, square = log.targets[:, self._joints], _moving_square(speed)
+            targets, squared = log.targets[:, self._joints], _moving_square(speed)
             late = []
             for numbers in chain.uniform_numbers(_DRAWS, len(targets)):
                 drawn = chain.drawn_delays(numbers, log.dt, latency, delays.jitter, delays.lost)
                 active = chain.drawn_commands(targets, *drawn)
                 ends = chain.moved_arm(active, log.dt, self.lag)
                 positions = interpolated(np.concatenate([targets[:1], ends]), at)
-                late.append(-np.sum(positions * speed, axis=1) / square)
-            errors.append(late)
-        return np.concatenate(errors, axis=1)
+                late.append(-np.sum(positions * speed, axis=1) / squared)
+            errors.append(np.array(late))
+        return errors
+
+
+def _time_errors(positions: Positions, variances: Sequence[Array]) -> TimeErrors:
+    """Return the time errors of a log; variances of positions are of pairs 0, 1, ... apart."""
+    predicted, measured, speed = positions
+    squared = _moving_square(speed)
+    shared = [
+        variances[lag] * np.sum(speed[lag:] * speed[:-lag], axis=1)
+        / (squared[lag:] * squared[:-lag])
+        for lag in range(1, len(variances))
+    ]  # fmt: skip
+    late = np.sum((predicted - measured) * speed, axis=1) / squared
+    return TimeErrors(late, variances[0] / squared, shared)
 
 
 def _moving_square(speed: Array) -> Array:
@@ -194,22 +203,32 @@ def _moving_square(speed: Array) -> Array:
     return np.where(square > least, square, np.nan)
 
 
-def _pairs(
-    late: Array, variances: tuple[Array, Array], normal: Array, noise: Array, lag: int
-) -> float:
-    """Return the log-likelihood of pairs of time errors, (k,), with a `lag` between them.
+def pair_likelihood(logs: Sequence[TimeErrors], drawn: Sequence[Array]) -> float:
+    """Return the log-likelihood of all pairs of time errors a few measurements apart.
 
-    Args:
-        late: Time errors.
-        variances: Those of drawn delays and of noise, (k,) each.
-        normal: Normalised time errors of drawn delays, shape (draws, k).
-        noise: Covariance of the noise of pairs, shape (k - lag,).
-        lag: Measurements between the two of a pair.
+    They are Gaussian: sums of noise and of delays, with the moments of time errors `drawn` for each
+    log, shape (draws, k).
     """
-    drawn, total = variances[0], variances[0] + variances[1]
-    correlation = float(np.nanmean(normal[:, lag:] * normal[:, :-lag]))
-    shared = correlation * np.sqrt(drawn[lag:] * drawn[:-lag]) + noise
-    first, second, a, b = total[:-lag], total[lag:], late[:-lag], late[lag:]
-    determinant = np.maximum(first * second - shared**2, 1e-3 * first * second)
-    square = (second * a**2 - 2.0 * shared * a * b + first * b**2) / determinant
+    # At constant velocity it does not depend on the speed, and few draws are noisy.
+    variance = np.nanmean(np.concatenate([each.var(axis=0, ddof=1) for each in drawn])) + 1e-8
+    normal = [(each - each.mean(axis=0)) / np.sqrt(variance) for each in drawn]
+    total = 0.0
+    for lag, shared in enumerate(zip(*(log.shared for log in logs), strict=True), start=1):
+        products = [each[:, lag:] * each[:, :-lag] for each in normal]
+        covariance = float(np.nanmean(np.concatenate(products, axis=1))) * variance
+        total += sum(
+            _pairs(log.late, variance + log.noise, covariance + noise, lag)
+            for log, noise in zip(logs, shared, strict=True)
+        )
+    return total
+
+
+def _pairs(late: Array, variance: Array, covariance: Array, lag: int) -> float:
+    """Return the log-likelihood of pairs of Gaussian time errors, (k,), with a `lag` between them.
+
+    The covariance has the shape (k - lag,). Errors far off count as less.
+    """
+    first, second, a, b = variance[:-lag], variance[lag:], late[:-lag], late[lag:]
+    determinant = np.maximum(first * second - covariance**2, 1e-3 * first * second)
+    square = (second * a**2 - 2.0 * covariance * a * b + first * b**2) / determinant
     return float(-0.5 * np.nansum(np.log(determinant) + np.minimum(square, 40.0)))

@@ -1,12 +1,13 @@
 """The fit of a base's response to its measured track."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import Bounds, least_squares
 
 from kinfeas.core.spatial import Array
@@ -14,11 +15,11 @@ from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
 from kinfeas.sim2real.identify.noise import jumps, spread_of, widened
 from kinfeas.sim2real.identify.statistics import MOVES, derivatives, standard_errors, time_blocks
 
-LATENCY = 0.05
-"""Seconds, the unit of a latency in fits; other parameters are logarithms."""
+SECONDS = 0.05
+"""Unit of a latency in fits, seconds; other parameters are logarithms."""
 
-TIMES = np.log([1e-3, 3.0])
-"""Bounds of time constants."""
+LATENCIES, TIMES = np.array([0.0, 0.6]) / SECONDS, np.log([1e-3, 3.0])
+"""Bounds of latencies and of time constants in fits."""
 
 BASE_DRAWS = 8
 """Draws of delays for the mean velocity of a base."""
@@ -26,24 +27,95 @@ BASE_DRAWS = 8
 # A limit is left out if its error is large and half the sum of squares hardly grows without it.
 _VAGUE, _SHOWN = 0.3, 4.0
 _USUAL_LIMIT, _USUAL_JERK = 1.0, 8.0  # m/s^2 and m/s^3, within a factor e, as also of rotation
-_LIMITS, _JERKS = np.log([0.05, 50.0]), np.log([0.5, 300.0])
+_BOUNDS = {
+    "latency": LATENCIES, "lag": TIMES,
+    "acceleration": np.log([0.05, 50.0]), "jerk": np.log([0.5, 300.0]),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a `BaseModel`, as fits have it: a latency in `SECONDS`, or a logarithm.
+
+    Limits are of translation, `part` 0, and of rotation, 1.
+    """
+
+    kind: Literal["latency", "lag", "acceleration", "jerk"]
+    part: int = 0
+
+    def of(self, model: BaseModel) -> float:
+        """Return its value in a model."""
+        if self.kind == "latency":
+            return model.delays.latency / SECONDS
+        if self.kind == "lag":
+            return float(np.log(max(model.lag, 1e-3)))
+        return float(np.log(getattr(model, self.kind)[self.part]))
+
+    def put(self, model: BaseModel, value: float) -> BaseModel:
+        """Return a model with another value, inf for no limit."""
+        if self.kind == "latency":
+            return replace(model, delays=replace(model.delays, latency=value * SECONDS))
+        if self.kind == "lag":
+            return replace(model, lag=float(np.exp(value)))
+        limits = getattr(model, self.kind).copy()
+        limits[self.part] = np.exp(value)
+        return replace(model, **{self.kind: limits})
+
+
+LATENCY, LAG = Parameter("latency"), Parameter("lag")
+
+
+@dataclass(frozen=True)
+class BaseFit:
+    """A fitted base.
+
+    Attributes:
+        model: Its response.
+        errors: Standard errors of the parameters that the logs show, relative but for times.
+        agrees: Whether base and arm show the same latency.
+    """
+
+    model: BaseModel
+    errors: dict[Parameter, float] = field(default_factory=dict)
+    agrees: bool = False
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A latency that is known, and its standard error, seconds."""
+
+    latency: float
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How models are compared with measured tracks.
+
+    Attributes:
+        draws: Of delays; 0 for the mean active commands.
+        deviation: Noise of each axis, shape (3,), m/s and rad/s.
+        kept: Displacements of each track without jumps, shape (k,).
+    """
+
+    draws: int
+    deviation: Array
+    kept: Sequence[NDArray[np.bool_]]
 
 
 class BaseProblem:
     """The fit of a base's response to its tracks in some logs."""
 
-    def __init__(self, tracks: Sequence[Track], dt: float) -> None:
-        self._tracks, self._dt = tracks, dt
+    def __init__(self, tracks: Sequence[Track]) -> None:
+        self._tracks = tracks
         fastest = np.max([np.abs(track.log.twists).max(axis=0) for track in tracks], axis=0)
         self.moves = bool((fastest > MOVES).any())
-        self.parts = np.array([fastest[:2].max() > MOVES, fastest[2] > MOVES])
+        self._parts = np.array([fastest[:2].max() > MOVES, fastest[2] > MOVES])
         self._scale = [np.sqrt(track.squares)[:, np.newaxis] for track in tracks]
-        self._kept = [np.ones(len(track.moved), dtype=np.bool_) for track in tracks]
-        self._deviation = np.ones(3)
         self._blocks = np.repeat(time_blocks([track.times for track in tracks]), 3)
 
-    def fit(self, arm: Delays | None, error: float) -> tuple[BaseModel, dict[str, float]]:
-        """Return the model and the standard errors of its parameters, relative but for times.
+    def fit(self, arm: Delays | None, error: float) -> BaseFit:
+        """Return the fitted base.
 
         Args:
             arm: Delays that the arm shows.
@@ -52,140 +124,126 @@ class BaseProblem:
         none = np.full(2, np.inf)
         model = BaseModel(arm or Delays(0.0), 0.0, none, none)
         if not self.moves:
-            return model, {}
-        names = ["lag", *(f"{kind}.{part}" for part in np.flatnonzero(self.parts)
-                          for kind in ("acceleration", "jerk"))]  # fmt: skip
-        free = ["latency", *names]
-        self._normalise(model)
-        latencies = (0.03, 0.1, 0.2) if arm is None else (arm.latency,)
-        best, least = model, np.inf
-        for latency, lag, limit in product(latencies, (0.03, 0.1, 0.3), (0.4, 1.0, 2.5)):
-            delays = replace(model.delays, latency=latency)
-            limits = np.where(self.parts, limit, np.inf), np.where(self.parts, 10.0, np.inf)
-            tried, cost = self._solve(BaseModel(delays, lag, *limits), names, "soft_l1")
-            if cost < least:
-                best, least = tried, cost
-        self._draws = BASE_DRAWS
+            return BaseFit(model)
+        limits = [
+            Parameter(kind, part)
+            for part in np.flatnonzero(self._parts).tolist()
+            for kind in ("acceleration", "jerk")
+        ]
+        free, prior = [LATENCY, LAG, *limits], None
+        comparison = self.comparison(model, 0)
+        starts = self._starts(model, (0.03, 0.1, 0.2) if arm is None else (arm.latency,))
+        tried = [self.solve(start, free[1:], comparison, loss="soft_l1") for start in starts]
+        best, least = min(tried, key=lambda solved: solved[1])
         for _ in range(2):
-            self._normalise(best)
-            best, least = self._solve(best, free, "linear")
+            comparison = self.comparison(best, BASE_DRAWS)
+            best, least = self.solve(best, free, comparison)
         if arm is not None:
-            errors = self._errors(best, free)
+            errors = self.errors(best, free, comparison)
             apart = abs(best.delays.latency - arm.latency)
-            if apart <= max(0.015, 3.0 * np.hypot(errors["latency"], error)):
-                self._prior = arm.latency, max(error, 0.001)
-                best, least = self._solve(best, free, "linear")
-        errors = self._errors(best, free)
-        for name in [name for name in names if "." in name]:
-            kind, _, part = name.partition(".")
-            limits = getattr(best, kind).copy()
-            limits[int(part)] = np.inf
-            fewer = [other for other in free if other != name]
-            if errors[name] > _VAGUE:
-                without, cost = self._solve(replace(best, **{kind: limits}), fewer, "linear")
+            if apart <= max(0.015, 3.0 * np.hypot(errors[LATENCY], error)):
+                prior = Prior(arm.latency, max(error, 0.001))
+                best, least = self.solve(best, free, comparison, prior)
+        errors = self.errors(best, free, comparison, prior)
+        for limit in limits:
+            if errors[limit] > _VAGUE:
+                fewer = [other for other in free if other != limit]
+                without, cost = self.solve(limit.put(best, np.inf), fewer, comparison, prior)
                 if cost - least < _SHOWN:
                     best, least, free = without, cost, fewer
-                    errors = self._errors(best, free)
-        return best, errors
+                    errors = self.errors(best, free, comparison, prior)
+        return BaseFit(best, errors, agrees=prior is not None)
 
-    _prior: tuple[float, float] | None = None  # latency and its standard error
-    _draws = 0  # of delays
+    def _starts(self, model: BaseModel, latencies: Sequence[float]) -> list[BaseModel]:
+        return [
+            BaseModel(
+                replace(model.delays, latency=latency), lag,
+                np.where(self._parts, limit, np.inf), np.where(self._parts, 10.0, np.inf),
+            )
+            for latency, lag, limit in product(latencies, (0.03, 0.1, 0.3), (0.4, 1.0, 2.5))
+        ]  # fmt: skip
 
-    def _normalise(self, model: BaseModel) -> None:
-        """Estimate the noise of each axis, and leave out jumps."""
-        predicted = self._predicted(model)
+    def comparison(self, model: BaseModel, draws: int) -> Comparison:
+        """Return a comparison with the noise beside a model, and without jumps from it."""
+        predicted = self._predicted(model, draws)
         rests = [
             (p - track.moved) / scale
             for p, track, scale in zip(predicted, self._tracks, self._scale, strict=True)
         ]
-        self._deviation = spread_of(np.concatenate(rests))
-        self._kept = [
-            ~widened(jumps(rest * scale, scale * self._deviation, p / t.seconds[:, np.newaxis]))
+        deviation = spread_of(np.concatenate(rests))
+        kept = [
+            ~widened(jumps(rest * scale, scale * deviation, p / t.seconds[:, np.newaxis]))
             for p, t, rest, scale in zip(predicted, self._tracks, rests, self._scale, strict=True)
         ]
+        return Comparison(draws, deviation, kept)
 
-    def _predicted(self, model: BaseModel) -> list[Array]:
-        return [track.predicted(model.velocities(track.log, self._draws)) for track in self._tracks]
-
-    @property
-    def agrees(self) -> bool:
-        """Whether base and arm show the same latency."""
-        return self._prior is not None
-
-    def _residuals(self, model: BaseModel) -> Array:
-        columns = self._predicted(model), self._tracks, self._scale, self._kept
-        parts = [
-            ((p - track.moved) / (scale * self._deviation) * kept[:, np.newaxis]).ravel()
-            for p, track, scale, kept in zip(*columns, strict=True)
-        ]
-        return np.concatenate([*parts, self._prior_residuals(model)])
-
-    def _prior_residuals(self, model: BaseModel) -> Array:
-        """Return the residuals of priors, of a fixed number."""
-        parts = []
-        for values, usual in ((model.acceleration, _USUAL_LIMIT), (model.jerk, _USUAL_JERK)):
-            limited = np.isfinite(values)
-            parts.append(np.where(limited, np.log(np.where(limited, values, usual) / usual), 0.0))
-        if self._prior is not None:
-            latency, error = self._prior
-            parts.append(np.array([(model.delays.latency - latency) / error]))
-        return np.concatenate(parts)
-
-    def _solve(
-        self, model: BaseModel, free: Sequence[str], loss: Literal["linear", "soft_l1"]
+    def solve(
+        self,
+        model: BaseModel,
+        free: Sequence[Parameter],
+        comparison: Comparison,
+        prior: Prior | None = None,
+        loss: Literal["linear", "soft_l1"] = "linear",
     ) -> tuple[BaseModel, float]:
-        bounds = np.array([bounds_of(name) for name in free])
-        lower, upper = bounds.T
-        start = np.clip([_get(model, name) for name in free], lower + 1e-6, upper - 1e-6)
+        """Return a model with the best values of its free parameters, and half the squares' sum."""
+        lower, upper = np.array([_BOUNDS[parameter.kind] for parameter in free]).T
+        start = np.clip([each.of(model) for each in free], lower + 1e-6, upper - 1e-6)
 
         def residuals(z: Array) -> Array:
-            return self._residuals(_changed(model, free, z))
+            return self.residuals(_changed(model, free, z), comparison, prior)
 
         solution = least_squares(
-            residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(*bounds.T),
+            residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(lower, upper),
             loss=loss, f_scale=3.0, max_nfev=20, xtol=1e-3, ftol=1e-6,
         )  # fmt: skip
         return _changed(model, free, solution.x), float(solution.cost)
 
-    def _errors(self, model: BaseModel, free: Sequence[str]) -> dict[str, float]:
-        z = np.array([_get(model, name) for name in free])
+    def errors(
+        self,
+        model: BaseModel,
+        free: Sequence[Parameter],
+        comparison: Comparison,
+        prior: Prior | None = None,
+    ) -> dict[Parameter, float]:
+        """Return the standard errors of the free parameters, relative but for times."""
+        z = np.array([parameter.of(model) for parameter in free])
 
         def residuals(z: Array) -> Array:
-            return self._residuals(_changed(model, free, z))
+            return self.residuals(_changed(model, free, z), comparison, prior)
 
-        beside = np.arange(len(self._prior_residuals(model))) + self._blocks.max() + 1
+        beside = np.arange(len(_prior_residuals(model, prior))) + self._blocks.max() + 1
         blocks = np.concatenate([self._blocks, beside])
         errors = standard_errors(residuals(z), derivatives(residuals, z), blocks)
-        errors = np.where([name == "latency" for name in free], errors * LATENCY, errors)
+        errors = np.where([parameter == LATENCY for parameter in free], errors * SECONDS, errors)
         return dict(zip(free, errors.tolist(), strict=True))
 
+    def residuals(self, model: BaseModel, comparison: Comparison, prior: Prior | None) -> Array:
+        """Return the normalised residuals of all displacements, then those of priors."""
+        predicted = self._predicted(model, comparison.draws)
+        parts = [
+            ((p - track.moved) / (scale * comparison.deviation) * kept[:, np.newaxis]).ravel()
+            for p, track, scale, kept in zip(
+                predicted, self._tracks, self._scale, comparison.kept, strict=True
+            )
+        ]
+        return np.concatenate([*parts, _prior_residuals(model, prior)])
 
-def bounds_of(name: str) -> Array:
-    """Return the bounds of a parameter as a fit has it, shape (2,)."""
-    if name == "latency":
-        return np.array([0.0, 0.6]) / LATENCY
-    kind = name.partition(".")[0]
-    return {"lag": TIMES, "acceleration": _LIMITS, "jerk": _JERKS}[kind]
-
-
-def _get(model: BaseModel, name: str) -> float:
-    if name == "latency":
-        return model.delays.latency / LATENCY
-    kind, _, part = name.partition(".")
-    value = getattr(model, kind)
-    return float(np.log(max(value, 1e-3) if not part else value[int(part)]))
+    def _predicted(self, model: BaseModel, draws: int) -> list[Array]:
+        return [track.predicted(model.velocities(track.log, draws)) for track in self._tracks]
 
 
-def _changed(model: BaseModel, free: Sequence[str], z: Array) -> BaseModel:
-    """Return a model with parameters as the fit has them."""
-    fields = {"acceleration": model.acceleration.copy(), "jerk": model.jerk.copy()}
-    delays, lag = model.delays, model.lag
-    for name, value in zip(free, z.tolist(), strict=True):
-        kind, _, part = name.partition(".")
-        if name == "latency":
-            delays = replace(delays, latency=value * LATENCY)
-        elif name == "lag":
-            lag = float(np.exp(value))
-        else:
-            fields[kind][int(part)] = np.exp(value)
-    return BaseModel(delays, lag, **fields)
+def _prior_residuals(model: BaseModel, prior: Prior | None) -> Array:
+    """Return the residuals of priors, of a fixed number."""
+    parts = []
+    for values, usual in ((model.acceleration, _USUAL_LIMIT), (model.jerk, _USUAL_JERK)):
+        limited = np.isfinite(values)
+        parts.append(np.where(limited, np.log(np.where(limited, values, usual) / usual), 0.0))
+    if prior is not None:
+        parts.append(np.array([(model.delays.latency - prior.latency) / prior.error]))
+    return np.concatenate(parts)
+
+
+def _changed(model: BaseModel, free: Sequence[Parameter], z: Array) -> BaseModel:
+    for parameter, value in zip(free, z.tolist(), strict=True):
+        model = parameter.put(model, value)
+    return model

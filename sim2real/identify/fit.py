@@ -15,7 +15,14 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify.arm import ArmProblem
-from kinfeas.sim2real.identify.base import BASE_DRAWS, BaseProblem
+from kinfeas.sim2real.identify.base import (
+    BASE_DRAWS,
+    LAG,
+    LATENCY,
+    BaseFit,
+    BaseProblem,
+    Parameter,
+)
 from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
 from kinfeas.sim2real.identify.noise import Walk, base_noise, sensor_ages
@@ -70,24 +77,28 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
     dt, estimates, missing = logs[0].dt, dict[str, Estimate](), list[str]()
     arm, tracks = ArmProblem(logs), [Track(log) for log in logs]
     delays, error = arm.fit() if arm.moves else (None, np.inf)
-    base = BaseProblem(tracks, dt)
-    model, errors = base.fit(delays, error)
-    latency = errors.get("latency", error) if base.moves else error
-    if delays is not None and base.moves and not base.agrees:
+    problem = BaseProblem(tracks)
+    base = problem.fit(delays, error)
+    model = base.model
+    latency = base.errors.get(LATENCY, error)
+    if delays is not None and problem.moves and not base.agrees:
         arm.fit_lag(model.delays)
-    delays = model.delays if base.moves else delays
+    delays = model.delays if problem.moves else delays
     if delays is None:
         sources = ", ".join(log.source for log in logs)
         raise KinfeasError(f"{sources}: neither base nor arm moves; {DRIVE}")
     # Another latency of the arm says nothing of the delays of the base's commands.
-    spread = arm.spread(delays) if arm.moves and (base.agrees or not base.moves) else None
+    spread = arm.spread(delays) if arm.moves and (base.agrees or not problem.moves) else None
     if spread is None and arm.moves:
         missing.append(
             "base and arm differ in their latency: that of the base is given, without its jitter"
         )
     estimates |= _delays(delays, latency, spread, dt)
     velocities = [model.velocities(track.log, BASE_DRAWS) for track in tracks]
-    estimates |= _limits(model, errors, base, _fastest(velocities, dt), missing, dt)
+    if problem.moves:
+        estimates |= _limits(base, _fastest(velocities, dt), missing, dt)
+    else:
+        missing.append(f"the base does not move: its lag and limits are unknown; {DRIVE}")
     if arm.moves:
         estimates["actuator_lag.arm"] = lag_estimate(arm.lag, arm.error, dt)
         if arm.noise is not None:
@@ -118,32 +129,29 @@ def _delays(
     }
 
 
-def _limits(
-    model: BaseModel, errors: dict[str, float], base: BaseProblem, fastest: Array,
-    missing: list[str], dt: float,
-) -> dict[str, Estimate]:  # fmt: skip
+def _limits(base: BaseFit, fastest: Array, missing: list[str], dt: float) -> dict[str, Estimate]:
     """Return lag and limits of a base, whose `fastest` accelerations, (2,), are predicted."""
     estimates: dict[str, Estimate] = {}
-    if not base.moves:
-        missing.append(f"the base does not move: its lag and limits are unknown; {DRIVE}")
-        return estimates
-    if model.lag < 0.5 * dt or errors["lag"] * model.lag < 0.1:
-        estimates["actuator_lag.base"] = lag_estimate(model.lag, errors["lag"] * model.lag, dt)
+    lag = base.model.lag
+    lag_error = base.errors[LAG] * lag
+    if lag < 0.5 * dt or lag_error < 0.1:
+        estimates["actuator_lag.base"] = lag_estimate(lag, lag_error, dt)
     else:
         missing.append(f"no fast change of the base's velocity: its lag is unknown; {DRIVE}")
     parts = ((0, "linear", "start or stop", "m/s^2"), (1, "angular", "turn", "rad/s^2"))
     for part, name, change, unit in parts:
-        for kind, key in (("acceleration", name), ("jerk", f"{name}_jerk")):
-            if (error := errors.get(f"{kind}.{part}", np.inf)) < 0.5:
-                value = float(getattr(model, kind)[part])
+        acceleration, jerk = Parameter("acceleration", part), Parameter("jerk", part)
+        for limit, key in ((acceleration, name), (jerk, f"{name}_jerk")):
+            if (error := base.errors.get(limit, np.inf)) < 0.5:
+                value = float(getattr(base.model, limit.kind)[part])
                 spread = float(np.exp(NORMAL * error + SLACK))
                 estimate = Estimate(value, value / spread, value * spread)
                 estimates[f"acceleration_limit.{key}"] = estimate
-            elif kind == "acceleration" and fastest[part] > _FAST:
+            elif limit == acceleration and fastest[part] > _FAST:
                 missing.append(
                     f"no limit of the {name} acceleration shows up to {fastest[part]:.2g} {unit}"
                 )
-            elif kind == "acceleration":
+            elif limit == acceleration:
                 missing.append(f"no fast {change}: {name} acceleration unknown; {DRIVE}")
     return estimates
 

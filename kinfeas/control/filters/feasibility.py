@@ -58,12 +58,12 @@ class FeasibilityFilter:
     def __call__(self, period: Period) -> Period:
         """Return the period with feasible commands where there are any."""
         ahead = self.ahead(period)
-        move, good = self._tried(period.command, ahead)
+        move, good = self._tried(period.command, ahead, self.max_deviation)
         failed, command = (~good).nonzero()[0], period.command
         if failed.size:
             free = failed if period.paused is None else failed[~period.paused[failed]]
             command = command.copy()
-            self._replace(ahead, command, free)
+            self._replace(ahead, command, free, self.max_deviation)
         return self._moved(period, command, failed, move)
 
     def ahead(self, period: Period) -> Period:
@@ -87,7 +87,7 @@ class FeasibilityFilter:
             move = replaced(move, changed, retried, command)
         return period.changed(command=command, move=move)
 
-    def _replace(self, period: Period, command: Array, rows: Rows) -> Rows:
+    def _replace(self, period: Period, command: Array, rows: Rows, max_deviation: float) -> Rows:
         """Put the nearest feasible candidates into some rows of the commands, shape (n, a).
 
         Rows without a feasible candidate are returned.
@@ -101,24 +101,29 @@ class FeasibilityFilter:
             tries = self.candidates[order[:, first:last]]
             if constraints is not None:
                 tries = constraints.of(rows).hold(tries)
-            feasible = self._feasible(period, tries, rows)
+            feasible = self._feasible(period, tries, rows, max_deviation)
             solved = feasible.any(axis=1)
             command[rows[solved]] = tries[solved, feasible[solved].argmax(axis=1)]
             rows, order = rows[~solved], order[~solved]
         return rows
 
-    def _feasible(self, period: Period, tries: Array, rows: Rows) -> NDArray[np.bool_]:
+    def _feasible(
+        self, period: Period, tries: Array, rows: Rows, max_deviation: float
+    ) -> NDArray[np.bool_]:
         """Return whether commands of m rows, shape (m, k, a), are feasible, shape (m, k)."""
         m, k, size = tries.shape
         inputs = period.of(rows.repeat(k))
-        return self._tried(tries.reshape(m * k, size), inputs)[1].reshape(m, k)
+        good = self._tried(tries.reshape(m * k, size), inputs, max_deviation)[1]
+        return good.reshape(m, k)
 
-    def _tried(self, command: Array, inputs: KinematicInputs) -> tuple[Move, NDArray[np.bool_]]:
+    def _tried(
+        self, command: Array, inputs: KinematicInputs, max_deviation: float
+    ) -> tuple[Move, NDArray[np.bool_]]:
         """Return the moves of commands, one for each of m rows, and whether they are feasible."""
         step = self._ahead
         move = step(command, inputs, allow_reconfiguration=False)
         jump = exceeds_joint_velocity(self._robot, inputs.joints, move.arm.joint_positions, step.dt)
-        good = move.arm.feasible & ~jump & (move.arm.position_error <= self.max_deviation)
+        good = move.arm.feasible & ~jump & (move.arm.position_error <= max_deviation)
         if inputs.solids is not None:
             good &= ~base_collides(step.solver.collision, move.base_pose, inputs.solids)
         return move, good

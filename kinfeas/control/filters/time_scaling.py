@@ -1,13 +1,13 @@
 """Time scaling: the EE slows down or waits where no base command lets the arm follow."""
 
-from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 
 from kinfeas.config.quantities import NotNegative
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.period import Period
-from kinfeas.core.motion import Rows
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkSolver
@@ -22,6 +22,13 @@ tolerance. Even at rest IK may exceed the limit to reduce the rotation error: a 
 _STUCK = 0.3
 """Fraction of the planned step where none is feasible, of robots that respond late: on hold, their
 bases would come to rest somewhere else."""
+
+
+class Attempt(NamedTuple):
+    """One attempt to find feasible commands."""
+
+    fraction: float  # of the planned step; 0 for rest
+    max_deviation: float  # largest position error of the arm, metres
 
 
 class TimeScalingFilter(FeasibilityFilter):
@@ -50,39 +57,40 @@ class TimeScalingFilter(FeasibilityFilter):
         max_deviation: NotNegative = 0.01,
     ) -> None:
         super().__init__(solver, dt, response, max_deviation)
-        self._tries: list[tuple[float, FeasibilityFilter]] = [(part, self) for part in _FRACTIONS]
+        self._at_once = self._periods == 1.0
+        self._attempts = [Attempt(fraction, max_deviation) for fraction in _FRACTIONS]
         if response.immediate and solver.robot.pose_tolerance is not None:
-            lenient = copy(self)
-            lenient.max_deviation *= _MOST_DEVIATION
-            self._tries.append((_FRACTIONS[0], lenient))
+            self._attempts.append(Attempt(_FRACTIONS[0], _MOST_DEVIATION * max_deviation))
 
     def __call__(self, period: Period) -> Period:
         """Return the period with feasible commands, and slower where there are none."""
-        whole = ahead = self.ahead(period)
-        move, good = self._tried(period.command, ahead)
+        planned, command = period.time_scale, period.command.copy()
+        whole = self.ahead(period)
+        move, good = self._tried(period.command, whole, self.max_deviation)
         failed = (~good).nonzero()[0]
         if period.paused is not None:
             failed = failed[~period.paused[failed]]
-        planned, command = period.time_scale, period.command.copy()
-        scale, left = planned.copy(), self._replace(ahead, command, failed)
-        for fraction, judge in self._tries:
-            if not left.size:
-                break
-            scale[left] = fraction * planned[left]
-            period = period.slowed(scale.copy())
-            ahead = self.ahead(period)
-            if not fraction and ahead is period:
-                left = self._rest(period, whole, command, left)
-                continue
-            slow = left[~judge._feasible(ahead, command[left, np.newaxis], left)[:, 0]]
-            left = judge._replace(ahead, command, slow)
-        if left.size and ahead is period:
-            scale[left], command[left] = 0.0, 0.0
-            period = period.slowed(scale)
-        elif left.size:
-            scale[left] = _STUCK * planned[left]
-            period = period.slowed(scale)
+        left = self._replace(whole, command, failed, self.max_deviation)
+        for attempt in self._attempts:
+            if left.size:
+                period = _slowed(period, left, attempt.fraction * planned[left])
+                left = self._try(attempt, period, whole, command, left)
+        if left.size:
+            if self._at_once:
+                command[left] = 0.0
+            least = 0.0 if self._at_once else _STUCK
+            period = _slowed(period, left, least * planned[left])
         return self._moved(period, command, failed, move, allow_reconfiguration=False)
+
+    def _try(
+        self, attempt: Attempt, period: Period, whole: Period, command: Array, rows: Rows
+    ) -> Rows:
+        """Put feasible commands for a slower period into some rows; return those without any."""
+        if attempt.fraction == 0.0 and self._at_once:
+            return self._rest(period, whole, command, rows)
+        ahead, limit = self.ahead(period), attempt.max_deviation
+        good = self._feasible(ahead, command[rows, np.newaxis], rows, limit)[:, 0]
+        return self._replace(ahead, command, rows[~good], limit)
 
     def _rest(self, period: Period, whole: Period, command: Array, rows: Rows) -> Rows:
         """Put candidates for a resting EE into some rows of the commands, shape (n, a).
@@ -94,10 +102,16 @@ class TimeScalingFilter(FeasibilityFilter):
         tries = np.tile(self.candidates, (m, 1, 1))
         if period.velocity_constraints is not None:
             tries = period.velocity_constraints.of(rows).hold(tries)
-        feasible = self._feasible(period, tries, rows)
-        arm = self._tried(tries.reshape(m * k, -1), whole.of(rows.repeat(k)))[0].arm
+        feasible = self._feasible(period, tries, rows, self.max_deviation)
+        ends = whole.of(rows.repeat(k))
+        arm = self._tried(tries.reshape(m * k, -1), ends, self.max_deviation)[0].arm
         errors = arm.position_error + ROTATION_WEIGHT * arm.rotation_error
         best = np.where(feasible, errors.reshape(m, k), np.inf).argmin(axis=1)
         found = feasible.any(axis=1)
         command[rows[found]] = tries[found, best[found]]
         return rows[~found]
+
+
+def _slowed(period: Period, rows: Rows, time_scale: Array) -> Period:
+    """Return the period with other fractions of the planned motion in some rows."""
+    return period.slowed(with_rows(period.time_scale, rows, time_scale))
