@@ -243,7 +243,7 @@ def _divided(ee: Array, step: float, base: Base) -> Array:
     """Return the poses with more between them where the EE would be faster than the base."""
     metres, radians = distance(ee[:-1], ee[1:])
     speed = np.maximum(metres / base.max_velocity, radians / base.max_rotation) / step
-    pieces = np.ceil(np.where(speed > 1.0, speed / _SLOWER, 1.0))
+    pieces = np.ceil(np.where(speed > 1.0 + _ROUNDING, speed / _SLOWER, 1.0))
     if pieces.sum() * step >= LONGEST:
         raise KinfeasError(f"'path': the EE motion takes longer than {LONGEST:g} s")
     counts = pieces.astype(int).tolist()
