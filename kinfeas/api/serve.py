@@ -138,7 +138,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif (answer := self.server.answers.get(self.path)) is None:
             self._answer(HTTPStatus.NOT_FOUND, {"error": "there are POST /reach and POST /plan"})
         elif self.headers.get_content_type() != "application/json" or not length.isdecimal():
-            text = "the body must be application/json with its length"
+            text = "the body must be JSON with its length, and have Content-Type: application/json"
             self._answer(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, {"error": text})
         elif len(length) > len(str(_MOST_BYTES)) or int(length) > _MOST_BYTES:
             text = f"the body must have at most {_MOST_BYTES} bytes"
@@ -153,6 +153,10 @@ class _Handler(BaseHTTPRequestHandler):
                 raise
             else:
                 self._answer(HTTPStatus.OK, data)
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        text = f"{message or HTTPStatus(code).phrase}; there are POST /reach and POST /plan"
+        self._answer(HTTPStatus(code), {"error": text})
 
     def _answer(self, status: HTTPStatus, data: object) -> None:
         body = json.dumps(data).encode()

@@ -48,6 +48,13 @@ def test_base_poses_and_plans_are_answered(post):
     assert (status, "solid" in answer["error"]) == (400, True)
 
 
+def test_other_methods_are_errors(post):
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen("http://{}:{}/reach".format(*post.address))
+    assert caught.value.code == 501
+    assert "POST /reach" in json.load(caught.value)["error"]
+
+
 def test_a_slow_request_does_not_keep_others_waiting(post):
     with socket.create_connection(post.address) as slow:
         slow.sendall(b"POST /reach HTTP/1.1\r\nHost: 127.0.0.1\r\n")
