@@ -30,7 +30,7 @@ LIMITS = {  # reasons for which a pose is out of reach; the first that applies
 class ReachSettings:
     """Settings of the search for base poses and their margins."""
 
-    first: tuple[int, ...] = (64, 512)  # base poses tried by each stage without restarts of IK
+    first: tuple[int, ...] = (64, 160, 512)  # base poses of each stage without restarts of IK
     stages: tuple[int, ...] = (8, 32, 128, 512, 1024)  # the same with restarts, if these find none
     compared: int = 64  # base poses of which the best are returned
     without: int = 1024  # base poses that are tried without a limit
