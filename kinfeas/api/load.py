@@ -96,9 +96,9 @@ def _file(path: Path, policy: OnnxPolicy, parity: float | None = None) -> Policy
 def robot_of(policy: Name | None) -> str:
     """Return the robot that a policy was trained for, by name or path; PR2 for other policies."""
     path = Path(text_of(policy or "", "policy"))
-    included = loading.trained_policies(load_robot(DEFAULT_ROBOT))
-    names = (*registry.names(loading.GROUP), *included)
-    if not policy or str(policy) in names or not path.exists():
+    if not policy or str(policy) in registry.names(loading.GROUP) or not path.exists():
+        return DEFAULT_ROBOT
+    if str(policy) in loading.trained_policies(load_robot(DEFAULT_ROBOT)):
         return DEFAULT_ROBOT
     settings: object
     if path.is_dir():

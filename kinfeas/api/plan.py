@@ -243,15 +243,15 @@ def _divided(ee: Array, step: float, base: Base) -> Array:
     """Return the poses with more between them where the EE would be faster than the base."""
     metres, radians = distance(ee[:-1], ee[1:])
     speed = np.maximum(metres / base.max_velocity, radians / base.max_rotation) / step
-    pieces = np.ceil(np.where(speed > 1.0 + _ROUNDING, speed / _SLOWER, 1.0))
+    faster = speed > 1.0 + _ROUNDING
+    if not faster.any():
+        return ee
+    pieces = np.ceil(np.where(faster, speed / _SLOWER, 1.0))
     if pieces.sum() * step >= LONGEST:
         raise KinfeasError(f"'path': the EE motion takes longer than {LONGEST:g} s")
-    counts = pieces.astype(int).tolist()
-    times = [i + np.arange(n) / n for i, n in enumerate(counts)]
-    last = float(len(counts))
-    if max(counts) == 1:
-        return ee
-    return interpolated(np.array([*np.concatenate(times), last]), np.arange(last + 1.0), ee)
+    times = [k + np.arange(n) / n for k, n in enumerate(pieces.tolist())]
+    samples = np.arange(float(len(ee)))
+    return interpolated(np.append(np.concatenate(times), samples[-1]), samples, ee)
 
 
 def _rolled_out(

@@ -224,12 +224,12 @@ class Loop:
             "waited": self._arm.waited.copy(),
             **self.sequence.snapshot(),
             **({} if self._predictor is None else self._predictor.snapshot()),
-            **self._resumable.snapshot(),
+            **self._saver.snapshot(),
         }
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
-        robots = self._resumable.restore(snapshot)
+        robots = self._saver.restore(snapshot)
         if self._predictor is not None:
             robots = self._predictor.restore(snapshot, robots)
         self.sequence.restore(snapshot)
@@ -276,7 +276,7 @@ class Loop:
         return true_state.base_pose, spatial.compose(true_state.base_pose, self._ee_of(true_state))
 
     @property
-    def _resumable(self) -> Resumable:
+    def _saver(self) -> Resumable:
         if self.backend.resumable is None:
             raise KinfeasError(f"{self.backend.name} does not support saving and resuming")
         return self.backend.resumable

@@ -85,7 +85,7 @@ def build_collision_model(robot: Robot, clearance: float = 0.0) -> CollisionMode
         above=np.zeros(len(named), dtype=np.bool_),
     )
     home = robot.home["home"][np.newaxis]
-    model.above[:] = _above_floor(model, home[0])
+    model = model._replace(above=_above_floor(model, home[0]))
     if clearance:
         for p in range(len(pairs)):
             wider = model._replace(pairs=model.pairs[[p]], apart=np.array([MARGIN + clearance]))

@@ -206,16 +206,17 @@ class TargetController:
         self._ignored = since, now, counts
         if last - since < _LONG <= now - since:
             new = {rule: n - counts[rule] for rule, n in self.counts.items()}
-            why = ", ".join(f"{n} {rule}" for rule, n in new.items() if n)
-            why += f"; the last invalid one had {self._invalid}" if self._invalid else ""
-            _log.warning("all messages are ignored, for %.1f s: %s", now - since, why)
+            _log.warning("all messages are ignored, for %.1f s: %s", now - since, self._why(new))
 
     @property
     def refusal(self) -> str:
         """Why no message was accepted; empty if one was."""
-        refused = ", ".join(f"{n} {rule}" for rule, n in self.counts.items() if n) or "none came"
-        last = f"; the last invalid one had {self._invalid}" if self._invalid else ""
-        return "" if self.counts["accepted"] else f"no message was accepted: {refused}{last}"
+        counts = self.counts
+        return "" if counts["accepted"] else f"no message was accepted: {self._why(counts)}"
+
+    def _why(self, counts: dict[str, int]) -> str:
+        rules = ", ".join(f"{n} {rule}" for rule, n in counts.items() if n) or "none came"
+        return rules + (f"; the last invalid one had {self._invalid}" if self._invalid else "")
 
     def _read(self, message: Message, now: Array) -> None:
         values, times, stamp = message.values, message.times, message.stamp
