@@ -11,7 +11,7 @@ from scipy.optimize import Bounds, least_squares
 
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify import chain
-from kinfeas.sim2real.identify.base import LATENCIES, SECONDS, TIMES
+from kinfeas.sim2real.identify.base import LATENCIES, LATENCY_UNIT, TIMES
 from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.model import Delays
 from kinfeas.sim2real.identify.noise import joint_noise, overlap
@@ -93,10 +93,10 @@ class ArmProblem:
 
     def _solve(self, delays: Delays, *, latency: bool) -> tuple[Delays, float]:
         def residuals(z: Array) -> Array:
-            shifted = replace(delays, latency=z[1] * SECONDS) if latency else delays
+            shifted = replace(delays, latency=z[1] * LATENCY_UNIT) if latency else delays
             return self._residuals(shifted, float(np.exp(z[0])))
 
-        start = np.array([np.log(self.lag), max(delays.latency, 1e-3) / SECONDS])
+        start = np.array([np.log(self.lag), max(delays.latency, 1e-3) / LATENCY_UNIT])
         bounds = np.array([TIMES, LATENCIES])
         start, bounds = (start, bounds) if latency else (start[:1], bounds[:1])
         for _ in range(2):
@@ -106,7 +106,7 @@ class ArmProblem:
             )  # fmt: skip
             start, self.lag = solution.x, float(np.exp(solution.x[0]))
             if latency:
-                delays = replace(delays, latency=float(solution.x[1]) * SECONDS)
+                delays = replace(delays, latency=float(solution.x[1]) * LATENCY_UNIT)
             errors_of_logs = self._time_errors(delays)
             late = np.concatenate([errors.late for errors in errors_of_logs])
             variance = np.concatenate([errors.noise for errors in errors_of_logs])
@@ -116,7 +116,7 @@ class ArmProblem:
         blocks = np.repeat(self._blocks, int(self._joints.sum()))
         errors = standard_errors(residuals(start), derivatives(residuals, start), blocks)
         self.error = float(errors[0]) * self.lag
-        return delays, float(errors[1]) * SECONDS if latency else 0.0
+        return delays, float(errors[1]) * LATENCY_UNIT if latency else 0.0
 
     def _positions(self, delays: Delays, lag: float) -> Iterator[Positions]:
         for log, at in zip(self._logs, self._at, strict=True):

@@ -15,10 +15,10 @@ from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
 from kinfeas.sim2real.identify.noise import jumps, spread_of, widened
 from kinfeas.sim2real.identify.statistics import MOVES, derivatives, standard_errors, time_blocks
 
-SECONDS = 0.05
+LATENCY_UNIT = 0.05
 """Unit of a latency in fits, seconds; other parameters are logarithms."""
 
-LATENCIES, TIMES = np.array([0.0, 0.6]) / SECONDS, np.log([1e-3, 3.0])
+LATENCIES, TIMES = np.array([0.0, 0.6]) / LATENCY_UNIT, np.log([1e-3, 3.0])
 """Bounds of latencies and of time constants in fits."""
 
 BASE_DRAWS = 8
@@ -35,7 +35,7 @@ _BOUNDS = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a `BaseModel`, as fits have it: a latency in `SECONDS`, or a logarithm.
+    """A parameter of a `BaseModel`, as fits have it: a latency in `LATENCY_UNIT`, or a logarithm.
 
     Limits are of translation, `part` 0, and of rotation, 1.
     """
@@ -46,7 +46,7 @@ class Parameter:
     def of(self, model: BaseModel) -> float:
         """Return its value in a model."""
         if self.kind == "latency":
-            return model.delays.latency / SECONDS
+            return model.delays.latency / LATENCY_UNIT
         if self.kind == "lag":
             return float(np.log(max(model.lag, 1e-3)))
         return float(np.log(getattr(model, self.kind)[self.part]))
@@ -54,7 +54,7 @@ class Parameter:
     def put(self, model: BaseModel, value: float) -> BaseModel:
         """Return a model with another value, inf for no limit."""
         if self.kind == "latency":
-            return replace(model, delays=replace(model.delays, latency=value * SECONDS))
+            return replace(model, delays=replace(model.delays, latency=value * LATENCY_UNIT))
         if self.kind == "lag":
             return replace(model, lag=float(np.exp(value)))
         limits = getattr(model, self.kind).copy()
@@ -213,8 +213,8 @@ class BaseProblem:
 
         beside = np.arange(len(_prior_residuals(model, prior))) + self._blocks.max() + 1
         blocks = np.concatenate([self._blocks, beside])
-        errors = standard_errors(residuals(z), derivatives(residuals, z), blocks)
-        errors = np.where([parameter == LATENCY for parameter in free], errors * SECONDS, errors)
+        units = np.array([LATENCY_UNIT if each == LATENCY else 1.0 for each in free])
+        errors = units * standard_errors(residuals(z), derivatives(residuals, z), blocks)
         return dict(zip(free, errors.tolist(), strict=True))
 
     def residuals(self, model: BaseModel, comparison: Comparison, prior: Prior | None) -> Array:
