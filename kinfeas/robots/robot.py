@@ -84,10 +84,18 @@ class Robot:
 
     @cached_property
     def finite_joint_limits(self) -> tuple[Array, Array]:
-        """The same, but -pi and pi for continuous joints."""
+        """The same within one turn: about 0 of continuous joints, else about the middle.
+
+        A joint that begins there turns far before it has to go back by a whole turn.
+        """
         lower, upper = self.joint_limits
-        lowest = np.where(self.continuous, -np.pi, lower)
-        return _read_only(lowest), _read_only(np.where(self.continuous, np.pi, upper))
+        slides = np.array([self.urdf.joints[joint.name].kind == "prismatic" for joint in self.arm])
+        middle = np.where(self.continuous, 0.0, self.joint_limits).mean(axis=0)
+        half = np.where(slides, np.inf, np.pi)
+        return (
+            _read_only(np.maximum(lower, middle - half)),
+            _read_only(np.minimum(upper, middle + half)),
+        )
 
 
 def _read_only(values: ArrayLike) -> NDArray[Any]:

@@ -148,7 +148,7 @@ FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
     # Plans differ with the last bits of contacts, so TIAGo has the feasibility filter alone.
     **{
         f"physics-{r}": partial(episodes, r, "drawer", 2, filters, "pybullet")
-        for r, filters in (("pr2", None), ("tiago", ["feasibility"]), ("hsr", None))
+        for r, filters in (("pr2", None), ("tiago", ["feasibility"]), ("hsr", []))
     },
     **{f"obstacle_filter-{r}": partial(obstacle_filter, r) for r in ROBOTS},
     **{f"ik-{r}": partial(ik, r) for r in ROBOTS},
