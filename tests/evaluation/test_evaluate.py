@@ -63,9 +63,12 @@ def test_summary(config, policy):
     assert sum(ended) == 20
 
 
+PLANNED = ["path_planner", "feasibility"]
+
+
 @pytest.mark.parametrize(("adapters", "settings", "dt", "filters"), [
-    (["actuator_lag"], {}, 0.02, ["time_scaling"]), (["base_noise"], {}, 0.02, []),
-    (["actuator_lag"], {"world.dt": 0.1, "world.filters": []}, 0.1, []), ([], {}, 0.1, []),
+    (["actuator_lag"], {}, 0.02, ["time_scaling"]), (["base_noise"], {}, 0.02, PLANNED),
+    (["actuator_lag"], {"world.dt": 0.1, "world.filters": []}, 0.1, []), ([], {}, 0.1, PLANNED),
     (["command_latency"], {}, 0.02, ["time_scaling"]),
 ])  # fmt: skip
 def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
