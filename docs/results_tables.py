@@ -32,7 +32,7 @@ TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 PLANNED = ("pretrained", "path planner")
-DEFAULT = {"pr2": ("sac", ""), "tiago": PLANNED, "hsr": ("sac", "")}
+DEFAULT = {"pr2": ("pretrained", "feasibility filter"), "tiago": PLANNED, "hsr": PLANNED}
 """Policy and row with the filters that are a robot's default."""
 LEARNED = {
     ("sac", ""): "SAC, 3 seeds",
@@ -151,15 +151,13 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
         rows = {
             f"**{name}**, ours": (analytic, *default, "success"),
             f"{name}, paper": (analytic, "sac", "", "paper_success"),
-            f"{name}, `whole_body_qp`": (analytic, "whole_body_qp", "", "success"),
+            f"{name}, policy alone": (analytic, "sac", "", "success"),
             f"{name}, ceiling": (analytic, "sac", "", "ceiling"),
             PHYSICS[in_pybullet].format(f"**{name}** in PyBullet"): (
                 with_physics, *in_pybullet, "success",
             ),
             f"{name} in PyBullet, paper": (with_physics, *in_pybullet, "paper_success"),
         }  # fmt: skip
-        if default == PLANNED:
-            rows[f"{name}, policy alone"] = analytic, "sac", "", "success"
         for head, (cells, policy, row, key) in rows.items():
             values = [_success(cells[robot, task, policy, row], key) for task in TASKS]
             page = _fill(page, head, values)
