@@ -26,7 +26,7 @@ from kinfeas.control.assemble import respond_late
 from kinfeas.control.filters.path_planner import PlanFollower
 from kinfeas.control.period import CommandFilter
 from kinfeas.core import registry
-from kinfeas.core.backend import build_backend
+from kinfeas.core.backend import build_backend, closed_on_error
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_note
 from kinfeas.core.registry import from_anywhere
 from kinfeas.core.spatial import distance
@@ -207,10 +207,21 @@ def recorded(
     adapters: tuple[PluginSpec, ...] = (),
 ) -> Deployment:
     """Run and record a setup; `adapters` are those of the robot itself, within the guards."""
+    with closed_on_error(setup.backend):
+        about = _about(setup, robot, policy, backend, adapters)
+        path = _new_record(about) if record is None else Path(record)
+        with Recorder(path, about) as recorder:
+            outcome = run(setup, recorder)
+    return Deployment(outcome, about, path, {})
+
+
+def _about(
+    setup: Setup, robot: str, policy: str, backend: str, adapters: tuple[PluginSpec, ...]
+) -> About:
     joints = tuple(joint.name for joint in setup.solver.robot.arm)
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     motions = [subgoal.motion for subgoal in setup.task.subgoals]
-    about = About(
+    return About(
         from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
         seed=setup.seed, adapters=(*adapters, *setup.adapters),
         filters=getattr(setup.execution, "filters", ()),
@@ -218,10 +229,6 @@ def recorded(
         guards={k: None if v == inf else v for k, v in asdict(setup.guards).items()},
         **_drawn_scene(setup),
     )  # fmt: skip
-    path = _new_record(about) if record is None else Path(record)
-    with Recorder(path, about) as recorder:
-        outcome = run(setup, recorder)
-    return Deployment(outcome, about, path, {})
 
 
 def _read_config(  # noqa: PLR0913 - where settings come from
@@ -307,13 +314,14 @@ def _make_setup(  # noqa: PLR0913 - the parts of a run
     solids = furniture_solids(read_scene(config.scene)) if config.scene else None
     warm_up(solver, policy, task, dt, adapters, config.filters)
     backend = build_backend(backend_name, config.backend, robot=robot)
-    if backend.staging is not None:
-        task = backend.staging.stage(task)
-    return Setup(
-        solver=solver, policy=policy, task=task, backend=backend, execution=config,
-        filters=config.filters, guards=config.guards, adapters=adapters, dt=dt, solids=solids,
-        seconds=seconds, **options,
-    )  # fmt: skip
+    with closed_on_error(backend):
+        if backend.staging is not None:
+            task = backend.staging.stage(task)
+        return Setup(
+            solver=solver, policy=policy, task=task, backend=backend, execution=config,
+            filters=config.filters, guards=config.guards, adapters=adapters, dt=dt, solids=solids,
+            seconds=seconds, **options,
+        )  # fmt: skip
 
 
 def _drawn_scene(setup: Setup) -> dict[str, Any]:

@@ -29,7 +29,7 @@ class Metrics(Summary, total=False):
 
 
 def evaluate(  # noqa: PLR0913 - options of the command
-    policy: Name,
+    policy: Name | Policy,
     *,
     robot: Name | None = None,
     task: Name = "ggr",
@@ -51,20 +51,25 @@ def evaluate(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.evaluate("pretrained", robot="pr2", episodes=100)["success"]`
 
-    Arguments are the options of the command; robots, tasks and policies are names or paths.
-    `settings` are values by key, such as `world.dt`.
+    Arguments are the options of the command; robots, tasks and policies are names or paths. A
+    policy may also be an object with `act`, for a given robot. `settings` are values by key, such
+    as `world.dt`.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid.
     """
-    robot = robot or robot_of(policy)
-    model = load_robot(robot)
+    name = type(policy).__name__
+    if isinstance(policy, str | Path) or not hasattr(policy, "act"):
+        name = text_of(policy, "policy")
+    elif robot is None:
+        raise KinfeasError("give the 'robot' of a policy that is an object")
+    model = load_robot(robot or robot_of(name))
     config = evaluation.configure(
         model, str(task), world, seed=checked(Seed, seed, "seed"),
         episodes=None if episodes is None else checked(Episodes, episodes, "episodes"),
         settings=nested(plugin_settings(filters, adapters, "world."), settings),
     )  # fmt: skip
-    driver = load_policy(text_of(policy, "policy"), model)
+    driver = load_policy(name, model) if isinstance(policy, str | Path) else policy
     processes = checked(Processes, processes, "processes")
     if episode >= config.episodes:
         raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
@@ -72,7 +77,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
     def measure(config: EvalConfig, adapters: str) -> Summary:
         text = f"{config.episodes} episodes {adapters}".rstrip()
         count = counter(on_progress, text, config.episodes)
-        return evaluation.evaluate(config, driver, str(policy), processes, count)
+        return evaluation.evaluate(config, driver, name, processes, count)
 
     metrics = cast("Metrics", measure(config, ""))
     if ablation:

@@ -11,7 +11,7 @@ from kinfeas.config import PluginSpec, Settings, strict_yaml
 from kinfeas.config.quantities import Rate, Seed
 from kinfeas.config.recipes import default_engine, load_section
 from kinfeas.control.assemble import with_adapters
-from kinfeas.core.backend import build_backend
+from kinfeas.core.backend import build_backend, closed_on_error
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.io.files import write_file
@@ -192,10 +192,12 @@ def drive(  # noqa: PLR0913 - options of the command
         inner.close()
         raise KinfeasError(f"adapters are for simulated worlds, not for backend {backend!r}")
     execution = replace(config, filters=(), arm_settle_timeout=0.0)
-    setup = Setup(
-        solver=solver, policy=policy, task=excitation, backend=with_adapters(inner, around, model),
-        dt=dt, seconds=SECONDS, seed=checked(Seed, seed, "seed"), execution=execution,
-        filters=(excitation,), guards=config.guards, real_time=real_time,
-    )  # fmt: skip
+    with closed_on_error(inner):
+        setup = Setup(
+            solver=solver, policy=policy, task=excitation,
+            backend=with_adapters(inner, around, model), dt=dt, seconds=SECONDS,
+            seed=checked(Seed, seed, "seed"), execution=execution, filters=(excitation,),
+            guards=config.guards, real_time=real_time,
+        )  # fmt: skip
     on_start()
     return recorded(setup, str(robot), "stationary", backend, record, adapters=around)

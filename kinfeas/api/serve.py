@@ -7,7 +7,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Lock
+from socket import MSG_PEEK
+from threading import BoundedSemaphore, RLock
 from typing import Annotated, Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from kinfeas.planning.reach import BasePlacer, Placement
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.access import Access
 
-_MOST_BYTES = 4_000_000
+_MOST_BYTES, _MOST_CONNECTIONS = 4_000_000, 32
 _log = logging.getLogger(__name__)
 
 Extent = Annotated[float, Interval(gt=0.0, le=FARTHEST)]
@@ -67,6 +68,7 @@ class PlanningServer(ThreadingHTTPServer):
 
     Attributes:
         url: Address.
+        lock: Held by the request that is answered.
     """
 
     def __init__(
@@ -85,7 +87,7 @@ class PlanningServer(ThreadingHTTPServer):
         """
         self._placer = BasePlacer(load_robot(robot))
         self._scene = None if scene is None else read_scene(str(scene))
-        self._lock = Lock()
+        self.lock, self._free = RLock(), BoundedSemaphore(_MOST_CONNECTIONS)
         self.answers = {"/reach": self._base_poses, "/plan": self._motion}
         with ExitStack() as opened:
             if ros2:
@@ -104,17 +106,31 @@ class PlanningServer(ThreadingHTTPServer):
         super().server_close()
         self._opened.close()
 
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own; close connections beyond the limit."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer a request and make room for another connection."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Print errors, but not those of clients that have gone."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
     def _reach(self, **arguments: Any) -> list[Placement]:
-        with self._lock:
+        with self.lock:
             return reach(self._placer, scene=self._scene, **arguments)
 
     def _plan(self, **arguments: Any) -> Plan:
-        with self._lock:
+        with self.lock:
             return plan(self._placer, scene=self._scene, **arguments)
 
     def _base_poses(self, body: object) -> object:
@@ -145,7 +161,16 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, {"error": text})
         else:
             try:
-                data = answer(_parsed(self.rfile.read(int(length))))
+                body = self.rfile.read(int(length))
+                with self.server.lock:
+                    if self._has_left():
+                        self.close_connection = True
+                        return
+                    data = answer(_parsed(body))
+            except TimeoutError:
+                text = f"the body must come without a pause of {self.timeout:g} s"
+                self._answer(HTTPStatus.REQUEST_TIMEOUT, {"error": text})
+                self.close_connection = True
             except KinfeasError as error:
                 self._answer(HTTPStatus.BAD_REQUEST, {"error": str(error)})
             except Exception:
@@ -153,6 +178,18 @@ class _Handler(BaseHTTPRequestHandler):
                 raise
             else:
                 self._answer(HTTPStatus.OK, data)
+
+    def _has_left(self) -> bool:
+        """Return whether the client has closed the connection, while it waited for others."""
+        self.connection.setblocking(False)
+        try:
+            return not self.connection.recv(1, MSG_PEEK)
+        except BlockingIOError:
+            return False
+        except ConnectionError:
+            return True
+        finally:
+            self.connection.settimeout(self.timeout)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         text = f"{message or HTTPStatus(code).phrase}; there are POST /reach and POST /plan"

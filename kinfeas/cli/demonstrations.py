@@ -52,6 +52,8 @@ def fit(
     }
     write_json(facts, json)
     print_facts(f"{kind} model in {out}", facts)
+    if len(names) == 1:
+        typer.echo("warning: one demonstration gives no variation of the motion", err=True)
     if any(motion.sides):
         sides = list(zip(names, motion.sides, strict=True))
         left, right = (", ".join(name for name, side in sides if side == i) for i in (0, 1))

@@ -16,6 +16,7 @@ from kinfeas.io import files
 from kinfeas.io.files import replaced, writing
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.status import Status
     from rich.text import Text
 
@@ -99,7 +100,7 @@ def progress() -> Iterator["OnProgress"]:
     if not console.is_terminal:
         yield write_line
         return
-    with Progress(console=console, transient=True) as bar:
+    with _compiling(console), Progress(console=console, transient=True) as bar:
         task = bar.add_task("", total=1.0)
 
         def show(text: str, fraction: float) -> None:
@@ -110,12 +111,38 @@ def progress() -> Iterator["OnProgress"]:
         yield show
 
 
-def status(text: str) -> "Status":
-    """Return a context that shows work without known length on standard error."""
+@contextmanager
+def status(text: str) -> Iterator["Status"]:
+    """Show work without known length on standard error."""
     from rich.console import Console
     from rich.markup import escape
 
-    return Console(stderr=True).status(escape(text))
+    console = Console(stderr=True)
+    with _compiling(console), console.status(escape(text)) as shown:
+        yield shown
+
+
+@contextmanager
+def _compiling(console: "Console") -> Iterator[None]:
+    """Print a line on a terminal when numba begins to compile kernels that it has not cached."""
+    if not console.is_terminal:
+        yield
+        return
+    from numba.core import event
+
+    printed = False
+
+    class Compiling(event.Listener):
+        def on_start(self, _: object) -> None:
+            nonlocal printed
+            if not printed:
+                console.print("compiling kernels (once, about 30 s)")
+            printed = True
+
+        def on_end(self, _: object) -> None: ...
+
+    with event.install_listener("numba:compile", Compiling()):
+        yield
 
 
 def percent(value: float | None, low: float | None = None, high: float | None = None) -> str:

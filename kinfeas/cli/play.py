@@ -26,16 +26,25 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas play --robot pr2 --backend mujoco
     """
     require("viser", "fcl")
-    from kinfeas.viz.choice import Choice
+    from kinfeas.api.load import filter_names, load_policy, robot_of
+    from kinfeas.core import registry
+    from kinfeas.scenes.scene import read_scene
+    from kinfeas.viz.choice import NONE, Choice
     from kinfeas.viz.server import serving
 
+    names, robot = filter_names(filters), robot or robot_of(policy)
+    # So that errors come before the address.
+    for each in {policy, second_policy} - {NONE}:
+        load_policy(each, robot=robot)
+    registry.load("kinfeas.motion_generators", generator)
+    registry.load("kinfeas.backends", backend)
+    for name in names:
+        registry.load("kinfeas.filters", name)
+    if scene != NONE:
+        read_scene(scene)
     with serving("kinfeas play", host, port) as server:
         typer.echo(server.url)  # browsers load while the rest is imported
-        from kinfeas.api.load import filter_names, robot_of
         from kinfeas.viz.play import play as run
 
-        names = filter_names(filters)
-        choice = Choice(
-            robot or robot_of(policy), policy, second_policy, generator, names, backend, scene
-        )
+        choice = Choice(robot, policy, second_policy, generator, names, backend, scene)
         run(server, choice, demonstrations)

@@ -18,6 +18,7 @@ from kinfeas.core.registry import GROUPS, Plugin
 from kinfeas.templates import Kind, write_distribution
 
 if TYPE_CHECKING:
+    from kinfeas.config import PluginSpec
     from kinfeas.testing.rules import Trial
 
 app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
@@ -89,32 +90,41 @@ def new(
 
 @app.command()
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
-    name: str = argument(..., "Name of a motion generator or policy, or module:Class of a policy."),
+    name: str = argument(
+        ..., "Name of a motion generator, policy or adapter, or module:Class of a policy."
+    ),
     overrides: options.Overrides = None,
     duration: float = option(120.0, "Seconds within which motions arrive.", min=0.1),
     dt: float = option(0.1, "Seconds of a step.", min=0.001),
     max_velocity: float = option(0.1, "Speed limit, m/s.", min=0.0),
     max_angular_velocity: float = option(0.1, "The same in rad/s.", min=0.0),
     seed: options.Seed = 0,
-    robot: str | None = option(None, "Robot of a policy; policies need one."),
+    robot: str | None = option(None, "Robot of a policy or adapter; policies need one."),
+    world: str = option("analytic", "Backend within an adapter."),
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Check a motion generator or a policy. The exit code is 2 if a rule is broken.
+    """Check a motion generator, policy or adapter. The exit code is 2 if a rule is broken.
 
-    Settings: the generator's parameters, such as gain=0.2.
+    Settings: parameters of the generator or adapter, such as gain=0.2.
 
     Example: kinfeas plugins check minimum_jerk --set min_duration=2 --picture motions.png
     """
-    from kinfeas.config import nested
+    from kinfeas.api import DEFAULT_ROBOT
+    from kinfeas.config import PluginSpec, nested
     from kinfeas.testing import Trial
 
     if name in registry.names("kinfeas.policies") or ":" in name:
         if overrides or picture is not None:
             raise KinfeasError(f"policy {name!r} has no settings and no picture")
         _check_policy(name, robot, json)
+        return
+    parameters = nested(options.read_settings(overrides))
+    if name in registry.names("kinfeas.adapters"):
+        if picture is not None:
+            raise KinfeasError(f"adapter {name!r} has no picture")
+        _check_adapter(PluginSpec(name, parameters), robot or DEFAULT_ROBOT, world, json)
     else:
-        parameters = nested(options.read_settings(overrides))
         trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
         _check_generator(name, parameters, trial, picture, json)
 
@@ -131,6 +141,15 @@ def _check_policy(name: str, robot: str | None, json: Path | None) -> None:
     check_policy(load_policy(name, model), model)
     write_json({"policy": name, "robot": robot, "passed": True}, json)
     typer.echo(f"policy {name} keeps the contract on robot {model.name}")
+
+
+def _check_adapter(adapter: "PluginSpec", robot: str, world: str, json: Path | None) -> None:
+    from kinfeas.robots.loading import load_robot
+    from kinfeas.testing import check_adapter
+
+    check_adapter(adapter, load_robot(robot), world)
+    write_json({"adapter": adapter.name, "robot": robot, "world": world, "passed": True}, json)
+    typer.echo(f"adapter {adapter.name} keeps the contract in the world {world}")
 
 
 def _check_generator(

@@ -80,8 +80,8 @@ def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot
         KinfeasError: If an adapter cannot be built, or needs an ability that the backend lacks.
     """
     for adapter in adapters:
-        parameters = {**adapter.parameters, "backend": backend, "robot": robot}
-        backend = registry.build("kinfeas.adapters", adapter.name, parameters)
+        offered = {"backend": backend, "robot": robot}
+        backend = registry.build_with("kinfeas.adapters", adapter.name, adapter.parameters, offered)
         if not isinstance(backend, BackendWrapper):
             raise KinfeasError(f"adapter {adapter.name!r} must derive from BackendWrapper")
         needed = getattr(backend, "needs", "")

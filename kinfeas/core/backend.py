@@ -1,7 +1,8 @@
 """Backends that move robots: the contract, and the optional abilities of backends."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -345,6 +346,15 @@ class BackendWrapper(Backend):
     def name(self) -> str:
         """Name of the innermost backend."""
         return self.backend.name
+
+
+@contextmanager
+def closed_on_error(backend: Backend) -> Iterator[None]:
+    """Close a backend if what is built around it within the block raises an exception."""
+    with ExitStack() as opened:
+        opened.callback(backend.close)
+        yield
+        opened.pop_all()
 
 
 def build_backend(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:

@@ -23,9 +23,9 @@ from kinfeas.core.motion import (
     WholeBodyPath,
 )
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, distance, integrate, twist_between
+from kinfeas.core.spatial import UNIT, Array, distance, integrate, twist_between
 
-_UNIT_TOLERANCE, _TYPED_TOLERANCE = 1e-6, 1e-3
+_COMPUTED = 1e-6  # largest deviation of the norm of a quaternion that nobody normalises
 
 Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
 
@@ -49,7 +49,7 @@ def check_array(
         raise error(f"{name} is not finite")
 
 
-def are_unit(poses: Array, tolerance: float = _UNIT_TOLERANCE) -> bool:
+def are_unit(poses: Array, tolerance: float = _COMPUTED) -> bool:
     """Return whether the quaternions of poses, shape (..., 7), have unit length."""
     deviation = np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1.0).max(initial=0.0)
     return bool(deviation < tolerance)
@@ -58,7 +58,7 @@ def are_unit(poses: Array, tolerance: float = _UNIT_TOLERANCE) -> bool:
 def ee_poses(poses: ArrayLike, name: str) -> Array:
     """Return EE poses, shape (n, 7) with n at least 1, or raise an error.
 
-    Quaternions may have three decimals; they are normalised.
+    Quaternions are normalised.
     """
     try:
         array = np.atleast_2d(np.array(poses, dtype=np.float64))
@@ -66,7 +66,7 @@ def ee_poses(poses: ArrayLike, name: str) -> Array:
         raise KinfeasError(f"{name!r} must be numbers x y z qx qy qz qw: {error}") from error
     if array.ndim != 2 or array.shape[1] != 7 or not len(array):
         raise KinfeasError(f"{name!r} must be of shape (n, 7), not {array.shape}")
-    if not (np.abs(array) <= FARTHEST).all() or not are_unit(array, _TYPED_TOLERANCE):
+    if not (np.abs(array) <= FARTHEST).all() or not are_unit(array, UNIT):
         raise KinfeasError(f"{name!r} must be within {FARTHEST:g} m, with unit quaternions xyzw")
     array[:, 3:] /= np.linalg.norm(array[:, 3:], axis=1, keepdims=True)
     return array

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 
 import numpy as np
@@ -92,10 +92,9 @@ def evaluate_episodes(
     """
     if processes == 1:
         return _run_part(build, policy, episodes, on_done, watch)
-    world = build()
-    world.loop.set_policy(policy)
-    rounds = math.ceil(len(episodes) / (processes * _BATCHES * _batch(world)))
-    world.close()
+    with closing(build()) as world:
+        world.loop.set_policy(policy)
+        rounds = math.ceil(len(episodes) / (processes * _BATCHES * _batch(world)))
     size = math.ceil(len(episodes) / (processes * rounds))
     parts = math.ceil(len(episodes) / size)
     with worker_pool(min(processes, parts)) as pool:

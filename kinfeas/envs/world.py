@@ -15,7 +15,7 @@ from kinfeas.config.recipes import section
 from kinfeas.control.assemble import assemble
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Outcome
-from kinfeas.core.backend import build_simulator
+from kinfeas.core.backend import build_simulator, closed_on_error
 from kinfeas.core.checks import check_array
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
@@ -113,14 +113,15 @@ class World:
         self.solver = IkSolver(robot, config.ik)
         self.backend = build_simulator(config.backend, config.backend_parameters, robot=robot)
         self.task = task
-        if self.backend.staging is not None:
-            self.task = self.backend.staging.stage(task)
-        self._staged = isinstance(self.task, StagedTask)
-        self.loop = assemble(
-            self.solver, build_subgoals(task.subgoals), self.backend, dt=config.dt,
-            execution=config, adapters=config.adapters, filters=config.filters,
-            stream=target_stream(task, self.solver),
-        )  # fmt: skip
+        with closed_on_error(self.backend):
+            if self.backend.staging is not None:
+                self.task = self.backend.staging.stage(task)
+            self._staged = isinstance(self.task, StagedTask)
+            self.loop = assemble(
+                self.solver, build_subgoals(task.subgoals), self.backend, dt=config.dt,
+                execution=config, adapters=config.adapters, filters=config.filters,
+                stream=target_stream(task, self.solver),
+            )  # fmt: skip
         seconds = task.seconds if isinstance(task, StreamTask) else config.max_seconds
         time_scale = self.loop.execution.time_scale
         self._max_steps = max(1, round(seconds / time_scale / config.dt))

@@ -102,11 +102,22 @@ def _telescopes(urdf: Urdf) -> dict[str, list[str]]:
     return segments
 
 
-def find_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
+def find_drive(urdf: Urdf, arm: Arm, whole: Urdf) -> tuple[Drive, str]:
     """Return the drive of a base and what it was read from: names and axes of its wheels.
 
-    Without wheels it is differential, a guess.
+    If these leave a guess, sliding joints below the base in the `whole` description count: two are
+    those of an omnidirectional base. Without such joints the guess is differential.
     """
+    drive, why = _wheel_drive(urdf, arm)
+    below = [joint for joint in whole.path_to(arm.hand) if joint.name not in urdf.joints]
+    slides = [j.name for j in below if j.kind == "prismatic" and abs(_axis(whole, j)[2]) < _LEVEL]
+    if not slides or not why.startswith("a guess"):
+        return drive, why
+    drive = "omnidirectional" if len(slides) > 1 else "differential"
+    return drive, f"planar joints below the base: {_listed(slides)}"
+
+
+def _wheel_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
     base = set(urdf.links) - urdf.below(arm.joints[0].name)
     joints = [joint for joint in urdf.joints.values() if joint.child in base]
     names = [*sorted(base), *(joint.name for joint in joints)]

@@ -83,7 +83,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         name: Short name of the robot.
         hand: As of `find_arm`.
         base: As of `boxed_urdf`.
-        drive: Drive of the base; by default read from its wheels.
+        drive: Drive of the base; by default read from its wheels or planar joints.
         on_done: Called with the fraction of all work, 0-1, that has just been done.
         meshes: Whether meshes are read.
         mesh_paths: Beginnings of mesh addresses, and their replacements.
@@ -101,8 +101,8 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         boxed = _boxed(path, description, hand, base, report)
     urdf, arm = boxed.urdf, boxed.arm
     fingers = read_hand(urdf, arm)
-    wheel_drive, why = find_drive(urdf, arm)
-    given = stated(name, urdf, arm, fingers, drive or wheel_drive)
+    found_drive, why = find_drive(urdf, arm, urdf_of(description))
+    given = stated(name, urdf, arm, fingers, drive or found_drive)
     bare = build_robot(given, urdf, path, path)
     contacts = _contacts(bare, boxed.originals)
     limited = _limited(bare, contacts)

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import LONGEST, REMOTEST
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import POSE_COLUMNS, Array
+from kinfeas.core.spatial import POSE_COLUMNS, UNIT, Array
 from kinfeas.io.files import read_csv, replacing
 
 _POSES = ("ee_pose", "base_pose", "object_pose")
-_UNIT_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -111,4 +110,4 @@ def check_samples(path: Path, time: Array, poses: dict[str, Array]) -> None:
         near = np.all(np.abs(pose) <= REMOTEST, axis=1)
         require(near, f"{name} is not finite or beyond {REMOTEST:,.0f} m")
         norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
-        require(np.abs(norm - 1.0) <= _UNIT_TOLERANCE, f"{name} has no unit quaternion (xyzw)")
+        require(np.abs(norm - 1.0) <= UNIT, f"{name} has no unit quaternion (xyzw)")

@@ -142,10 +142,13 @@ def _run_on_ray(jobs: Sequence[Job], processes: int, address: str | None) -> Ite
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     # Workers of a local cluster would give way to all other programs.
     os.environ.setdefault("RAY_worker_niceness", "0")
-    ray.init(
-        address or "local", num_cpus=processes if address is None else None,
-        include_dashboard=False, logging_level=logging.ERROR, log_to_driver=False,
-    )  # fmt: skip
+    try:
+        ray.init(
+            address or "local", num_cpus=processes if address is None else None,
+            include_dashboard=False, logging_level=logging.ERROR, log_to_driver=False,
+        )  # fmt: skip
+    except (ValueError, ConnectionError) as error:  # the address is none, or nobody answers
+        raise KinfeasError(f"'address' {address!r}: {error}") from error
     # Ray itself starts the jobs of killed workers again.
     call = ray.remote(num_cpus=1, max_retries=ATTEMPTS)(_run_in)
     try:

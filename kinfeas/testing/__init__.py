@@ -1,4 +1,4 @@
-"""Conformance checks of motion generators and policies, for tests of plugins."""
+"""Conformance checks of motion generators, policies and adapters, for tests of plugins."""
 
 import pickle
 from collections.abc import Callable
@@ -15,11 +15,12 @@ from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
+from kinfeas.testing.adapters import check_adapter
 from kinfeas.testing.rules import RULES, Probe, Trial, describe, run_trial
 
 __all__ = [
-    "RULES", "ConformanceError", "Finding", "Trial", "check_motion_generator", "check_policy",
-    "examine",
+    "RULES", "ConformanceError", "Finding", "Trial", "check_adapter", "check_motion_generator",
+    "check_policy", "examine",
 ]  # fmt: skip
 
 _ROWS, _STEPS = 6, 20  # of the check of policies

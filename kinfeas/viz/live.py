@@ -8,7 +8,7 @@ from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import load_section
 from kinfeas.control.assemble import assemble
 from kinfeas.core import spatial
-from kinfeas.core.backend import build_simulator
+from kinfeas.core.backend import build_simulator, closed_on_error
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, stacked
 from kinfeas.kinematics.ik import IkSolver
@@ -54,12 +54,13 @@ class Episode:
         self._task = ServoTask(self.controller, spec)
         self._solver = IkSolver(robot, config.ik)
         self.backend = build_simulator(choice.backend, config.backend, robot=robot, scene=scene)
-        self.loop = assemble(
-            self._solver, build_subgoals(self._task.subgoals), self.backend, dt=DT,
-            execution=config, stream=self.controller, policy=load_policy(policy, robot),
-            filters=(self.controller, *(PluginSpec(name) for name in choice.filters)),
-        )  # fmt: skip
-        self.restart()
+        with closed_on_error(self.backend):
+            self.loop = assemble(
+                self._solver, build_subgoals(self._task.subgoals), self.backend, dt=DT,
+                execution=config, stream=self.controller, policy=load_policy(policy, robot),
+                filters=(self.controller, *(PluginSpec(name) for name in choice.filters)),
+            )  # fmt: skip
+            self.restart()
 
     @property
     def seconds(self) -> float:

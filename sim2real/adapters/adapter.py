@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from difflib import get_close_matches
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ Memory = dict[str, NDArray[Any]]
 Number = float | tuple[float, float]
 """A number, or a range [low, high] from which each episode draws its number uniformly."""
 
+_HOOKS = ("on_reset", "modify_command", "on_step", "modify_state")
 _ALLOWED = Interval(ge=0.0, le=10_000.0)  # seconds, metres or radians
 
 
@@ -57,6 +59,14 @@ class Adapter(BackendWrapper):
     late: ClassVar[bool] = False  # whether it makes robots respond later, and states its response
     needs: ClassVar[str] = ""
     """Ability of `Backend` that the adapter cannot do without; empty for none."""
+
+    def __init_subclass__(cls) -> None:
+        """Raise KinfeasError if a method of a new class has almost the name of a hook."""
+        super().__init_subclass__()
+        for name in vars(cls).keys() - set(dir(Adapter)):
+            close = get_close_matches(name, _HOOKS, n=1, cutoff=0.85)
+            if close and not name.startswith("_"):
+                raise KinfeasError(f"{cls.__name__}.{name}: unknown hook, not {close[0]!r}")
 
     def __init__(
         self,

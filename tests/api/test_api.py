@@ -41,6 +41,17 @@ def test_a_folder_does_not_hide_an_included_policy(tmp_path, monkeypatch):
     assert kinfeas.evaluate("pretrained", episodes=1, settings=SHORT)["policy"] == "pretrained"
 
 
+def test_policies_are_names_or_objects():
+    options = {"episodes": 1, "settings": SHORT}
+    policy = kinfeas.load_policy("follow_ee", robot="hsr")
+    metrics = kinfeas.evaluate(policy, robot="hsr", **options)
+    named = kinfeas.evaluate("follow_ee", robot="hsr", **options)
+    assert metrics == named | {"policy": type(policy).__name__}
+    for wrong, named in ((policy, "robot"), (object(), "policy")):
+        with pytest.raises(KinfeasError, match=named):
+            kinfeas.evaluate(wrong, **options)
+
+
 @pytest.mark.parametrize("wrong", [{"episodes": np.int64(0)}, {"seed": np.int64(-5)}])
 def test_numpy_numbers_are_checked(wrong):
     with pytest.raises(kinfeas.KinfeasError, match=next(iter(wrong))):

@@ -4,6 +4,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from contextlib import ExitStack, suppress
 
 import pytest
 
@@ -30,7 +31,7 @@ def post():
             except urllib.error.HTTPError as error:
                 return error.code, json.load(error)
 
-        send.address = server.socket.getsockname()
+        send.address, send.server = server.socket.getsockname(), server
         yield send
         server.shutdown()
         thread.join()
@@ -61,6 +62,39 @@ def test_a_slow_request_does_not_keep_others_waiting(post):
         begin = time.monotonic()
         assert post("/reach", {"poses": [AHEAD]})[0] == 200
         assert time.monotonic() - begin < 5.0  # a request may take 10 s to arrive
+
+
+HEAD = (
+    b"POST /reach HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nContent-Type: application/json\r\n"
+    b"Content-Length: 2\r\n\r\n"
+)
+
+
+def test_requests_of_clients_that_have_left_are_not_answered(post, monkeypatch):
+    bodies = []
+    monkeypatch.setitem(post.server.answers, "/reach", bodies.append)
+    with post.server.lock, socket.create_connection(post.address) as gone:
+        gone.sendall(HEAD % post.address[1] + b"{}")
+        gone.close()
+    post("/reach", [1])
+    assert bodies == [[1]]
+
+
+def test_a_body_that_stops_is_answered_with_408(post, monkeypatch):
+    monkeypatch.setattr(post.server.RequestHandlerClass, "timeout", 0.3)
+    with socket.create_connection(post.address) as slow:
+        slow.sendall(HEAD % post.address[1] + b"{")
+        assert b" 408 " in slow.makefile("rb").readline()
+
+
+def test_connections_beyond_the_limit_are_closed(post):
+    with ExitStack() as opened:
+        many = [opened.enter_context(socket.create_connection(post.address)) for _ in range(40)]
+        assert many[-1].recv(1) == b""
+    while True:
+        with suppress(ConnectionError):
+            assert post("/none", {})[0] == 404
+            break
 
 
 @pytest.mark.parametrize(("path", "data", "headers", "status"), [

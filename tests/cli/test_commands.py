@@ -47,6 +47,12 @@ def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, compone
     assert str(tmp_path) not in text
 
 
+def test_a_fit_to_one_demonstration_gives_a_warning(kinfeas, tmp_path):
+    write_demonstrations(tmp_path / "shown", 1)
+    done = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml", code=0)
+    assert "warning: one demonstration" in done.err
+
+
 def test_replay_of_a_run(kinfeas, tmp_path):
     words = ("--robot", "hsr", "--backend", "analytic", "--goal", "1", "0", "0.8", "--seed", "5")
     (tmp_path / "noise.yaml").write_text("adapters: [{name: base_noise, linear: 0.05}]")

@@ -54,6 +54,12 @@ def test_check_of_a_policy(kinfeas):
     check_one_line(kinfeas("plugins", "check", "follow_ee"), "--robot")
 
 
+def test_check_of_an_adapter(kinfeas):
+    words = ("plugins", "check", "actuator_lag", "--set")
+    assert kinfeas(*words, "base=0.2", "--json", "out.json", code=0).facts["passed"] is True
+    check_one_line(kinfeas(*words, "base=-1"), "base")
+
+
 def test_check_of_a_generator_that_breaks_rules(kinfeas):
     settings = ["--set", "max_velocity=0.4", "--set", "max_angular_velocity=null"]
     words = [*settings, "--duration", "9", "--json", "out.json"]

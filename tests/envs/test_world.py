@@ -231,6 +231,23 @@ def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch, factory, built):
     assert RealRobot.closed == built
 
 
+class Closing(AnalyticBackend):
+    closed = False
+
+    def close(self):
+        type(self).closed = True
+
+
+def test_a_backend_is_closed_if_an_adapter_cannot_be_built(hsr, monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    monkeypatch.setattr(Closing, "closed", False)
+    registry.register("kinfeas.backends", "closing", Closing)
+    noise = PluginSpec("base_noise", {"linear": -1.0})
+    with pytest.raises(KinfeasError, match="linear"):
+        make(hsr, world=WorldConfig(backend="closing", adapters=(noise,)))
+    assert Closing.closed
+
+
 def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):
     world = make(hsr, Walled(), WorldConfig(max_failures=10**6))
     world.start(range(4))

@@ -46,9 +46,28 @@ SPRINGS = "".join(
 ])  # fmt: skip
 def test_the_drive_is_read_from_names_and_axes_of_wheels(changed, text, drive, named):
     urdf = parse_urdf(changed(("</robot>", f"{text}</robot>")))
-    found, why = find_drive(urdf, find_arm(urdf, None, "dolly"))
+    found, why = find_drive(urdf, find_arm(urdf, None, "dolly"), urdf)
     assert found == drive
     assert named in why
+
+
+X, Y, YAW = ("prismatic", "1 0 0"), ("prismatic", "0 1 0"), ("continuous", "0 0 1")
+
+
+@pytest.mark.parametrize(
+    ("joints", "drive"), [((X, Y, YAW), "omnidirectional"), ((X, YAW), "differential")]
+)
+def test_without_wheels_the_drive_is_read_from_planar_joints(changed, joints, drive):
+    links = [*(f"frame_{i}" for i in range(len(joints))), "base"]
+    chain = "".join(
+        f'<link name="{parent}"/><joint name="to_{child}" type="{kind}"><parent link="{parent}"/>'
+        f'<child link="{child}"/><axis xyz="{axis}"/>'
+        '<limit lower="-9" upper="9" velocity="1"/></joint>'
+        for parent, child, (kind, axis) in zip(links, links[1:], joints, strict=False)
+    )
+    draft = draft_robot(changed(("</robot>", f"{chain}</robot>")), "dolly")
+    assert draft.spec.base.drive == drive
+    assert draft.guesses.drive.startswith("planar")
 
 
 LIGHT = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'

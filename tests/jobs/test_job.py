@@ -78,3 +78,10 @@ def test_a_job_that_kills_each_worker_is_an_error(tmp_path, monkeypatch):
 def test_invalid_engines(arguments, named):
     with pytest.raises(KinfeasError, match=named):
         build_engine(*arguments)
+
+
+@pytest.mark.slow
+def test_addresses_of_no_cluster_are_errors(tmp_path):
+    pytest.importorskip("ray")
+    with pytest.raises(KinfeasError, match="address"):
+        run_jobs(jobs(tmp_path, draw), build_engine("ray", address="nonsense"))

@@ -131,6 +131,7 @@ def test_ranges_are_drawn_for_each_episode(rig):
     ("joint_limit_clamp", "margin", 1.0),
     ("actuator_lag", "arm", -1),
     ("head_start", "seconds", -1),
+    ("head_start", "robot", 5),
     ("time_scale", "factor", 2.0),
     ("time_scale", "factor", [0.5, 1.0]),
 ])  # fmt: skip
