@@ -46,29 +46,6 @@ def test_episodes_do_not_depend_on_each_other():
     assert alone.success.all()
 
 
-def test_a_robot_that_is_pushed_gets_a_new_path(monkeypatch):
-    world, lengths, plan = world_of("pr2"), [], BasePathPlanner.plan
-    world.loop.set_policy(load_policy("stationary", world.robot))
-    world.start([0])
-
-    def noted(self, *args, **options):
-        path = plan(self, *args, **options)
-        lengths.append(len(path.seconds))
-        return path
-
-    monkeypatch.setattr(BasePathPlanner, "plan", noted)
-    for period in range(1500):
-        if period == 100:
-            state = world.loop.snapshot()
-            pushed = integrate(state["base_pose"], np.array([[0.3, 0, 0, 0, 0, 0]]), 1.0)
-            world.loop.restore({**state, "base_pose": pushed})
-        if reached := bool(world.step().reached[0]):
-            break
-    assert reached
-    assert len(lengths) == 2
-    assert lengths[1] < lengths[0]
-
-
 @pytest.mark.parametrize(("finds", "seconds"), [(False, [0, 2, 6, 14]), (True, [0, 2, 4, 6, 8])])
 def test_plans_fail_ever_more_rarely_but_pushed_robots_get_one_soon(monkeypatch, finds, seconds):
     world, periods, plan = world_of("pr2"), [], BasePathPlanner.plan
