@@ -1,6 +1,3 @@
-import os
-import subprocess
-import sys
 from dataclasses import fields, replace
 
 import numpy as np
@@ -317,29 +314,6 @@ def test_a_seed_within_the_pose_tolerance_always_has_a_solution(hsr):
     assert stay.sum() > 5000
     for step in (None, TIME * hsr.robot.max_joint_velocity):
         assert solver.solve(targets[stay], joints[stay], step).feasible.all()
-
-
-SCRIPT = """
-import hashlib
-from kinfeas.robots.loading import load_robot
-from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
-
-solver = IkSolver(load_robot("tiago"), IkOptions(self_collision=False))
-joints = spread_configurations(solver.robot, 200)
-found = solver.solve(forward(solver.chain, joints), joints[::-1])
-print(hashlib.sha256(found.joint_positions.tobytes()).hexdigest())
-"""
-
-
-@pytest.mark.slow
-def test_compiled_and_cached_kernels_give_the_same_bits(tmp_path):
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", SCRIPT]
-    options = {"env": environment, "timeout": 600}
-    first, second = (subprocess.check_output(command, **options) for _ in range(2))
-    assert len(first) > 60
-    assert second == first
 
 
 def test_solutions_keep_margins_from_joint_limits_and_shapes(tiago):
