@@ -72,9 +72,3 @@ def test_a_job_that_kills_each_worker_is_an_error(tmp_path, monkeypatch):
     with pytest.raises(KinfeasError, match=r"0\.json"):
         run_jobs(jobs(tmp_path, die), engine)
     assert rounds == [1] * ATTEMPTS
-
-
-@pytest.mark.parametrize(("arguments", "named"), [(("roy",), "ray"), (("local", 2, "a:1"), "ray")])
-def test_invalid_engines(arguments, named):
-    with pytest.raises(KinfeasError, match=named):
-        build_engine(*arguments)
