@@ -67,7 +67,7 @@ def reported(solution):
 
 
 def test_round_trip(robot, judge):
-    check_round_trip(IkSolver(robot, IkOptions(pose_tolerance=False)), judge, 5000, 0.995)
+    check_round_trip(IkSolver(robot, IkOptions(pose_tolerance=False)), judge, 2000, 0.995)
 
 
 def test_round_trip_with_mimic_joints(odd_robot, odd_judge):
@@ -271,17 +271,6 @@ def test_targets_out_of_reach_or_not_finite_keep_the_seed(tiago):
 def test_other_shapes_are_errors(hsr, targets, seeds, step, name):
     with pytest.raises(KinfeasError, match=f"^{name}"):
         hsr.solve(np.ones(targets), np.ones(seeds), np.ones(step))
-
-
-def test_self_collision_can_be_left_out(tiago):
-    blind = IkSolver(tiago.robot, replace(EXACT, self_collision=False))
-    joints = draw(tiago.robot, 500)
-    touching = joints[self_collides(blind.collision, joints)]
-    targets = forward(blind.chain, touching)
-    solution, kept = blind.solve(targets, touching), tiago.solve(targets, touching)
-    assert solution.feasible.all()
-    assert self_collides(blind.collision, solution.joint_positions).all()  # the seeds themselves
-    check_solutions(tiago, kept.joint_positions[kept.feasible])
 
 
 def perturbed(solver, joints, scale):

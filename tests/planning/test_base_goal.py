@@ -23,7 +23,7 @@ def goal_of(start):
     return start.target_poses[0, :2]
 
 
-@pytest.fixture(scope="module", params=["pr2", "tiago", "hsr"])
+@pytest.fixture(scope="module", params=["tiago", "hsr"])
 def planned(request):
     """Planner, starts among solids, and the path of each."""
     solver = IkSolver(load_robot(request.param))
