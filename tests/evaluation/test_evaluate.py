@@ -72,6 +72,7 @@ def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
     assert (world.dt, [each.name for each in world.filters]) == (dt, filters)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_packaged_policies_keep_their_success_rate(name):
     metadata = json.loads((load_robot(name).folder / "policies/pretrained/policy.json").read_text())
