@@ -97,10 +97,6 @@ def test_a_plugin_is_installed_and_uninstalled_by_pip(tmp_path, monkeypatch):
     assert "swirl" not in registry.names(MOTIONS)
 
 
-def test_there_is_a_template_for_every_group():
-    assert {kind.group for kind in Kind} == set(registry.GROUPS)
-
-
 @pytest.mark.parametrize("kind", Kind)
 def test_each_template_passes_its_own_test(kind, tmp_path, offer):
     name = f"tried_{kind}"

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 COMMAND = typer.main.get_command(app)
-# Pages whose Python needs files: `test_the_page_on_plugins`, and tests/plugins/test_fit.py.
+# Pages whose Python needs files: `test_the_page_on_plugins`, and those of tests/plugins.
 NEED_FILES = {"demonstrations.md", "plugins.md"}
 
 

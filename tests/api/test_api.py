@@ -30,11 +30,6 @@ def test_train_evaluate_export_and_load(tmp_path):
         kinfeas.train("hsr", out=run.folder)
 
 
-def test_the_package_lists_its_functions():
-    assert set(kinfeas.__all__) <= set(dir(kinfeas))
-    assert all(callable(getattr(kinfeas, name)) for name in kinfeas.__all__ if name[0] != "_")
-
-
 def test_a_folder_does_not_hide_an_included_policy(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pretrained").mkdir()
@@ -80,18 +75,6 @@ def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
     assert bound.ceiling == metrics["ceiling"] == bound.convergence[-1]
 
 
-def test_evaluations_with_adapters_have_the_settings_of_a_deployment():
-    options = {"robot": "hsr", "adapters": "pr2_like", "episodes": 2}
-    late = kinfeas.evaluate("follow_ee", settings=SHORT, **options)
-    changed = SHORT | {"world.dt": 0.1}
-    own = kinfeas.evaluate("follow_ee", filters="none", settings=changed, **options)
-    assert (late["filters"], own["filters"]) == (["time_scaling"], [])
-    assert (late["mean_steps"], own["mean_steps"]) == (50.0, 10.0)
-    assert isinstance(late["lateness_s"], float)
-    exact = kinfeas.evaluate("follow_ee", robot="hsr", episodes=2, settings=SHORT)
-    assert exact["lateness_s"] is None
-
-
 class Targets:
     """A source of targets within a program."""
 
@@ -118,10 +101,10 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [
-    {"policy": "folow_ee"}, {"world": "real"}, {"episodes": 0}, {"settings": {"world.dtt": 1}},
-    {"seed": -1}, {"processes": 0}, {"settings": {"world.dt": object()}},
-    {"settings": {"world.dt": np.zeros(2)}}, {"settings": {5: 1}}, {"settings": 5}, {"filters": 3},
-    {"policy": object()}, {"robot": object()},
+    {"policy": "folow_ee"}, {"policy": object()}, {"robot": object()}, {"world": "real"},
+    {"episodes": np.int64(0)}, {"seed": np.int64(-1)}, {"processes": 0}, {"filters": 3},
+    {"settings": {"world.dtt": 1}}, {"settings": {"world.dt": object()}},
+    {"settings": {"world.dt": np.zeros(2)}}, {"settings": {5: 1}}, {"settings": 5},
 ])  # fmt: skip
 def test_bad_input_is_an_error(arguments):
     with pytest.raises(KinfeasError):
@@ -136,8 +119,3 @@ def test_bad_deployments_are_errors(tmp_path, arguments):
     options = {"policy": "follow_ee", "backend": "analytic", "goal": np.array([0.9, 0.1, 0.8])}
     with pytest.raises(KinfeasError):
         kinfeas.deploy(**options | {"record": tmp_path / "a.csv"} | arguments)
-
-
-def test_bad_demonstrations_are_errors(tmp_path):
-    with pytest.raises(KinfeasError, match="kind"):
-        kinfeas.fit(tmp_path, tmp_path / "model.yaml", kind="dmp")

@@ -2,13 +2,11 @@
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.backends.mujoco import simulations
 from kinfeas.backends.physics import drives
 from kinfeas.backends.physics.visuals import ROBOT
 from kinfeas.core import spatial
@@ -17,7 +15,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.robots.loading import load_robot
 from tests.backends.conftest import place, stay
-from tests.builders import assert_near, at, twist
+from tests.builders import assert_near, twist
 
 DT, STEP = 0.02, 1 / 240
 NUMBER = st.floats(-2.0, 2.0)
@@ -33,14 +31,6 @@ def random_joints(solver, rng):
 
 def ee_pose(solver, state):
     return spatial.compose(state.base_pose, forward(solver.chain, state.joint_positions))
-
-
-def test_a_reset_is_measured(world, begin):
-    state = begin(x=1.0, y=-0.5, yaw=2.0)
-    np.testing.assert_allclose(state.base_pose, at(1.0, -0.5, 2.0), atol=1e-12)
-    np.testing.assert_array_equal(state.joint_positions[0], world.robot.home["home"])
-    assert np.all(state.base_twist == 0.0)
-    assert np.all(state.joint_velocities == 0.0)
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
@@ -116,18 +106,6 @@ def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, opened):
     np.testing.assert_array_equal(later, play(opened(hsr, scene), scene, 7))
 
 
-def test_one_row_is_reset_while_others_go_on(hsr, scene, opened):
-    world, homes = opened(hsr, scene), np.stack([hsr.home["home"]] * 3)
-    bases = spatial.planar_pose(np.arange(3.0), np.zeros(3), np.zeros(3))
-    world.reset(bases, homes)
-    for _ in range(5):
-        before = world.step(np.repeat(twist(0.2), 3, axis=0), homes, DT)
-    after = world.reset(bases[1:2], homes[1:2], np.array([1]))
-    np.testing.assert_array_equal(after.base_pose[[0, 2]], before.base_pose[[0, 2]])
-    np.testing.assert_allclose(after.base_pose[1], bases[1], atol=1e-12)
-    assert np.all(before.base_pose[:, 0] > bases[:, 0])
-
-
 @pytest.mark.parametrize("right", [0.05, -0.05, -0.025])
 def test_each_finger_goes_to_its_own_position(opened, scout, right):
     def mirrored(urdf):
@@ -160,14 +138,6 @@ def test_a_cubic_meets_its_boundary_conditions(position, velocity, change, durat
     np.testing.assert_allclose(speed[2:], 0.0, atol=1e-9)
 
 
-@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_a_cubic_keeps_the_velocity_it_was_scaled_for(start, change):
-    duration = 1.5 * max(change, 0.1)
-    times = np.linspace(0, 2, 99)
-    speed = [drives.cubic(0.0, start, change, duration, time)[1] for time in times]
-    assert np.abs(speed).max() <= 1.0 + 1e-9
-
-
 def test_joints_use_and_keep_their_velocity_limits(world, begin):
     begin(x=1.0)
     robot, rng = world.robot, np.random.default_rng(0)
@@ -193,25 +163,6 @@ def test_a_continuous_joint_takes_the_shorter_path(opened):
     assert np.abs(angles).max() <= np.pi
     assert np.abs(angles).min() > 2.9
     assert angles[-1] == pytest.approx(-3.0, abs=1e-4)
-
-
-def test_kernels_are_compiled_before_the_first_step(opened, monkeypatch):
-    types = set()
-
-    def recorded(kernel):
-        def run(*arguments):
-            types.add((kernel, tuple(map(numba.typeof, arguments))))
-            return kernel(*arguments)
-
-        return run
-
-    monkeypatch.setattr(drives, "arm_paths", recorded(drives.arm_paths))
-    monkeypatch.setattr(simulations, "base_path", recorded(simulations.base_path))
-    world = opened(load_robot("hsr"))
-    place(world)
-    compiled = types.copy()
-    stay(world, 1, twist(0.1))
-    assert types == compiled != set()
 
 
 def test_a_joint_without_effort_is_an_error(engine):

@@ -1,7 +1,5 @@
 import re
 import struct
-from dataclasses import replace
-from functools import reduce
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,19 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.backends.physics.robot import (
     FRAME,
-    PLANAR_JOINTS,
     Inertia,
     merge_fixed_links,
-    moving_joints,
     physical,
-    physics_urdf,
     read_inertia,
     repair_inertias,
 )
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY, compose
 from kinfeas.robots.elements import read_xml
-from kinfeas.robots.urdf_file import parse_urdf
 from tests.backends.conftest import place, stay
 
 MOMENTS = st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)
@@ -40,42 +33,6 @@ STL = bytes(80) + struct.pack("<I", 4) + b"".join(
     struct.pack("<12fH", 0, 0, 1, *(x for i in range(4) if i != left for x in CORNERS[i]), 0)
     for left in range(4)
 )  # fmt: skip
-
-
-def test_the_urdf_is_the_robot_on_planar_joints(robot, tmp_path):
-    text, _ = physics_urdf(robot)
-    path = tmp_path / "robot.urdf"
-    path.write_text(text.replace('lower="0" upper="-1"', 'lower="-9" upper="9"'))
-    urdf, movable = parse_urdf(path), moving_joints(robot)
-    moving = [name for name, joint in urdf.joints.items() if joint.moves]
-    assert moving[:3] == list(PLANAR_JOINTS)
-    assert set(moving[3:]) == movable
-    assert {joint.name for joint in robot.arm} <= movable
-    assert urdf.joints[PLANAR_JOINTS[-1]].child == robot.urdf.root
-    assert not any(joint.mimic for joint in urdf.joints.values())
-    assert {joint.child for joint in urdf.joints.values() if not joint.moves} <= {robot.ee_frame}
-    still = {name: at for name, at in robot.fixed_joints.items() if name not in movable}
-    for link in (*(robot.urdf.joints[name].child for name in movable), robot.ee_frame):
-        np.testing.assert_allclose(
-            pose_of(urdf, link, {}), pose_of(robot.urdf, link, still), atol=1e-9
-        )
-
-
-def test_the_joint_between_world_and_base_is_left_out(robot, tmp_path):
-    world = (
-        f'<link name="world"/><joint name="free" type="planar"><parent link="world"/>'
-        f'<child link="{robot.urdf.root}"/></joint></robot>'
-    )
-    path = tmp_path / "robot.urdf"
-    path.write_text(robot.urdf_path.read_text().replace("</robot>", world))
-    free = replace(robot, urdf_path=path, urdf=parse_urdf(path))
-    assert physics_urdf(free) == physics_urdf(robot)
-
-
-def pose_of(urdf, link, positions):
-    """Return the pose of a link, joints without a position at 0."""
-    poses = [joint.pose_at(positions.get(joint.name, 0.0)) for joint in urdf.path_to(link)]
-    return reduce(compose, poses, IDENTITY)
 
 
 def test_merged_links_have_the_same_dynamics_and_shapes(robot, tmp_path):

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.backends.physics.stage import Stage, task_scene
+from kinfeas.backends.physics.stage import Stage
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
@@ -55,7 +55,7 @@ def test_episodes_start_free_of_collisions_and_not_done(stage, solver):
 
 def test_a_start_in_collision_is_drawn_again_with_the_same_goals(stage, solver, monkeypatch):
     allowed = stage.task.start
-    for seed in range(100):
+    for seed in range(20):
         first = stage.task.sample(solver, np.random.default_rng(seed))
         answers, rng = iter([False, True]), np.random.default_rng(seed)
         monkeypatch.setattr(stage.backend, "place", lambda *_, answers=answers: next(answers))
@@ -124,27 +124,6 @@ def test_an_object_stands_if_upright_at_rest_on_another(
     pose, _ = world.object_motion(0, "box")
     monkeypatch.setattr(world, "object_motion", lambda *_: (pose, 0.2))
     assert not room_stage.stands(0, "box", "place_table")
-
-
-def test_a_task_without_objects_has_no_success_condition(hsr, engine):
-    assert task_scene(load_task("ggr")) is None
-    stage = engine(hsr, objects=False).stage(load_task("door"))
-    begin(stage, IkSolver(hsr), 0)
-    assert stage.done() is None
-    assert not stage.has_success_condition
-    with pytest.raises(KinfeasError, match="scene"):
-        stage.backend.handle("box", "box")
-    stage.backend.close()
-
-
-def test_a_scene_without_a_success_condition_is_done_at_the_goal(hsr, scene_path, engine):
-    here = {"here": Place((1.0, 0.0, 0.8))}
-    task = ChainTask("visit", (ChainSubgoal(place="here"),), here, scene=TaskScene(scene_path))
-    stage = engine(hsr).stage(task)
-    begin(stage, IkSolver(hsr), 0)
-    joints = np.zeros((1, len(hsr.arm)))
-    assert [stage.task_done(0, joints, 0.1, reached=r) for r in (False, True)] == [False, True]
-    stage.backend.close()
 
 
 def test_grasping_needs_a_gripper(hsr, engine):

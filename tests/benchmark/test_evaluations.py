@@ -2,7 +2,7 @@ from collections import Counter
 
 import pytest
 
-from kinfeas.benchmark.config import read_benchmark, restricted
+from kinfeas.benchmark.config import read_benchmark
 from kinfeas.benchmark.evaluations import CEILING, PART, plan_evaluations
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.errors import KinfeasError
@@ -93,25 +93,16 @@ def test_shipped_benchmarks_are_valid(name):
     assert read.backend == ("pybullet" if name.startswith("physics") else "analytic")
 
 
-def test_fewer_robots():
-    whole = study({}, {"trainings": [{"robot": "pr2"}, {"robot": "hsr"}]})
-    assert restricted(whole, {"hsr"}).robots == ("hsr",)
-    with pytest.raises(KinfeasError, match="fetch"):
-        restricted(whole, {"fetch"})
-
-
 VARIANT = {"label": "x", "task": "ggr", "parameters": {"distance": [1, 2]}, "robots": ["pr2"]}
 
 
 @pytest.mark.parametrize(("settings", "named"), [
     ({"baselines": {"follow_me": ["ggr"]}}, "follow_me"),
     ({"tasks": ["ggr", "fly"]}, "fly"),
-    ({"robots": []}, "robots"),
     ({"seeds": [1, 1]}, "seeds"),
     ({"variants": [VARIANT, VARIANT]}, "variants"),
     ({"variants": [VARIANT | {"parameters": {"colour": 1}}]}, "colour"),
     ({"rows": [{"label": "a"}, {"label": "a", "tasks": ["ggr"]}]}, "rows"),
-    ({"rows": [{"label": ""}]}, "rows"),
     ({"rows": [{"label": "a", "settings": {"world.slw": 1}}]}, "slw"),
 ])  # fmt: skip
 def test_the_wrong_key_or_value_is_named(tmp_path, settings, named):

@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 
 from kinfeas.core.registry import GROUPS
-from kinfeas.testing import RULES
 from tests.cli.conftest import check_one_line
 
 
@@ -37,14 +36,6 @@ def test_info_on_parameters(info):
     distance = {"name": "distance", "type": "tuple[float, float]", "default": [1, 5]}
     assert distance in info("ggr")["parameters"]
     assert len(info("hsr")["robot"]["arm"]) == 5
-
-
-def test_check_reports_every_rule(kinfeas, tmp_path):
-    words = ("--picture", "a.png", "--json", "out.json")
-    report = kinfeas("plugins", "check", "linear", *words, code=0).facts
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    assert report["passed"] is True
-    assert [rule["rule"] for rule in report["rules"]] == list(RULES)
 
 
 def test_check_of_a_policy(kinfeas):

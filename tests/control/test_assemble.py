@@ -11,7 +11,6 @@ from kinfeas.control.assemble import read_sim2real, with_adapters
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.backend import BackendWrapper
 from kinfeas.core.response import ResponseModel
-from kinfeas.core.spatial import distance
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -47,20 +46,6 @@ def test_adapters_state_the_mean_response_of_their_ranges(pr2):
         acceleration=0.7, rotation_acceleration=1.3, jerk=5.0, rotation_jerk=10.0,
     )  # fmt: skip
     assert astuple(backend.response) == pytest.approx(astuple(expected))
-
-
-def test_observations_are_measured_and_the_deviation_is_true(pr2):
-    config = WorldConfig(adapters=(PluginSpec("localisation", {"rate": 50.0, "jump": 0.3}),))
-    world = World(pr2, ggr(), config, seed=0)
-    world.start(range(20))
-    for _ in range(5):
-        outcome = world.step(np.zeros((20, 3))).outcome
-    measured = world.loop.ee_pose
-    goal_distance, _ = distance(measured, world.loop.sequence.goal)
-    np.testing.assert_allclose(outcome.goal_distance, goal_distance)
-    # The arm corrects the error of the measured base, so that the true EE is off.
-    assert np.median(outcome.deviation) > 0.1
-    assert not np.allclose(outcome.deviation, distance(measured, world.loop.desired)[0])
 
 
 @pytest.mark.parametrize("dt", [0.1, 0.05])

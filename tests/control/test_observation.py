@@ -6,10 +6,7 @@ from kinfeas.control.observation import (
     HORIZON,
     OBSERVATION,
     ObservedState,
-    describe_action,
-    describe_observation,
     observe,
-    scale,
     size,
     surroundings,
 )
@@ -40,6 +37,8 @@ def test_terms_are_in_order(parts, robot):
     pose = np.hstack([terms["goal_position"], terms["goal_orientation"]])
     np.testing.assert_allclose(pose, relative(goal, base), atol=1e-12)
     np.testing.assert_array_equal(terms["joint_positions"], joints)
+    n = size(robot)
+    assert surroundings(robot, (*OBSERVATION, "planned_base")) == [n, n + 1, n + 2]
 
 
 def test_planned_motion_leads_from_the_achieved_to_the_planned_pose(parts):
@@ -66,17 +65,3 @@ def test_moving_the_world_changes_nothing(parts, angle):
     half_turn = np.abs(before[:, [6, 13, 20]]).min(axis=1) < 1e-9
     np.testing.assert_allclose(after[~half_turn], before[~half_turn], atol=1e-9)
     assert half_turn.sum() <= 1
-
-
-def test_scales_and_descriptions_have_the_size_of_observations(robot):
-    n = size(robot)
-    assert scale(robot).shape == (n,)
-    # The w of a small rotation is 1.
-    np.testing.assert_array_equal(scale(robot, ["planned_rotation"]), [20.0, 20.0, 20.0, 1.0])
-    terms = describe_observation(robot, OBSERVATION)
-    assert [term.name for term in terms] == list(OBSERVATION)
-    assert sum(term.size for term in terms) == n
-    assert terms[-1].entries == tuple(joint.name for joint in robot.arm)
-    assert surroundings(robot, (*OBSERVATION, "planned_base")) == [n, n + 1, n + 2]
-    action = describe_action(robot)
-    assert action.scale == (robot.base.max_velocity,) * 2 + (robot.base.max_rotation,)

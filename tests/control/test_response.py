@@ -160,38 +160,6 @@ def test_limited_accelerations_in_fractions_of_a_period_are_nearly_predicted(sol
     assert drive.errors.max() < 0.005
 
 
-def test_a_base_reaches_the_predicted_pose_of_its_next_command(solver):
-    drive = Drive(solver, [PluginSpec("actuator_lag", {"base": 0.2, "arm": 0.0}), LIMITS], 0.1)
-    twist = np.tile([0.3, -0.2, 0.0, 0.0, 0.0, 0.4], (3, 1))
-    before, predictor = drive.step(5), drive.predictor
-    reached = predictor.base.reached(before.base_pose, predictor.motion, twist, drive.dt)
-    true = drive.backend.step(twist, drive.targets, drive.dt).base_pose
-    np.testing.assert_allclose(reached, true, atol=1e-12)
-
-
-def test_rows_do_not_depend_on_the_batch(solver):
-    adapters = read_sim2real("harsh").adapters
-    together = Drive(solver, adapters, 0.02).step(30)
-    for row in range(3):
-        alone = Drive(solver, adapters, 0.02, rows=[row]).step(30)
-        np.testing.assert_array_equal(alone.base_pose[0], together.base_pose[row])
-        np.testing.assert_array_equal(alone.joint_positions[0], together.joint_positions[row])
-
-
-def test_new_episodes_leave_the_others_alone(solver):
-    adapters = [LAG, JERKS, *WHOLE]
-    renewed, twin = Drive(solver, adapters, 0.02), Drive(solver, adapters, 0.02)
-    for drive in (renewed, twin):
-        drive.step(20)
-    renewed.begin(np.array([1]))
-    seen, expected = renewed.step(40), twin.step(40)
-    for row in (0, 2):
-        np.testing.assert_array_equal(seen.base_pose[row], expected.base_pose[row])
-        np.testing.assert_array_equal(seen.joint_positions[row], expected.joint_positions[row])
-    renewed.predicted, renewed.truth = renewed.predicted[10:], renewed.truth[10:]
-    assert renewed.errors.max() < 1e-9
-
-
 def test_jumps_of_the_localisation_are_followed_slowly_and_small_errors_at_once(solver):
     predictor, dt = Predictor(ResponseModel(base_lag=0.1), solver, 0.02), 0.02
     rest, joints = np.zeros((1, 6)), solver.robot.home["home"][np.newaxis]
@@ -284,16 +252,6 @@ def test_lateness_shows_a_model_of_half_the_delay(solver, name, delay):
         run(loop)
     assert lateness(right.response_sums) == pytest.approx(0.0, abs=1e-6)
     assert 0.3 * delay < lateness(wrong.response_sums) < 0.5 * delay
-
-
-def test_continues_from_a_snapshot_to_the_bit(solver):
-    loop, other = (loop_of(solver, read_sim2real("harsh").adapters) for _ in range(2))
-    run(loop, 30)
-    saved = loop.snapshot()
-    expected = run(loop, 20)
-    other.restore(saved)
-    np.testing.assert_array_equal(run(other, 20), expected)
-    np.testing.assert_array_equal(other.response_sums, loop.response_sums)
 
 
 def test_a_newer_measurement_of_resting_robots_begins_anew(solver):

@@ -7,7 +7,6 @@ from kinfeas.control.sequence import MotionSequence
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.plugins.linear import Linear
-from kinfeas.plugins.waypoints import Waypoints
 from tests.builders import assert_near, random_poses, rngs
 
 FAR = np.zeros(1, dtype=bool)  # no EE is as near as a grip needs it
@@ -69,18 +68,6 @@ def follow(sequence, steps, arrived=None):
     return np.stack(path)
 
 
-def test_the_tip_moves_straight_and_takes_the_ee_along(robot, begin):
-    sequence = begin(subgoals=CHAIN[:1])
-    tool, target = np.broadcast_to(tool_pose(robot), (6, 7)), random_poses(6, 1)
-    tip = spatial.compose(sequence.desired, tool)
-    state = LINEAR.start(tip, target, rngs(6))
-    for _ in range(100):
-        twist, state = LINEAR.twist(state, tip, target, np.full(6, HORIZON))
-        tip = spatial.integrate(tip, twist, HORIZON)
-        sequence.move(sequence.step_of(HORIZON))
-        assert_near(spatial.compose(sequence.desired, tool), tip, 1e-6, 1e-6)
-
-
 @pytest.mark.parametrize(("dt", "periods"), [(0.1, 12), (0.02, 56), (0.3, 4)])
 def test_a_dwell_keeps_its_time(begin, dt, periods):
     subgoals = [SubgoalMotion(LINEAR, dwell=1.12), SubgoalMotion(LINEAR)]
@@ -102,51 +89,12 @@ def test_a_dwell_keeps_its_time(begin, dt, periods):
     assert np.linalg.norm(sequence.desired[0] - rest) > 0.0
 
 
-def test_a_restart_is_the_same_in_any_row_and_touches_no_other(begin):
-    whole, other = begin(), begin()
-    follow(whole, 300)
-    follow(other, 300)
-    before = other.snapshot()
-    copies = {key: values.copy() for key, values in before.items()}
-    rows, others, first = np.array([3, 1]), [0, 2, 4, 5], [0, 5]
-    targets = random_poses((6, 4), 1)[first]
-    other.start(random_poses(6)[first], targets, [rngs(6)[row] for row in first], rows)
-    for key, values in before.items():
-        np.testing.assert_array_equal(values, copies[key], err_msg=key)
-    path = follow(other, 300)
-    np.testing.assert_array_equal(path[:, others], follow(whole, 300)[:, others])
-    np.testing.assert_array_equal(path[:, rows], follow(begin(), 300)[:, first])
-
-
-@pytest.mark.parametrize("subgoal", range(4))
-def test_snapshot_goes_on_to_the_bit(begin, solver, subgoal):
-    sequence, again = begin(), MotionSequence(CHAIN, solver, HORIZON)
-    follow(sequence, 1)
-    while not np.any(sequence.subgoal == subgoal):
-        follow(sequence, 1)
-    again.restore(sequence.snapshot())
-    for key in ("subgoal", "dwelling", "goal", "demonstrated_base"):
-        np.testing.assert_array_equal(getattr(again, key), getattr(sequence, key))
-    np.testing.assert_array_equal(follow(again, 500), follow(sequence, 500))
-
-
 def test_the_base_is_demonstrated_on_its_subgoals_only(begin):
     sequence = begin(3, [SubgoalMotion(Wander()), SubgoalMotion(LINEAR)])
     follow(sequence, 5, lambda _: [False, True, False])
     base = sequence.demonstrated_base
     np.testing.assert_array_equal(base[[0, 2], 0], 5.0)
     assert np.isnan(base[1]).all()
-
-
-def test_a_head_start_delays_the_first_subgoal_only(begin):
-    subgoals = [SubgoalMotion(LINEAR, dwell=0.2), SubgoalMotion(LINEAR)]
-    sequence = begin(2, subgoals, head_start=0.5)
-    path = follow(sequence, 8, lambda i: [i == 6, False])
-    assert np.all(path[:5] == random_poses(2))
-    assert np.all(np.any(path[5] != path[4], axis=1))
-    assert sequence.dwelling.tolist() == [1, 0]
-    follow(sequence, 1, lambda _: [False, False])
-    assert sequence.subgoal.tolist() == [1, 0]
 
 
 @pytest.mark.parametrize(("settled_at", "stops_at"), [(2, 2), (0, 0), (99, 4)])
@@ -215,35 +163,3 @@ def test_paused_rows_stay(begin):
         sequence.end_subgoals(np.ones(6, dtype=bool), FAR)
         if subgoal == 1:
             follow(sequence, 3)
-
-
-def test_randomness_differs_between_rows_and_subgoals(solver):
-    sequence = MotionSequence([SubgoalMotion(Wander())] * 2, solver, HORIZON)
-    sequence.start(random_poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(2))
-    first = sequence.goal
-    sequence.end_subgoals(np.ones(2, dtype=bool), FAR)
-    assert len(np.unique(np.concatenate([first, sequence.goal])[:, 0])) == 4
-
-
-def test_the_rest_of_a_closed_path_is_computed_to_its_end_and_resumes(solver, tmp_path):
-    angle = np.linspace(0.0, 2.0 * np.pi, 17)
-    rows = [[0.1 * np.cos(a) - 0.1, 0.1 * np.sin(a), 0, 0, 0, 0, 1] for a in angle]
-    file = tmp_path / "circle.yaml"
-    file.write_text(f"poses: {np.array(rows).tolist()}")
-    circle = [SubgoalMotion(Waypoints(file=str(file)))] * 2
-    sequence, again = (MotionSequence(circle, solver, HORIZON) for _ in range(2))
-    poses, near = random_poses(2), np.ones(2, dtype=bool)
-    sequence.start(poses, np.stack([poses, poses], axis=1), rngs(2))
-    for pose, ahead in zip(poses, sequence.to_the_end(np.arange(2)), strict=True):
-        assert np.linalg.norm(ahead[:, :3] - pose[:3], axis=1).max() > 0.19
-    assert not sequence.ended(near).any()
-    for _ in range(50):
-        sequence.move(sequence.step_of(HORIZON))
-    assert not sequence.ended(near).any()
-    again.restore(sequence.snapshot())
-    for _ in range(150):
-        for each in (sequence, again):
-            each.move(each.step_of(HORIZON))
-        np.testing.assert_array_equal(again.ended(near), sequence.ended(near))
-    assert sequence.ended(near).all()
-    assert not sequence.ended(~near).any()

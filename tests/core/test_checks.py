@@ -75,20 +75,3 @@ def test_invalid_values_name_generator_and_method(method, value):
     call(CheckedMotion(Motion(), "mine"))
     with pytest.raises(ConformanceError, match=f"^motion generator mine .*{method}"):
         call(CheckedMotion(Motion(**{method: value}), "mine"))
-
-
-@pytest.mark.parametrize(("method", "value", "at_each_call"), [
-    ("twist", (ZERO, {"clock": ZERO}), False), ("base_pose", POSES[:2], False),
-    ("twist", (NAN, STATE), True), ("goal_pose", POSES * np.nan, True),
-])  # fmt: skip
-def test_values_are_checked_after_each_start_or_at_each_call(method, value, at_each_call):
-    for every_step in (False, True):
-        generator = Motion()
-        motion = CheckedMotion(generator, every_step=every_step)
-        call(motion)
-        generator.values[method] = value
-        if not (at_each_call or every_step):
-            call(motion, method)
-            call(motion, "start")
-        with pytest.raises(ConformanceError):
-            call(motion, method)

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from kinfeas.core.checks import ConformanceError
 from kinfeas.core.single_motion import batched
 from kinfeas.core.spatial import twist_between
 from kinfeas.testing import check_motion_generator
@@ -78,12 +77,3 @@ def test_a_motion_with_an_end_of_its_own_ends_row_by_row():
     assert finished.tolist() == [False, True, False]
     assert generator.finished({}, np.zeros((0, 7))).shape == (0,)
     assert not hasattr(Batched(), "finished")
-
-
-def test_a_twist_of_one_number_is_an_error():
-    class Number(Straight):
-        def twist(self, state, ee_pose, target_pose, dt):
-            return 0.05, state
-
-    with pytest.raises(ConformanceError, match="shape"):
-        check_motion_generator(batched(Number)())

@@ -97,14 +97,6 @@ def test_two_columns_need_not_be_orthonormal(shape):
     np.testing.assert_allclose(from_columns(values), poses, atol=1e-9)
 
 
-@pytest.mark.parametrize("columns", [[0.0] * 6, [1.0, 0.0, 0.0, 2.0, 0.0, 0.0], [np.nan] * 6])
-def test_two_columns_that_are_no_rotation_raise_errors(columns):
-    with pytest.raises(KinfeasError, match="columns"):
-        from_columns(np.array([0.0] * 3 + columns))
-    with pytest.raises(KinfeasError, match="columns"):
-        from_columns(np.array(columns))
-
-
 def test_planar_offset_is_zero_for_unknown_poses():
     pose, frame = planar_pose(*np.random.default_rng(0).uniform(-9.0, 9.0, (3, 2, 5)))
     child = relative(pose, frame)

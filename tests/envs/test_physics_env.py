@@ -36,9 +36,3 @@ def test_steps_count_contacts_and_pictures_show_the_robot(make, engine):
     assert picture.shape == (360, 480, 3)
     assert picture.std() > 5.0
     env.close()
-
-
-def test_no_filter_changes_commands_unless_the_world_has_one(make, engine):
-    assert not make("pr2").unwrapped.world.config.filters
-    own = evaluation_world(engine, "pr2")
-    assert make("pr2", world=own).unwrapped.world.config.filters == own.filters

@@ -80,39 +80,27 @@ def test_shipped_hands_have_the_axes_of_their_files(name):
     np.testing.assert_allclose(hand.tip, robot.tool_tip, atol=0.03)
 
 
-def test_reads_the_fingers_and_the_tip(dolly):
-    hand = read_hand(parse_urdf(dolly), arm_of(dolly))
-    np.testing.assert_allclose(hand.tip, [0.12, 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(hand.rotation, [0.0, 0.0, 0.0, 1.0], atol=1e-9)
-    assert (hand.gripper.fingers, hand.gripper.effort) == (("l", "r"), 20.0)
-    assert (hand.gripper.closed, hand.gripper.open) == (0.0, 0.04)
-
-
 MIRRORED = (
     '<axis xyz="0 -1 0"/>\n    <limit lower="0" upper="0.04"',
-    ('<axis xyz="0 1 0"/>\n    <limit lower="-0.04" upper="0"'),
+    '<axis xyz="0 1 0"/>\n    <limit lower="-0.04" upper="0"',
 )
 MIMIC = 'effort="20"/></joint>', 'effort="0"/><mimic joint="l" multiplier="-1"/></joint>'
+BOX = '<geometry><box size="0.1 0.02 0.02"/></geometry>'
+NO_SHAPES = f'<collision><origin xyz="0.05 0 0"/>{BOX}</collision>', ""
 
 
-@pytest.mark.parametrize("changes", [(MIRRORED,), (MIRRORED, MIMIC)])
-def test_fingers_with_mirrored_limits_are_a_gripper(changed, changes):
+@pytest.mark.parametrize(("changes", "tip", "right"), [
+    ((), 0.12, 0.04), ((MIRRORED,), 0.12, -0.04), ((MIRRORED, MIMIC), 0.12, -0.04),
+    ((NO_SHAPES, MIRRORED), 0.02, -0.04),
+])  # fmt: skip
+def test_fingers_that_slide_are_a_gripper(changed, changes, tip, right):
     path = changed(*changes)
     hand = read_hand(parse_urdf(path), arm_of(path))
-    np.testing.assert_allclose(hand.tip, [0.12, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(hand.tip, [tip, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(hand.rotation, [0.0, 0.0, 0.0, 1.0], atol=1e-9)
+    assert MIMIC in changes or hand.gripper.effort == 20.0
     assert hand.gripper.positions("close") == {"l": 0.0, "r": 0.0}
-    assert hand.gripper.positions("open") == {"l": 0.04, "r": -0.04}
-
-
-BOX = '<geometry><box size="0.1 0.02 0.02"/></geometry>'
-FINGER = f'<collision><origin xyz="0.05 0 0"/>{BOX}</collision>'
-
-
-def test_fingers_without_shapes_are_a_gripper_if_they_slide(changed):
-    path = changed((FINGER, ""), MIRRORED)
-    hand = read_hand(parse_urdf(path), arm_of(path))
-    np.testing.assert_allclose(hand.tip, [0.02, 0.0, 0.0], atol=1e-9)
-    assert hand.gripper.positions("open") == {"l": 0.04, "r": -0.04}
+    assert hand.gripper.positions("open") == {"l": 0.04, "r": right}
 
 
 NO_EFFORT = ('effort="30"', 'effort="0"'), ('effort="20"', 'effort="1e9"')

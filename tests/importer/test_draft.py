@@ -97,14 +97,6 @@ def test_drafts_leave_out_postures_that_motors_cannot_hold(changed, few, effort,
     assert ("lift" in text) == (effort < 100.0)
 
 
-def test_drafts_with_little_room_have_a_warning(dolly, few):
-    draft = draft_robot(dolly, "dolly")
-    guesses = replace(draft.guesses, drive="")
-    assert not warnings(draft.spec, guesses, free=0.6)
-    assert warnings(draft.spec, guesses, free=0.4)
-    assert "--drive" in warnings(draft.spec, draft.guesses, free=0.6)[0]
-
-
 def test_the_pose_tolerance_is_that_of_the_arm():
     hsr, lekiwi = (pose_tolerance(load_robot(name)) for name in ("hsr", "lekiwi"))
     assert hsr.position == pytest.approx(0.1, abs=0.005)

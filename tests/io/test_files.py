@@ -102,14 +102,6 @@ def test_a_complete_folder_remains_after_two_kills(tmp_path, monkeypatch):
             assert read(folder) in {before, "3"}
 
 
-def test_locks_of_folders(tmp_path):
-    for _ in range(2):
-        with files.alone(tmp_path), pytest.raises(KinfeasError, match=str(tmp_path)):
-            files.alone(tmp_path).__enter__()
-    with pytest.raises(KinfeasError, match="none"), files.alone(tmp_path / "none"):
-        pass
-
-
 def test_links_and_rights_are_kept(tmp_path):
     (tmp_path / "folder").mkdir()
     target, link = tmp_path / "folder" / "target", tmp_path / "link"

@@ -6,7 +6,6 @@ import pytest
 from kinfeas.config import to_mapping
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
-from kinfeas.io import policy_metadata
 from kinfeas.io.policy_metadata import Trained, read_best, read_trained, write_trained
 
 FIGURES = {"episodes": 256, "success": 0.9, "success_low": 0.8, "success_high": 1.0}
@@ -32,14 +31,6 @@ def write(folder, **changes):
 def test_round_trip(tmp_path, trained):
     write_trained(trained, tmp_path)
     assert read_trained(tmp_path) == trained
-
-
-def test_a_run_has_the_metadata_of_its_best_checkpoint(tmp_path):
-    best = tmp_path / "checkpoints" / "best"
-    best.mkdir(parents=True)
-    write_trained(TRAINED, best)
-    assert policy_metadata.policy_folder(tmp_path) == best
-    assert read_trained(tmp_path) == read_best(tmp_path) == TRAINED
 
 
 @pytest.mark.parametrize(("dt", "period"), [(None, None), (0.02, 0.02), (float("inf"), None)])

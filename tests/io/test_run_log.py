@@ -78,20 +78,12 @@ def test_a_truncated_file_is_readable(path):
     assert len(read_record(path).time) == 2
 
 
-def test_an_existing_file_raises(path):
-    write(path, [moment(0)])
-    with pytest.raises(KinfeasError, match=r"run\.csv: cannot be written: File exists"):
-        Recorder(path, ABOUT)
-
-
 BROKEN = {
     "another version": ("# kinfeas record 1", "# kinfeas record 9", "not a run log"),
-    "dt": ('"dt": 0.02', '"dt": -1', "line 1.*'dt'"),
     "missing": ('"robot": "pr2", ', "", "line 1.*'robot'"),
     "JSON": ('"task": "door",', '"task": "door"', "line 1.*JSON"),
     "joints": ('["shoulder", "elbow, the left"]', "[]", "line 1.*'joints'"),
     "columns": ('elbow, the left"]', 'wrist"]', "line 2"),
-    "text": ("\n0.0200,", "\nsoon,", "line 4"),
     "more": ("\n0.0200,", "\n0.0200,1,", "line 4"),
 }
 

@@ -74,12 +74,6 @@ def test_a_job_that_kills_each_worker_is_an_error(tmp_path, monkeypatch):
     assert rounds == [1] * ATTEMPTS
 
 
-@pytest.mark.parametrize(("arguments", "named"), [(("roy",), "ray"), (("local", 2, "a:1"), "ray")])
-def test_invalid_engines(arguments, named):
-    with pytest.raises(KinfeasError, match=named):
-        build_engine(*arguments)
-
-
 @pytest.mark.slow
 def test_addresses_of_no_cluster_are_errors(tmp_path):
     pytest.importorskip("ray")

@@ -114,9 +114,7 @@ def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("space", "named"), [
     ({"learner.speed": {"choices": [1]}}, "learner.speed"),
     ({"num_envs": {"low": 1, "high": -1}}, "low"),
-    ({"learner.tau": {"low": 0.0, "high": 1.0, "log": True}}, "log"),
     ({"num_envs": {"choices": [0, 4]}}, "num_envs"),
-    ({"num_envs": {}}, "choices"),
     ({"num_envs": {"choices": [4], "when": {"seed": 1}}}, "seed"),
 ])  # fmt: skip
 def test_the_wrong_key_or_value_is_named(tmp_path, space, named):

@@ -3,12 +3,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import kinfeas
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation
-from kinfeas.kinematics.forward import build_chain, forward, jacobian, write_matrix, write_pose
+from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.robots.loading import load_robot
 from tests.kinematics.conftest import Pinocchio, draw
 
@@ -37,18 +36,6 @@ def test_poses_and_jacobians_are_those_of_pinocchio(name, odd_robot):
 def test_another_number_of_joints_is_an_error(odd_robot, function):
     with pytest.raises(KinfeasError, match="joint positions"):
         function(build_chain(odd_robot), np.zeros((2, 99)))
-
-
-def test_poses_and_matrices_are_converted_back():
-    rng, matrix, pose = np.random.default_rng(0), np.empty((3, 3)), np.empty(7)
-    turns = [Rotation.random(rng=rng).as_quat(canonical=True) for _ in range(200)]
-    for quaternion in [*turns, *np.eye(4)]:  # half turns, too
-        position = rng.normal(size=3)
-        write_matrix(np.concatenate([position, quaternion]), matrix)
-        np.testing.assert_allclose(matrix, Rotation.from_quat(quaternion).as_matrix(), atol=1e-14)
-        write_pose(position, matrix, pose)
-        sign = np.sign(pose[3:] @ quaternion)
-        np.testing.assert_allclose(pose, [*position, *(sign * quaternion)], atol=1e-14)
 
 
 def test_no_kernel_has_powers():

@@ -1,6 +1,3 @@
-import os
-import subprocess
-import sys
 from dataclasses import fields, replace
 
 import numpy as np
@@ -70,7 +67,7 @@ def reported(solution):
 
 
 def test_round_trip(robot, judge):
-    check_round_trip(IkSolver(robot, IkOptions(pose_tolerance=False)), judge, 5000, 0.995)
+    check_round_trip(IkSolver(robot, IkOptions(pose_tolerance=False)), judge, 2000, 0.995)
 
 
 def test_round_trip_with_mimic_joints(odd_robot, odd_judge):
@@ -276,17 +273,6 @@ def test_other_shapes_are_errors(hsr, targets, seeds, step, name):
         hsr.solve(np.ones(targets), np.ones(seeds), np.ones(step))
 
 
-def test_self_collision_can_be_left_out(tiago):
-    blind = IkSolver(tiago.robot, replace(EXACT, self_collision=False))
-    joints = draw(tiago.robot, 500)
-    touching = joints[self_collides(blind.collision, joints)]
-    targets = forward(blind.chain, touching)
-    solution, kept = blind.solve(targets, touching), tiago.solve(targets, touching)
-    assert solution.feasible.all()
-    assert self_collides(blind.collision, solution.joint_positions).all()  # the seeds themselves
-    check_solutions(tiago, kept.joint_positions[kept.feasible])
-
-
 def perturbed(solver, joints, scale):
     rng, targets = np.random.default_rng(1), forward(solver.chain, joints)
     targets += rng.normal(scale=scale, size=targets.shape)
@@ -317,29 +303,6 @@ def test_a_seed_within_the_pose_tolerance_always_has_a_solution(hsr):
     assert stay.sum() > 5000
     for step in (None, TIME * hsr.robot.max_joint_velocity):
         assert solver.solve(targets[stay], joints[stay], step).feasible.all()
-
-
-SCRIPT = """
-import hashlib
-from kinfeas.robots.loading import load_robot
-from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
-
-solver = IkSolver(load_robot("tiago"), IkOptions(self_collision=False))
-joints = spread_configurations(solver.robot, 200)
-found = solver.solve(forward(solver.chain, joints), joints[::-1])
-print(hashlib.sha256(found.joint_positions.tobytes()).hexdigest())
-"""
-
-
-@pytest.mark.slow
-def test_compiled_and_cached_kernels_give_the_same_bits(tmp_path):
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", SCRIPT]
-    options = {"env": environment, "timeout": 600}
-    first, second = (subprocess.check_output(command, **options) for _ in range(2))
-    assert len(first) > 60
-    assert second == first
 
 
 def test_solutions_keep_margins_from_joint_limits_and_shapes(tiago):

@@ -26,7 +26,7 @@ def check(robot, judge, count):
 
 
 def test_free_configurations_are_free_for_fcl(robot, judge):
-    check(robot, judge, 700)
+    check(robot, judge, 400)
 
 
 def test_gaps_are_those_of_clamped_points():

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from numba.core.runtime import _nrt_python, rtsys
 
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, distance, planar_pose, relative
@@ -24,7 +23,7 @@ def goal_of(start):
     return start.target_poses[0, :2]
 
 
-@pytest.fixture(scope="module", params=["pr2", "tiago", "hsr"])
+@pytest.fixture(scope="module", params=["tiago", "hsr"])
 def planned(request):
     """Planner, starts among solids, and the path of each."""
     solver = IkSolver(load_robot(request.param))
@@ -62,17 +61,6 @@ def test_paths_lead_from_the_start_to_the_goal_within_the_limits(planned):
         joints = np.abs(joint_displacement(robot, arm[:-1], arm[1:]))
         assert np.all(joints <= robot.max_joint_velocity * path.seconds[:, np.newaxis] + 1e-9)
         assert np.max(distance(path.ee[:-1], path.ee[1:])) < 0.5
-
-
-def test_kernels_free_their_memory(planned):
-    """Kernels that count no references would free arrays too early, or never, if they kept any."""
-    planner, starts, _ = planned
-    _nrt_python.memsys_enable_stats()
-    before = rtsys.get_allocation_stats()
-    plan(planner, starts[0])
-    after = rtsys.get_allocation_stats()
-    _nrt_python.memsys_disable_stats()
-    assert after.alloc - before.alloc == after.free - before.free > 0
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from kinfeas.core.solids import Solids
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.planning.placement import STAGES, at_goals, connected, reachable
+from kinfeas.planning.placement import STAGES, connected, reachable
 
 
 def made_by_the_arm(solver, count):
@@ -47,16 +47,6 @@ def test_poses_of_the_arm_are_reachable(robot):
     assert result.reached.all()
     assert result.share.low < result.share.value == 1.0
     assert result.convergence[0] > 0.9  # the best proposals come first
-
-
-def test_goals_have_the_tolerances_of_success(robot):
-    asked, exact = IkOptions(restarts=6), IkOptions(pose_tolerance=False)
-    ik = at_goals(robot, asked)
-    assert at_goals(robot, exact) is exact
-    if robot.pose_tolerance is None:
-        assert ik is asked
-    else:
-        assert (ik.pose_tolerance, ik.position_tolerance, ik.restarts) == (False, 0.025, 6)
 
 
 def test_finds_all_that_random_base_poses_find(hsr):

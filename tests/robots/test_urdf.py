@@ -35,19 +35,6 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_reads_links_and_joints(tmp_path):
-    urdf = parse_urdf(write(tmp_path, ARM))
-    assert (urdf.name, urdf.root, list(urdf.links)) == ("arm", "base", ["base", "hand"])
-    hand, elbow = urdf.links["hand"], urdf.joints["elbow"]
-    assert (hand.mass, hand.mesh_collisions, len(hand.shapes)) == (0.5, True, 1)
-    np.testing.assert_array_equal(hand.centre, [0.0, 0.1, 0.2])
-    assert (hand.shapes[0].kind, hand.shapes[0].size) == ("box", (1.0, 2.0, 3.0))
-    assert (elbow.parent, elbow.child, elbow.axis) == ("base", "hand", (0.0, 0.6, 0.8))
-    np.testing.assert_allclose(elbow.origin, [1, 2, 3, 0, 0, 0.5**0.5, 0.5**0.5])
-    assert (elbow.lower, elbow.upper, elbow.velocity, elbow.effort) == (-1.0, 2.0, 3.0, 4.0)
-    assert (elbow.soft_lower, elbow.soft_upper, elbow.mimic) == (-1.0, 2.0, None)
-
-
 def fixed(name, parent, child):
     links = f'<parent link="{parent}"/><child link="{child}"/>'
     return f'<joint name="{name}" type="fixed">{links}</joint></robot>'
@@ -105,15 +92,11 @@ def test_the_joint_between_world_and_base_is_left_out(tmp_path, kind, above):
     ("</robot>", "", "XML"),
     ("<robot", '<!DOCTYPE r [<!ENTITY a "1">]><robot', "document types"),
     ('ixx="1"', 'ixx="-1"', "'ixx'"),
-    ('<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>', "", "<inertia>"),
     ('xyz="1 2 3"', 'xyz="1 2 1e999"', "joint 'elbow', <origin>: 'xyz'"),
     ('<box size="1 2 3"/>', '<cylinder radius="1"/>', "<cylinder>: the attribute 'length'"),
-    ('<box size="1 2 3"/>', "<cone/>", "<geometry>"),
     ('"revolute"', '"ball"', "joint 'elbow': type"),
-    ("<limit ", "<limits ", "<limit>"),
     ('upper="2"', 'upper="-2"', "'upper'"),
     ('parent link="base"', 'parent link="bass"', "link 'bass'"),
-    ('child link="hand"', 'child link="base"', "'base'"),
     ("</robot>", '<link name="lone"/></robot>', "base, lone"),
     ("</robot>", FLOATING, "joint 'free': type 'floating'"),
     ("</joint>", '<mimic joint="knee"/></joint>', "<mimic>.*'knee'"),

@@ -23,7 +23,10 @@ def test_starts_and_goals_are_uniform_in_their_ranges(hsr, sample, uniform, task
     assert uniform(np.arctan2(y, x), -np.pi, np.pi)
     assert uniform(z, low, high)
     assert not self_collides(hsr.collision, starts.joint_positions).any()
-    height = forward(hsr.chain, starts.joint_positions)[:, 2]
+    ee = forward(hsr.chain, starts.joint_positions)
+    tip = np.broadcast_to([*hsr.robot.tool_tip, 0.0, 0.0, 0.0, 1.0], ee.shape)
+    assert compose(ee, tip)[:, 2].min() > 0.0
+    height = ee[:, 2]
     assert ((height >= low) & (height <= high)).all() == (task.name == "ggr_restricted")
     again = task.sample(hsr, np.random.default_rng((0, 7)))
     for key in ("base_pose", "joint_positions", "target_poses"):

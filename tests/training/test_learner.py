@@ -74,16 +74,6 @@ def test_only_actors_that_the_format_holds_are_saved(env, options, named, tmp_pa
         save_policy(SAC("MlpPolicy", env, policy_kwargs=options), env, tmp_path)
 
 
-def test_exploration_scatters_about_the_actor(env):
-    learner = make_learner(SMALL, env, 0)
-    one = env.reset()[:1]
-    actions = explore(learner, np.repeat(one, 4_000, axis=0), random=False)
-    assert np.abs(actions).max() <= 1.0
-    assert actions.std(axis=0).min() > 0.1
-    mean, _ = learner.predict(one, deterministic=True)
-    np.testing.assert_allclose(actions.mean(axis=0), mean[0], atol=0.1)
-
-
 @pytest.mark.parametrize(
     ("schedule", "half", "end"), [("constant", 6e-4, 6e-4), ("linear", 3e-4, 0.0)]
 )
@@ -165,18 +155,6 @@ def test_sampled_transitions_are_those_added(env):
     assert torch.equal(data.actions[:, 2], step)
     row = data.rewards[:, 0] - step
     assert torch.equal(data.dones[:, 0] == 1.0, (row >= 4) & (row < 6))
-
-
-def test_an_anchor_holds_the_actor(env):
-    origin, away = torch.zeros(1, *env.observation_space.shape), []
-    for weight in (0.0, 100.0):
-        learner = filled(env, replace(SMALL, learning_rate=1e-2))
-        before = learner.actor(origin, deterministic=True).detach()
-        learner.anchor(weight)
-        learner.train(200, 16)
-        after = learner.actor(origin, deterministic=True).detach()
-        away.append((after - before).norm().item())
-    assert away[1] < 0.2 * away[0]
 
 
 def test_an_anchor_holds_only_where_nothing_is_around(env):

@@ -1,5 +1,4 @@
 import json
-import shutil
 
 import pytest
 
@@ -15,7 +14,6 @@ from kinfeas.training.run import (
     Progress,
     check_begun,
     check_new,
-    evaluations_due,
     finished,
     fraction_done,
     identity,
@@ -61,13 +59,6 @@ def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
     assert fraction_done(tiny({"schedule": schedule}), Progress(400, 30.0)) == share
 
 
-@pytest.mark.parametrize(("init", "first"), [(None, 0), ("pretrained", 1)])
-def test_an_initial_policy_is_evaluated_as_well(tiny, init, first):
-    settings = tiny({"init": init, "schedule.evaluations": 4})
-    due = [evaluations_due(settings, Progress(fraction=share)) for share in (0.0, 0.24, 0.5, 1.0)]
-    assert due == [first, first, first + 2, first + 4]
-
-
 @pytest.fixture
 def write_run(tiny, tmp_path):
     """A function that writes the files of a run and returns its settings and last checkpoint."""
@@ -88,25 +79,10 @@ def write_run(tiny, tmp_path):
     return write
 
 
-def test_a_run_with_nothing_left_to_do_is_finished(write_run, tmp_path):
-    write_run()
-    progress = finished(tmp_path)
-    assert (progress.steps, progress.seconds, progress.fraction) == (320, 9.0, 1.0)
-    assert finished(tmp_path, {"schedule.steps": 640}) is None
-    shutil.rmtree(tmp_path / "checkpoints")
-    assert finished(tmp_path) is None
-
-
 @pytest.mark.parametrize("left", [{"steps": 312}, {"evaluations": 1}, {"fresh": False}])
 def test_a_run_with_something_left_to_do_is_not(write_run, tmp_path, left):
     write_run(**left)
     assert finished(tmp_path) is None
-
-
-def test_a_longer_schedule_changes_share_and_evaluations(write_run, tiny):
-    _, last = write_run()
-    progress = read_progress(tiny({"schedule.steps": 640}), last)
-    assert (progress.fraction, progress.evaluations) == (0.5, 1)
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,6 @@ from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import evaluate_episodes
 from kinfeas.io.files import alone
-from kinfeas.policies.network import read_network
-from kinfeas.robots.loading import load_robot
 from kinfeas.training import checkpoint, logs, vec_env, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
@@ -84,17 +82,6 @@ def assert_same(one, other):
     assert steps == sorted(steps)
 
 
-def test_a_run_leaves_its_files(whole, tiny):
-    assert config.load(TrainConfig, whole / "config.yaml") == tiny()
-    assert {path.name for path in (whole / "checkpoints").iterdir()} == {"best", "last"}
-    assert list((whole / "tensorboard").glob("events.*"))
-    assert [row[0] for row in evaluated(whole)] == ["160", "320"]
-    assert state(whole)["progress"]["steps"] == 320
-    for place in (".", "checkpoints/best", "checkpoints/last"):
-        network = read_network(whole / place, load_robot("hsr"))
-        assert [len(bias) for bias in network.biases] == [16, 16, 3]
-
-
 def checkpoint_steps(out):
     try:
         return state(out)["progress"]["steps"]
@@ -127,7 +114,6 @@ def interrupt():
 STOPS = [
     (vec_env.EpisodesVecEnv, "step_wait", 20, kill),
     (shutil, "copyfile", 1, kill),
-    (vec_env.EpisodesVecEnv, "step_wait", 20, interrupt),
     (training, "explore", 15, interrupt),
     (training, "write_network", 2, interrupt),
 ]
@@ -299,18 +285,17 @@ def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path,
 
 
 @pytest.mark.parametrize("file", ["state.json", "state.safetensors", "policy.safetensors"])
-@pytest.mark.parametrize("share", [0.99, None, "pipe"])
-def test_a_broken_checkpoint_raises_and_stays(half, file, share):
+def test_a_broken_checkpoint_raises_and_stays(half, file):
     path = half / "checkpoints" / "last" / file
     content = path.read_bytes()
     path.unlink()
-    if share == "pipe":
-        os.mkfifo(path)
-        with pytest.raises(KinfeasError, match=rf"last/{file}: .*regular file"):
-            resume(half)
-        return
-    if share is not None:
-        path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(KinfeasError, match="last"):
+        resume(half)
+    os.mkfifo(path)
+    with pytest.raises(KinfeasError, match=rf"last/{file}: .*regular file"):
+        resume(half)
+    path.unlink()
+    path.write_bytes(content[: int(0.99 * len(content))])
     before = contents(half)
     with pytest.raises(KinfeasError, match="last"):
         resume(half)

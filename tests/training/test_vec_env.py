@@ -13,7 +13,6 @@ from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import resume, train
 from kinfeas.training.vec_env import SHARE, ProcessVecEnv, WorldVecEnv
-from kinfeas.training.worlds import training_world
 
 NOISY = WorldConfig(max_seconds=1.2, max_failures=3, adapters=(PluginSpec("base_noise"),))
 
@@ -78,40 +77,6 @@ def test_steps_are_the_worlds_repeated_with_the_mean_reward_until_the_end(repeat
     assert following > 2 * n
     assert truncations == {True, False}
     assert (early > 0) == (repeat > 1)
-
-
-def test_resumes_from_a_snapshot_to_the_bit():
-    env = make(5)
-    env.reset()
-    run(env, 17)
-    snapshot = env.snapshot()
-    copied = {key: values.copy() for key, values in snapshot.items()}
-    expected = run(env, 30, seed=1)
-    for key, values in copied.items():
-        np.testing.assert_array_equal(snapshot[key], values, err_msg=f"{key} changed afterwards")
-    fresh = make(5)
-    seen = fresh.restore(copied)
-    assert_equal(run(fresh, 30, seed=1), expected)
-    np.testing.assert_array_equal(env.restore(copied), seen)
-    assert_equal(run(env, 30, seed=1), expected)
-    # The state of the noise is part of it.
-    env.restore({**copied, "BaseNoise.0.steps": copied["BaseNoise.0.steps"] + np.uint64(1)})
-    assert not np.array_equal(run(env, 2, seed=1)[-1][0], expected[1][0])
-
-
-def test_a_world_in_mujoco_resumes_to_the_bit():
-    pytest.importorskip("mujoco")
-    chosen = physical({"world.backend": "mujoco", "task": "door", "processes": 1})
-    env, fresh = (WorldVecEnv(training_world(chosen), 3, 5) for _ in range(2))
-    env.reset()
-    run(env, 3)
-    snapshot = env.snapshot()
-    expected = run(env, 10, seed=1)
-    assert any(one[2].any() for one in expected)  # episodes that ended
-    fresh.restore(snapshot)
-    assert_equal(run(fresh, 10, seed=1), expected)
-    for one in (env, fresh):
-        one.close()
 
 
 PHYSICAL = {

@@ -3,7 +3,6 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.assemble import assemble
-from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
@@ -56,17 +55,6 @@ def test_the_tolerance_is_that_of_a_reached_goal():
     pose = np.array([[*high, 0.0, 0.0, 0.0, 1.0]])
     assert not reachable(pr2, pose).reached.any()
     assert checked(goal(*high), Guards(), solver=pr2) == ""
-
-
-@pytest.mark.parametrize(
-    ("speed", "time_scale", "factor"),
-    [(None, 1.0, None), (0.1, 0.5, None), (0.15, 1.0, 0.75), (0.05, 0.6, 0.25)],
-)
-def test_warns_of_a_base_that_is_slower_than_the_ee(speed, time_scale, factor):
-    guards, far = Guards(max_linear_velocity=speed), goal(4.0, 0.0, 0.8)
-    warning = checked(far, guards, ExecutionConfig(time_scale=time_scale))
-    assert bool(warning) is (factor is not None)
-    assert factor is None or f"time_scale={factor}" in warning
 
 
 @pytest.mark.parametrize("base", [spatial.IDENTITY, spatial.planar_pose(3.0, 1.0, 2.0)])

@@ -10,7 +10,6 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
-from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Loop
 from kinfeas.control.observation import OBSERVATION
 from kinfeas.core import spatial
@@ -258,14 +257,6 @@ def test_a_policy_or_filter_that_fails_stops_the_robot(run, time, driver, named,
     assert record.event[-1] == outcome.reason
     assert not any(twist.any() for _, twist in robot.commands[-1:])
     assert (outcome.unstopped, outcome.unclosed) == ("", "boom")
-
-
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-def test_the_time_scale_is_that_of_the_motion_as_carried_out(run, scale):
-    execution = ExecutionConfig(time_scale=scale)
-    outcome, record = run(AnalyticBackend(), Drive(), seconds=0.4, execution=execution)
-    assert outcome.time_scale == pytest.approx(scale)
-    assert (f"time scale {scale:g}" in record.event) is (scale != 1.0)
 
 
 @pytest.mark.parametrize("lost", [False, True])

@@ -164,7 +164,6 @@ def _arm_alone(lift):
     (lambda: ik(x=np.nan), -16),
     (_constrained, -16),
     (_of_link, -18),
-    (lambda: _from(np.inf), -17),
     (lambda: _from(2e4), -17),
 ])  # fmt: skip
 def test_requests_without_base_pose_have_error_codes(compute_ik, request_of, code):
@@ -176,14 +175,11 @@ def test_requests_without_base_pose_have_error_codes(compute_ik, request_of, cod
 @pytest.mark.parametrize(("request_of", "code"), [
     (lambda: path(1.0), -16),
     (lambda: path(1.0, np.nan), -16),
-    (lambda: path(1.0, 1.1, max_step=0.0), -16),
     (lambda: path(1.0, 1.1, max_step=1e-9), -16),
-    (lambda: path(1.0, 1.1, max_step=2.0), -16),
     (lambda: path(*[1.0] * 10_001), -16),
     (lambda: path(1.0, 1.1, header=MOVEIT.Header(frame_id="base_footprint")), -21),
     (lambda: path(1.0, 9.0, max_step=1.0), -1),
     (lambda: path(1.0, 1.1, start_state=MOVEIT.RobotState(MOVEIT.JointState(name=["a"]))), -17),
-    (lambda: path(1.0, 1.1, start_state=_arm_alone(0.1)), -17),
     (lambda: path(1.0, 1.1, start_state=_arm_alone(5.0)), -17),
 ])  # fmt: skip
 def test_requests_without_plan_have_error_codes(compute_path, request_of, code):
