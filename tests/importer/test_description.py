@@ -5,6 +5,7 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm
 from kinfeas.importer.description import doubts, find_drive, read_description
+from kinfeas.importer.draft import draft_robot
 from kinfeas.robots.urdf_file import parse_urdf, urdf_of
 
 
