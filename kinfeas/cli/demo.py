@@ -78,7 +78,7 @@ def demo(
 def _evaluated(config: "EvalConfig", run: Path) -> "list[Summary]":
     """Return the metrics of a run's policy, with the ceiling, and of baselines."""
     from kinfeas.api import counter
-    from kinfeas.evaluation.evaluate import add_ceiling, evaluate, reachability_of
+    from kinfeas.evaluation.evaluate import add_ceiling, evaluate
     from kinfeas.policies.loading import QUICK_BASELINES, load_policy
 
     results, processes = [], min(2, os.cpu_count() or 1)
@@ -87,9 +87,7 @@ def _evaluated(config: "EvalConfig", run: Path) -> "list[Summary]":
             count = counter(on_progress, f"evaluating {name}", config.episodes)
             policy = load_policy(name, config.robot)
             results.append(evaluate(config, policy, name, processes, count))
-        ceiling = reachability_of(config, counter(on_progress, "ceiling"))
-    assert ceiling is not None  # no stream of targets
-    add_ceiling(results[0], ceiling)
+        add_ceiling(results[:1], config, counter(on_progress, "ceiling"))
     return results
 
 
