@@ -244,4 +244,4 @@ def _examples(robot: str, cases: Sequence[Evaluation]) -> dict[str, Recording]:
 def _example_title(task: str, recording: Recording) -> str:
     end = "goal reached" if recording.reached else "goal missed"
     failures = failures_text(int(np.sum(~recording.feasible)))
-    return f"{task}: {end}, {failures}, {(len(recording.feasible) - 1) * recording.dt:.0f} s"
+    return f"{task}: {end}, {failures}, {recording.times[-1]:.0f} s"

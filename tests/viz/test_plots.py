@@ -47,7 +47,8 @@ def test_furniture_has_the_colours_of_its_urdf_or_is_grey(tmp_path):
                  enumerate(("red", "bare")))  # fmt: skip
     scene = f"{{name: a, size: [4, 4], objects: {{red: {red}, bare: {bare}}}}}"
     (tmp_path / "scene.yaml").write_text(scene)
-    solids = dict(scene_solids(read_scene(str(tmp_path / "scene.yaml"))))
+    scene = read_scene(str(tmp_path / "scene.yaml"))
+    solids = {solid.link[0]: solid for solid in scene_solids(scene)}
     assert solids["red"].colour == "#ff0000"
     assert len({solids["bare"].colour[i : i + 2] for i in (1, 3, 5)}) == 1
 
