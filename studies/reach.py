@@ -25,12 +25,11 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, make_pose, planar_pose, rotation
-from kinfeas.core.start import Start
 from kinfeas.io.files import write_json
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import checked_links
-from kinfeas.planning.placement import reachable
+from kinfeas.planning.placement import Postures, reachable
 from kinfeas.planning.reach import BasePlacer
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
@@ -144,6 +143,7 @@ def answers(placer: BasePlacer, count: int) -> dict[str, object]:
     """Return how many answers are false, half of them among solids."""
     rng, judge, robot = np.random.default_rng(2), Judge(placer.solver.robot), placer.solver.robot
     faults, limits, missed, reached = Counter[str](), Counter[str](), 0, 0
+    postures = Postures(placer.solver)
     for number, goal in enumerate(draw_goals(robot, count, rng)):
         solids = clutter(rng) if number % 2 else None
         placement = placer.place(goal, solids, FAR, count=1)
@@ -153,9 +153,7 @@ def answers(placer: BasePlacer, count: int) -> dict[str, object]:
             base, joints = placement.base_pose[0], placement.joint_positions[0]
             faults[judge.fault(goal, base, joints, solids)] += 1
             continue
-        home = robot.home["home"][np.newaxis]
-        start = Start(FAR[np.newaxis], home, goal[np.newaxis, np.newaxis], solids)
-        missed += int(reachable(placer.solver, goal[np.newaxis], (TRIED,), start=start).reached[0])
+        missed += len(postures.reaching(goal, (0, TRIED), solids, FAR)[0]) > 0
     del faults[""]
     return {
         "poses": count, "reachable": reached, "false_reachable": dict(faults),

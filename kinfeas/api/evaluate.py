@@ -86,10 +86,8 @@ def evaluate(  # noqa: PLR0913 - options of the command
             for label, subset in evaluation.adapter_subsets(config.world.adapters).items()
         }
     # Last, so that an error of the configuration comes at once.
-    ceiling = evaluation.reachability_of(config, counter(on_progress, "ceiling"))
-    if ceiling is not None:
-        for summary in (metrics, *metrics.get("ablation", {}).values()):
-            evaluation.add_ceiling(summary, ceiling)
+    summaries = (metrics, *metrics.get("ablation", {}).values())
+    evaluation.add_ceiling(summaries, config, counter(on_progress, "ceiling"))
     if picture or video or replay:
         show_episode(config, driver, episode, picture, video, replay, on_progress)
     return metrics

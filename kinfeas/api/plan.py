@@ -108,7 +108,7 @@ class Plan(Moments):
         from kinfeas.viz.pages import replay_html
         from kinfeas.viz.replay import replay_of
 
-        replay = replay_of(self._recording(), self.robot, self._title(), self.time)
+        replay = replay_of(self._recording(), self.robot, self._title())
         write_file(Path(path), replay_html(replay).encode())
 
     def _title(self) -> str:
@@ -118,10 +118,9 @@ class Plan(Moments):
         base, joints = self.base_pose, self.joint_positions
         ee = compose(base, forward(IkSolver(self.robot).chain, joints))
         feasible = np.ones(len(self.time), dtype=np.bool_)
-        dt = float(self.time[-1]) / max(len(self.time) - 1, 1)
         return Recording(
-            0, base, joints, self.ee_pose, ee, feasible, self.ee_pose[-1:], reached=True, dt=dt,
-            solids=self.solids,
+            0, self.time, base, joints, self.ee_pose, ee, feasible, self.ee_pose[-1:],
+            reached=True, solids=self.solids,
         )  # fmt: skip
 
 

@@ -51,7 +51,7 @@ def view(  # noqa: PLR0913 - options of the command
         from kinfeas.viz.replay import as_recording, replay_of
         from kinfeas.viz.style import png
 
-        replay = replay_of(as_recording(run, robot), robot, robot.name, run.time)
+        replay = replay_of(as_recording(run, robot), robot, robot.name)
     if picture is not None:
         write_file(Path(picture), png(record_figure(run, robot), dpi=110))
     if video is not None:

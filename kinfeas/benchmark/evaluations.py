@@ -1,16 +1,18 @@
-"""Evaluations of a benchmark: one job for each policy, task and seed."""
+"""Stages of a benchmark, and its evaluations: one job for each policy, task and seed."""
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kinfeas import config
-from kinfeas.benchmark.config import BenchmarkConfig
-from kinfeas.benchmark.runs import Run, takes_pretrained
-from kinfeas.config import PluginSpec, nested
+from kinfeas.benchmark.config import BenchmarkConfig, read_benchmark, restricted
+from kinfeas.benchmark.runs import Run, find_runs, plan_runs, read_run, takes_pretrained
+from kinfeas.config import PluginSpec, Settings, nested
 from kinfeas.config.recipes import robot_file
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
@@ -19,6 +21,9 @@ from kinfeas.jobs.job import Job, Result
 from kinfeas.policies.loading import BASELINES, PRETRAINED, load_policy, trained_folder
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
+
+RunJobs = Callable[[Sequence[Job], str], list[Result]]
+"""Returns the results of jobs of a kind, such as `trainings`."""
 
 CEILING = "ceiling"
 """Policy of an evaluation that measures the reachability of a task's goals."""
@@ -83,6 +88,48 @@ class Evaluation:
         return Job(compute, self, folder / f"{self.name}.json")
 
 
+def run_benchmark(
+    name: str,
+    settings: Settings,
+    worlds: Sequence[str],
+    folders: Sequence[Path],
+    out: Path,
+    run_jobs: RunJobs,
+) -> tuple[BenchmarkConfig, list[Run], list[tuple[Evaluation, Result]]]:
+    """Return a benchmark, its training runs, and its evaluations in some worlds with their results.
+
+    Runs in `folders` replace its own, if there are any.
+
+    Raises:
+        KinfeasError: If the benchmark or a run is invalid, the benchmark is for another world, or
+            an extra is missing that its trainings or baselines need.
+    """
+    benchmark, runs = read_benchmark(name, settings), find_runs(folders)
+    if runs:
+        benchmark = restricted(benchmark, {run.robot for run in runs})
+    backend = benchmark.backend
+    if backend not in worlds or (len(worlds) > 1 and "analytic" in worlds):
+        world = ",".join(worlds)
+        raise KinfeasError(f"{name}: its 'backend', {backend}, does not fit --world {world}")
+    trainings = [] if runs else plan_runs(benchmark, out)
+    if not all(job.path.exists() for job in trainings):
+        require("torch", "stable_baselines3")
+    planned = plan_evaluations(benchmark, runs)
+    missing = [case for case in planned if not case.job(out / "results").path.exists()]
+    # A missing extra is an error before hours of work.
+    for source, robot in dict.fromkeys((case.source, case.robot) for case in missing):
+        if source in BASELINES:
+            load_policy(source, load_robot(robot))
+    if trainings:
+        run_jobs(trainings, "trainings")
+        runs = [read_run(job.path.parent) for job in trainings]
+    plans = [plan_evaluations(replace(benchmark, backend=world), runs) for world in worlds]
+    # Engines have the same references.
+    unique = {(case.name, case.row, case.variant): case for cases in plans for case in cases}
+    jobs = [case.job(out / "results") for case in unique.values()]
+    return benchmark, runs, list(zip(unique.values(), run_jobs(jobs, "evaluations"), strict=True))
+
+
 def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Evaluation]:
     """Return the evaluations of a benchmark: ceiling and policies of each robot and task.
 
@@ -104,13 +151,6 @@ def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Ev
         if robot in names and variant.task in benchmark.tasks and benchmark.backend == "analytic"
     ]  # fmt: skip
     return [case for ceiling in ceilings for case in _of_task(benchmark, runs, ceiling)]
-
-
-def check_baselines(cases: Sequence[Evaluation]) -> None:
-    """Build the baselines, so that a missing extra is an error before hours of work."""
-    for source, robot in dict.fromkeys((case.source, case.robot) for case in cases):
-        if source in BASELINES:
-            load_policy(source, load_robot(robot))
 
 
 def compute(case: Evaluation) -> Result:

@@ -1,5 +1,6 @@
 """Files of a benchmark, and its pictures: success, learning curves and example episodes."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,15 +22,15 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
 from kinfeas.evaluation.recording import Recording, record_episodes
-from kinfeas.io.files import to_json, write_file
+from kinfeas.io.files import read_csv, to_json, write_file
 from kinfeas.jobs.job import Result
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.viz.episodes import episodes_figure
-from kinfeas.viz.plots import draw_levels, read_metrics
-from kinfeas.viz.style import BASE, EE, GOAL, INK, STYLE, failures_text, png
+from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, failures_text, png
 
+_PLOTTED = ("steps", "train/success", "evaluation/success")
 _CURVE_INCHES = 4.9
 _BEYOND = "#e4e7eb"
 _ROW_INCHES, _PANEL_INCHES = 0.27, 2.35
@@ -146,7 +147,7 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
                 if run.robot == robot:
                     _draw_curve(axes, run)
                     axes.set_title(f"{TITLES.get(robot, robot)}, {run.task}")
-            draw_levels(axes, levels.get(robot, {}), 0.05, 8.5)
+            _draw_levels(axes, levels.get(robot, {}))
             axes.set_xlabel("environment steps (thousands)")
             axes.set_xlim(left=0.0)
             handles, labels = axes.get_legend_handles_labels()
@@ -159,7 +160,7 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
 
 
 def _draw_curve(axes: Axes, run: Run) -> None:
-    metrics = read_metrics(run.folder)
+    metrics = read_csv(run.folder / "metrics.csv", _PLOTTED)
     for key, style, text in (
         ("train/success", "-", "training"),
         ("evaluation/success", "o", "evaluation, without noise"),
@@ -169,6 +170,16 @@ def _draw_curve(axes: Axes, run: Run) -> None:
             metrics["steps"][measured] / 1000.0, metrics[key][measured], style, color=EE,
             lw=1.2, alpha=0.7, ms=5.5, mec="white", label=text,
         )  # fmt: skip
+
+
+def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
+    """Draw levels as lines across axes, with their names beside them."""
+    last = -math.inf
+    for name, value in sorted(levels.items(), key=lambda level: level[1]):
+        last = max(value, last + 0.05)
+        axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
+        axes.text(1.015, last, f"{name} {value:.1%}", va="center", fontsize=8.5,
+                  transform=axes.get_yaxis_transform())  # fmt: skip
 
 
 def write_results(
@@ -233,4 +244,4 @@ def _examples(robot: str, cases: Sequence[Evaluation]) -> dict[str, Recording]:
 def _example_title(task: str, recording: Recording) -> str:
     end = "goal reached" if recording.reached else "goal missed"
     failures = failures_text(int(np.sum(~recording.feasible)))
-    return f"{task}: {end}, {failures}, {(len(recording.feasible) - 1) * recording.dt:.0f} s"
+    return f"{task}: {end}, {failures}, {recording.times[-1]:.0f} s"

@@ -45,10 +45,10 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas benchmark --world pybullet,mujoco --policy pretrained --episodes 20
     """
     require("matplotlib")
+    from kinfeas.benchmark.evaluations import run_benchmark
     from kinfeas.benchmark.markdown import success_tables
     from kinfeas.benchmark.pictures import write_results
     from kinfeas.benchmark.runs import publish
-    from kinfeas.benchmark.study import plan_study
     from kinfeas.benchmark.table import tabulate
     from kinfeas.config.recipes import ENGINES
 
@@ -61,18 +61,17 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         raise KinfeasError("--policy and --runs exclude each other")
     backend = worlds[0] if physics and not config else None
     own = {"backend": backend, "policies": policy, "episodes": episodes}
-    study = plan_study(name, options.read_settings(overrides, own), worlds, runs or [], out)
 
     def run_jobs(jobs: "Sequence[Job]", kind: str) -> "list[Result]":
         return options.run_jobs(jobs, kind, engine, processes, address)
 
-    study = study.trained(run_jobs)
-    cases = study.evaluated(run_jobs)
+    settings = options.read_settings(overrides, own)
+    study, trained, cases = run_benchmark(name, settings, worlds, runs or [], out, run_jobs)
     cells = tabulate(cases, *worlds)
     with status("drawing"):
         command = shlex.join(["kinfeas", *sys.argv[1:]])
-        paths = write_results(out, study.benchmark, study.runs, cases, cells, command)
+        paths = write_results(out, study, trained, cases, cells, command)
     write_json([asdict(cell) for cell in cells], json)
-    paths += publish(study.runs if world == "analytic" else [], cases, out / "pretrained")
-    typer.echo("\n".join([*success_tables(cells), study.benchmark.note]))
+    paths += publish(trained if world == "analytic" else [], cases, out / "pretrained")
+    typer.echo("\n".join([*success_tables(cells), study.note]))
     print_paths(*paths)

@@ -5,17 +5,21 @@ import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import percent, print_table, progress, write_json
+from kinfeas.cli.output import print_table, progress, write_json
 from kinfeas.cli.train import train_run
 from kinfeas.config import Settings, to_options
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
+
+if TYPE_CHECKING:
+    from kinfeas.evaluation.evaluate import EvalConfig, Summary
 
 PICTURES = ("learning_curve.png", "episodes.png")
 
@@ -35,15 +39,13 @@ def demo(
     Example: kinfeas demo --robot hsr --minutes 3 --out runs/hsr_demo
     """
     require("torch", "stable_baselines3", "matplotlib")
-    from kinfeas.api import counter
     from kinfeas.api.train import configure
     from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file
-    from kinfeas.policies.loading import QUICK_BASELINES
     from kinfeas.robots.loading import load_robot
     from kinfeas.tasks.loading import load_task
     from kinfeas.tasks.task import StreamTask
-    from kinfeas.viz.report import compare, write_report
+    from kinfeas.viz.report import HEADS, page, rows_of
 
     changes = options.read_settings(overrides)
     settings = configure(robot, seed=seed, minutes=minutes, settings=changes)
@@ -54,28 +56,63 @@ def demo(
     train_run(settings, folder)
     # Another seed than that of training, whose episodes the policy has seen.
     config = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1)
+    results = _evaluated(config, folder)
     again = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
     same = {"robot": settings.robot, "task": settings.task, "episodes": episodes}
     same |= {"seed": config.seed}
     parameters = {f"task.{key}": value for key, value in settings.task_parameters.items()}
     commands = [_line("demo", again, changes)]
-    for policy in (folder, *QUICK_BASELINES):
-        commands.append(_line("evaluate", {**same, "policy": policy}, parameters))
+    for result in results:
+        commands.append(_line("evaluate", {**same, "policy": result["policy"]}, parameters))
     commands.append(_line("ceiling", same, parameters))
-    with progress() as on_progress:
-        count = counter(on_progress, "evaluating")
-        metrics, report = compare(config, folder, commands, min(2, os.cpu_count() or 1), count)
-    write_json(metrics, folder / "evaluation.json")
-    for name, picture in zip(PICTURES, report.pictures.values(), strict=True):
+    pictures = _pictures(config, folder, results)
+    write_json(results[0], folder / "evaluation.json")
+    for name, picture in zip(PICTURES, pictures.values(), strict=True):
         write_file(folder / name, picture)
-    write_report(report, folder / "report.html")
-    rows = []
-    for row in report.rows:
-        low, high = row.success.low, row.success.high
-        interval = (low, high) if low < high else (None, None)
-        rows.append([row.name, percent(row.success.value, *interval)])
-    print_table(report.title, ["", "without a failure (95 % interval)"], rows)
+    write_file(folder / "report.html", page(results, pictures, commands).encode())
+    rows = [row[:3] for row in rows_of(results)]
+    print_table(f"{config.robot.name} on {task.name}", HEADS[:3], rows)
     typer.echo(f"report: {folder / 'report.html'}")
+
+
+def _evaluated(config: "EvalConfig", run: Path) -> "list[Summary]":
+    """Return the metrics of a run's policy, with the ceiling, and of baselines."""
+    from kinfeas.api import counter
+    from kinfeas.evaluation.evaluate import add_ceiling, evaluate
+    from kinfeas.policies.loading import QUICK_BASELINES, load_policy
+
+    results, processes = [], min(2, os.cpu_count() or 1)
+    with progress() as on_progress:
+        for name in (str(run), *QUICK_BASELINES):
+            count = counter(on_progress, f"evaluating {name}", config.episodes)
+            policy = load_policy(name, config.robot)
+            results.append(evaluate(config, policy, name, processes, count))
+        add_ceiling(results[:1], config, counter(on_progress, "ceiling"))
+    return results
+
+
+def _pictures(config: "EvalConfig", run: Path, results: "list[Summary]") -> dict[str, bytes]:
+    """Return the learning curve and the first episodes, which need not be the best, by caption."""
+    from kinfeas.benchmark.pictures import curves_figure
+    from kinfeas.benchmark.runs import read_run
+    from kinfeas.envs.world import World
+    from kinfeas.evaluation.recording import record_episodes
+    from kinfeas.policies.loading import load_policy
+    from kinfeas.viz.episodes import episodes_figure
+    from kinfeas.viz.style import png
+
+    trained, *baselines = results
+    levels = {result["policy"]: result["success"] for result in baselines}
+    levels["ceiling"] = trained["ceiling"] or 0.0
+    curve = curves_figure([read_run(run)], {config.robot.name: levels})
+    world = World(config.robot, config.task, config.world, config.seed)
+    shown = record_episodes(world, load_policy(str(run), config.robot), min(3, config.episodes))
+    return {
+        "Episodes without a failure during training.": png(curve),
+        f"The first {len(shown)} episodes of seed {config.seed}.": png(
+            episodes_figure(config.robot, shown)
+        ),
+    }
 
 
 def free_folder(path: Path) -> Path:

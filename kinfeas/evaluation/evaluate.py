@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from kinfeas.config import PluginSpec, Settings, from_mapping, merged
 from kinfeas.config.recipes import section
 from kinfeas.control.assemble import respond_late
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.core.metrics import EpisodeRecords, Metrics, Proportion, summarize
+from kinfeas.core.metrics import EpisodeRecords, Metrics, summarize
 from kinfeas.core.policy import Policy
 from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes, run_episodes
 from kinfeas.envs.world import World, WorldConfig, evaluation_section, evaluation_world
@@ -160,18 +160,21 @@ def _run(
         return records, world.loop.execution
 
 
-def reachability_of(
-    config: EvalConfig, on_done: Callable[[float], None] | None = None
-) -> Proportion | None:
-    """Return the fraction of goals that some base pose reaches; None for streams of targets."""
+def add_ceiling(
+    summaries: Sequence[Summary],
+    config: EvalConfig,
+    on_done: Callable[[float], None] | None = None,
+) -> None:
+    """Write the fraction of goals that some base pose reaches beside the metrics of an evaluation.
+
+    It stays null for streams of targets. `on_done` is called with the fraction of work just done.
+    """
     if isinstance(config.task, StreamTask):
-        return None
-    return measure_reachability(
-        config.robot, config.task, config.episodes, config.seed, config.world.ik, on_done
-    ).share
-
-
-def add_ceiling(summary: Summary, ceiling: Proportion) -> None:
-    """Write the ceiling of `reachability_of` beside the metrics."""
-    summary["ceiling"] = ceiling.value
-    summary["ceiling_low"], summary["ceiling_high"] = ceiling.low, ceiling.high
+        return
+    value, low, high = astuple(
+        measure_reachability(
+            config.robot, config.task, config.episodes, config.seed, config.world.ik, on_done
+        ).share
+    )
+    for summary in summaries:
+        summary["ceiling"], summary["ceiling_low"], summary["ceiling_high"] = value, low, high

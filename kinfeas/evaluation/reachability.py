@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng, stacked
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.planning.placement import STAGES, Reachability, at_goals, reachable
+from kinfeas.planning.placement import STAGES, Postures, Reachability, at_goals
 from kinfeas.planning.reach import BasePlacer
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals, sample_start
@@ -66,11 +67,11 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     options = ik or IkOptions()
     solver = IkSolver(robot, at_goals(robot, options))
     drawn = _starts(solver, task, episodes, seed)
-    groups = [(solver, subgoal_ends(solver, *drawn), STAGES[-1])]
+    groups = [(Postures(solver), subgoal_ends(solver, *drawn), STAGES[-1])]
     if path:
         solver = IkSolver(robot, options)
         waypoints = draw_waypoints(solver, task, episodes, seed)
-        groups.append((solver, waypoints, WAYPOINT_BASE_POSES))
+        groups.append((Postures(solver), waypoints, WAYPOINT_BASE_POSES))
     reached = [np.zeros(poses.shape[:2], dtype=np.bool_) for _, poses, _ in groups]
     convergence = []
 
@@ -78,15 +79,17 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
         if on_done is not None:
             on_done(fraction / (len(groups) * len(STAGES)))
 
-    for tried, stage in zip((0, *STAGES), STAGES, strict=False):
-        for (solver, poses, most), is_reached in zip(groups, reached, strict=True):
-            still_open = ~is_reached
-            if stage > most or not still_open.any():
+    for numbers in pairwise((0, *STAGES)):
+        for (postures, poses, most), is_reached in zip(groups, reached, strict=True):
+            still_open = ~is_reached & (numbers[1] <= most)
+            for episode, number in np.argwhere(still_open):
+                start = drawn[1].of(np.array([episode]))
+                around = start.solids, start.base_pose[0]
+                base, _ = postures.reaching(poses[episode, number], numbers, *around)
+                is_reached[episode, number] = len(base) > 0
+                report(1.0 / still_open.sum())
+            if not still_open.any():
                 report(1.0)
-            else:
-                starts = drawn[1].of(np.nonzero(still_open)[0])
-                arguments = poses[still_open], (stage,), report, tried, starts
-                is_reached[still_open] = reachable(solver, *arguments).reached
         all_reached = np.all([is_reached.all(axis=1) for is_reached in reached], axis=0)
         convergence.append(float(all_reached.mean()))
     counts = _limits(groups, reached, drawn) if limits else ()
@@ -95,7 +98,7 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
 
 
 def _limits(
-    groups: list[tuple[IkSolver, Array, int]],
+    groups: list[tuple[Postures, Array, int]],
     reached: list[NDArray[np.bool_]],
     drawn: tuple[tuple[SubgoalMotion, ...], Start, list[np.random.Generator]],
 ) -> tuple[dict[str, int], ...]:
@@ -105,13 +108,14 @@ def _limits(
     """
     counts: tuple[Counter[str], ...] = tuple(Counter() for _ in drawn[0])
     missed_before = np.zeros((len(drawn[2]), len(counts)), dtype=np.bool_)
-    for (solver, poses, _), is_reached in zip(groups, reached, strict=True):
+    for (postures, poses, _), is_reached in zip(groups, reached, strict=True):
         each = is_reached.reshape(*missed_before.shape, -1)
         episodes, numbers = np.nonzero(~each.all(axis=2) & ~missed_before)
         missed_before[episodes, numbers] = True
         if episodes.size:
             first = numbers * each.shape[2] + np.argmin(each[episodes, numbers], axis=1)
-            placer, missed = BasePlacer(solver.robot, solver.options), poses[episodes, first]
+            solver, missed = postures.solver, poses[episodes, first]
+            placer = BasePlacer(solver.robot, solver.options)
             for number, episode, pose in zip(numbers.tolist(), episodes, missed, strict=True):
                 start = drawn[1].of(np.array([episode]))
                 counts[number][placer.limit(pose, start.solids, start.base_pose[0])] += 1

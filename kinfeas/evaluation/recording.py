@@ -22,6 +22,7 @@ class Recording:
     """One episode of t - 1 steps: t moments with the start."""
 
     episode: int  # its number
+    times: Array  # seconds since the start, ascending, shape (t,)
     base_pose: Array  # world pose of the base, shape (t, 7), without sensor errors
     joint_positions: Array  # arm joints, shape (t, j)
     desired: Array  # desired world pose of the EE, shape (t, 7)
@@ -29,7 +30,6 @@ class Recording:
     feasible: NDArray[np.bool_]  # whether IK found the desired pose, shape (t,); True at the start
     goals: Array  # world poses of the EE at the ends of the started sub-goals, shape (sub-goals, 7)
     reached: bool  # whether the episode ended at the goal
-    dt: float  # seconds between moments
     task_done: bool | None = None  # whether the objects met the success condition; None without one
     solids: Solids | None = None  # solids at the start, one row; None without any
     scene: Scene | None = None  # furniture at the start, unless it is among the solids
@@ -38,11 +38,6 @@ class Recording:
     def goal(self) -> Array:
         """World pose of the EE at the end of the last started sub-goal, shape (7,)."""
         return self.goals[-1]
-
-    @property
-    def times(self) -> Array:
-        """Seconds since the start, shape (t,)."""
-        return self.dt * np.arange(len(self.feasible), dtype=np.float64)
 
     def solids_at(self, moment: int) -> Solids | None:
         """Return the solids as they stand at a moment, one row; None without any."""
@@ -93,7 +88,8 @@ class _Kept:
     def recording(self, task_done: bool | None) -> Recording:
         base, joints, desired, ee, feasible = (np.array(x) for x in zip(*self.moments, strict=True))
         goals = np.array(list(self.goals.values()))
+        times = self.dt * np.arange(len(feasible), dtype=np.float64)
         return Recording(
-            self.episode, base, joints, desired, ee, feasible, goals, self.reached, self.dt,
+            self.episode, times, base, joints, desired, ee, feasible, goals, self.reached,
             task_done, self.solids, self.scene,
         )  # fmt: skip

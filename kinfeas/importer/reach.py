@@ -232,13 +232,7 @@ def _overloaded(robot: Robot, joints: Array) -> NDArray[np.bool_]:
 def limited(robot: Robot) -> Robot:
     """Return the robot with a `max_gravity_load`, unless it can hold hardly any configuration."""
     held = replace(robot, max_gravity_load=LOAD)
-    return held if _admissible(held, sampled(held)).mean() >= _HELD else robot
-
-
-def _admissible(robot: Robot, joints: Array) -> NDArray[np.bool_]:
-    """Return which configurations (n, j) are free of self-collision and can be held, shape (n,)."""
-    beyond = overloaded(build_gravity_model(robot), joints).any(axis=1)
-    return ~(self_collides(build_collision_model(robot), joints) | beyond)
+    return held if IkSolver(held).admissible(sampled(held)).mean() >= _HELD else robot
 
 
 def comfortable(robot: Robot) -> Array:
@@ -251,7 +245,7 @@ def comfortable(robot: Robot) -> Array:
     """
     lower, upper = robot.finite_joint_limits
     joints = np.clip(spread_configurations(robot, _CONFIGURATIONS).round(2), lower, upper)
-    free = joints[_admissible(robot, joints)]
+    free = joints[IkSolver(robot).admissible(joints)]
     if not len(free):
         raise KinfeasError(f"{robot.name}: self-collision in all of {len(joints)} configurations")
     ee = forward(build_chain(robot), free)[:, :3]

@@ -149,8 +149,7 @@ class BaseGoalPlanner:
         settings, stages = self.settings, self.settings.proposals
         ends, arms = np.empty((0, 3)), np.empty((0, len(self.robot.arm)))
         for first, last, margin in zip(stages, stages[1:], settings.goal_margins, strict=False):
-            proposals = self._postures.around(goal, first, last)
-            base, joints = self._postures.solve(goal, proposals, solids.wider(margin))
+            base, joints = self._postures.reaching(goal, (first, last), solids.wider(margin))
             ends = np.concatenate([ends, np.column_stack([base[:, :2], yaw(base)])])
             arms = np.concatenate([arms, joints])
             if len(ends) >= settings.enough:

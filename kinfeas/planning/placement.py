@@ -1,7 +1,8 @@
 """Where to stand: base poses from which the EE reaches goals, and the fraction reached."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,6 @@ from kinfeas.core.kernels import kernel
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, Proportion, wilson
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose, relative, rotation
-from kinfeas.core.start import Start
 from kinfeas.kinematics.convex import add_support
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
@@ -59,46 +59,31 @@ def at_goals(robot: Robot, ik: IkOptions) -> IkOptions:
     )
 
 
-def reachable(
-    solver: IkSolver,
-    goals: Array,
-    stages: Sequence[int] = STAGES,
-    on_done: Callable[[float], None] | None = None,
-    tried: int = 0,
-    start: Start | None = None,
-) -> Reachability:
+def reachable(solver: IkSolver, goals: Array, stages: Sequence[int] = STAGES) -> Reachability:
     """Return which of `goals` the EE reaches from some base pose.
 
-    Base poses come from configurations spread over the joint limits: the robot is turned and moved
-    until its EE is above or below the goal. Configurations with the least error in height and tilt
-    come first, and IK decides. Goals that are not found are out of reach only if `convergence` has
-    settled.
+    Goals that are not found are out of reach only if `convergence` has settled.
 
     Args:
         solver: IK, with its tolerances and self-collision check.
         goals: World poses of the EE, shape (n, 7), n at least 1.
         stages: Ascending numbers of base poses; only open goals enter the next stage.
-        on_done: Called with the share of all work, 0-1, that has just been done.
-        tried: Number of base poses that were tried before.
-        start: Starts with the solids of each goal: then base and arm must be free of them, and the
-            base pose must be connected with the start for a disc within the base.
     """
-    postures = Postures(solver)
-    reached = np.zeros(len(goals), dtype=np.bool_)
+    postures, reached = Postures(solver), np.zeros(len(goals), dtype=np.bool_)
     convergence = []
-    for first, last in zip((tried, *stages), stages, strict=False):
-        still_open = np.flatnonzero(~reached)
-        for row in still_open:
-            among = None if start is None else start.of(np.array([row]))
-            reached[row] = postures.reach(goals[row], first, last, among)
-            if on_done is not None:
-                on_done(1.0 / (len(still_open) * len(stages)))
+    for numbers in pairwise((0, *stages)):
+        for row in np.flatnonzero(~reached):
+            reached[row] = len(postures.reaching(goals[row], numbers)[0]) > 0
         convergence.append(float(reached.mean()))
     return Reachability(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
 
 
 class Postures:
-    """Arm configurations that propose base poses, admissible unless self-collision is ignored."""
+    """Arm configurations that propose base poses, admissible unless self-collision is ignored.
+
+    They are spread over the joint limits: the robot is turned and moved until its EE is above or
+    below a goal. Those with the least error in height and tilt come first, and IK decides.
+    """
 
     def __init__(self, solver: IkSolver) -> None:
         joints = spread_configurations(solver.robot, _SETTINGS.postures, _SETTINGS.seed)
@@ -109,28 +94,27 @@ class Postures:
         self.rotations = rotation(self.ee_pose).as_matrix()
         self.footprint = footprint(solver.collision)
 
-    def reach(self, goal: Array, first: int, last: int, start: Start | None = None) -> bool:
-        """Return whether one of the proposals `first` to `last` reaches `goal`, shape (7,)."""
-        proposals, solids = self.around(goal, first, last), None
-        if start is not None and start.solids is not None:
-            solids, base = start.solids, proposals[0][:, :2]
-            near = connected(solids, start.base_pose[0, :2], base, self.footprint)
-            proposals = proposals[0][near], proposals[1][near]
-        return len(self.solve(goal, proposals, solids)[0]) > 0
-
-    def solve(
+    def reaching(
         self,
         goal: Array,
-        proposals: tuple[Array, Array],
-        solids: Solids | None,
+        numbers: tuple[int, int],
+        solids: Solids | None = None,
+        start: Array | None = None,
         *,
         restarts: bool = True,
     ) -> tuple[Array, Array]:
-        """Return proposals that reach `goal` among one row of solids, with the arms that do.
+        """Return base poses, shape (m, 7), from which the arm reaches a goal, and arms, (m, j).
 
-        Without restarts, which take most of the time, IK begins only at the proposed arms.
+        Args:
+            goal: World pose of the EE, shape (7,).
+            numbers: First and last number of the proposals to try, the best first.
+            solids: In the world, one row, of which base and arm must be free.
+            start: World pose of the base, shape (7,), from which a disc within the base must be
+                able to drive to the base poses among the solids.
+            restarts: Whether IK also begins elsewhere than at the proposed arms, which takes most
+                of the time.
         """
-        base, joints = proposals
+        base, joints = self._around(goal, *numbers)
         among = None
         if solids is not None:
             rows = np.flatnonzero(
@@ -141,9 +125,13 @@ class Postures:
         targets = relative(np.broadcast_to(goal, base.shape), base)
         solver = self.solver if restarts else self._local_solver
         arm = solver.solve(targets, joints, solids=among)
-        return base[arm.feasible], arm.joint_positions[arm.feasible]
+        base, joints = base[arm.feasible], arm.joint_positions[arm.feasible]
+        if start is None or solids is None or not len(base):
+            return base, joints
+        near = connected(solids, start[:2], base[:, :2], self.footprint)
+        return base[near], joints[near]
 
-    def around(self, goal: Array, first: int, last: int) -> tuple[Array, Array]:
+    def _around(self, goal: Array, first: int, last: int) -> tuple[Array, Array]:
         """Return the proposals for `goal`: base poses, shape (m, 7), and arms, shape (m, j).
 
         Their headings maximize the trace of R_goal' Rz(heading) R_ee.

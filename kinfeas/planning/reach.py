@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from kinfeas.core.spatial import Array, relative
 from kinfeas.kinematics.forward import jacobian
 from kinfeas.kinematics.ik import POSE_DIMENSIONS, IkOptions, IkSolver
 from kinfeas.kinematics.solids import collides, in_base
-from kinfeas.planning.placement import Postures, at_goals, connected
+from kinfeas.planning.placement import Postures, at_goals
 from kinfeas.robots.robot import Robot
 
 LIMITS = {  # reasons for which a pose is out of reach; the first that applies
@@ -121,7 +122,7 @@ class BasePlacer:
     ) -> Placement:
         """Return all base poses of the last stage, for a map; arguments are those of `place`."""
         last = _SETTINGS.stages[-1]
-        base, joints = self._verified(self._postures, goal, (0, last), solids, start)
+        base, joints = self._postures.reaching(goal, (0, last), solids, start, restarts=False)
         return self._rated(base, joints[:, np.newaxis], solids, last, single=True)
 
     def place_for_all(
@@ -195,32 +196,14 @@ class BasePlacer:
         """
         postures, quick = postures or self._postures, _SETTINGS.first
         base, joints = np.empty((0, 7)), np.empty((0, postures.joints.shape[1]))
-        rounds = [(pair, False) for pair in zip((0, *quick), quick, strict=False)]
-        rounds += [(pair, True) for pair in zip((0, *stages), stages, strict=False)]
+        rounds = [(pair, False) for pair in pairwise((0, *quick))]
+        rounds += [(pair, True) for pair in pairwise((0, *stages))]
         for numbers, restarts in rounds:
             if len(base) >= (1 if restarts else count):
                 break
-            more = self._verified(postures, goal, numbers, solids, start, restarts=restarts)
+            more = postures.reaching(goal, numbers, solids, start, restarts=restarts)
             base, joints = np.concatenate([base, more[0]]), np.concatenate([joints, more[1]])
         return base, joints
-
-    @staticmethod
-    def _verified(
-        postures: Postures,
-        goal: Array,
-        numbers: tuple[int, int],
-        solids: Solids | None,
-        start: Array | None,
-        *,
-        restarts: bool = False,
-    ) -> tuple[Array, Array]:
-        """Return the proposals of some numbers that reach a pose and are connected to the start."""
-        proposals = postures.around(goal, *numbers)
-        base, joints = postures.solve(goal, proposals, solids, restarts=restarts)
-        if start is None or solids is None or not len(base):
-            return base, joints
-        near = connected(solids, start[:2], base[:, :2], postures.footprint)
-        return base[near], joints[near]
 
     def _rated(
         self, base: Array, joints: Array, solids: Solids | None, count: int, *, single: bool = False

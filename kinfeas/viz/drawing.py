@@ -13,12 +13,13 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
+from kinfeas.backends.physics.visuals import VisualShape
 from kinfeas.core.spatial import IDENTITY, Array, rotation
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz import shapes
-from kinfeas.viz.shapes import CORNERS, SIDES, Solid, faces
+from kinfeas.viz.shapes import CORNERS, SIDES, faces
 from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
 _AXES = {"approach": "#d1483e", "finger axis": "#3a9a52"}
@@ -53,7 +54,7 @@ def robot_figure(robot: Robot) -> Figure:
 
 def scene_figure(scene: Scene) -> Figure:
     """Return a picture of a scene with doors and drawers open, and the paths of their handles."""
-    names = {name for name, entry in scene.objects.items() if not shapes.surrounds(scene, entry)}
+    names = scene.objects.keys() - shapes.surrounding(scene)
     half = np.array([*scene.size, 0.0]) / 2.0
     opened, paths = scene, []
     for name, handle in scene.handles.items():
@@ -66,22 +67,22 @@ def scene_figure(scene: Scene) -> Figure:
         ]
         paths.append(np.stack([state.handle_pose(name)[:3] for state in states]))
         opened = opened.with_joints({handle.object: {joint.name: _OPEN * joint.upper}})
-    solids = [(name, solid) for name, solid in shapes.scene_solids(opened) if name in names]
+    solids = [solid for solid in shapes.scene_solids(opened) if solid.link[0] in names]
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.2))
         axes = add_axes(figure, (0.0, 0.0, 1.0, 0.95), np.deg2rad(28.0), np.deg2rad(38.0))
         draw_floor(axes, np.array([-half, half]), 1.0, 0.0)
-        draw_solids(axes, [solid for _, solid in solids])
+        draw_solids(axes, solids)
         for path in paths:
             axes.plot(*path.T, color=EE, lw=2.0, zorder=7, path_effects=_CASING)
         for name in scene.handles:
             axes.plot(*scene.handle_pose(name)[:3, np.newaxis], "o", color=EE, ms=5.0, zorder=8)
         for name in names:
-            points = shapes.corners([solid for other, solid in solids if other == name])
+            points = shapes.corners([solid for solid in solids if solid.link[0] == name])
             position = (*points.mean(axis=0)[:2], points[:, 2].max() + 0.1)
             axes.text(*position, name, fontsize=9, color=INK, ha="center", zorder=9,
                       path_effects=_CASING)  # fmt: skip
-        points = shapes.corners([solid for _, solid in solids])
+        points = shapes.corners(solids)
         show_all(axes, points * [1.0, 1.0, 1.2], 1.4)
         axes.set_title(f"{scene.name}: {scene.size[0]:g} x {scene.size[1]:g} m, grid of 1 m")
     return figure
@@ -127,7 +128,7 @@ def show_all(axes: Axes3D, points: Array, aspect: float = 1.0) -> None:
         artist.set(clip_on=False, in_layout=False)
 
 
-def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
+def draw_solids(axes: Axes3D, solids: Sequence[VisualShape]) -> None:
     """Draw solids, shaded and sorted by depth."""
     elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * np.cos(elevation)

@@ -17,6 +17,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from kinfeas.backends.physics.visuals import VisualShape
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
@@ -83,7 +84,7 @@ def reach_figure(
     with rc_context(STYLE):
         figure = Figure(figsize=(7.0, 6.0), layout="constrained")
         axes = figure.add_subplot()
-        for solid in shapes.solid_shapes(solids).values():
+        for solid in shapes.solid_shapes(solids):
             draw_outline(axes, shapes.corners([solid]), (*to_rgb(solid.colour[:7]), 0.75), 1.8)
         if best.reachable and placement.reachable:
             for solid in shapes.robot_solids(robot, best.base_pose[0], best.joint_positions[0]):
@@ -131,38 +132,38 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
 
 
 def robot_at(
-    robot: Robot, recording: Recording, moment: int, colours: tuple[str, ...] = (BODY, ARM)
-) -> list[shapes.Solid]:
+    robot: Robot, recording: Recording, moment: int, colours: tuple[str, str] = (BODY, ARM)
+) -> list[VisualShape]:
     """Return the solids of a robot at a moment of an episode; colours of body and arm."""
     pose, joints = recording.base_pose[moment], recording.joint_positions[moment]
     return shapes.robot_solids(robot, pose, joints, colours)
 
 
-def _furniture_near(recording: Recording) -> list[list[shapes.Solid]]:
+def _furniture_near(recording: Recording) -> list[list[VisualShape]]:
     scene = recording.scene
     if scene is None:
         return []
     paths = np.concatenate([recording.base_pose[:, :2], recording.ee_pose[:, :2]])
     low, high = paths.min(axis=0) - _NEAR, paths.max(axis=0) + _NEAR
-    near: dict[str, list[shapes.Solid]] = {
+    around = shapes.surrounding(scene)
+    near: dict[str, list[VisualShape]] = {
         name: []
         for name, entry in scene.objects.items()
-        if np.all((entry.pose[:2] > low) & (entry.pose[:2] < high))
-        and not shapes.surrounds(scene, entry)
+        if np.all((entry.pose[:2] > low) & (entry.pose[:2] < high)) and name not in around
     }
-    for name, solid in shapes.scene_solids(scene):
-        if name in near:
-            near[name].append(solid)
+    for solid in shapes.scene_solids(scene):
+        if solid.link[0] in near:
+            near[solid.link[0]].append(solid)
     return list(near.values())
 
 
-def _solids_near(recording: Recording, moment: int, within: float = _NEAR) -> list[shapes.Solid]:
+def _solids_near(recording: Recording, moment: int, within: float = _NEAR) -> list[VisualShape]:
     points = [recording.base_pose, recording.desired, recording.goals]
     paths = np.concatenate([poses[:, :2] for poses in points])
     low, high = paths.min(axis=0) - within, paths.max(axis=0) + within
     return [
         solid
-        for solid in shapes.solid_shapes(recording.solids_at(moment)).values()
+        for solid in shapes.solid_shapes(recording.solids_at(moment))
         if np.all(
             np.abs(solid.shape.pose[:2] - (low + high) / 2.0)
             < (high - low) / 2.0 + np.ptp(shapes.corners([solid])[:, :2], axis=0) / 2.0
@@ -171,11 +172,11 @@ def _solids_near(recording: Recording, moment: int, within: float = _NEAR) -> li
 
 
 def _draw_side(
-    axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[shapes.Solid]
+    axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[VisualShape]
 ) -> None:
     solids = [*furniture, *_solids_near(recording, -1, _AROUND)]
-    for moment, *colours in _fading(recording):
-        solids += robot_at(robot, recording, moment, tuple(colours))
+    for moment, body, arm in _fading(recording):
+        solids += robot_at(robot, recording, moment, (body, arm))
     ends = recording.desired[:, :3], recording.goals[:, :3]
     points = np.concatenate([shapes.corners(solids), *ends])
     floor = drawing.draw_floor(axes, points)

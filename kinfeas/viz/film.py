@@ -15,7 +15,7 @@ from kinfeas.evaluation.recording import Recording
 from kinfeas.io.files import replacing
 from kinfeas.robots.urdf import Shape
 from kinfeas.viz.replay import Replay, result
-from kinfeas.viz.shapes import side_heading
+from kinfeas.viz.shapes import placed, side_heading
 from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, failures_text
 
 SUFFIXES = (".gif", ".mp4", ".png")
@@ -51,7 +51,8 @@ class FilmCamera:
 
     def of(self, replay: Replay, moment: int) -> Image.Image:
         """Return the picture of a moment with the paths until then, 480 x 360 pixels."""
-        poses = [*self._still, *replay.poses(moment)]
+        bodies = placed(replay.shapes, replay.links(moment))
+        poses = [*self._still, *(body.shape.pose for body in bodies)]
         image = Image.fromarray(self._camera.picture(poses, self._view)).convert("RGBA")
         layer = Image.new("RGBA", (_FINE * image.width, _FINE * image.height))
         _draw_paths(ImageDraw.Draw(layer), self._view, replay.recording, moment + 1)
@@ -76,7 +77,8 @@ def write_film(replay: Replay, path: Path, on_done: Callable[[int], None] | None
         raise KinfeasError(f"{path}: a film must end in one of: {', '.join(SUFFIXES)}")
     moments = _moments(replay, path)
     rate, _ = _RATES.get(suffix, (0.0, 0))
-    speed = max(1.0, float(replay.times[-1] - replay.times[0]) * rate / len(moments))
+    times = replay.recording.times
+    speed = max(1.0, float(times[-1] - times[0]) * rate / len(moments))
     pictures = []
     with closing(FilmCamera(replay)) as film:
         for moment in moments.tolist():
@@ -99,7 +101,7 @@ def count_pictures(replay: Replay, path: Path) -> int:
 
 
 def _moments(replay: Replay, path: Path) -> NDArray[np.intp]:
-    times = replay.times - replay.times[0]
+    times = replay.recording.times - replay.recording.times[0]
     rate, most = _RATES.get(path.suffix.lower(), (0.0, 0))
     count = min(most, int(np.ceil(times[-1] * rate))) if rate else _PANELS[0] * _PANELS[1]
     moments = np.searchsorted(times, np.linspace(0.0, times[-1], max(2, count)))
@@ -149,7 +151,7 @@ def _caption(image: Image.Image, replay: Replay, moment: int, speed: float) -> N
     recording = replay.recording
     failures = int(np.sum(~recording.feasible[: moment + 1]))
     faster = f"  ({speed:.1f}x)" if speed > 1.05 else ""
-    seconds = replay.times[moment] - replay.times[0]
+    seconds = replay.recording.times[moment] - replay.recording.times[0]
     text = f"{replay.title}   {seconds:.1f} s{faster}   "
     lines = [[(text, INK), (failures_text(failures), FAILURE if failures else EE)]]
     if moment == len(recording.feasible) - 1:

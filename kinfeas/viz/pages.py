@@ -1,22 +1,20 @@
 """Robots, scenes and episodes in 3-D pages, made by viser; saved pages need no server."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backends.physics.visuals import LinkName
+from kinfeas.backends.physics.visuals import LinkName, VisualShape
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
-from kinfeas.robots.robot import Robot
-from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.replay import Replay, result
 from kinfeas.viz.server import serving
-from kinfeas.viz.shapes import corners, link_poses, robot_parts, scene_solids, surrounds
-from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
+from kinfeas.viz.shapes import corners, scene_poses, scene_shapes, scene_solids, surrounding
+from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, failures_text
 
 _FLOOR, _LINES = (245, 246, 248), (205, 210, 217)  # colours
 _VIEW = np.array([0.82, -1.18, 0.85])  # to the camera, by the radius of the content
@@ -33,14 +31,6 @@ def draw_floor(
     )  # fmt: skip
 
 
-def draw_scene(server: Any, scene: Scene) -> list[Any]:
-    """Draw a scene; return a handle for each of `scene_solids`."""
-    return [
-        draw(server, f"/{name}/{number}", solid.shape, solid.colour)
-        for number, (name, solid) in enumerate(scene_solids(scene))
-    ]
-
-
 def aim(server: Any, points: Array) -> None:
     """Put the camera of a page where it shows all points, shape (k, 3), in metres."""
     low, high = points.min(axis=0), points.max(axis=0)
@@ -49,8 +39,9 @@ def aim(server: Any, points: Array) -> None:
     server.initial_camera.look_at = middle
 
 
-def draw(server: Any, name: str, shape: Shape, colour: str) -> Any:
+def draw(server: Any, name: str, visual: VisualShape) -> Any:
     """Draw a shape; return its handle."""
+    _, shape, colour = visual
     red, green, blue, *alpha = rgb(colour)
     how: dict[str, Any] = {"position": shape.pose[:3], "wxyz": np.roll(shape.pose[3:], 1)}
     how |= {"color": (red, green, blue), "opacity": alpha[0] / 255.0 if alpha else None}
@@ -74,30 +65,26 @@ def rgb(colour: str) -> tuple[int, ...]:
     return tuple(bytes.fromhex(colour.removeprefix("#")))
 
 
-class DrawnRobot:
-    """A robot that moves in a page, from its primitive shapes."""
+class Bodies:
+    """Shapes in a page that move with their links."""
 
-    def __init__(
-        self, server: Any, name: str, robot: Robot, colours: tuple[str, str] = (BODY, ARM)
-    ) -> None:
-        """Draw the robot below the node `name`; colours: body, arm."""
-        self._robot = robot
+    def __init__(self, server: Any, name: str, shapes: Sequence[VisualShape]) -> None:
+        """Draw shapes below the node `name`."""
         self._root = server.scene.add_frame(name, show_axes=False)
-        self._frames: dict[str, Any] = {}
-        for number, (link, shape, arm) in enumerate(robot_parts(robot)):
-            if link not in self._frames:
+        self._frames: dict[LinkName, Any] = {}
+        for number, visual in enumerate(shapes):
+            if visual.link not in self._frames:
                 path = f"{name}/{len(self._frames)}"
-                self._frames[link] = server.scene.add_frame(path, show_axes=False)
-            draw(server, f"{self._frames[link].name}/{number}", shape, colours[arm])
+                self._frames[visual.link] = server.scene.add_frame(path, show_axes=False)
+            draw(server, f"{self._frames[visual.link].name}/{number}", visual)
 
-    def move(self, base_pose: Array, joint_positions: Array) -> None:
-        """Show the robot at a base pose (7,) and arm joints (j,)."""
-        poses = link_poses(self._robot, base_pose, joint_positions)
+    def move(self, poses: Mapping[LinkName, Array]) -> None:
+        """Move the links to their world poses (7,)."""
         for link, frame in self._frames.items():
             place(frame, poses[link])
 
     def remove(self) -> None:
-        """Remove the robot from the page."""
+        """Remove the shapes from the page."""
         self._root.remove()
 
 
@@ -116,20 +103,19 @@ def scene_html(scene: Scene) -> str:
         for joint in free_joints(entry.urdf).values()
     }
     with serving(f"kinfeas: {scene.name}") as server:
-        around = {name for name, entry in scene.objects.items() if surrounds(scene, entry)}
-        content = [solid for name, solid in scene_solids(scene) if name not in around]
+        around = surrounding(scene)
+        content = [solid for solid in scene_solids(scene) if solid.link[0] not in around]
         aim(server, corners(content) if content else np.array([[*scene.size, 0.0], [0.0] * 3]))
         draw_floor(server, scene.size, 1.0)
-        drawn = draw_scene(server, scene)
+        bodies = Bodies(server, "/scene", scene_shapes(scene))
+        bodies.move(scene_poses(scene))
         film = server.get_scene_serializer()
         for frame in range(_SCENE_FRAMES if joints else 0):
             fraction = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
             objects: dict[str, dict[str, float]] = {}
             for (name, joint), (at, high) in joints.items():
                 objects.setdefault(name, {})[joint] = at + fraction * (high - at)
-            moved = scene_solids(scene.with_joints(objects))
-            for handle, (_, solid) in zip(drawn, moved, strict=True):
-                place(handle, solid.shape.pose)
+            bodies.move(scene_poses(scene.with_joints(objects)))
             film.insert_sleep(1.0 / _SCENE_RATE)
         return server.titled(film.as_html())
 
@@ -144,15 +130,10 @@ def moments(times: Array) -> NDArray[np.intp]:
 
 def replay_html(replay: Replay) -> str:
     """Return the page of an episode, on which everything moves as it did."""
-    recording, times = replay.recording, replay.times
+    recording, times = replay.recording, replay.recording.times
     with serving(f"kinfeas: {replay.title}") as server:
         _draw_paths(server, recording)
-        frames: dict[LinkName, Any] = {}
-        for number, visual in enumerate(replay.shapes):
-            if visual.link not in frames:
-                name = f"/bodies/{len(frames)}"
-                frames[visual.link] = server.scene.add_frame(name, show_axes=False)
-            draw(server, f"{frames[visual.link].name}/{number}", visual.shape, visual.colour)
+        bodies = Bodies(server, "/bodies", replay.shapes)
         text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
         position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
         label = server.scene.add_label("/result", text, position=position, visible=False)
@@ -160,9 +141,7 @@ def replay_html(replay: Replay) -> str:
         for moment, after in zip(
             shown_moments, [*shown_moments[1:], shown_moments[-1]], strict=True
         ):
-            poses = replay.links(moment)
-            for link, frame in frames.items():
-                place(frame, poses[link])
+            bodies.move(replay.links(moment))
             label.visible = moment == shown_moments[-1]
             film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
         return server.titled(film.as_html())

@@ -18,8 +18,9 @@ from kinfeas.io.files import writing
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.choice import DT, NONE, Choice
-from kinfeas.viz.pages import DrawnRobot, draw_floor, draw_scene
+from kinfeas.viz.pages import Bodies, draw_floor
 from kinfeas.viz.play_robot import ShownRobot
+from kinfeas.viz.shapes import robot_solids, scene_solids
 from kinfeas.viz.style import ARM, EE, GOAL
 
 if TYPE_CHECKING:
@@ -63,8 +64,8 @@ class PlayPage:
         server.on_client_connect(_make_room)
         self._robot = load_robot(choice.robot)
         self._scene = self._draw_scene(choice.scene)
-        self._first = DrawnRobot(server, "/first", self._robot)
-        self._first.move(spatial.IDENTITY, self._robot.home["home"])
+        home = robot_solids(self._robot, spatial.IDENTITY, self._robot.home["home"])
+        self._first = Bodies(server, "/first", home)
         self.handle = server.scene.add_transform_controls("/target", scale=0.35, depth_test=False)
         self.handle.visible = False
 
@@ -267,7 +268,9 @@ class PlayPage:
         scene = None if name == NONE else read_scene(name)
         size = (10.0, 10.0) if scene is None else scene.size
         floor = draw_floor(self.server, size, 0.5)
-        return [floor] if scene is None else [floor, *draw_scene(self.server, scene)]
+        if scene is None:
+            return [floor]
+        return [floor, Bodies(self.server, "/scene", scene_solids(scene))]
 
     def _add_plots(self) -> None:
         for plot in self._plots:

@@ -9,8 +9,8 @@ from scipy.spatial import ConvexHull
 from kinfeas.core import spatial
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.viz.pages import DrawnRobot, place, rgb
-from kinfeas.viz.shapes import corners, robot_solids
+from kinfeas.viz.pages import Bodies, place, rgb
+from kinfeas.viz.shapes import corners, robot_poses, robot_shapes, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ class ShownRobot:
         self._target = server.scene.add_frame(
             f"{name}/target", axes_length=0.2, axes_radius=0.008, visible=second
         )
-        self._robot = DrawnRobot(server, f"{name}/robot", robot, colours)
+        self._robot = robot
+        self._body = Bodies(server, f"{name}/robot", robot_shapes(robot, colours))
         starts = {BASE: episode.base_pose, DESIRED: episode.ee_pose, EE: episode.ee_pose}
         self._base, self._desired, self._ee = (
             _Trail(server, f"{name}/paths/{colour[1:]}", _SECOND[1] if second else colour, start)
@@ -93,7 +94,7 @@ class ShownRobot:
         """Show the state of the episode, and the target of a robot that stands beside it."""
         episode = self._episode
         place(self._target, target)
-        self._robot.move(episode.base_pose, episode.joint_positions)
+        self._body.move(robot_poses(self._robot, episode.base_pose, episode.joint_positions))
         self._outline.position = [*episode.base_pose[:2], 0.01]
         self._outline.wxyz = np.roll(episode.base_pose[3:], 1)
         self._base.add(episode.base_pose + np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.0]))

@@ -1,71 +1,22 @@
-"""2-D plots: learning curves, motions of a generator, sweeps, and fits of a base's response."""
+"""2-D plots: motions of a generator, sweeps, and fits of a base's response."""
 
-import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, PercentFormatter
 
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import read_csv
 from kinfeas.testing.rules import Samples, Trial
 from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, STYLE
 
 if TYPE_CHECKING:  # takes long to import
     from kinfeas.sim2real.identify.fit import Fit
 
-_PLOTTED = ("steps", "seconds", "train/success", "evaluation/success")
 _STILL = 1e-3  # of the largest speed: too small to be seen
 _AXES = ("x (m/s)", "y (m/s)", "rotation (rad/s)")
 _SMOOTHED = 5  # measurements in a mean: single ones are noisy
-
-
-def read_metrics(run: Path) -> dict[str, Array]:
-    """Return columns of a run's `metrics.csv` by name, NaN where a row has no entry."""
-    return read_csv(run / "metrics.csv", _PLOTTED)
-
-
-def learning_curve(metrics: Mapping[str, Array], levels: Mapping[str, float]) -> Figure:
-    """Return a plot of success over time and steps."""
-    minutes, steps = metrics["seconds"] / 60.0, metrics["steps"]
-    with rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 4.4), layout="constrained")
-        axes = figure.subplots()
-        axes.plot(
-            minutes, metrics["train/success"], color=BASE, alpha=0.55, lw=1.8,
-            label="training episodes: exploring, with noise",
-        )  # fmt: skip
-        evaluated = np.isfinite(metrics["evaluation/success"])
-        axes.plot(
-            minutes[evaluated], metrics["evaluation/success"][evaluated], "o-", color=EE, lw=2.2,
-            ms=7, mec="white", clip_on=False, zorder=4, label="evaluation: as deployed",
-        )  # fmt: skip
-        axes.set(xlabel="training time (min)", ylabel="success")
-        axes.set(xlim=(0.0, float(minutes[-1])), ylim=(0.0, 1.02))
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-        draw_levels(axes, levels, 0.055, 9)
-        above = axes.secondary_xaxis("top")
-        above.xaxis.set_major_formatter(
-            FuncFormatter(lambda x, _: f"{np.interp(x, minutes, steps, left=0.0) / 1000.0:,.0f} k")
-        )
-        above.set_xlabel("environment steps")
-        axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2, borderaxespad=0.2)
-    return figure
-
-
-def draw_levels(axes: Axes, levels: Mapping[str, float], gap: float, size: float) -> None:
-    """Draw levels as lines across axes, with names in a font `size` that are a `gap` apart."""
-    last = -math.inf
-    for name, value in sorted(levels.items(), key=lambda level: level[1]):
-        last = max(value, last + gap)
-        axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
-        axes.text(1.015, last, f"{name} {value:.1%}", va="center", fontsize=size,
-                  transform=axes.get_yaxis_transform())  # fmt: skip
 
 
 def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.backends.physics.stage import Stage
-from kinfeas.backends.physics.visuals import ROBOT, LinkName, VisualShape, visual_shapes
+from kinfeas.backends.physics.visuals import LinkName, VisualShape, visual_shapes
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
 from kinfeas.core.solids import Solids
@@ -19,10 +19,15 @@ from kinfeas.io.run_log import REACHED, TASK_DONE, Record
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.viz.shapes import link_poses, robot_parts, scene_shapes, solid_shapes, surrounds
-from kinfeas.viz.style import ARM, BODY
+from kinfeas.viz.shapes import (
+    robot_poses,
+    robot_shapes,
+    scene_poses,
+    scene_shapes,
+    solid_shapes,
+    surrounding,
+)
 
-_SOLID = "/solid"  # stands for a solid in place of the name of an object
 _WALL = 4.0  # m; longer boxes hide the room
 
 LinkPoses = Callable[[int], Mapping[LinkName, Array]]
@@ -35,46 +40,29 @@ class Replay:
     Attributes:
         recording: The episode.
         title: Robot and task.
-        times: Seconds of the moments, shape (t,).
         shapes: Visible shapes in the frames of their links.
         links: Function that returns the world poses of the links at a moment.
     """
 
     recording: Recording
     title: str
-    times: Array
     shapes: Sequence[VisualShape]
     links: LinkPoses
 
-    def poses(self, moment: int) -> list[Array]:
-        """Return the world poses of the shapes at a moment, shape (7,) each."""
-        links = self.links(moment)
-        return [compose(links[shape.link], shape.shape.pose) for shape in self.shapes]
 
-
-def replay_of(recording: Recording, robot: Robot, title: str, times: Array | None = None) -> Replay:
-    """Return a recorded episode with the robot's primitive shapes and the furniture.
-
-    The times of the t moments, shape (t,) in seconds, are by default those of the recording.
-    """
-    shapes = [
-        VisualShape((ROBOT, part.link), part.shape, ARM if part.arm else BODY)
-        for part in robot_parts(robot)
-    ]
+def replay_of(recording: Recording, robot: Robot, title: str) -> Replay:
+    """Return a recorded episode with the robot's primitive shapes and the furniture."""
+    shapes = list(robot_shapes(robot))
     furniture: dict[LinkName, Array] = {}
-    scene = recording.scene
-    for name, entry in scene.objects.items() if scene is not None else ():
-        if scene is not None and not surrounds(scene, entry):
-            shapes += scene_shapes(name, entry)
-            furniture |= {(name, link): pose for link, pose in entry.link_poses().items()}
+    if (scene := recording.scene) is not None:
+        around, furniture = surrounding(scene), scene_poses(scene)
+        shapes += [visual for visual in scene_shapes(scene) if visual.link[0] not in around]
 
     def links(moment: int) -> Mapping[LinkName, Array]:
         base, joints = recording.base_pose[moment], recording.joint_positions[moment]
-        robot_links = link_poses(robot, base, joints)
-        return {**furniture, **{(ROBOT, link): pose for link, pose in robot_links.items()}}
+        return {**furniture, **robot_poses(robot, base, joints)}
 
-    times = recording.times if times is None else times
-    return _with_solids(Replay(recording, title, times, shapes, links))
+    return _with_solids(Replay(recording, title, shapes, links))
 
 
 def run_episode(world: World, policy: Policy, episode: int) -> Replay:
@@ -104,7 +92,7 @@ def run_episode(world: World, policy: Policy, episode: int) -> Replay:
     def links(moment: int) -> Mapping[LinkName, Array]:
         return dict(zip(names, moments[moment], strict=True))
 
-    return _with_solids(Replay(recording, title, recording.times, shapes, links))
+    return _with_solids(Replay(recording, title, shapes, links))
 
 
 def as_recording(record: Record, robot: Robot) -> Recording:
@@ -120,10 +108,9 @@ def as_recording(record: Record, robot: Robot) -> Recording:
     solids = Solids.from_table(np.array(around)) if around else None
     last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
     return Recording(
-        0, record.base_pose, record.joint_positions, record.desired,
+        0, record.time, record.base_pose, record.joint_positions, record.desired,
         compose(record.base_pose, ee), record.feasible, record.goal[last],
-        reached=record.event[-1].startswith(REACHED), dt=record.about.dt, solids=solids,
-        scene=_scene_of(record),
+        reached=record.event[-1].startswith(REACHED), solids=solids, scene=_scene_of(record),
     )  # fmt: skip
 
 
@@ -140,8 +127,8 @@ def present(world: World) -> Replay:
     loop, backend = world.loop, world.backend
     state = loop.robots
     now = Recording(
-        0, state.base_pose[:1], state.joint_positions[:1], loop.desired[:1], loop.ee_pose[:1],
-        np.array([True]), loop.sequence.goal[:1], reached=False, dt=loop.dt,
+        0, np.zeros(1), state.base_pose[:1], state.joint_positions[:1], loop.desired[:1],
+        loop.ee_pose[:1], np.array([True]), loop.sequence.goal[:1], reached=False,
     )  # fmt: skip
     if not isinstance(backend, PhysicsBackend):
         solids = None if backend.solids is None else backend.solids.after()
@@ -151,7 +138,7 @@ def present(world: World) -> Replay:
     links = dict(zip(names, backend.link_poses(0, names), strict=True))
     solids = backend.solid_bodies()
     now = replace(now, solids=None if solids is None else solids.of(np.array([0])))
-    return _with_solids(Replay(now, "", now.times, shapes, lambda _: links))
+    return _with_solids(Replay(now, "", shapes, lambda _: links))
 
 
 def result(recording: Recording) -> tuple[str, bool]:
@@ -175,13 +162,11 @@ def _with_solids(episode: Replay) -> Replay:
     if not solids:
         return episode
     shapes = [
-        VisualShape((_SOLID, str(number)), replace(solid.shape, pose=IDENTITY), solid.colour)
-        for number, solid in solids.items()
+        VisualShape(link, replace(shape, pose=IDENTITY), colour) for link, shape, colour in solids
     ]
 
     def links(moment: int) -> Mapping[LinkName, Array]:
         present = solid_shapes(episode.recording.solids_at(moment))
-        poses = {(_SOLID, str(number)): solid.shape.pose for number, solid in present.items()}
-        return {**episode.links(moment), **poses}
+        return {**episode.links(moment), **{solid.link: solid.shape.pose for solid in present}}
 
     return replace(episode, shapes=[*episode.shapes, *shapes], links=links)

@@ -1,23 +1,21 @@
 """Robots and scenes as primitive shapes with colours."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.backends.physics.visuals import GREY, VisualShape, urdf_visuals
+from kinfeas.backends.physics.visuals import GREY, ROBOT, LinkName, VisualShape, urdf_visuals
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.elements import read_xml
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
-from kinfeas.scenes.objects import SceneObject
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.style import ARM, BODY
 
@@ -30,47 +28,40 @@ CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in
 LOW, HIGH, HIGHEST = "#d8c7a6", "#9fa9b580", 1.2
 """Colours of solids: up to a height in metres, and higher ones."""
 
+_SOLID = "/solid"  # stands for a solid in place of the name of an object
 _TURN = np.deg2rad(12.0)  # of a side view, so that the arm is in front
 _STICK = 0.03  # m, width of lines in place of links without shapes
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
-class Part(NamedTuple):
-    """A shape in the frame of a link, and whether it belongs to the arm."""
-
-    link: str
-    shape: Shape
-    arm: bool
-
-
-class Solid(NamedTuple):
-    """A shape with its world pose and a colour, `#rrggbb` or with opacity `#rrggbbaa`."""
-
-    shape: Shape
-    colour: str
-
-
 def robot_solids(
-    robot: Robot, base_pose: Array, joint_positions: Array, colours: tuple[str, ...] = (BODY, ARM)
-) -> list[Solid]:
-    """Return the shapes of a robot at a base pose (7,) and arm joints (j,); colours: body, arm."""
-    poses = link_poses(robot, base_pose, joint_positions)
-    return [
-        Solid(replace(shape, pose=compose(poses[link], shape.pose)), colours[arm])
-        for link, shape, arm in robot_parts(robot)
-    ]
+    robot: Robot, base_pose: Array, joint_positions: Array, colours: tuple[str, str] = (BODY, ARM)
+) -> list[VisualShape]:
+    """Return the shapes of a robot in the world; arguments as in `robot_poses`, `robot_shapes`."""
+    return placed(robot_shapes(robot, colours), robot_poses(robot, base_pose, joint_positions))
+
+
+def placed(shapes: Iterable[VisualShape], poses: Mapping[LinkName, Array]) -> list[VisualShape]:
+    """Return shapes in the world from those in the frames of their links, by the links' poses."""
+    solids = []
+    for link, shape, colour in shapes:
+        pose = compose(poses[link], shape.pose)
+        solids.append(VisualShape(link, replace(shape, pose=pose), colour))
+    return solids
 
 
 @lru_cache(maxsize=8)
-def robot_parts(robot: Robot) -> list[Part]:
-    """Return the shapes of a robot; thin boxes connect links without shapes."""
+def robot_shapes(robot: Robot, colours: tuple[str, str] = (BODY, ARM)) -> list[VisualShape]:
+    """Return the shapes of a robot; thin boxes connect links without shapes. Colours: body, arm."""
     path = robot.urdf.path_to(robot.ee_frame)
     while len(path) > 1 and (not path[0].moves or path[0].name in robot.fixed_joints):
         path = path[1:]
     arm = {joint.child for joint in path} | robot.urdf.below(path[-1].name)
     links = robot.urdf.links
-    parts = [
-        Part(name, shape, name in arm) for name, link in links.items() for shape in link.shapes
+    shapes = [
+        VisualShape((ROBOT, name), shape, colours[name in arm])
+        for name, link in links.items()
+        for shape in link.shapes
     ]
     for joint in robot.urdf.joints.values():
         length = float(np.linalg.norm(joint.origin[:3]))
@@ -78,35 +69,40 @@ def robot_parts(robot: Robot) -> list[Part]:
             turn, _ = Rotation.align_vectors(joint.origin[np.newaxis, :3], [[0.0, 0.0, 1.0]])
             pose = make_pose(joint.origin[:3] / 2.0, turn)
             shape = Shape("box", (_STICK, _STICK, length + _STICK), pose)
-            parts.append(Part(joint.parent, shape, joint.child in arm))
-    return parts
+            shapes.append(VisualShape((ROBOT, joint.parent), shape, colours[joint.child in arm]))
+    return shapes
 
 
-def link_poses(robot: Robot, base_pose: Array, joint_positions: Array) -> dict[str, Array]:
-    """Return the world poses (7,) of a robot's links by name; arguments as in `robot_solids`."""
+def robot_poses(robot: Robot, base_pose: Array, joint_positions: Array) -> dict[LinkName, Array]:
+    """Return the world poses of a robot's links at a base pose (7,) and arm joints (j,)."""
     names = (joint.name for joint in robot.arm)
     positions = {**robot.fixed_joints, **dict(zip(names, joint_positions.tolist(), strict=True))}
-    return robot.urdf.link_poses(positions, base_pose)
+    poses = robot.urdf.link_poses(positions, base_pose)
+    return {(ROBOT, link): pose for link, pose in poses.items()}
 
 
-def scene_solids(scene: Scene) -> Iterator[tuple[str, Solid]]:
-    """Yield the visible shapes of a scene in the world with the name of their object."""
-    for name, entry in scene.objects.items():
-        poses = entry.link_poses()
-        for visual in scene_shapes(name, entry):
-            pose = compose(poses[visual.link[1]], visual.shape.pose)
-            yield name, Solid(replace(visual.shape, pose=pose), visual.colour)
+def scene_solids(scene: Scene) -> list[VisualShape]:
+    """Return the visible shapes of a scene in the world."""
+    return placed(scene_shapes(scene), scene_poses(scene))
 
 
-def scene_shapes(name: str, entry: SceneObject) -> list[VisualShape]:
-    """Return the visible shapes of an object in the frames of its links.
+def scene_poses(scene: Scene) -> dict[LinkName, Array]:
+    """Return the world poses of the links of a scene."""
+    objects = scene.objects.items()
+    return {(name, k): pose for name, entry in objects for k, pose in entry.link_poses().items()}
+
+
+def scene_shapes(scene: Scene) -> list[VisualShape]:
+    """Return the visible shapes of a scene in the frames of their links.
 
     Links without visible primitives show those of their collision geometry.
     """
-    visuals, shapes = _visuals(name, entry.urdf_path), []
-    for link in entry.urdf.links.values():
-        grey = [VisualShape((name, link.name), shape, GREY) for shape in link.shapes]
-        shapes += visuals.get(link.name, grey)
+    shapes = []
+    for name, entry in scene.objects.items():
+        visuals = _visuals(name, entry.urdf_path)
+        for link in entry.urdf.links.values():
+            grey = [VisualShape((name, link.name), shape, GREY) for shape in link.shapes]
+            shapes += visuals.get(link.name, grey)
     return shapes
 
 
@@ -119,11 +115,11 @@ def _visuals(name: str, path: Path) -> dict[str, list[VisualShape]]:
     return visuals
 
 
-def solid_shapes(solids: Solids | None) -> dict[int, Solid]:
-    """Return the solids of one row by place; high ones are translucent."""
+def solid_shapes(solids: Solids | None) -> list[VisualShape]:
+    """Return the solids of one row in the world; high ones are translucent."""
     if solids is None:
-        return {}
-    shapes = {}
+        return []
+    shapes = []
     for slot in np.flatnonzero(solids.filled[0]).tolist():
         x, y, low, high = solids.size[0, slot].tolist()
         height, centre = high - low, solids.centre[0, slot]
@@ -131,7 +127,7 @@ def solid_shapes(solids: Solids | None) -> dict[int, Solid]:
             shape = Shape("cylinder", (x, height), centre)
         else:
             shape = Shape("box", (2.0 * x, 2.0 * y, height), centre)
-        shapes[slot] = Solid(shape, HIGH if high > HIGHEST else LOW)
+        shapes.append(VisualShape((_SOLID, str(slot)), shape, HIGH if high > HIGHEST else LOW))
     return shapes
 
 
@@ -144,13 +140,17 @@ def side_heading(recording: Recording) -> float:
     return max(headings, key=lambda angle: float(arm @ [np.sin(angle), -np.cos(angle)]))
 
 
-def surrounds(scene: Scene, entry: SceneObject) -> bool:
-    """Return whether an object, such as walls, is as large as the room."""
-    points = corners([Solid(shape, "") for _, shape in entry.shapes()])
-    return bool(np.max(np.ptp(points, axis=0)) >= min(scene.size))
+def surrounding(scene: Scene) -> set[str]:
+    """Return the names of objects that are as large as the room, such as walls."""
+    around = set()
+    for name, entry in scene.objects.items():
+        points = corners(VisualShape((name, ""), shape, "") for _, shape in entry.shapes())
+        if np.max(np.ptp(points, axis=0)) >= min(scene.size):
+            around.add(name)
+    return around
 
 
-def corners(solids: Iterable[Solid]) -> Array:
+def corners(solids: Iterable[VisualShape]) -> Array:
     """Return the corners of the faces of solids in the world, shape (k, 3), metres."""
     return np.concatenate([face for solid in solids for face in faces(solid.shape)])
 

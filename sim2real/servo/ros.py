@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from kinfeas.config.quantities import Seconds
 from kinfeas.sim2real.ros.bus import Version, make_bus
+from kinfeas.sim2real.ros.messages import pose_of
 from kinfeas.sim2real.servo.controller import TargetController
 
 
@@ -68,21 +69,17 @@ def _take_twist(controller: TargetController, message: Any) -> None:
 
 
 def _take_pose(controller: TargetController, message: Any) -> None:
-    header = message.header
-    controller.set_target(_pose(message.pose), header.stamp.to_sec() or None, header.frame_id)
+    header, pose = message.header, message.pose
+    target = pose_of(pose.position, pose.orientation)
+    controller.set_target(target, header.stamp.to_sec() or None, header.frame_id)
 
 
 def _take_path(controller: TargetController, keep: float, message: Any) -> None:
     poses, offset = message.poses, time.monotonic() - time.time()
     controller.set_chunk(
-        [_pose(stamped.pose) for stamped in poses],
+        [pose_of(stamped.pose.position, stamped.pose.orientation) for stamped in poses],
         [stamped.header.stamp.to_sec() + offset for stamped in poses],
         frame=message.header.frame_id,
         observed=message.header.stamp.to_sec() + offset,
         keep=keep,
     )
-
-
-def _pose(pose: Any) -> list[float]:
-    p, q = pose.position, pose.orientation
-    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]

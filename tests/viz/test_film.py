@@ -27,7 +27,7 @@ def replay(hsr, engine):
 
 def test_a_replay_has_the_episode(replay):
     recording = replay.recording
-    assert len(replay.times) == len(recording.desired)
+    assert len(replay.recording.times) == len(recording.desired)
     assert recording.times[-1] == pytest.approx(1.0)
     assert np.abs(recording.ee_pose[0] - recording.desired[0]).max() < 0.01
     assert not result(recording)[1]
@@ -42,7 +42,7 @@ def test_paths_are_true_positions_without_sensor_errors(hsr, engine):
     world, policy = start(hsr, "ggr", 1, engine, adapters=(lost,))
     replay = run_episode(world, policy, 0)
     recording = replay.recording
-    links = [replay.links(moment) for moment in range(len(replay.times))]
+    links = [replay.links(moment) for moment in range(len(replay.recording.times))]
     base, ee = (
         np.stack([poses["", link] for poses in links]) for link in (hsr.base.frame, hsr.ee_frame)
     )

@@ -1,8 +1,7 @@
 """Visible shapes of a physics world, for pictures."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from kinfeas.backends.physics.robot import physics_urdf
 from kinfeas.robots.elements import Element, parse_xml, read_xml
@@ -21,8 +20,7 @@ GREY = "#b3b3b3"
 """Colour of shapes without a material."""
 
 
-@dataclass(frozen=True, eq=False)
-class VisualShape:
+class VisualShape(NamedTuple):
     """A visible primitive of a link, in its frame, and its colour, `#rrggbb` or `#rrggbbaa`."""
 
     link: LinkName
