@@ -22,7 +22,7 @@ class Shape:
     size: tuple[float, ...]  # box: x, y and z; cylinder: radius, length; sphere: radius; metres
     pose: Array  # pose of its centre in the link's frame, shape (7,)
 
-    @property
+    @cached_property
     def half(self) -> Array:
         """Half extents along its own axes, shape (3,), metres."""
         if self.kind == "box":

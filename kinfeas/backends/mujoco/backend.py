@@ -112,7 +112,7 @@ class MuJoCoBackend(PhysicsBackend):
     def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:
         """Return the world poses of links of a row, shape (k, 7)."""
         bodies, data = [self.model.body(*link) for link in links], self.sims.data(row)
-        return np.hstack([data.xpos[bodies], np.roll(data.xquat[bodies], -1, axis=1)])
+        return np.hstack([data.xpos[bodies], data.xquat[bodies][:, [1, 2, 3, 0]]])
 
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""

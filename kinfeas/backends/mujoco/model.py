@@ -95,7 +95,7 @@ class Model:
 
     def body(self, name: str, link: str) -> int:
         """Return the body of a link of an object, or of the robot for an empty name."""
-        return int(self.engine.body(f"{name}:{link}" if name else OWN + link).id)
+        return self._bodies[f"{name}:{link}" if name else OWN + link]
 
     def base_meshes(self) -> list[Array]:
         """Return the vertices of the base's collision meshes in its frame, (v, 3), metres."""
@@ -171,6 +171,7 @@ class Model:
     def _find_bodies(self, bodies: RobotBodies, places: int) -> None:
         engine, solids = self.engine, [f"{SOLID}{place}" for place in range(places)]
         names = [engine.body(number).name for number in range(engine.nbody)]
+        self._bodies = {name: number for number, name in enumerate(names)}
         owners = {name: number for number, name in enumerate((*self.objects, *solids))}
         owners |= {"world": FLOOR, OWN[:-1]: ROBOT}
         self.owner = np.array([owners[name.partition(":")[0]] for name in names])

@@ -46,6 +46,7 @@ class PhysicsBackend(Backend):
     engine: ClassVar[str]
     solids: MovingSolids
     _handled: tuple[str, str, bool] | None = None
+    _standing: Solids | None = None  # links that no robot moves, since the last reset
 
     def __init__(
         self,
@@ -92,6 +93,7 @@ class PhysicsBackend(Backend):
             self._positions = np.zeros((len(rows), 3 + len(self.robot.arm)))
             self._velocities = np.zeros_like(self._positions)
         self._reset(rows, base_pose, joint_positions)
+        self._standing = None
         self.solids.place(None, rows, len(self._positions))
         return self._measure(rows)
 
@@ -147,20 +149,32 @@ class PhysicsBackend(Backend):
 
     def _surroundings(self) -> Solids:
         """Return the objects of the scene except grasped links, then the solids beside them."""
+        if self._standing is None:
+            self._standing = self._links_as_solids(moving=False)
+        solids, beside = (
+            self._standing.joined(self._links_as_solids(moving=True)),
+            self.solid_bodies(),
+        )
+        return solids if beside is None else solids.joined(beside)
+
+    def _links_as_solids(self, *, moving: bool) -> Solids:
+        """Return links of the scene, except a grasped one, that can move or that cannot."""
         objects, grasped = self.scene.objects if self.scene else {}, (self._handled or ())[:2]
         links = {
             (name, link.name): link.shapes
             for name, item in objects.items()
             for link in item.urdf.links.values()
             if link.shapes and (name, link.name) != grasped
+            if moving != (item.fixed and link.name in item.urdf.rigid[item.urdf.root])
         }
-        solids, beside = Solids.empty(len(self._positions)), self.solid_bodies()
-        if shapes := list(chain.from_iterable(links.values())):
-            frames = [self.link_poses(row, list(links)) for row in range(len(self._positions))]
-            owner = np.repeat(np.arange(len(links)), [*map(len, links.values())])
-            local = np.array([shape.pose for shape in shapes])
-            solids = solids_around(shapes, compose(np.stack(frames)[:, owner], local))
-        return solids if beside is None else solids.joined(beside)
+        rows = range(len(self._positions))
+        if not links:
+            return Solids.empty(len(rows))
+        shapes = list(chain.from_iterable(links.values()))
+        frames = np.stack([self.link_poses(row, list(links)) for row in rows])
+        owner = np.repeat(np.arange(len(links)), [*map(len, links.values())])
+        local = np.array([shape.pose for shape in shapes])
+        return solids_around(shapes, compose(frames[:, owner], local))
 
     def _measure(self, rows: Rows) -> RobotState:
         """Return the state of all robots with new measurements of `rows`."""
