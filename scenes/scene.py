@@ -1,6 +1,6 @@
 """Scenes: a room with objects and handles, read from YAML, and its furniture as solids."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -178,21 +178,16 @@ def _pose(position: Vector, rpy: Vector) -> Array:
 def furniture_solids(scene: Scene, grasped: tuple[str, str] | None = None) -> Solids:
     """Return the collision shapes of fixed objects as one row of solids.
 
-    Upright boxes around them stand for shapes that are not upright. Movable objects are left out,
-    and so are the links that move with the `grasped` one, an object and its link: solids do not
-    turn.
+    Movable objects are left out, and so are the links that move with the `grasped` one, an object
+    and its link: solids do not turn.
     """
-    lines, (grasped_name, link) = [], grasped or (None, "")
+    shapes, (grasped_name, link) = list[Shape](), grasped or (None, "")
     for name, scene_object in scene.objects.items():
         joint = moving_joint(scene_object.urdf, link) if name == grasped_name else None
         moved = scene_object.urdf.below(joint) if joint else frozenset()
         if scene_object.fixed:
-            lines += [_line(shape) for part, shape in scene_object.shapes() if part not in moved]
-    solids = Solids.empty(1, len(lines))
-    for index, (pose, size, cylinder) in enumerate(lines):
-        solids.pose[0, index], solids.size[0, index] = pose, size
-        solids.cylinder[0, index] = cylinder
-    return solids
+            shapes += [shape for part, shape in scene_object.shapes() if part not in moved]
+    return solids_around(shapes, np.array([shape.pose for shape in shapes]).reshape(1, -1, 7))
 
 
 def solid_names(scene: Scene) -> list[str]:
@@ -201,15 +196,24 @@ def solid_names(scene: Scene) -> list[str]:
     return [name for name, entry in objects if entry.fixed for _ in entry.shapes()]
 
 
-def _line(shape: Shape) -> tuple[list[float], list[float], bool]:
-    """Return pose and size of a solid, and whether it is a cylinder, as in `Solids`."""
-    high, low = (np.array([shape.reach(side) for side in sign * np.eye(3)]) for sign in (1, -1))
-    heights = [-low[2], high[2]]
-    half, heading = (high + low)[:2] / 2.0, 0.0
-    matrix = rotation(shape.pose).as_matrix()
-    upright = abs(matrix[2, 2]) >= _UPRIGHT
-    if shape.kind == "box" and upright:  # also upside down
-        half = np.array(shape.size[:2]) / 2.0
-        heading = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
-    cylinder = shape.kind == "sphere" or (shape.kind == "cylinder" and upright)
-    return [*shape.pose[:2], heading], [*half, *heights], cylinder
+def solids_around(shapes: Sequence[Shape], pose: Array) -> Solids:
+    """Return the solids around k shapes at world poses of their centres, shape (n, k, 7).
+
+    Upright boxes around them stand for shapes that are not upright.
+    """
+    solids = Solids.empty(*pose.shape[:2])
+    matrix = rotation(pose.reshape(-1, 7)).as_matrix().reshape(*pose.shape[:2], 3, 3)
+    half = np.array([shape.half for shape in shapes]).reshape(-1, 3)
+    box, sphere = (np.array([shape.kind == kind for shape in shapes]) for kind in ("box", "sphere"))
+    along = np.abs(matrix)
+    round_ = np.hypot(along[..., 0], along[..., 1]) * half[:, :1] + along[..., 2] * half[:, 2:]
+    reach = np.where(box[:, np.newaxis], (along @ half[..., np.newaxis])[..., 0], round_)
+    reach = np.where(sphere[:, np.newaxis], half, reach)
+    upright = along[..., 2, 2] >= _UPRIGHT  # also upside down
+    turned = box & upright
+    solids.pose[..., :2] = pose[..., :2]
+    solids.pose[..., 2] = np.where(turned, np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0]), 0.0)
+    solids.size[..., :2] = np.where(turned[..., np.newaxis], half[:, :2], reach[..., :2])
+    solids.size[..., 2:] = pose[..., 2:3] + reach[..., 2:] * [-1.0, 1.0]
+    solids.cylinder[:] = sphere | (upright & ~box)
+    return solids

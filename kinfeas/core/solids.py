@@ -86,6 +86,11 @@ class Solids:
         """Return the solids without the first places of each row."""
         return self.only(slice(places, None)) if places else self
 
+    def joined(self, other: "Solids") -> "Solids":
+        """Return these solids and, in further places of the same rows, other ones."""
+        both = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+        return Solids(*(np.concatenate(values, axis=1) for values in both))
+
     def only(self, places: slice | NDArray[np.intp]) -> "Solids":
         """Return the solids of some places of each row."""
         return Solids(*(getattr(self, field.name)[:, places] for field in fields(self)))

@@ -257,10 +257,6 @@ def _mount_shape(mount: Mount, shape: Shape) -> Mount:
 
 def _extents(shape: Shape) -> tuple[Array, float]:
     """Return the half extents (3,) and the radius of the bounding sphere, metres."""
-    if shape.kind == "box":
-        half = np.array(shape.size) / 2.0
-        return half, float(np.linalg.norm(shape.size) / 2.0)
-    if shape.kind == "cylinder":
-        radius, length = shape.size
-        return np.array([radius, radius, length / 2.0]), float(np.hypot(radius, length / 2.0))
-    return np.full(3, shape.size[0]), float(shape.size[0])
+    half = shape.half
+    radius = {"box": np.linalg.norm(half), "cylinder": np.hypot(*half[1:]), "sphere": half[0]}
+    return half, float(radius[shape.kind])

@@ -1,8 +1,11 @@
 """What bases measure of the solids around them: range scans, and nearest points."""
 
 import math
+from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE, ObstacleDistances
 from kinfeas.core.kernels import copy_row, inlined, inner, kernel, square
@@ -10,12 +13,15 @@ from kinfeas.core.pose_kernels import heading
 from kinfeas.core.solid_kernels import PRISM, is_empty, outward, squared_radius, write_prism
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.convex import CYLINDER, SPHERE
+from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
 from kinfeas.kinematics.solids import surroundings, write_local
 
 AS_NEAR = 0.1
 """Distance beyond that of the nearest point of a solid within which others are reported, metres."""
+
+_SLICE, _SIDES = 0.05, 16
+"""Largest height of a slice, metres; sides of a round outline, and directions of rectangles."""
 
 _POINTS = 64
 """Points of a row for which there is room at first; a row with more needs a second pass."""
@@ -164,6 +170,57 @@ def base_prisms(model: CollisionModel) -> Array:
     prisms[:, 7], prisms[:, 8] = model.offset[fixed, 2] - high, model.offset[fixed, 2] + high
     prisms[:, 7:9] += [-MARGIN, MARGIN]
     return prisms
+
+
+def fine_base_prisms(model: CollisionModel, meshes: Iterable[Array] = ()) -> Array:
+    """Return the same with horizontal slices of tilted shapes and of meshes, closer to them.
+
+    `meshes` are vertices on the base, shape (v, 3), metres, whose convex hulls are shapes, too.
+    """
+    tilted = (np.abs(model.rotation[:, 2]).max(axis=1) < 1.0 - 1e-9) & (model.kind != SPHERE)
+    angle = 2.0 * np.pi / _SIDES * (np.arange(_SIDES) + 0.5)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)]) / np.cos(np.pi / _SIDES)
+    outlines = {BOX: np.sign(circle[1::4]), CYLINDER: circle}
+    hulls = list(meshes)
+    for s in np.flatnonzero(tilted & (model.body < 0)):
+        outline = outlines[int(model.kind[s])]
+        corners = np.array([[*corner, end] for corner in outline for end in (-1.0, 1.0)])
+        hulls.append(corners * model.size[s] @ model.rotation[s].T + model.offset[s])
+    whole = base_prisms(model._replace(body=np.where(tilted, 0, model.body)))
+    return np.concatenate([whole, *map(_slices, hulls)])
+
+
+def _slices(points: Array) -> Array:
+    """Return prisms around slices of the convex hull of points (v, 3), shape (s, `PRISM`)."""
+    points = points[ConvexHull(points, qhull_options="QJ").vertices]
+    first, second = (points[ends] for ends in np.triu_indices(len(points), 1))
+    low, high = points[:, 2].min(), points[:, 2].max()
+    prisms = []
+    for bottom, top in pairwise(np.linspace(low, high, 1 + math.ceil((high - low) / _SLICE))):
+        parts = [points[(points[:, 2] >= bottom) & (points[:, 2] <= top)]]
+        for height in (bottom, top):
+            cut = (first[:, 2] < height) != (second[:, 2] < height)
+            start, end = first[cut], second[cut]
+            fraction = (height - start[:, 2:]) / (end - start)[:, 2:]
+            parts.append(start + fraction * (end - start))
+        prisms.append(_prism_around(np.concatenate(parts)[:, :2], bottom - MARGIN, top + MARGIN))
+    return np.array(prisms)
+
+
+def _prism_around(points: Array, low: float, high: float) -> list[float]:
+    """Return a small prism around points (v, 2), metres, between two heights."""
+    angle = np.linspace(0.0, 0.5 * np.pi, _SIDES, endpoint=False)
+    along = np.stack([np.cos(angle), np.sin(angle)])
+    across = np.stack([-along[1], along[0]])
+    sides = np.stack([points @ along, points @ across])  # (2, v, a)
+    least, most = sides.min(axis=1), sides.max(axis=1)
+    best = (most - least).prod(axis=0).argmin()
+    middle, half = (least + most)[:, best] / 2.0, (most - least)[:, best] / 2.0
+    centre = middle[0] * along[:, best] + middle[1] * across[:, best]
+    radius = float(np.linalg.norm(points - centre, axis=1).max())
+    if np.pi * radius * radius < 4.0 * half.prod():
+        return [1.0, 0.0, *centre, 0.0, 0.0, radius, low, high, radius]
+    return [*along[:, best], *centre, *half, 0.0, low, high, math.hypot(*half)]
 
 
 @kernel

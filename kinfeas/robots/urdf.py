@@ -22,6 +22,14 @@ class Shape:
     size: tuple[float, ...]  # box: x, y and z; cylinder: radius, length; sphere: radius; metres
     pose: Array  # pose of its centre in the link's frame, shape (7,)
 
+    @cached_property
+    def half(self) -> Array:
+        """Half extents along its own axes, shape (3,), metres."""
+        if self.kind == "box":
+            return np.array(self.size) / 2.0
+        radius, length = self.size if self.kind == "cylinder" else (*self.size, 2.0 * self.size[0])
+        return np.array([radius, radius, length / 2.0])
+
     def reach(self, direction: Array) -> float:
         """Return the largest coordinate along `direction`, a unit vector (3,), metres."""
         along = Rotation.from_quat(self.pose[3:]).inv().apply(direction)

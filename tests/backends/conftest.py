@@ -1,5 +1,6 @@
 """Worlds of both physics engines, and a scene for them."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,12 @@ objects:
   wall: {urdf: wall.urdf, position: [-3, 0, 0]}
   chest: {urdf: chest.urdf, position: [0, -4, 0.5]}
 """
+
+CORNERS = ((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1))
+STL = bytes(80) + struct.pack("<I", 4) + b"".join(
+    struct.pack("<12fH", 0, 0, 1, *(x for i in range(4) if i != left for x in CORNERS[i]), 0)
+    for left in range(4)
+)  # fmt: skip
 
 
 @pytest.fixture(scope="session", params=["pybullet", "mujoco"])

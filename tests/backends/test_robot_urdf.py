@@ -1,5 +1,4 @@
 import re
-import struct
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,7 +18,7 @@ from kinfeas.backends.physics.robot import (
 )
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.elements import read_xml
-from tests.backends.conftest import place, stay
+from tests.backends.conftest import STL, place, stay
 
 MOMENTS = st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)
 BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
@@ -28,11 +27,6 @@ ARM = (
     '<inertia ixx="0.1" iyy="0.1" izz="0.1"/></inertial></link><link name="tool">{tool}</link>'
     '<joint name="j" type="{type}"><parent link="arm"/><child link="tool"/></joint></robot>'
 )
-CORNERS = ((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1))
-STL = bytes(80) + struct.pack("<I", 4) + b"".join(
-    struct.pack("<12fH", 0, 0, 1, *(x for i in range(4) if i != left for x in CORNERS[i]), 0)
-    for left in range(4)
-)  # fmt: skip
 
 
 def test_merged_links_have_the_same_dynamics_and_shapes(robot, tmp_path):

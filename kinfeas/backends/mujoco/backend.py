@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.backends.mujoco.model import ROBOT, Model
 from kinfeas.backends.mujoco.simulations import Simulations
-from kinfeas.backends.mujoco.surroundings import Surroundings
 from kinfeas.backends.physics.backend import Motion, PhysicsBackend
-from kinfeas.backends.physics.obstacles import Obstacle
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
 from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Contacts, Grip, RobotState
@@ -26,7 +24,6 @@ class MuJoCoBackend(PhysicsBackend):
     """n robots, each in a room of its own; arguments as in `PhysicsBackend`."""
 
     engine = "MuJoCo"
-    _handled: tuple[str, str, bool] | None = None
     _places = 0
 
     @cached_property
@@ -115,7 +112,7 @@ class MuJoCoBackend(PhysicsBackend):
     def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:
         """Return the world poses of links of a row, shape (k, 7)."""
         bodies, data = [self.model.body(*link) for link in links], self.sims.data(row)
-        return np.hstack([data.xpos[bodies], np.roll(data.xquat[bodies], -1, axis=1)])
+        return np.hstack([data.xpos[bodies], data.xquat[bodies][:, [1, 2, 3, 0]]])
 
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""
@@ -159,12 +156,8 @@ class MuJoCoBackend(PhysicsBackend):
         names = [*self.model.objects, *solids, "the floor"]
         return sorted({names[other] for _, other, _ in contacts.base | contacts.arm})
 
-    @cached_property
-    def _surroundings(self) -> Surroundings:
-        return Surroundings(self.model)
-
-    def _obstacles(self, row: int, within: float) -> list[Obstacle]:
-        return self._surroundings.around(self.sims.batch, row, self.sims.data(row), within)
+    def _base_meshes(self) -> list[Array]:
+        return self.model.base_meshes()
 
     def _contacts(self, row: int) -> Contacts:
         owner, on_arm = self.model.owner, self.model.on_arm
@@ -186,7 +179,7 @@ class MuJoCoBackend(PhysicsBackend):
     def _set_places(self, places: int) -> None:
         """Rebuild the model, with places for solids, at the next use."""
         self._places = places
-        for name in ("model", "sims", "_surroundings"):
+        for name in ("model", "sims"):
             self.__dict__.pop(name, None)
 
     def _place_solids(self, rows: Rows, solids: Solids) -> None:

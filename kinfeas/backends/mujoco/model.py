@@ -95,7 +95,22 @@ class Model:
 
     def body(self, name: str, link: str) -> int:
         """Return the body of a link of an object, or of the robot for an empty name."""
-        return int(self.engine.body(f"{name}:{link}" if name else OWN + link).id)
+        return self._bodies[f"{name}:{link}" if name else OWN + link]
+
+    def base_meshes(self) -> list[Array]:
+        """Return the vertices of the base's collision meshes in its frame, (v, 3), metres."""
+        engine, data, meshes = self.engine, mujoco.MjData(self.engine), []
+        data.qpos[:] = self.rest
+        mujoco.mj_kinematics(engine, data)
+        of_base = ((self.owner == ROBOT) & ~self.on_arm)[engine.geom_bodyid]
+        of_base &= engine.geom_type == mujoco.mjtGeom.mjGEOM_MESH
+        for geom in np.flatnonzero(of_base):
+            mesh = engine.mesh(engine.geom_dataid[geom])
+            first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+            vertices = engine.mesh_vert[first : first + count]
+            turned = vertices @ data.geom_xmat[geom].reshape(3, 3).T
+            meshes.append(turned + data.geom_xpos[geom])
+        return meshes
 
     def root(self, name: str) -> int:
         """Return the body of the root link of an object."""
@@ -156,6 +171,7 @@ class Model:
     def _find_bodies(self, bodies: RobotBodies, places: int) -> None:
         engine, solids = self.engine, [f"{SOLID}{place}" for place in range(places)]
         names = [engine.body(number).name for number in range(engine.nbody)]
+        self._bodies = {name: number for number, name in enumerate(names)}
         owners = {name: number for number, name in enumerate((*self.objects, *solids))}
         owners |= {"world": FLOOR, OWN[:-1]: ROBOT}
         self.owner = np.array([owners[name.partition(":")[0]] for name in names])

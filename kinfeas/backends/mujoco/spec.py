@@ -98,7 +98,6 @@ def room_spec(
         _collide(body.geoms, 0, _FIXED | _LOOSE | ground)
         pad = any(body.name in links for links in bodies.fingers)
         for geom in body.geoms:
-            geom.group = 1
             if pad:
                 geom.condim = _PAD_DIMENSIONS
                 geom.friction = [config.finger_friction, *_FRICTION[1:]]

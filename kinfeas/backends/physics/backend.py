@@ -1,15 +1,15 @@
 """A physics world as a backend of the loop: checks, measurements and tasks with objects."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from itertools import chain
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kinfeas.backends.physics.config import PhysicsConfig
-from kinfeas.backends.physics.obstacles import Obstacle, closing_speeds, obstacle_distances
 from kinfeas.backends.physics.robot import robot_state
 from kinfeas.backends.physics.stage import Stage, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
@@ -17,10 +17,11 @@ from kinfeas.core.backend import Backend, Contacts, Grip, ObstacleDistances, Rob
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.solids import MovingSolids, Solids
-from kinfeas.core.spatial import Array, planar_pose
-from kinfeas.kinematics.sensing import scan
+from kinfeas.core.spatial import Array, compose, planar_pose
+from kinfeas.kinematics.self_collision import build_collision_model
+from kinfeas.kinematics.sensing import base_obstacles, fine_base_prisms, scan
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import Scene
+from kinfeas.scenes.scene import Scene, solids_around
 from kinfeas.tasks.task import StreamTask, Task
 
 _FLAT = 1e-6
@@ -44,6 +45,8 @@ class PhysicsBackend(Backend):
 
     engine: ClassVar[str]
     solids: MovingSolids
+    _handled: tuple[str, str, bool] | None = None
+    _standing: Solids | None = None  # links that no robot moves, since the last reset
 
     def __init__(
         self,
@@ -90,6 +93,7 @@ class PhysicsBackend(Backend):
             self._positions = np.zeros((len(rows), 3 + len(self.robot.arm)))
             self._velocities = np.zeros_like(self._positions)
         self._reset(rows, base_pose, joint_positions)
+        self._standing = None
         self.solids.place(None, rows, len(self._positions))
         return self._measure(rows)
 
@@ -111,16 +115,12 @@ class PhysicsBackend(Backend):
         return Scan(scan(self.solids.after(), planar_pose(*self._positions[:, :3].T)))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return the obstacles nearer than `within` metres to the bases, except grasped links.
+        """Return the obstacles nearer than `within` metres to the true bases, as in the sensor.
 
-        Closing speeds are known where solids move.
+        These are the objects of the scene where they are now, except grasped links, and solids.
         """
-        planar, present = self._positions[:, :3], self.solids.after()
-        around = [self._obstacles(row, within) for row in range(len(planar))]
-        near = obstacle_distances(planar, around)
-        if present is None or not self.solids.moving.any():
-            return near
-        return replace(near, closing_speed=closing_speeds(near, planar, present))
+        base = planar_pose(*self._positions[:, :3].T)
+        return base_obstacles(self._prisms, base, self._surroundings(), within)
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
@@ -142,6 +142,39 @@ class PhysicsBackend(Backend):
         rows, still = np.array([row]), np.zeros((1, 6))
         for _ in range(periods):
             self._step(rows, still, joint_positions[np.newaxis], dt)
+
+    @cached_property
+    def _prisms(self) -> Array:
+        return fine_base_prisms(build_collision_model(self.robot), self._base_meshes())
+
+    def _surroundings(self) -> Solids:
+        """Return the objects of the scene except grasped links, then the solids beside them."""
+        if self._standing is None:
+            self._standing = self._links_as_solids(moving=False)
+        solids, beside = (
+            self._standing.joined(self._links_as_solids(moving=True)),
+            self.solid_bodies(),
+        )
+        return solids if beside is None else solids.joined(beside)
+
+    def _links_as_solids(self, *, moving: bool) -> Solids:
+        """Return links of the scene, except a grasped one, that can move or that cannot."""
+        objects, grasped = self.scene.objects if self.scene else {}, (self._handled or ())[:2]
+        links = {
+            (name, link.name): link.shapes
+            for name, item in objects.items()
+            for link in item.urdf.links.values()
+            if link.shapes and (name, link.name) != grasped
+            if moving != (item.fixed and link.name in item.urdf.rigid[item.urdf.root])
+        }
+        rows = range(len(self._positions))
+        if not links:
+            return Solids.empty(len(rows))
+        shapes = list(chain.from_iterable(links.values()))
+        frames = np.stack([self.link_poses(row, list(links)) for row in rows])
+        owner = np.repeat(np.arange(len(links)), [*map(len, links.values())])
+        local = np.array([shape.pose for shape in shapes])
+        return solids_around(shapes, compose(frames[:, owner], local))
 
     def _measure(self, rows: Rows) -> RobotState:
         """Return the state of all robots with new measurements of `rows`."""
@@ -222,8 +255,8 @@ class PhysicsBackend(Backend):
         """Return the names of the objects that the robot touches; the floor is `the floor`."""
 
     @abstractmethod
-    def _obstacles(self, row: int, within: float) -> Sequence[Obstacle]:
-        """Return the obstacles within a distance (m) of a base, except the grasped link."""
+    def _base_meshes(self) -> Iterable[Array]:
+        """Return the vertices of the base's collision meshes in its frame, (v, 3), metres."""
 
     @abstractmethod
     def _reset(self, rows: Rows, base_pose: Array, joint_positions: Array) -> None:

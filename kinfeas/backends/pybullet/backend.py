@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 
 from kinfeas.backends.physics.backend import Motion, PhysicsBackend
-from kinfeas.backends.physics.obstacles import Obstacle
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
 from kinfeas.backends.physics.visuals import ROBOT, LinkName
 from kinfeas.backends.pybullet.furniture import Furniture
@@ -23,7 +22,6 @@ class PyBulletBackend(PhysicsBackend):
     """n robots, each in a PyBullet world of its own; arguments as in `PhysicsBackend`."""
 
     engine = "PyBullet"
-    _handled: tuple[str, str, bool] | None = None
 
     @cached_property
     def _sims(self) -> list[Simulation]:
@@ -146,8 +144,8 @@ class PyBulletBackend(PhysicsBackend):
         for row, pose, joints in zip(rows.tolist(), base_pose, joint_positions, strict=True):
             self.simulation(row).reset(pose, joints)
 
-    def _obstacles(self, row: int, within: float) -> list[Obstacle]:
-        return self._sims[row].obstacles(within)
+    def _base_meshes(self) -> list[Array]:
+        return self.sims[0].body.base_meshes()
 
     def _place_solids(self, rows: Rows, solids: Solids) -> None:
         for row in rows.tolist():

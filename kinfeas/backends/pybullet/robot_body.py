@@ -7,8 +7,10 @@ import numpy as np
 from kinfeas.backends.physics.drives import ArmSetpoints, base_forces
 from kinfeas.backends.physics.robot import PLANAR_JOINTS, moving_joints, physics_urdf
 from kinfeas.backends.pybullet.physics import Physics
-from kinfeas.core.spatial import Array, planar_pose, yaw
+from kinfeas.core.spatial import Array, planar_pose, relative, rotation, yaw
 from kinfeas.robots.robot import Robot
+
+_CYLINDER = b"unknown_file"  # file of the meshes that PyBullet makes of cylinders
 
 
 class RobotBody:
@@ -84,6 +86,18 @@ class RobotBody:
         """Return x, y and yaw of the base, metres and radians; the yaw is not wrapped."""
         x, y, heading = self.physics.client.getJointStates(self.body, self.base)
         return x[0], y[0], heading[0]
+
+    def base_meshes(self) -> list[Array]:
+        """Return the vertices of the base's collision meshes in its frame, (v, 3), metres."""
+        client, meshes = self.physics.client, []
+        base = planar_pose(*np.array(self.planar()))
+        for link in sorted({*self.links.values()} - self.arm_links):
+            frame = relative(self.physics.mass_pose(self.body, link), base)
+            for number, shape in enumerate(client.getCollisionShapeData(self.body, link)):
+                if shape[2] == client.GEOM_MESH and shape[4] != _CYLINDER:
+                    vertices = np.array(client.getMeshData(self.body, link, number)[1])
+                    meshes.append(rotation(frame).apply(vertices) + frame[:3])
+        return meshes
 
     def measure(self) -> tuple[list[float], list[float]]:
         """Return positions and velocities of x, y, yaw and the arm's joints."""

@@ -1,24 +1,15 @@
-"""One robot in a PyBullet world: motors, gripper, furniture, contacts and nearby obstacles."""
-
-from collections.abc import Collection, Iterable
-
-import numpy as np
+"""One robot in a PyBullet world: motors, gripper, furniture and contacts."""
 
 from kinfeas.backends.physics.config import PhysicsConfig
-from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacles_around
 from kinfeas.backends.pybullet.furniture import Furniture, SolidBodies
 from kinfeas.backends.pybullet.gripper import Grasp, GripperDrive
 from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.backends.pybullet.robot_body import ArmDrive, BaseDrive, RobotBody
 from kinfeas.core.backend import Contacts, Grip
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, rotation
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
-
-_OUTSIDE = 1e-3  # m before a corner where its ray starts, so that it does not hit the robot
-_HIGH = 1e3  # m above and below the base within which there may be obstacles
-_UNIT_BOX = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T
 
 
 class Simulation:
@@ -42,7 +33,6 @@ class Simulation:
         self.solids = SolidBodies(self.physics)
         self.body = RobotBody(self.physics, robot)
         self._base, self._arm = BaseDrive(self.body), ArmDrive(self.body)
-        self._surroundings = Surroundings(self.body)
         self.gripper = GripperDrive(self.body, robot.gripper) if robot.gripper else None
         self.grasp = Grasp(self.body, self.gripper) if self.gripper else None
         self.body.note_dynamics()
@@ -125,13 +115,6 @@ class Simulation:
         with self.physics.connected():
             return self.body.measure()
 
-    def obstacles(self, within: float) -> list[Obstacle]:
-        """Return the obstacles nearer than `within` metres, except the grasped link."""
-        furniture = self.furniture.bodies.values() if self.furniture else ()
-        bodies = [*furniture, *self.solids.bodies.values()]
-        with self.physics.connected():
-            return self._surroundings.around(bodies, within, self._spared())
-
     def contacts(self) -> Contacts:
         """Return the current contacts, except with the grasped link.
 
@@ -158,90 +141,3 @@ class Simulation:
 
     def _spared(self) -> tuple[tuple[int, int], ...]:
         return () if self._handled is None else (self._handled,)
-
-
-class Surroundings:
-    """Measures the obstacles around a robot's base.
-
-    Args:
-        body: The robot with its base at the origin.
-    """
-
-    def __init__(self, body: RobotBody) -> None:
-        self._body = body
-        self._shapes = _shapes(body)
-        corners = [np.zeros((1, 2)), *(shape.corners for shape in self._shapes)]
-        self._radius = np.linalg.norm(np.concatenate(corners), axis=1).max()
-
-    def around(
-        self, bodies: Iterable[int], within: float, handled: Collection[tuple[int, int]] = ()
-    ) -> list[Obstacle]:
-        """Return the obstacles within a distance (m), except `handled` links."""
-
-        def cast(points: Array, ahead: Array, height: float) -> list[Obstacle]:
-            heights = np.full((len(points), 1), height)
-            begins, ends = (
-                np.hstack([points + length * ahead, heights]).tolist()
-                for length in (_OUTSIDE, within)
-            )
-            hits = self._body.physics.client.rayTestBatch(begins, ends)
-            return [
-                Obstacle(
-                    point, -np.array(normal[:2]), float((point - hit[:2]) @ normal[:2]), hit[2]
-                )
-                for point, (other, link, _, hit, normal) in zip(points, hits, strict=True)
-                if other not in (-1, self._body.body) and (other, link) not in handled
-                if is_beside(normal)
-            ]
-
-        near = self._near(within)
-        nearest = (self._closest(other, within, handled) for other in bodies if other in near)
-        return obstacles_around(self._body.planar(), nearest, self._shapes, cast)
-
-    def _near(self, within: float) -> frozenset[int]:
-        """Return the bodies whose bounding boxes are within a distance of the base."""
-        x, y, _ = self._body.planar()
-        reach = self._radius + within
-        corners = [x - reach, y - reach, -_HIGH], [x + reach, y + reach, _HIGH]
-        overlapping = self._body.physics.client.getOverlappingObjects(*corners)
-        return frozenset(body for body, _ in overlapping)
-
-    def _closest(
-        self, other: int, within: float, handled: Collection[tuple[int, int]]
-    ) -> list[Obstacle]:
-        """Return the nearest points of each link of the base to each link of another body."""
-        body = self._body
-        points = body.physics.client.getClosestPoints(body.body, other, within)
-        return [
-            # The normal points from the object to the robot.
-            Obstacle(np.array(point[:2]), -np.array(normal[:2]), distance, point[2])
-            for _, _, _, own, link, point, _, normal, distance, *_ in points
-            if own not in body.arm_links and (other, link) not in handled and is_beside(normal)
-        ]
-
-
-def _shapes(body: RobotBody) -> tuple[Shape, ...]:
-    """Return the boxes and meshes of the links that the arm does not carry."""
-    client, outlines = body.physics.client, []
-    for link in sorted({*body.links.values()} - body.arm_links):
-        frame = body.physics.mass_pose(body.body, link)
-        shapes = client.getCollisionShapeData(body.body, link)
-        for number, (_, _, kind, size, _, position, orientation) in enumerate(shapes):
-            if kind == client.GEOM_BOX:
-                pose = np.concatenate([position, orientation])
-                corners = _transformed(_UNIT_BOX * size, pose)
-            elif kind == client.GEOM_MESH:  # cylinders, too
-                corners = np.array(client.getMeshData(body.body, link, number)[1])
-            elif kind == client.GEOM_CAPSULE:
-                pose, (length, radius, _) = np.concatenate([position, orientation]), size
-                around = np.array([2.0 * radius, 2.0 * radius, length + 2.0 * radius])
-                corners = _transformed(_UNIT_BOX * around, pose)
-            else:  # spheres
-                continue
-            corners = _transformed(corners, frame)
-            outlines.append(Shape.around(corners))
-    return tuple(outlines)
-
-
-def _transformed(points: Array, pose: Array) -> Array:
-    return points @ rotation(pose).as_matrix().T + pose[:3]
