@@ -27,6 +27,7 @@ class Log:
         joint_times: Times of the joint positions, ascending, shape (m,), seconds.
         joints: Joint positions, shape (m, j), continuous joints unwrapped.
         ages: Ages on arrival, shape (a,), seconds; empty if unknown.
+        arm_seconds: Duration of the cubic to each target, as in `kinfeas.core.backend.Backend`.
     """
 
     source: str
@@ -38,6 +39,7 @@ class Log:
     joint_times: Array
     joints: Array
     ages: Array
+    arm_seconds: float
 
     @property
     def seconds(self) -> float:
@@ -68,6 +70,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
         (time[:-1], record.base_twist[kept][1:][:, [0, 1, 5]]),
         (time[:-1], record.joint_targets[kept][1:]),
         (measured, base), (measured, joints), record.age[kept][measured_age], end=float(time[-1]),
+        arm_seconds=record.about.arm_seconds,
     )  # fmt: skip
 
 
@@ -77,7 +80,7 @@ Series = tuple[Array, Array]
 
 def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
     source: str, robot: Robot, dt: float, twists: Series, targets: Series, base: Series,
-    joints: Series, ages: Array, *, end: float,
+    joints: Series, ages: Array, *, end: float, arm_seconds: float,
 ) -> Log:  # fmt: skip
     """Return a log of commands, which hold from their times on until `end`, and measurements.
 
@@ -98,7 +101,7 @@ def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
         source, dt, _means(*twists, edges), _held(targets[0], aims, edges + 0.5 * dt)[:-1]
         + turns * 2.0 * np.pi,
         base[0][base_rows] - begin, base[1][base_rows], joints[0][joint_rows] - begin,
-        unwrapped[joint_rows], ages,
+        unwrapped[joint_rows], ages, arm_seconds,
     )  # fmt: skip
 
 
