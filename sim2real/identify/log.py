@@ -1,5 +1,6 @@
 """What a robot was commanded and what it measured, on one clock."""
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from kinfeas.io.run_log import Record
 from kinfeas.robots.robot import Robot
 
 _SHORTEST = 5.0  # s of a record that is worth a fit
+_ON_TIME = 0.95  # fraction of the control periods of a record below which estimates are doubtful
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +66,12 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
     age = np.where(np.isfinite(record.age[kept]), record.age[kept], 0.0)
     measured_age = np.isfinite(record.age[kept]) & (np.arange(len(time)) > 0)
     measured = time - age
+    done = (len(time) - 1) * record.about.dt / max(time[-1] - time[0], record.about.dt)
+    if done < _ON_TIME:
+        _log.warning(
+            "%s: only %.0f %% of the control periods took place; drive again on an idle machine",
+            source, 100.0 * done,
+        )  # fmt: skip
     base = np.stack([poses[:, 0], poses[:, 1], np.unwrap(yaw(poses))], axis=1)
     # The command of a line was active since the line before.
     return make_log(

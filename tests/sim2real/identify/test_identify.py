@@ -198,6 +198,13 @@ def test_record_is_of_what_adapters_were_given(record, hsr):
     assert np.unique(np.round(np.abs(log.twists[220:300, 2]), 6)).tolist() == [0.6]
 
 
+def test_late_control_periods_are_reported(record, hsr, caplog):
+    run = read_record(record)
+    log_of(run, hsr, "on time")
+    log_of(replace(run, time=run.time * 1.2), hsr, "late")
+    assert [entry.args[0] for entry in caplog.records] == ["late"]
+
+
 @pytest.mark.parametrize(("change", "named"), [
     (lambda r: replace(r, base_twist=r.base_twist * 0.0,
                        joint_targets=np.repeat(r.joint_targets[:1], len(r.time), axis=0)),
