@@ -27,7 +27,7 @@ _LEAST_VELOCITY = 1e-3  # m/s and rad/s, noise of the base at least in fits
 _LEAST_POSITION = 1e-4  # rad and m, the same of joints
 _CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
 _ENOUGH, _MORE = 200, 1.4  # measurements for a variance, and its factor that motion explains
-_NEIGHBOURS = 2  # displacements whose noise may depend
+_NEIGHBOURS = 2  # measurements whose noise may depend
 _ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
 
 
@@ -89,7 +89,11 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
         return None, guess**2, False
     rest, scale = np.concatenate(rests), np.concatenate(overlaps)
     variance, interpolated = _variance(rest, scale, np.ones(len(scale)))
-    return deviation(variance, rest.size), variance + _LEAST_POSITION**2, interpolated
+    noise, count = variance, rest.size
+    if not interpolated:
+        noise = _long_run(rest, np.ones(len(rest), dtype=np.bool_))
+        count = round(count / (1.0 + 2.0 * _NEIGHBOURS))
+    return deviation(noise, count), variance + _LEAST_POSITION**2, interpolated
 
 
 def overlap(at: Array, lag: int = 0) -> Array:

@@ -21,7 +21,7 @@ from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, base_pattern
 from kinfeas.sim2real.identify.log import Log, log_of
 from kinfeas.sim2real.identify.model import Delays, Track
-from kinfeas.sim2real.identify.noise import Walk, base_noise
+from kinfeas.sim2real.identify.noise import Walk, base_noise, joint_noise
 
 TRUTH = {
     "base_noise": {"linear": 0.04, "angular": 0.03},
@@ -164,14 +164,19 @@ def test_latency_is_found_behind_an_arm_on_trajectories(tmp_path):
     assert found["actuator_lag.arm"].value == pytest.approx(lag, abs=0.015)
 
 
-def test_noise_of_the_base_is_found_with_periods_of_its_own():
+def test_noise_is_found_with_periods_of_its_own():
     """A simulator or driver at another rate evens out what is measured between its periods."""
     rng, n, noise = np.random.default_rng(0), 8000, 0.04
-    own = np.cumsum(rng.normal(scale=noise * DT, size=(n, 3)), axis=0)
+    drawn = rng.normal(scale=noise, size=(n, 3))
     times = np.arange(1, n - 1) * DT + rng.uniform(0.0, 0.5 * DT, size=n - 2)
-    base = np.stack([np.interp(times, np.arange(n) * DT + 0.4 * DT, way) for way in own.T], axis=1)
-    rest = np.zeros((n, 3))
-    log = Log("record", DT, rest, rest, times, base, times, base, np.empty(0), 0.0)
+
+    def measured(values):
+        own = np.arange(n) * DT + 0.4 * DT
+        return np.stack([np.interp(times, own, column) for column in values.T], axis=1)
+
+    base, joints, rest = measured(np.cumsum(drawn * DT, axis=0)), measured(drawn), np.zeros((n, 3))
+    log = Log("record", DT, rest, rest, times, base, times, joints, np.empty(0), 0.0)
+    assert joint_noise([log], [times / DT])[0].value == pytest.approx(noise, rel=0.05)
     found = base_noise([Track(log)], [rest], Walk(0.0, 0.0), [])
     for axis in ("linear", "angular"):
         assert found[f"base_noise.{axis}"].value == pytest.approx(noise, rel=0.08)
