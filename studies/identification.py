@@ -4,7 +4,8 @@
 TIAGo in turn, drives the pattern of `kinfeas identify --drive` with each, fits its record, and
 prints how far estimates are off and how often the intervals hold the truth. Each run is a CSV and a
 JSON file in DIR; those that exist are not repeated. `--draws N` changes their number, `--first N`
-the first seed, `--ros2 N` adds as many draws of PR2 as a robot of `kinfeas simulate` over ROS 2.
+the first seed. `--link N` adds as many draws of PR2 as a robot of `kinfeas simulate` in simulated
+time, `--ros2 N` in real time over ROS 2, which needs two idle cores.
 """
 
 import argparse
@@ -16,6 +17,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+import simulated_link
 
 from kinfeas.api.identify import drive, identify
 from kinfeas.api.load import load_robot, read_adapters
@@ -24,6 +26,7 @@ from kinfeas.core.backend import BackendWrapper, build_backend
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.core.start import episode_rng
 from kinfeas.sim2real.adapters.adapter import Adapter
+from kinfeas.sim2real.identify.chain import arm_delay
 
 ROBOTS = ("hsr", "pr2", "tiago")
 ADAPTERS = "harsh"
@@ -35,6 +38,13 @@ TARGETS = {
 }  # fmt: skip
 """How far off an estimate may be: seconds, or a share of the truth."""
 
+PERIOD, STEP, ARM_SECONDS = 0.02, 0.01, 0.1
+"""Control period, simulation step and duration of arm trajectories behind a bus, seconds."""
+
+TRANSPORT = 0.01
+"""Seconds until a simulated robot acts: half a step of 10 ms, 2 ms of computing and bus, and 3 ms
+since it plans the motion of its arm anew in each step."""
+
 
 def main() -> None:
     """Run what is missing, then print what there is."""
@@ -42,6 +52,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--draws", type=int, default=30)
     parser.add_argument("--first", type=int, default=1000)
+    parser.add_argument("--link", type=int, default=0)
     parser.add_argument("--ros2", type=int, default=0)
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
@@ -49,11 +60,13 @@ def main() -> None:
     for number in range(given.draws):
         robot, seed = ROBOTS[number % len(ROBOTS)], given.first + number
         runs.append(done(given.folder / f"{robot}-{seed}", robot, seed, "analytic"))
-    report("analytic world", runs)
-    if given.ros2:
-        seeds = range(given.first, given.first + given.ros2)
-        ros2 = [done(given.folder / f"ros2-{seed}", "pr2", seed, "ros2") for seed in seeds]
-        report("kinfeas simulate over ROS 2", ros2)
+    if runs:
+        report("analytic world", runs)
+    for backend, count in (("link", given.link), ("ros2", given.ros2)):
+        seeds = range(given.first, given.first + count)
+        runs = [done(given.folder / f"{backend}-{seed}", "pr2", seed, backend) for seed in seeds]
+        if runs:
+            report(f"kinfeas simulate over {backend}", runs)
 
 
 def done(path: Path, robot: str, seed: int, backend: str) -> dict[str, dict[str, float]]:
@@ -66,6 +79,8 @@ def done(path: Path, robot: str, seed: int, backend: str) -> dict[str, dict[str,
                 real_time=False,
             )  # fmt: skip
             assert run.outcome.code == 0, run.outcome.reason
+        elif backend == "link":
+            simulated_link.drive(robot, ADAPTERS, seed, record, PERIOD, STEP)
         else:
             drive_over_ros2(robot, seed, record)
     if not result.exists():
@@ -73,6 +88,8 @@ def done(path: Path, robot: str, seed: int, backend: str) -> dict[str, dict[str,
         found = identify(record).facts()
         found["seconds"] = time.perf_counter() - begin
         found["truth"] = truth(robot, seed)
+        if backend != "analytic":
+            found["truth"] = over_a_bus(found["truth"])
         result.write_text(json.dumps(found, indent=2))
     return json.loads(result.read_text())
 
@@ -110,6 +127,23 @@ def truth(robot: str, seed: int) -> dict[str, float]:
             numbers |= {f"{name}.{key}": float(backend.number(key)[0, 0]) for key in backend.ranges}
         backend = backend.backend
     return numbers
+
+
+def over_a_bus(true: dict[str, float]) -> dict[str, float]:
+    """Return what a record of a simulated robot behind a bus shows of drawn parameters.
+
+    A simulated robot takes commands at its own steps, and adapters draw their noise in each of
+    them. The constant part of a sensor latency looks like a command latency.
+    """
+    late = true["sensor_latency.seconds"] + TRANSPORT
+    changed = {
+        "command_latency.seconds": true["command_latency.seconds"] + late,
+        "actuator_lag.arm": true["actuator_lag.arm"] + arm_delay(PERIOD, ARM_SECONDS),
+    }
+    for name in ("base_noise.linear", "base_noise.angular"):
+        changed[name] = true[name] * np.sqrt(STEP / PERIOD)
+    hidden = ("sensor_latency.seconds", "sensor_latency.jitter")
+    return {name: value for name, value in (true | changed).items() if name not in hidden}
 
 
 def report(title: str, runs: list[dict[str, dict[str, float]]]) -> None:

@@ -227,6 +227,7 @@ def _about(
         filters=getattr(setup.execution, "filters", ()),
         generators=tuple(PluginSpec(motion.generator, motion.parameters) for motion in motions),
         guards={k: None if v == inf else v for k, v in asdict(setup.guards).items()},
+        arm_seconds=setup.backend.arm_seconds,
         **_drawn_scene(setup),
     )  # fmt: skip
 

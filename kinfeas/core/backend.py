@@ -216,6 +216,8 @@ class Backend(ABC):
         real_time: The robot that moves in real time, or None in a simulation that waits for `step`.
         max_batch: Robots that a process should have at most, since each costs memory or time.
         response: How late the robots carry out commands and are measured.
+        arm_seconds: Duration of the cubic on which an arm moves to each joint target, from its
+            present motion to rest; 0 if it is there at the end of the period.
     """
 
     gripper: Gripper | None = None
@@ -229,6 +231,7 @@ class Backend(ABC):
     real_time: "RealTimeBackend | None" = None
     max_batch: int | None = None
     response: ResponseModel = ResponseModel()
+    arm_seconds: float = 0.0
 
     @abstractmethod
     def reset(

@@ -14,7 +14,7 @@ from annotated_types import Len
 from numpy.typing import NDArray
 
 from kinfeas import config
-from kinfeas.config.quantities import Positive
+from kinfeas.config.quantities import NotNegative, Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import POSE_COLUMNS, Array
 from kinfeas.io.files import reading, writing
@@ -52,6 +52,7 @@ class About:
     generators: tuple[config.PluginSpec, ...] = ()  # motion generator of each sub-goal
     # limits by name, as in `kinfeas.sim2real.deploy.config.Guards`; null for none
     guards: dict[str, object] = field(default_factory=dict)
+    arm_seconds: NotNegative = 0.0  # as in `kinfeas.core.backend.Backend`
 
 
 @dataclass(frozen=True, eq=False)

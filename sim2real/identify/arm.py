@@ -121,7 +121,8 @@ class ArmProblem:
     def _positions(self, delays: Delays, lag: float) -> Iterator[Positions]:
         for log, at in zip(self._logs, self._at, strict=True):
             targets = log.targets[:, self._joints]
-            ends = chain.moved_arm(chain.delayed(targets, delays.weights(log.dt)), log.dt, lag)
+            active = chain.delayed(targets, delays.weights(log.dt))
+            ends = chain.moved_arm(active, log.dt, lag, log.arm_seconds)
             ends = np.concatenate([targets[:1], ends])
             predicted, measured = interpolated(ends, at), log.joints[:, self._joints]
             predicted += np.median(measured - predicted, axis=0)
@@ -176,7 +177,7 @@ class ArmProblem:
             for numbers in chain.uniform_numbers(_DRAWS, len(targets)):
                 drawn = chain.drawn_delays(numbers, log.dt, latency, delays.jitter, delays.lost)
                 active = chain.drawn_commands(targets, *drawn)
-                ends = chain.moved_arm(active, log.dt, self.lag)
+                ends = chain.moved_arm(active, log.dt, self.lag, log.arm_seconds)
                 positions = interpolated(np.concatenate([targets[:1], ends]), at)
                 late.append(-np.sum(positions * speed, axis=1) / squared)
             errors.append(np.array(late))

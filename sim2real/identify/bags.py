@@ -157,7 +157,13 @@ class _Bag:
             str(self._path), self._robot, dt, self._commands(base),
             self._aimed(float(commands[0]), joints[1][0]), base, joints, ages,
             end=min(float(commands[-1]) + _HELD, float(base[0][-1]), float(joints[0][-1])),
+            arm_seconds=self._arm_seconds(),
         )  # fmt: skip
+
+    def _arm_seconds(self) -> float:
+        """Return the usual duration of trajectories of one point; 0 without any."""
+        ends = [message.points[0] for _, message in self._paths if len(message.points) == 1]
+        return float(np.median([end.time_from_start.to_sec() for end in ends])) if ends else 0.0
 
     def _commands(self, base: Series) -> Series:
         """Return the commands in world axes, with a zero where newer ones do not come."""

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
+from kinfeas.backends.physics.drives import cubic
 from kinfeas.control.response import advance
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.adapters.latency import durations
@@ -43,15 +44,26 @@ def moved_base(commands, dt, lag, acceleration, jerk):
 
 
 @njit(cache=True)
-def moved_arm(targets, dt, lag):
-    """Return joint positions at the ends of periods, (n, j), of active targets, shape (n, j)."""
-    positions = np.empty_like(targets)
+def moved_arm(targets, dt, lag, seconds=0.0):
+    """Return joint positions at the ends of periods, (n, j), of active targets, shape (n, j).
+
+    From each lagging target on, the arm moves on a cubic that ends at rest after `seconds`.
+    """
+    positions, seconds = np.empty_like(targets), max(seconds, dt)
     left = np.exp(-dt / lag) if lag > 0.0 else 0.0
+    aim, speed = targets[0].copy(), np.zeros(targets.shape[1])
     for i in range(len(targets)):
         for k in range(targets.shape[1]):
-            before = positions[i - 1, k] if i > 0 else targets[0, k]
-            positions[i, k] = targets[i, k] + (before - targets[i, k]) * left
+            aim[k] = targets[i, k] + (aim[k] - targets[i, k]) * left
+            at = positions[i - 1, k] if i > 0 else targets[0, k]
+            positions[i, k], speed[k] = cubic(at, speed[k], aim[k] - at, seconds, dt)
     return positions
+
+
+def arm_delay(dt: float, seconds: float) -> float:
+    """Return by how much an arm on the cubics of `moved_arm` is late at constant velocity."""
+    s = min(dt / seconds, 1.0) if seconds > 0.0 else 1.0
+    return seconds * ((4.0 - 3.0 * s) / (6.0 - 6.0 * s + s * s) - s)
 
 
 @cache

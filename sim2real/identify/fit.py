@@ -23,6 +23,7 @@ from kinfeas.sim2real.identify.base import (
     BaseProblem,
     Parameter,
 )
+from kinfeas.sim2real.identify.chain import arm_delay
 from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
 from kinfeas.sim2real.identify.noise import Walk, base_noise, sensor_ages
@@ -100,7 +101,8 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
     else:
         missing.append(f"the base does not move: its lag and limits are unknown; {DRIVE}")
     if arm.moves:
-        estimates["actuator_lag.arm"] = lag_estimate(arm.lag, arm.error, dt)
+        late = float(np.mean([arm_delay(dt, log.arm_seconds) for log in logs]))
+        estimates["actuator_lag.arm"] = lag_estimate(arm.lag + late, arm.error, dt)
         if arm.noise is not None:
             estimates["joint_noise.deviation"] = arm.noise
     else:

@@ -1,5 +1,6 @@
 """What a robot was commanded and what it measured, on one clock."""
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from kinfeas.io.run_log import Record
 from kinfeas.robots.robot import Robot
 
 _SHORTEST = 5.0  # s of a record that is worth a fit
+_ON_TIME = 0.95  # fraction of the control periods of a record below which estimates are doubtful
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +30,7 @@ class Log:
         joint_times: Times of the joint positions, ascending, shape (m,), seconds.
         joints: Joint positions, shape (m, j), continuous joints unwrapped.
         ages: Ages on arrival, shape (a,), seconds; empty if unknown.
+        arm_seconds: Duration of the cubic to each target, as in `kinfeas.core.backend.Backend`.
     """
 
     source: str
@@ -38,6 +42,7 @@ class Log:
     joint_times: Array
     joints: Array
     ages: Array
+    arm_seconds: float
 
     @property
     def seconds(self) -> float:
@@ -61,6 +66,12 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
     age = np.where(np.isfinite(record.age[kept]), record.age[kept], 0.0)
     measured_age = np.isfinite(record.age[kept]) & (np.arange(len(time)) > 0)
     measured = time - age
+    done = (len(time) - 1) * record.about.dt / max(time[-1] - time[0], record.about.dt)
+    if done < _ON_TIME:
+        _log.warning(
+            "%s: only %.0f %% of the control periods took place; drive again on an idle machine",
+            source, 100.0 * done,
+        )  # fmt: skip
     base = np.stack([poses[:, 0], poses[:, 1], np.unwrap(yaw(poses))], axis=1)
     # The command of a line was active since the line before.
     return make_log(
@@ -68,6 +79,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
         (time[:-1], record.base_twist[kept][1:][:, [0, 1, 5]]),
         (time[:-1], record.joint_targets[kept][1:]),
         (measured, base), (measured, joints), record.age[kept][measured_age], end=float(time[-1]),
+        arm_seconds=record.about.arm_seconds,
     )  # fmt: skip
 
 
@@ -77,7 +89,7 @@ Series = tuple[Array, Array]
 
 def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
     source: str, robot: Robot, dt: float, twists: Series, targets: Series, base: Series,
-    joints: Series, ages: Array, *, end: float,
+    joints: Series, ages: Array, *, end: float, arm_seconds: float,
 ) -> Log:  # fmt: skip
     """Return a log of commands, which hold from their times on until `end`, and measurements.
 
@@ -98,7 +110,7 @@ def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
         source, dt, _means(*twists, edges), _held(targets[0], aims, edges + 0.5 * dt)[:-1]
         + turns * 2.0 * np.pi,
         base[0][base_rows] - begin, base[1][base_rows], joints[0][joint_rows] - begin,
-        unwrapped[joint_rows], ages,
+        unwrapped[joint_rows], ages, arm_seconds,
     )  # fmt: skip
 
 

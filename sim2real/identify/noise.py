@@ -27,6 +27,7 @@ _LEAST_VELOCITY = 1e-3  # m/s and rad/s, noise of the base at least in fits
 _LEAST_POSITION = 1e-4  # rad and m, the same of joints
 _CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
 _ENOUGH, _MORE = 200, 1.4  # measurements for a variance, and its factor that motion explains
+_NEIGHBOURS = 2  # measurements whose noise may depend
 _ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
 
 
@@ -88,7 +89,11 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
         return None, guess**2, False
     rest, scale = np.concatenate(rests), np.concatenate(overlaps)
     variance, interpolated = _variance(rest, scale, np.ones(len(scale)))
-    return deviation(variance, rest.size), variance + _LEAST_POSITION**2, interpolated
+    noise, count = variance, rest.size
+    if not interpolated:
+        noise = _long_run(rest, np.ones(len(rest), dtype=np.bool_))
+        count = round(count / (1.0 + 2.0 * _NEIGHBOURS))
+    return deviation(noise, count), variance + _LEAST_POSITION**2, interpolated
 
 
 def overlap(at: Array, lag: int = 0) -> Array:
@@ -143,9 +148,13 @@ def base_noise(
     for name, axes, drift in (
         ("linear", [0, 1], walk.drift), ("angular", [2], walk.turn_drift)
     ):  # fmt: skip
-        variance, _ = _variance(rest[used][:, axes], shape[used], constant[used])
-        # Neighbours share a period.
-        error = variance * np.sqrt(2.0 / (len(axes) * used.sum() / 1.6)) + SLACK * variance / 2.0
+        variance, in_periods = _variance(rest[used][:, axes], shape[used], constant[used])
+        shared = 1.6  # neighbours share a period
+        if not in_periods:
+            variance = _long_run(rest[:, axes] / np.sqrt(constant)[:, np.newaxis], used)
+            shared = 1.0 + 2.0 * _NEIGHBOURS
+        count = len(axes) * used.sum() / shared
+        error = variance * (np.sqrt(2.0 / count) + SLACK / 2.0)
         drift = min(drift, float(np.sqrt(variance * dt)))
         drift_variance = drift**2 / dt
         value, low, high = (
@@ -161,6 +170,18 @@ def base_noise(
         f"{drifts[0]:.3g} m and {drifts[1]:.3g} rad after 1 s is assumed"
     )
     return estimates | _localisation_jumps(tracks, rests, jump, drifts)
+
+
+def _long_run(rest: Array, used: Flags) -> float:
+    """Return the variance, in a long time, of rests whose neighbours may depend, shape (k, w).
+
+    They do where a base or a filter evens out its noise, in periods of its own.
+    """
+    variance = float(np.mean(rest[used] ** 2))
+    for lag in range(1, _NEIGHBOURS + 1):
+        both = used[lag:] & used[:-lag]
+        variance += 2.0 * float(np.mean((rest[lag:] * rest[:-lag])[both]))
+    return max(variance, 0.0)
 
 
 def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:

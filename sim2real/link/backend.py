@@ -63,7 +63,7 @@ class LinkBackend(RealTimeBackend):
         aliases = names or {}
         self._names = {joint.name: aliases.get(joint.name, joint.name) for joint in robot.arm}
         self._inbox = Inbox(robot, self._names, drift, self._clock.monotonic)
-        self._seconds, self._timeout = seconds, timeout
+        self.arm_seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
         self._target: Array | None = None  # of the last command
         self._opened = False
@@ -187,7 +187,7 @@ class LinkBackend(RealTimeBackend):
         displacement = joint_displacement(self.robot, measured, targets)
         # The peak velocity of a cubic from rest is 1.5 times its mean.
         longest = 1.5 * np.abs(joint_displacement(self.robot, start, targets)) / self._joint_speed
-        seconds = max(self._seconds, float(np.max(longest)))
+        seconds = max(self.arm_seconds, float(np.max(longest)))
         self._target, names = measured + displacement, self._names.values()
         self.link.move(dict(zip(names, self._target.tolist(), strict=True)), seconds)
 

@@ -188,16 +188,21 @@ def simulate(
     clock, dt = robot.clock, 1.0 / frequency
     start, rate, broken = clock.monotonic(), Rate(dt, clock), None
     end = start + seconds
-    periods, scan_periods = 0, max(1, round(frequency / _SCAN_RATE))
+    periods, steps, scan_periods = 0, 0, max(1, round(frequency / _SCAN_RATE))
     try:
         on_ready()
         while clock.monotonic() < end:
+            rate.wait()
+            due = int((clock.monotonic() - start) * frequency + 1e-6)
+            steps = max(steps, due - _CATCH_UP)
+            while steps < due:
+                robot.step(dt)
+                steps += 1
             base, joints = robot.measure()
             link.report(base, joints, None if periods % scan_periods else robot.scan())
             periods += 1
-            late = round(rate.wait() * frequency)
-            for _ in range(min(max(late, 1), _CATCH_UP)):
-                robot.step(dt)
+            robot.step(dt)  # until the next measurement: commands act on what is to come
+            steps += 1
             if broken is None:
                 try:
                     link.check()

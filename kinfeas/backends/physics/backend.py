@@ -62,6 +62,7 @@ class PhysicsBackend(Backend):
         Without `objects`, `stage` leaves the scene of a task out.
         """
         self.robot, self.scene, self.config = robot, scene, physics or PhysicsConfig()
+        self.arm_seconds = self.config.arm_horizon
         self._objects, self._gui = objects, gui
         self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
         self.solids, self.furniture = MovingSolids(), 0

@@ -88,6 +88,7 @@ def test_commands_and_measurements_are_read_with_their_times(bag, path, robot):
     log = read_bag(bag.write(path), robot)
     assert log.dt == pytest.approx(DT, abs=1e-6)
     np.testing.assert_allclose(log.ages, AGE, atol=1e-6)
+    assert log.arm_seconds == pytest.approx(0.1)
     # Commands are in world axes, and the heading is half a radian a second.
     row = 200
     heading = 0.5 * (row * DT + AGE)

@@ -9,6 +9,8 @@ import pytest
 
 from kinfeas.api.identify import drive, identify
 from kinfeas.api.load import read_adapters
+from kinfeas.backends.physics.drives import ArmSetpoints
+from kinfeas.config.recipes import default_engine
 from kinfeas.control.assemble import with_adapters
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
@@ -17,8 +19,9 @@ from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, base_pattern
-from kinfeas.sim2real.identify.log import log_of
-from kinfeas.sim2real.identify.model import Delays
+from kinfeas.sim2real.identify.log import Log, log_of
+from kinfeas.sim2real.identify.model import Delays, Track
+from kinfeas.sim2real.identify.noise import Walk, base_noise, joint_noise
 
 TRUTH = {
     "base_noise": {"linear": 0.04, "angular": 0.03},
@@ -128,6 +131,57 @@ def test_chain_is_that_of_the_adapters(hsr, tmp_path):
     np.testing.assert_allclose(arm, reached, atol=1e-3)
 
 
+def test_arm_moves_on_the_cubics_of_worlds_with_physics(hsr):
+    seconds, rng = 0.1, np.random.default_rng(0)
+    targets = np.cumsum(rng.normal(scale=0.002, size=(100, 5)), axis=0)
+    world = ArmSetpoints(hsr, seconds)
+    world.reset(targets[:1])
+    reached = []
+    for target in targets:
+        path, _ = world.plan(target[np.newaxis], np.array([DT]))
+        reached.append(path[0, -1, :5])
+    np.testing.assert_allclose(chain.moved_arm(targets, DT, 0.0, seconds), reached, atol=1e-9)
+
+
+@pytest.mark.parametrize("seconds", [0.0, DT, 0.1, 0.5])
+def test_delay_of_cubics_is_that_at_constant_velocity(seconds):
+    times = np.arange(500)[:, np.newaxis] * DT
+    late = (times - chain.moved_arm(times, DT, 0.0, seconds))[-1, 0]
+    assert chain.arm_delay(DT, seconds) == pytest.approx(late, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_latency_is_found_behind_an_arm_on_trajectories(tmp_path):
+    """Such an arm is later than the base, by a time that the record tells."""
+    pytest.importorskip(default_engine())
+    record, adapters = tmp_path / "pr2.csv", adapters_file(tmp_path, TRUTH)
+    drive("pr2", backend=default_engine(), record=record, adapters=adapters, real_time=False)
+    seconds = read_record(record).about.arm_seconds
+    assert seconds > DT
+    found, delays = identify(record).estimates, TRUTH["command_latency"]
+    assert found["command_latency.seconds"].value == pytest.approx(delays["seconds"], abs=0.015)
+    lag = TRUTH["actuator_lag"]["arm"] + chain.arm_delay(DT, seconds)
+    assert found["actuator_lag.arm"].value == pytest.approx(lag, abs=0.015)
+
+
+def test_noise_is_found_with_periods_of_its_own():
+    """A simulator or driver at another rate evens out what is measured between its periods."""
+    rng, n, noise = np.random.default_rng(0), 8000, 0.04
+    drawn = rng.normal(scale=noise, size=(n, 3))
+    times = np.arange(1, n - 1) * DT + rng.uniform(0.0, 0.5 * DT, size=n - 2)
+
+    def measured(values):
+        own = np.arange(n) * DT + 0.4 * DT
+        return np.stack([np.interp(times, own, column) for column in values.T], axis=1)
+
+    base, joints, rest = measured(np.cumsum(drawn * DT, axis=0)), measured(drawn), np.zeros((n, 3))
+    log = Log("record", DT, rest, rest, times, base, times, joints, np.empty(0), 0.0)
+    assert joint_noise([log], [times / DT])[0].value == pytest.approx(noise, rel=0.05)
+    found = base_noise([Track(log)], [rest], Walk(0.0, 0.0), [])
+    for axis in ("linear", "angular"):
+        assert found[f"base_noise.{axis}"].value == pytest.approx(noise, rel=0.08)
+
+
 def test_pattern_stays_within_limits_and_returns(solver):
     robot, home = solver.robot, solver.robot.home["home"]
     base = base_pattern(robot, DT)
@@ -147,6 +201,13 @@ def test_record_is_of_what_adapters_were_given(record, hsr):
     log = log_of(read_record(record), hsr, "record")
     assert not log.twists[:190].any()
     assert np.unique(np.round(np.abs(log.twists[220:300, 2]), 6)).tolist() == [0.6]
+
+
+def test_late_control_periods_are_reported(record, hsr, caplog):
+    run = read_record(record)
+    log_of(run, hsr, "on time")
+    log_of(replace(run, time=run.time * 1.2), hsr, "late")
+    assert [entry.args[0] for entry in caplog.records] == ["late"]
 
 
 @pytest.mark.parametrize(("change", "named"), [

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -114,6 +115,31 @@ def test_runs_in_real_time(world, time):
     assert stamps == sorted(stamps)
     scans = sum(call.args[2] is not None for call in link.report.call_args_list)
     assert scans == pytest.approx(5, abs=1)
+
+
+def test_time_passes_as_fast_for_a_robot_whose_periods_end_late(world, time):
+    """Commands act on what comes after them: none has come before the first second."""
+    late = iter([0.0, 0.007] * 200)
+
+    def sleep(seconds):
+        time.passes(seconds + next(late))
+
+    backend, state = world
+    backend.reset(state.base_pose, state.joint_positions)
+    robot, ways = SimulatedRobot(backend, state, 5.0, replace(time.clock, sleep=sleep)), []
+
+    def report(base, joints, ranges):
+        ways.append((time.monotonic - start, base.x))
+        if ways[-1][0] >= 1.0:
+            robot.orders().drive(np.array([0.2, 0.0, 0.0]))
+
+    start = time.monotonic
+    simulate(robot, Mock(report=report), Mock(), 100.0, 3.0)
+    seconds, x = np.array(ways).T
+    first = np.argmax(seconds >= 1.0)
+    np.testing.assert_allclose(x[: first + 1], 0.0, atol=1e-4)
+    moving = seconds > 1.5
+    assert np.polyfit(seconds[moving], x[moving], 1)[0] == pytest.approx(0.2, rel=0.02)
 
 
 @pytest.mark.parametrize("around", [{"task": load_task("ggr_obstacles", {})}, {"scene": "room"}])
