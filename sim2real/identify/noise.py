@@ -89,11 +89,11 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
         return None, guess**2, False
     rest, scale = np.concatenate(rests), np.concatenate(overlaps)
     variance, interpolated = _variance(rest, scale, np.ones(len(scale)))
-    noise, count = variance, rest.size
+    noise, samples = variance, rest.size
     if not interpolated:
         noise = _long_run(rest, np.ones(len(rest), dtype=np.bool_))
-        count = round(count / (1.0 + 2.0 * _NEIGHBOURS))
-    return deviation(noise, count), variance + _LEAST_POSITION**2, interpolated
+        samples = round(samples / (1.0 + 2.0 * _NEIGHBOURS))
+    return deviation(noise, samples), variance + _LEAST_POSITION**2, interpolated
 
 
 def overlap(at: Array, lag: int = 0) -> Array:
