@@ -50,8 +50,8 @@ class Progress:
         seconds: Wall-clock time of training so far, over all parts of the run.
         other_seconds: Wall-clock time of start and evaluations, where `schedule.minutes` has it.
         fraction: Fraction of the run that is done, 0-1.
-        best: Score of the best checkpoint, the mean of success and of the share of episodes in
-            which the EE was never more than 5 cm off, 0-1; -1 before the first one.
+        best: Score of the best checkpoint, the mean of success and of the share of episodes with
+            tracking errors below 5 cm, 0-1; -1 before the first one.
         evaluations: Number of evaluations.
         recent: Whether each of the last training episodes was without a failure.
         analytic: Whether the run is in its part in the analytic world; see `ScheduleConfig`.

@@ -296,7 +296,7 @@ class _Run:
         self.evaluated_at = self.progress.steps
         with uninterrupted():
             self.progress.evaluations = due
-            score = (figures["success"] + figures["within_5cm"]) / 2.0
+            score = (figures["success"] + figures["tracked_5cm"]) / 2.0
             if score >= self.progress.best:
                 self.progress.best = float(score)
                 about = {
