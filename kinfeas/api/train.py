@@ -10,7 +10,6 @@ from kinfeas.api.load import load_robot, read_adapters, robot_of, text_of
 from kinfeas.config import Settings, nested
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
-from kinfeas.evaluation import evaluate as evaluation
 from kinfeas.io.files import write_json
 from kinfeas.training import run as training
 from kinfeas.training.config import TrainConfig, load_recipe
@@ -134,18 +133,6 @@ def default_folder(config: TrainConfig) -> Path:
     backend = config.world.backend
     suffix = "" if backend == "analytic" else f"-{backend}"
     return Path("runs") / f"{robot}-{task}-{config.seed}{suffix}"
-
-
-def evaluation_settings(folder: Path) -> dict[str, object]:
-    """Return the settings with which `evaluate` repeats a run's figures, where not the robot's."""
-    config = training.read_settings(folder)
-    default = evaluation.read_settings(load_robot(config.robot).folder, config.world.backend).world
-    settings: dict[str, object] = {f"task.{k}": v for k, v in config.task_parameters.items()}
-    plugins = {"filters": config.world.filters, "adapters": config.evaluation_adapters}
-    for key, specs in plugins.items():
-        if specs != getattr(default, key):
-            settings[f"world.{key}"] = [spec.entry() for spec in specs]
-    return settings
 
 
 def _ended(folder: Path, progress: Progress) -> Run:

@@ -71,7 +71,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
             raise KinfeasError("--resume excludes all options but --minutes and --steps")
         with training_progress(resume) as report:
             run = training.resume(resume, minutes=minutes, steps=steps, on_progress=report)
-    _show(run)
+    _show(run, adapters)
 
 
 def train_run(config: "TrainConfig", folder: Path) -> "Run":
@@ -112,21 +112,19 @@ def describe(now: "Progress") -> str:
     )
 
 
-def _show(run: "Run") -> None:
-    from kinfeas.api.train import evaluation_settings
-    from kinfeas.config import to_options
-
-    best, folder = run.metrics, str(run.folder)
-    within = f", with {', '.join(best['adapters'])}" if best["adapters"] else ""
+def _show(run: "Run", adapters: str | None) -> None:
+    best = run.metrics
+    used = [*best["adapters"], *best["filters"]]
+    within = f"with {', '.join(used)}" if used else "without filters"
     success = percent(best["success"], best["success_low"], best["success_high"])
     rows = [
         ["steps", f"{run.steps:,}"],
         ["time of training", f"{run.seconds / 60.0:.1f} min"],
-        [f"success of the best checkpoint, {best['episodes']} fresh episodes{within}", success],
+        [f"success of the best checkpoint, {best['episodes']} fresh episodes, {within}", success],
         ["steps of the best checkpoint", f"{best['steps']:,}"],
     ]
-    print_table(f"trained: {folder}", ["", "value (95 % interval)"], rows)
+    print_table(f"trained: {run.folder}", ["", "value (95 % interval)"], rows)
     command = ["kinfeas", "evaluate", "--robot", best["trained_with"], "--task", best["task"]]
-    command += ["--world", best["world"], "--policy", folder]
-    words = shlex.join([*command, *to_options(evaluation_settings(run.folder))])
-    typer.echo(f"evaluate it: {words}")
+    command += ["--world", best["world"], "--policy", str(run.folder)]
+    command += [] if adapters is None else ["--adapters", adapters]
+    typer.echo(f"evaluate it with the robot's filters: {shlex.join(command)}")

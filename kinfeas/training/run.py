@@ -147,6 +147,7 @@ def read_evaluation(out: Path) -> dict[str, Any]:
         "task": config.task,
         "world": config.world.backend,
         "adapters": [adapter.name for adapter in config.evaluation_adapters],
+        "filters": [each.name for each in config.world.filters],
         "policy": str(out),
         "steps": best.steps,
         **best.fresh_evaluation,
