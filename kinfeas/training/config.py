@@ -74,7 +74,8 @@ class ScheduleConfig:
         final_episodes: Fresh episodes on which the best policy is evaluated at the end; fewer, as
             above.
         checkpoint_seconds: Time between checkpoints to resume from.
-        analytic: With physics, share of the run at its beginning in the analytic world.
+        analytic: Share of the run at its beginning in the analytic world, with robots that respond
+            at once; for runs without `init`, with physics or with adapters that make robots late.
     """
 
     steps: Count | None = None
@@ -83,7 +84,7 @@ class ScheduleConfig:
     evaluation_episodes: Episodes = 256
     final_episodes: Episodes = 256
     checkpoint_seconds: Positive = 30.0
-    analytic: Share = 0.0
+    analytic: Share = 0.8
 
     def __post_init__(self) -> None:
         """Check that the run ends."""

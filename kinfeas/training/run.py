@@ -26,6 +26,7 @@ from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policie
 from kinfeas.policies.network import Network, read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.worlds import in_evaluation
 
 SETTINGS = "config.yaml"
 """File with the settings of a run, the first that it writes."""
@@ -147,7 +148,7 @@ def read_evaluation(out: Path) -> dict[str, Any]:
         "task": config.task,
         "world": config.world.backend,
         "adapters": [adapter.name for adapter in config.evaluation_adapters],
-        "filters": [each.name for each in config.world.filters],
+        "filters": [each.name for each in in_evaluation(config).world.filters],
         "policy": str(out),
         "steps": best.steps,
         **best.fresh_evaluation,

@@ -56,6 +56,7 @@ from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv
 from kinfeas.training.worlds import (
     FRESH_SEED,
     PeriodicEvaluator,
+    has_first_part,
     part_of,
     periodic_evaluator,
     training_world,
@@ -117,7 +118,7 @@ class _Run:
         check_trackers(config)
         self.config, self.out = config, out
         self.limited = evaluation_seconds(config, 1) < math.inf
-        analytic = config.world.backend != "analytic" and config.schedule.analytic > 0.0
+        analytic = has_first_part(config)
         self.progress = Progress(analytic=analytic)
         self.part = part_of(config, analytic=analytic)
         self.env = environments(self.part)

@@ -9,6 +9,9 @@ from functools import partial
 from operator import methodcaller
 from typing import Any
 
+from kinfeas.config import PluginSpec
+from kinfeas.control.assemble import respond_late
+from kinfeas.core import registry
 from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.envs.batch import Batch
 from kinfeas.envs.episodes import OnDone, begin_worker, evaluate_episodes, evaluate_within
@@ -27,6 +30,8 @@ FRESH_SEED = 2_000_003
 TRAINING = (1,)
 """Stream of training episodes; evaluations of any seed use other episodes."""
 
+_WAITING = "time_scaling"  # filter with which the EE waits
+
 PeriodicEvaluator = Callable[..., EpisodeRecords]
 """Returns the records of a number of episodes, always the same ones; see `periodic_evaluator`."""
 
@@ -41,13 +46,19 @@ def training_world(config: TrainConfig) -> World:
 
 
 def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
-    """Return the settings of a part of a run: in the analytic world, or in the world of the run.
+    """Return the settings of a part of a run: the first one, or that in the world of the run.
 
-    The analytic part has the control period of that world, and actions of the same duration. Its
-    failures and gradient steps are as many in a second.
+    In the first part, in the analytic world, robots respond at once: adapters that make them late
+    or need a physics engine are left out. It has the control period of that world, and actions of
+    the same duration. Its failures and gradient steps are as many in a second. In the world of the
+    run, the EE waits for robots that respond late.
     """
+    names = [spec.name for spec in config.world.filters]
     if not analytic:
-        return config
+        if not respond_late(config.world.adapters) or _WAITING in names:
+            return config
+        waiting = (*config.world.filters, PluginSpec(_WAITING))
+        return replace(config, world=replace(config.world, filters=waiting))
     ratio = WorldConfig.dt / config.world.dt
 
     def fewer(count: int) -> int:
@@ -55,6 +66,7 @@ def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
 
     world = replace(
         config.world,
+        adapters=tuple(spec for spec in config.world.adapters if not _is_of_robots(spec)),
         backend="analytic",
         backend_parameters={},
         dt=WorldConfig.dt,
@@ -67,6 +79,24 @@ def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
     return replace(config, world=world, processes=1, action_repeat=repeat, learner=learner)
 
 
+def in_evaluation(config: TrainConfig) -> TrainConfig:
+    """Return the settings of a run with those of its evaluations: `evaluation_adapters`."""
+    world = replace(config.world, adapters=config.evaluation_adapters)
+    return part_of(replace(config, world=world), analytic=False)
+
+
+def has_first_part(config: TrainConfig) -> bool:
+    """Return whether a run begins in the analytic world, with robots that respond at once."""
+    adapters = config.world.adapters
+    other = config.world.backend != "analytic" or any(_is_of_robots(spec) for spec in adapters)
+    return other and config.init is None and config.schedule.analytic > 0.0
+
+
+def _is_of_robots(adapter: PluginSpec) -> bool:
+    needs = getattr(registry.load("kinfeas.adapters", adapter.name), "needs", "")
+    return bool(needs) or respond_late([adapter])
+
+
 def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
     """Return the evaluation of policies in the world of a run, with its `evaluation_adapters`.
 
@@ -74,9 +104,9 @@ def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> Pe
     seed is that of training plus `offset`. The evaluation takes the policy, the number of episodes,
     a function for those that have ended, and a time limit with the pool for it.
     """
+    config = in_evaluation(config)
     failures, ik = evaluation_world(config.world.backend).max_failures, config.world.ik.thorough()
-    adapters = config.evaluation_adapters
-    world = replace(config.world, max_failures=failures, adapters=adapters, ik=ik)
+    world = replace(config.world, max_failures=failures, ik=ik)
     robot, task = load_robot(config.robot), load_task(config.task, config.task_parameters)
 
     def evaluated(

@@ -254,7 +254,7 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
 
     def scored(records):
         success = next(successes)
-        return {**original(records), "success": success, "within_5cm": success}
+        return {**original(records), "success": success, "tracked_5cm": success}
 
     def noted(config, offset=worlds.EVALUATION_SEED):
         offsets.append(offset)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -64,3 +66,21 @@ def test_an_evaluation_keeps_the_tolerances_and_filters_of_its_run(monkeypatch, 
     assert [one.name for one in world.filters] == ["feasibility"]
     assert [one.name for one in world.adapters] == ["ee_noise"]
     assert world.max_failures == 99
+
+
+def names(specs):
+    return [spec.name for spec in specs]
+
+
+def test_a_run_behind_adapters_begins_with_robots_that_respond_at_once():
+    late, noise = ["domain_randomisation", "actuator_lag", "command_latency"], ["base_noise"]
+    data = {"robot": "hsr", "world": {"adapters": [*noise, *late], "filters": ["feasibility"]}}
+    settings = config.from_mapping(TrainConfig, data, "run")
+    assert worlds.has_first_part(settings)
+    first, last = (worlds.part_of(settings, analytic=part).world for part in (True, False))
+    assert (names(first.adapters), names(first.filters)) == (noise, ["feasibility"])
+    assert (names(last.adapters), names(last.filters)) == (
+        [*noise, *late], ["feasibility", "time_scaling"],
+    )  # fmt: skip
+    assert not worlds.has_first_part(replace(settings, init="pretrained"))
+    assert not worlds.has_first_part(replace(settings, world=first))
