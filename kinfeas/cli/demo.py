@@ -63,7 +63,8 @@ def demo(
     parameters = {f"task.{key}": value for key, value in settings.task_parameters.items()}
     commands = [_line("demo", again, changes)]
     for result in results:
-        commands.append(_line("evaluate", {**same, "policy": result["policy"]}, parameters))
+        alone = {"policy": result["policy"], "filters": "none"}
+        commands.append(_line("evaluate", {**same, **alone}, parameters))
     commands.append(_line("ceiling", same, parameters))
     pictures = _pictures(config, folder, results)
     write_json(results[0], folder / "evaluation.json")

@@ -104,7 +104,7 @@ def describe(now: "Progress") -> str:
         return f"{now.steps:,} steps, evaluating {done}/{episodes} episodes"
     # NaN and -1 mean unknown.
     recent = f"{now.success:.0%}" if now.success >= 0.0 else "-"
-    best = f", best evaluation {now.best:.1%} (mean of success and within 5 cm)"
+    best = f", best evaluation {now.best:.1%} (mean of success and tracking within 5 cm)"
     return (
         f"{now.steps:,} steps, {now.steps / max(now.seconds, 1e-9):,.0f}/s, "
         f"success while learning {recent}{best if now.best >= 0.0 else ''}, "
@@ -113,7 +113,10 @@ def describe(now: "Progress") -> str:
 
 
 def _show(run: "Run", adapters: str | None) -> None:
-    best = run.metrics
+    from kinfeas.config import to_options
+    from kinfeas.training.run import read_settings
+
+    best, task = run.metrics, read_settings(run.folder).task_parameters
     used = [*best["adapters"], *best["filters"]]
     within = f"with {', '.join(used)}" if used else "without filters"
     success = percent(best["success"], best["success_low"], best["success_high"])
@@ -127,4 +130,5 @@ def _show(run: "Run", adapters: str | None) -> None:
     command = ["kinfeas", "evaluate", "--robot", best["trained_with"], "--task", best["task"]]
     command += ["--world", best["world"], "--policy", str(run.folder)]
     command += [] if adapters is None else ["--adapters", adapters]
+    command += to_options({f"task.{key}": value for key, value in task.items()})
     typer.echo(f"evaluate it with the robot's filters: {shlex.join(command)}")

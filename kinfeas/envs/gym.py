@@ -231,7 +231,9 @@ def observation_space(world: World) -> "spaces.Box[np.float32]":
     sizes = {name: TERMS[name].width(world.robot) for name in OBSERVATION}
     del sizes["joint_positions"]
     fields = np.concatenate([np.full(k, bounds.get(name, 1.0)) for name, k in sizes.items()])
-    low, high = world.robot.finite_joint_limits
+    # Beyond one turn, where arms may go, although they do not begin there.
+    limits, continuous = world.robot.joint_limits, world.robot.continuous
+    low, high = np.where(continuous, [[-np.pi], [np.pi]], limits)
     beyond = 0.0 if world.config.backend == "analytic" else _BEYOND
     beyond += _NOISE if world.config.adapters else 0.0
     return spaces.Box(

@@ -196,7 +196,8 @@ def _slices(points: Array) -> Array:
     first, second = (points[ends] for ends in np.triu_indices(len(points), 1))
     low, high = points[:, 2].min(), points[:, 2].max()
     prisms = []
-    for bottom, top in pairwise(np.linspace(low, high, 1 + math.ceil((high - low) / _SLICE))):
+    slices = max(math.ceil((high - low) / _SLICE), 1)  # one of flat meshes
+    for bottom, top in pairwise(np.linspace(low, high, 1 + slices)):
         parts = [points[(points[:, 2] >= bottom) & (points[:, 2] <= top)]]
         for height in (bottom, top):
             cut = (first[:, 2] < height) != (second[:, 2] < height)

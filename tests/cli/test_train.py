@@ -1,6 +1,5 @@
 import csv
 import json
-import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -23,12 +22,12 @@ SHORT = ("train", "--robot", "hsr", "--steps", "64", "--out", "run", *TINY)
 
 @pytest.mark.slow
 def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas, tmp_path):
-    filters = "world.filters=[feasibility]"
-    outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh", "--set", filters, code=0)
+    changes = "--set", "world.filters=[feasibility]", "--set", "task_parameters.start=any"
+    outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh", *changes, code=0)
     (line,) = [line for line in outcome.out.splitlines() if "kinfeas evaluate" in line]
-    words = shlex.split(line.partition(": ")[2])
     expected = "kinfeas evaluate --robot hsr --task ggr --world analytic --policy run"
-    assert words == [*expected.split(), "--adapters", "harsh"]
+    expected += " --adapters harsh --set 'task.start=\"any\"'"
+    assert line.partition(": ")[2] == expected
     run = tmp_path / "run"
     metrics = json.loads((run / "evaluation.json").read_text())
     assert (metrics["episodes"], metrics["steps"]) == (2, 64)

@@ -102,7 +102,7 @@ def test_processes_of_sb3_make_the_environment_by_its_name():
         np.testing.assert_array_equal(observation, BaseMotionEnv("hsr").reset(seed=SEED + row)[0])
 
 
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
+@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr", "ridgeback_ur5"])
 def test_every_observation_is_within_the_space(name):
     noise = PluginSpec("joint_noise", {"deviation": 0.02})
     for config in (WorldConfig(), WorldConfig(max_failures=999, adapters=(noise,))):

@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, yaw
 from kinfeas.kinematics.self_collision import build_collision_model
-from kinfeas.kinematics.sensing import base_obstacles, base_prisms, scan
+from kinfeas.kinematics.sensing import base_obstacles, base_prisms, fine_base_prisms, scan
 from kinfeas.kinematics.solids import in_base
 from tests.builders import at
 from tests.kinematics.conftest import Among, Pinocchio, draw_bases, draw_solids
@@ -115,3 +115,11 @@ def test_beam_zero_points_backwards_and_bands_are_open_at_touching_solids():
     solids.size[0] = [[0.2, 0.3, 0.0, 0.35], [0.2, 0.3, 0.35, 2.0]]
     ranges = scan(solids, at(), BANDS, 4, 5.0)
     np.testing.assert_allclose(ranges[0], [[0.8, 5.0, 5.0, 5.0], [5.0, 5.0, 5.0, 0.7]])
+
+
+def test_a_flat_mesh_belongs_to_the_base(hsr):
+    plate = np.array([[x, y, 0.2] for x in (1.0, 1.4) for y in (-0.2, 0.2)])
+    prisms, wall = fine_base_prisms(build_collision_model(hsr), [plate]), Solids.empty(1, 1)
+    wall.pose[0, 0, 0], wall.size[0, 0] = 2.0, [0.1, 2.0, 0.0, 3.0]
+    near = base_obstacles(prisms, at(), wall, 1.0)
+    np.testing.assert_allclose(near.distance.min(), 0.5, atol=1e-9)
