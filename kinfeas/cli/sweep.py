@@ -44,7 +44,7 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
     trials = plan_trials(settings, folder)
     results = options.run_jobs(trials, "trials", engine, processes, address)
     columns = [" trial", "state", " score", "values"]
-    print_table("score: mean of success and of EE deviation below 5 cm", columns, _rows(results))
+    print_table("score: mean of success and of tracking errors below 5 cm", columns, _rows(results))
     best = write_best(folder, results)
     from kinfeas.viz.plots import search_figure
     from kinfeas.viz.style import png

@@ -183,7 +183,7 @@ def run_trial(description: tuple[Path, int]) -> Result:
     try:
         run = settings_of(sweep, values), folder / "trials" / str(number)
         metrics = finish_training(run, report)
-        metrics["score"] = (metrics["success"] + metrics["within_5cm"]) / 2.0
+        metrics["score"] = (metrics["success"] + metrics["tracked_5cm"]) / 2.0
     except optuna.TrialPruned:
         state, metrics["score"] = TrialState.PRUNED, max(evaluations().values())
     except DivergedError as error:

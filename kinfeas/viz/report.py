@@ -70,8 +70,8 @@ def page(results: Sequence[Summary], pictures: Mapping[str, bytes], commands: Se
     notes = (
         f"Episodes 0 to {episodes - 1} of seed {seed} in all rows except the paper's, which come "
         "from its own program. Intervals are Wilson's.",
-        "All policies act without command filters. Ceiling: goals that the end-effector reaches from "
-        "some base pose.",
+        "All policies act without command filters. Ceiling: goals that the end-effector reaches "
+        "from some base pose.",
     )
     figures = "".join(
         f"<figure><img src='data:image/png;base64,{base64.b64encode(content).decode()}'>"
