@@ -108,10 +108,14 @@ class PlanningServer(ThreadingHTTPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer in a thread of its own; close connections beyond the limit."""
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
+        if not self._free.acquire(blocking=False):
             self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # no thread was started
+            self._free.release()
+            raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer a request and make room for another connection."""
@@ -162,15 +166,17 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             try:
                 body = self.rfile.read(int(length))
+            except TimeoutError:
+                text = f"the body must come without a pause of {self.timeout:g} s"
+                self._answer(HTTPStatus.REQUEST_TIMEOUT, {"error": text})
+                self.close_connection = True
+                return
+            try:
                 with self.server.lock:
                     if self._has_left():
                         self.close_connection = True
                         return
                     data = answer(_parsed(body))
-            except TimeoutError:
-                text = f"the body must come without a pause of {self.timeout:g} s"
-                self._answer(HTTPStatus.REQUEST_TIMEOUT, {"error": text})
-                self.close_connection = True
             except KinfeasError as error:
                 self._answer(HTTPStatus.BAD_REQUEST, {"error": str(error)})
             except Exception:

@@ -114,6 +114,10 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.config import PluginSpec, nested
     from kinfeas.testing import Trial
 
+    kinds = ("kinfeas.motion_generators", "kinfeas.policies", "kinfeas.adapters")
+    known = [each for kind in kinds for each in registry.names(kind)]
+    if ":" not in name and name not in known:
+        raise KinfeasError(f"no generator, policy or adapter {name!r}{no_such(name, known)}")
     if name in registry.names("kinfeas.policies") or ":" in name:
         if overrides or picture is not None:
             raise KinfeasError(f"policy {name!r} has no settings and no picture")

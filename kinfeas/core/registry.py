@@ -4,7 +4,7 @@ A plugin is loaded when its name is used, so that a broken plugin does not affec
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import Distribution, EntryPoint, distribution, entry_points
 from importlib.resources import files
@@ -109,11 +109,17 @@ def load(group: str, name: str) -> Any:
     return _import(_find(group, name))
 
 
-def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
+def build(
+    group: str,
+    name: str,
+    parameters: Mapping[str, object],
+    objects: Mapping[str, object] | None = None,
+) -> Any:
     """Return the object that a class or function makes of keyword parameters.
 
     `name` is an entry point of the group, or `module:name`.
-    Parameters are as in YAML and converted to their annotated types, such as a Path or a dataclass.
+    Parameters are as in YAML and converted to their annotated types, such as a Path or a dataclass;
+    `objects` are further ones that are passed on as they are.
 
     Raises:
         KinfeasError: As `load`; also if a parameter is unknown, missing or invalid, or the object
@@ -127,10 +133,11 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
         signature = _signature(factory)
     except (ValueError, TypeError) as error:
         raise KinfeasError(f"{subject}: {error}") from error
-    typed = _in_types(signature, parameters, subject)
+    own = objects or {}
+    typed = _in_types(signature, parameters, subject, own)
     try:
         with plugin_note(subject):
-            built = factory(**typed)
+            built = factory(**own, **typed)
     except (ValueError, TypeError, ImportError) as error:
         raise KinfeasError(f"{subject}: {missing_extra(error) or error}") from error
     except SystemExit as error:
@@ -155,7 +162,7 @@ def build_with(
     objects = {key: value for key, value in offered.items() if key in named}
     for key in objects.keys() & parameters.keys():
         raise KinfeasError(f"{GROUPS[group]} {name!r}: the run sets the parameter {key!r}")
-    return build(group, name, {**objects, **parameters})
+    return build(group, name, parameters, objects)
 
 
 def from_anywhere(name_or_path: str) -> str:
@@ -172,9 +179,14 @@ def _signature(factory: Any) -> inspect.Signature:
 
 
 def _in_types(
-    signature: inspect.Signature, values: Mapping[str, object], subject: str
+    signature: inspect.Signature,
+    values: Mapping[str, object],
+    subject: str,
+    taken: Container[str],
 ) -> dict[str, object]:
-    typed, parameters = dict(values), signature.parameters
+    """Return values in the annotated types of a signature, without names that are `taken`."""
+    typed = dict(values)
+    parameters = {key: each for key, each in signature.parameters.items() if key not in taken}
     if all(parameter.kind is not parameter.VAR_KEYWORD for parameter in parameters.values()):
         for name in sorted(values.keys() - parameters.keys()):
             raise KinfeasError(f"{subject}: unknown parameter {name!r}{no_such(name, parameters)}")

@@ -152,10 +152,8 @@ class PhysicsBackend(Backend):
         """Return the objects of the scene except grasped links, then the solids beside them."""
         if self._standing is None:
             self._standing = self._links_as_solids(moving=False)
-        solids, beside = (
-            self._standing.joined(self._links_as_solids(moving=True)),
-            self.solid_bodies(),
-        )
+        solids = self._standing.joined(self._links_as_solids(moving=True))
+        beside = self.solid_bodies()
         return solids if beside is None else solids.joined(beside)
 
     def _links_as_solids(self, *, moving: bool) -> Solids:
