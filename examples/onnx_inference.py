@@ -20,12 +20,24 @@ def seen_from(frame, pose):
     return np.concatenate([turned, times(back, pose[3:])])
 
 
-def observe(base, ee_in_base, planned, goal, joints):
-    """Return the observation; `base`, `planned` and `goal` are world poses."""
+def observe(terms, base, ee_in_base, planned, goal, joints):
+    """Return the observation; `base`, `planned` and `goal` are world poses, `terms` metadata."""
     planned, goal = seen_from(base, planned), seen_from(base, goal)
-    velocity = (planned[:3] - ee_in_base[:3]) / 0.1
-    rotation = times(planned[3:], ee_in_base[3:] * [-1, -1, -1, 1])
-    return np.concatenate([ee_in_base, velocity, rotation, goal, joints])
+    path = goal[:3] - planned[:3]  # straight
+    length = max(np.linalg.norm(path), 1e-9)
+    values = {
+        "ee_position": ee_in_base[:3],
+        "ee_orientation": ee_in_base[3:],
+        "planned_velocity": (planned[:3] - ee_in_base[:3]) / 0.1,
+        "planned_rotation": times(planned[3:], ee_in_base[3:] * [-1, -1, -1, 1]),
+        "goal_position": goal[:3],
+        "goal_orientation": goal[3:],
+        "joint_positions": joints,
+        "planned_ahead": [planned[:3] + path * min(d / length, 1.0) for d in (0.5, 1.0, 1.5)],
+    }
+    # Other terms are 0 without obstacles: nothing in range of the scans, no planned base.
+    parts = [values.get(term["name"], np.zeros(term["size"])) for term in terms]
+    return np.concatenate([np.ravel(part) for part in parts])
 
 
 def main():
@@ -45,7 +57,8 @@ def main():
     planned = np.array([1.459, 0.503, 0.546, 0.0, 0.0, 0.0, 1.0])
     goal = np.array([2.5, 0.8, 0.8, 0.0, 0.0, 0.0, 1.0])
     joints = np.array([0.359647, 1.22538, 0.0, -1.59997, 2.34256, -0.513323, -2.41144])
-    observation = observe(base, ee_in_base, planned, goal, joints)[np.newaxis].astype(np.float32)
+    observation = observe(about["observation"], base, ee_in_base, planned, goal, joints)
+    observation = observation[np.newaxis].astype(np.float32)
     (actions,) = session.run(["action"], {"observation": observation})
 
     # From [-1, 1] to m/s and rad/s in the base frame; the planar velocity is clipped by its norm.

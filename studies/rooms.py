@@ -2,8 +2,8 @@
 
 `python studies/rooms.py DIR`: each evaluation is a JSON file in DIR, as `kinfeas evaluate --json`
 writes it; those that exist are not repeated. `--tasks`, `--policies` and `--filters`, the number of
-a row of `FILTERS`, restrict those of this process. With `--rooms RUN RUN RUN` the rows of
-`rooms` are of runs that differ by their seed, all episodes together. The last row is
+a row of `FILTERS`, restrict those of this process. With `--runs RUN RUN RUN` the rows of
+`pretrained` are of runs that differ by their seed, all episodes together. The last row is
 the upper bound, as `kinfeas ceiling --json` computes it.
 """
 
@@ -21,7 +21,7 @@ from kinfeas.tasks.loading import load_task
 
 EMPTY = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 TASKS = ("ggr_obstacles", "ggr_dynamic", *EMPTY)
-POLICIES = ("rooms", "pretrained", "planned_base", "whole_body_qp")
+POLICIES = ("pretrained", "planned_base", "whole_body_qp")
 FILTERS = (
     (),
     ("obstacle_distance",),
@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--robot", default="hsr")
     parser.add_argument("--episodes", type=int, default=500)
-    parser.add_argument("--rooms", nargs="*", default=POLICIES[:1], help="runs, one for each seed")
+    parser.add_argument("--runs", nargs="*", default=POLICIES[:1], help="runs, one for each seed")
     parser.add_argument("--tasks", nargs="*", default=TASKS)
     parser.add_argument("--policies", nargs="*", default=POLICIES)
     parser.add_argument("--filters", nargs="*", type=int, default=range(len(FILTERS)))
@@ -45,7 +45,7 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     rows = [FILTERS[number] for number in given.filters]
     for task, policy, filters in product(given.tasks, given.policies, rows):
-        for number, run in enumerate(given.rooms if policy == POLICIES[0] else [policy]):
+        for number, run in enumerate(given.runs if policy == POLICIES[0] else [policy]):
             path = given.folder / f"{name(given.robot, task, policy, filters)}-{number}.json"
             if not path.exists():
                 chosen = {"world.filters": filters}

@@ -14,7 +14,6 @@ TRAINED = {
     "steps": 1000,
     "evaluation": {"episodes": 256, "success": 1.0},
     "fresh_evaluation": {"episodes": 256, "success": 0.9},
-    "benchmark": {"door": {"episodes": 500, "success": 0.8}},
 }
 """What a run's `policy.json` tells of its training."""
 

@@ -62,7 +62,7 @@ class Observer:
         state = ObservedState(base_pose, ee_in_base, preview, sequence.goal, robots.joint_positions)
         state.previous_command = previous_command
         if not SCAN_TERMS.isdisjoint(self.terms):
-            state.ranges = self._surroundings.ranges()
+            state.ranges = self._surroundings.ranges(len(base_pose))
         if self._ahead is not None:
             ahead = spatial.relative(self._ahead, base_pose[:, np.newaxis])
             state.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)

@@ -1,17 +1,20 @@
 """Solids around the robots of a loop, and scans of them, where the backend has them."""
 
+import logging
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import Backend, RobotState
-from kinfeas.core.errors import KinfeasError, plugin_note
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, Backend, RobotState
+from kinfeas.core.errors import plugin_note
 from kinfeas.core.motion import Rows
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.self_collision import CollisionModel
 from kinfeas.kinematics.solids import collides
+
+_log = logging.getLogger(__name__)
 
 
 class Surroundings:
@@ -25,6 +28,7 @@ class Surroundings:
         self._assumed = MovingSolids() if backend.real_time and backend.solids is None else None
         self._solids = backend.solids or self._assumed
         self._note = plugin_note(f"backend {backend.name}")
+        self._warned = False
 
     def place(self, solids: Solids | None, rows: Rows) -> None:
         """Put solids around the robots of some rows, None for none."""
@@ -50,12 +54,15 @@ class Surroundings:
         true_state = robots.true_state or robots
         return collides(self._shapes, true_state.joint_positions, true_state.base_pose, solids)
 
-    def ranges(self) -> Array:
-        """Return the ranges around the bases, as in `Scan`."""
-        if self._backend.scanner is None:
-            raise KinfeasError(f"{self._note.plugin} has no scan, which the policy needs")
-        with self._note:
-            return self._backend.scanner.scan().ranges
+    def ranges(self, n: int) -> Array:
+        """Return the ranges around n bases, as in `Scan`; without a scan nothing is in range."""
+        if self._backend.scanner is not None:
+            with self._note:
+                return self._backend.scanner.scan().ranges
+        if not self._warned:
+            _log.warning("%s has no scan: the policy observes no obstacles", self._note.plugin)
+            self._warned = True
+        return np.full((n, 2, SCAN_BEAMS), SCAN_RANGE)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the solids as arrays by name."""

@@ -37,11 +37,10 @@ class Trained:
     evaluation: dict[str, Episodes | float] = field(default_factory=dict)
     # metrics of as many other episodes, after the training
     fresh_evaluation: dict[str, Episodes | float] = field(default_factory=dict)
-    # of shipped policies: seed, version of kinfeas and command of the training; metrics by task
+    # of shipped policies: seed, version of kinfeas and command of the training
     seed: int | None = None
     version: str | None = None
     command: str | None = None
-    benchmark: dict[str, object] = field(default_factory=dict)
 
     @property
     def period(self) -> float | None:

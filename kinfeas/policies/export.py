@@ -124,5 +124,4 @@ def _success(trained: Trained, folder: Path) -> dict[str, object]:
     if (path := folder / "evaluation.json").exists():
         evaluation = read_json(path)
         evaluation.pop("policy", None)  # a path of this machine
-    kinds = {"evaluation": evaluation, "benchmark": trained.benchmark}
-    return {kind: metrics for kind, metrics in kinds.items() if metrics}
+    return {"evaluation": evaluation} if evaluation else {}

@@ -18,7 +18,6 @@ from kinfeas.control.observation import (
     describe_observation,
     scale,
     scaled,
-    size,
 )
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation, TermInfo
@@ -70,9 +69,10 @@ class Network:
         if begin != self.observation_terms:
             raise KinfeasError(f"the policy has the terms {self.observation_terms}, not {begin}")
         first, *others = self.weights
-        added = size(robot, terms) - len(self.scale)
-        weights = (np.pad(first, ((0, added), (0, 0))), *others)
-        return Network(scale(robot, terms).astype(np.float32), weights, self.biases, tuple(terms))
+        added = scale(robot, terms)[len(self.scale) :].astype(np.float32)
+        weights = (np.pad(first, ((0, len(added)), (0, 0))), *others)
+        scales = np.concatenate([self.scale, added])
+        return Network(scales, weights, self.biases, tuple(terms))
 
     def equals(self, other: "Network") -> bool:
         """Return whether both networks have equal weights and biases."""

@@ -112,7 +112,7 @@ class TrainConfig:
             in place of those of `world`, which may be there for exploration only.
         trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` is an extra.
         init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
-            `learner.net_arch`; terms that it lacks have no effect at first.
+            `learner.net_arch` and the first terms of `observation`; others have no effect at first.
         learner: Hyperparameters.
         schedule: Length, evaluations and checkpoints.
     """

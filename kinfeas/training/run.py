@@ -213,17 +213,30 @@ def identity(config: TrainConfig) -> dict[str, object]:
 
 
 def with_initial_policy(config: TrainConfig) -> TrainConfig:
-    """Return the configuration with the layers and the absolute path of its initial policy."""
+    """Return the configuration with layers, terms and absolute path of its initial policy."""
     if config.init is None:
         return config
-    net_arch = tuple(len(bias) for bias in initial_policy(config).biases[:-1])
+    network = _initial_policy(config)
+    terms = network.observation_terms
+    net_arch = tuple(len(bias) for bias in network.biases[:-1])
     own = config.init in trained_policies(load_robot(config.robot))
-    init = config.init if own else str(Path(config.init).absolute())
-    return replace(config, init=init, learner=replace(config.learner, net_arch=net_arch))
+    return replace(
+        config,
+        init=config.init if own else str(Path(config.init).absolute()),
+        observation=(*terms, *(name for name in config.observation if name not in terms)),
+        learner=replace(config.learner, net_arch=net_arch),
+    )
 
 
-def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None) -> Network:
-    """Return the policy that a run starts from, with observations of the same scale, if given."""
+def initial_policy(config: TrainConfig, scale: NDArray[np.float32]) -> Network:
+    """Return the policy that a run starts from, with observations of the same scale."""
+    network = _initial_policy(config).widened(load_robot(config.robot), config.observation)
+    if not np.array_equal(network.scale, scale):
+        raise KinfeasError(f"init: {config.init}: its observations have another scale")
+    return network
+
+
+def _initial_policy(config: TrainConfig) -> Network:
     init, robot = config.init or "", load_robot(config.robot)
     folder = trained_folder(init, robot)
     if not init or not folder.is_dir():  # an empty path is the current folder
@@ -231,12 +244,7 @@ def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None
             f"init: {init!r}: neither the folder of a training run or of a checkpoint "
             f"nor {PRETRAINED!r}"
         )
-    network = read_network(folder, robot)
-    if config.observation != network.observation_terms:
-        network = network.widened(robot, config.observation)
-    if scale is not None and not np.array_equal(network.scale, scale):
-        raise KinfeasError(f"init: {init}: its observations have another scale")
-    return network
+    return read_network(folder, robot)
 
 
 def write_state(folder: Path, entries: Mapping[str, Any]) -> None:

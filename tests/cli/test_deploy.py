@@ -88,7 +88,7 @@ def test_every_run_has_a_record(kinfeas, tmp_path):
 
 @pytest.mark.parametrize(("adapters", "words"), [
     ("randomised", ("pretrained", "--backend", "pybullet", "--goal", "0.9", "0.1", "0.8")),
-    ("scans.yaml", ("rooms", "--backend", "analytic", "--task", "ggr_obstacles")),
+    ("scans.yaml", ("pretrained", "--backend", "analytic", "--task", "ggr_obstacles")),
 ])  # fmt: skip
 def test_adapters_for_physics_and_of_scans_deploy(run, tmp_path, adapters, words):
     (tmp_path / "scans.yaml").write_text("adapters: [{name: scan_noise}]")

@@ -17,7 +17,7 @@ BARE = Trained(robot="pr2", layers=3, **TERMS)
 CONFIG = {"robot": "my/pr2.yaml", "world": {"dt": 0.1}, "task_parameters": {"x": float("inf")}}
 TRAINED = replace(
     BARE, kinematics="sha256:0", config=CONFIG, steps=0, evaluation=FIGURES, seed=1,
-    version="0.1.0", command="kinfeas train", benchmark={"door": {"success": 0.5}},
+    version="0.1.0", command="kinfeas train",
 )  # fmt: skip
 
 

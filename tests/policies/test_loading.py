@@ -68,7 +68,7 @@ def test_wrong_folders_and_files_raise_errors_that_name_them(hsr, trained, tmp_p
 
 
 def test_policies_in_the_folder_of_a_robot_have_names(hsr, trained, tmp_path):
-    assert trained_policies(hsr) == ["pretrained", "rooms"]
+    assert trained_policies(hsr) == ["pretrained"]
     own = replace(hsr, folder=tmp_path)  # the name of the robot gives it nothing
     assert trained_policies(own) == []
     with pytest.raises(KinfeasError, match=f"{tmp_path}.*kinfeas train"):
@@ -77,10 +77,9 @@ def test_policies_in_the_folder_of_a_robot_have_names(hsr, trained, tmp_path):
     assert load_policy("mine", own).equals(read_network(trained, hsr))
 
 
-@pytest.mark.parametrize("name", ["pretrained", "rooms"])
-def test_each_shipped_policy_is_complete(robot, name):
-    folder = trained_folder(name, robot)
-    network = load_policy(name, robot)
+def test_each_shipped_policy_is_complete(robot):
+    folder = trained_folder("pretrained", robot)
+    network = load_policy("pretrained", robot)
     assert network.equals(read_network(folder, robot))
     about = json.loads((folder / "policy.json").read_text())
     assert about["command"].startswith("kinfeas train ")
