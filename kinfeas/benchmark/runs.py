@@ -3,22 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from kinfeas import __version__, config
 from kinfeas.benchmark.config import BenchmarkConfig, Training
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_best
-from kinfeas.jobs.job import Job, Result, training_job
+from kinfeas.jobs.job import Job, training_job
 from kinfeas.policies.loading import PRETRAINED, trained_policies
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import read_settings, with_initial_policy
-
-if TYPE_CHECKING:
-    from kinfeas.benchmark.evaluations import Evaluation
 
 
 @dataclass(frozen=True)
@@ -79,13 +75,10 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
     return list(plans.values())
 
 
-def publish(
-    runs: Sequence[Run], results: Sequence[tuple["Evaluation", Result]], folder: Path
-) -> list[Path]:
+def publish(runs: Sequence[Run], folder: Path) -> list[Path]:
     """Copy the best policy of each robot into `folder/ROBOT` and return these folders.
 
-    The best one has the highest success in the evaluation that selected its checkpoint. Its
-    results by task, from other episodes, go into `policy.json`.
+    The best one has the highest success in the evaluation that selected its checkpoint.
     """
     best: dict[str, tuple[Run, Trained]] = {}
     for run in runs:
@@ -94,12 +87,7 @@ def publish(
         if run.robot not in best or success > best[run.robot][1].evaluation["success"]:
             best[run.robot] = run, trained
     for robot, (run, trained) in best.items():
-        metrics: dict[str, object] = {
-            case.task_name: result
-            for case, result in results
-            if case.source == str(run.folder) and not (case.variant or case.row)
-        }
-        about = replace(trained, seed=run.seed, version=__version__, benchmark=metrics)
+        about = replace(trained, seed=run.seed, version=__version__)
         copy_network(policy_folder(run.folder), about, folder / robot)
     return [folder / robot for robot in best]
 

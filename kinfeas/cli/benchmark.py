@@ -72,6 +72,6 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         command = shlex.join(["kinfeas", *sys.argv[1:]])
         paths = write_results(out, study, trained, cases, cells, command)
     write_json([asdict(cell) for cell in cells], json)
-    paths += publish(trained if world == "analytic" else [], cases, out / "pretrained")
+    paths += publish(trained if world == "analytic" else [], out / "pretrained")
     typer.echo("\n".join([*success_tables(cells), study.note]))
     print_paths(*paths)

@@ -81,7 +81,10 @@ def test_results_are_those_of_an_evaluation(tmp_path):
     few = [case.job(tmp_path) for case in jobs if case.policy != "pretrained"][:2]
     ceiling, metrics = run_jobs(few, build_engine("local"))
     robot = load_robot("hsr")
-    settings = {"world.max_seconds": 2.5, "world.filters": ["feasibility"]}  # no planner
+    settings = {
+        "world.max_seconds": 2.5,
+        "world.filters": ["obstacle_distance", "feasibility"],
+    }  # no planner
     config = configure(robot, "ggr", episodes=2, settings=settings)
     assert metrics == evaluate(config, load_policy("follow_ee", robot), "follow_ee")
     assert ceiling.keys() == {"success", "success_low", "success_high"}

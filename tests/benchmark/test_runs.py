@@ -1,12 +1,10 @@
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from kinfeas import config
-from kinfeas.benchmark.evaluations import Evaluation
 from kinfeas.benchmark.runs import Run, find_runs, plan_runs, publish, read_run
 from kinfeas.core.errors import KinfeasError
 from kinfeas.jobs.job import training_job
@@ -65,15 +63,12 @@ def made(folder, seed, success):
 
 def test_the_best_seed_is_published(tmp_path):
     runs = [made(tmp_path, seed, success) for seed, success in enumerate((0.8, 0.9, 0.9))]
-    case = Evaluation("hsr", "hsr", "ggr", "sac", str(runs[1].folder), 9, 1, training_seed=1)
-    results = [(case, {"success": 0.91}), (replace(case, row="filter"), {"success": 0.95})]
     target = tmp_path / "pretrained"
     for _ in range(2):
-        assert publish(runs, results, target) == [target / "hsr"]
+        assert publish(runs, target) == [target / "hsr"]
     assert read_network(target / "hsr", load_robot("hsr")).weights[0].shape[1] == 5
     about = json.loads((target / "hsr" / "policy.json").read_text())
     assert about["seed"] == about["config"]["seed"] == 1
-    assert about["benchmark"] == {"ggr": {"success": 0.91}}
     (runs[0].folder / "checkpoints/best/policy.json").unlink()
     with pytest.raises(KinfeasError, match="run-0"):
-        publish(runs[:1], [], tmp_path / "none")
+        publish(runs[:1], tmp_path / "none")

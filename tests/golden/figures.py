@@ -91,6 +91,7 @@ def policy(robot, count=8, steps=5):
     network, observations = read_network(folder, known), []
     for task in TASKS:
         world = World(known, load_task(task, {}), evaluation_world(), SEED)
+        world.loop.set_policy(network)
         observations.append(world.start(range(count)).copy())
         for _ in range(steps):
             world.step(network.act(world.loop.observation))
