@@ -14,7 +14,14 @@ from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import default_engine
 from kinfeas.control.assemble import with_adapters
 from kinfeas.core import registry
-from kinfeas.core.backend import Backend, BackendWrapper, Grip, RobotState, build_backend
+from kinfeas.core.backend import (
+    Backend,
+    BackendWrapper,
+    Grip,
+    RobotState,
+    build_backend,
+    closed_on_error,
+)
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.core.start import episode_rng
@@ -255,25 +262,25 @@ def spawn(  # noqa: PLR0913 - the parts of a world
     engine = engine or default_engine()
     parameters = evaluation_world(engine, robot.folder).backend_parameters
     backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=room)
-    world = world_of(backend)
-    outer = with_adapters(backend, adapters, robot)
-    # As a loop does, before the task draws.
-    seeds = np.array([deepcopy(rng).integers(2**64, dtype=np.uint64)])
-    outer.seed(seeds, np.array([0]))
-    if task is not None:
-        start = world.stage(task).sample(IkSolver(robot), rng)
-        base, joints = start.base_pose, start.joint_positions
-        state = outer.reset(base[np.newaxis], joints[np.newaxis])
-        world.place_solids(start.solids, np.array([0]))
+    with closed_on_error(backend):
+        world = world_of(backend)
+        outer = with_adapters(backend, adapters, robot)
+        # As a loop does, before the task draws.
+        seeds = np.array([deepcopy(rng).integers(2**64, dtype=np.uint64)])
+        outer.seed(seeds, np.array([0]))
+        if task is not None:
+            start = world.stage(task).sample(IkSolver(robot), rng)
+            base, joints = start.base_pose, start.joint_positions
+            state = outer.reset(base[np.newaxis], joints[np.newaxis])
+            world.place_solids(start.solids, np.array([0]))
+            return outer, state
+        state = outer.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
+        if room is None:
+            return outer, state
+        if touched := world.touched():
+            names = ", ".join(map(repr, touched))
+            raise KinfeasError(f"scene {room.name}: the robot would touch {names}")
+        furniture = furniture_solids(room)  # for scans
+        world.furniture = furniture.places
+        world.place_solids(furniture, np.array([0]))
         return outer, state
-    state = outer.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
-    if room is None:
-        return outer, state
-    if touched := world.touched():
-        world.close()
-        names = ", ".join(map(repr, touched))
-        raise KinfeasError(f"scene {room.name}: the robot would touch {names}")
-    furniture = furniture_solids(room)  # for scans
-    world.furniture = furniture.places
-    world.place_solids(furniture, np.array([0]))
-    return outer, state
