@@ -13,7 +13,9 @@ _FREE = 0.5
 RECIPES = """\
 # Known motions are planned: the arm often has to change its configuration.
 analytic: {world: {filters: [obstacle_distance, path_planner, feasibility]}}
-physics: {world: {filters: [{name: obstacle_distance, min_distance: 0.01}, path_planner, feasibility]}}
+physics:
+  world:
+    filters: [{name: obstacle_distance, min_distance: 0.01}, path_planner, feasibility]
 sim2real: {world: {filters: [path_planner, feasibility]}}
 deploy: {filters: [path_planner, feasibility]}
 """
