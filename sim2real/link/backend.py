@@ -68,7 +68,7 @@ class LinkBackend(RealTimeBackend):
         self._target: Array | None = None  # of the last command
         self._opened = False
         self._scan_sources: Any = getattr(link, "scan_sources", None)
-        self.scanner = None if self._scan_sources is None else self
+        self.scanner = self if self._scan_sources else None
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -146,14 +146,10 @@ class LinkBackend(RealTimeBackend):
                 self._opened = False
 
     def scan(self) -> Scan:
-        """Return the newest scan; raise KinfeasError if none can come.
+        """Return the newest scan; raise KinfeasError if none comes.
 
         The first call waits for it: other policies do not need one.
         """
-        if not self._scan_sources:
-            raise KinfeasError(
-                "the policy needs a scan: add 'scan' or 'costmap' to the topics file of the robot"
-            )
         self._wait(self._missing_scan)
         return self._inbox.scan()
 
@@ -171,7 +167,7 @@ class LinkBackend(RealTimeBackend):
         topics = " or ".join(sorted(self._scan_sources[kind] for kind in missing))
         return topics and (
             f"no scan came from {topics} within {self._timeout:g} s: is the sensor on, and do the "
-            "names in the topics file fit?"
+            "names in the topics file fit? Without the sensor, remove its key from the file"
         )
 
     def _hold(self) -> None:

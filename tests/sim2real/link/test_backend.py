@@ -187,6 +187,8 @@ def test_grips_and_closes_once(ends):
 def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
     assert ends[0].scanner is None
     link = MemoryLink(present(PR2))
+    link.scan_sources = {}  # topics without laser and costmap
+    assert LinkBackend(PR2, link).scanner is None
     link.scan_sources = {LaserReading: "/scan", CostmapReading: "/costmap"}
     backend = LinkBackend(PR2, link, clock=time.clock, timeout=1.0)
     backend.reset(None, None)
