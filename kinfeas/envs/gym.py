@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
+from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS, check_terms
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.batch import Batch, step_info
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
@@ -23,6 +23,8 @@ from kinfeas.tasks.loading import load_task
 
 _FARTHEST = 1000.0
 """Metres; beyond any episode, since the bounds of a Gymnasium space are finite."""
+
+_LENGTHS = ("ee_position", "goal_position", "planned_ahead", "planned_base")
 
 _BEYOND, _NOISE = 0.1, 0.5
 """Distance beyond a joint limit at most, rad or m: of motors in a simulation, and of adapters."""
@@ -42,7 +44,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         "render_fps": 50,  # at the default control period of physics
     }
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - Gymnasium passes each as a keyword
         self,
         robot: str = "pr2",
         task: str = "ggr",
@@ -50,6 +52,8 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         task_parameters: Mapping[str, object] | None = None,
         backend: str = "analytic",
         render_mode: str | None = None,
+        *,
+        observation: Sequence[str] = OBSERVATION,
     ) -> None:
         """Build the world.
 
@@ -60,6 +64,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             task_parameters: Keyword parameters of the task, or changes to its file.
             backend: Backend of the default settings.
             render_mode: `human` (a window of the simulation), `rgb_array` or None.
+            observation: Names of the observation terms, such as a policy's `observation_terms`.
 
         Raises:
             KinfeasError: If an argument is wrong, or the backend is not installed.
@@ -71,7 +76,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             parameters = {**config.backend_parameters, "gui": True}
             config = replace(config, backend_parameters=parameters)
         self.render_mode = render_mode
-        self.world = make_world(robot, task, task_parameters, config)
+        self.world = make_world(robot, task, task_parameters, config, observation)
         self.metadata = {**self.metadata, "render_fps": round(1.0 / config.dt)}
         self.observation_space = observation_space(self.world)
         self.action_space = action_space(self.world)
@@ -79,7 +84,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode and return its observation, shape (21 + j,), and its number.
+        """Begin an episode and return its observation, shape (d,), and its number.
 
         The seed is that of this episode and all later ones, random at first; options are not used.
         """
@@ -130,7 +135,7 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - as in `BaseMotionEnv`
         self,
         num_envs: int = 1,
         robot: str = "pr2",
@@ -138,13 +143,15 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         world: WorldConfig | None = None,
         task_parameters: Mapping[str, object] | None = None,
         backend: str = "analytic",
+        *,
+        observation: Sequence[str] = OBSERVATION,
     ) -> None:
         """Build the world for `num_envs` episodes; other arguments as in `BaseMotionEnv`."""
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         self.num_envs = num_envs
         config = world or learning_world(backend, robot)
-        self.world = make_world(robot, task, task_parameters, config)
+        self.world = make_world(robot, task, task_parameters, config, observation)
         self._batch = Batch(self.world, num_envs, infos=True)
         self.single_observation_space = observation_space(self.world)
         self.single_action_space = action_space(self.world)
@@ -154,7 +161,7 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin n episodes and return their observations, shape (n, 21 + j), and numbers."""
+        """Begin n episodes and return their observations, shape (n, d), and numbers."""
         super().reset(seed=checked_seed(seed))
         seed_world(self.world, seed, self.np_random_seed)
         observation = self._batch.start().astype(np.float32)
@@ -216,30 +223,36 @@ def learning_world(backend: str, robot: str) -> WorldConfig:
 
 
 def make_world(
-    robot: str, task: str, task_parameters: Mapping[str, object] | None, config: WorldConfig
+    robot: str,
+    task: str,
+    task_parameters: Mapping[str, object] | None,
+    config: WorldConfig,
+    observation: Sequence[str],
 ) -> World:
     """Return a world of seed 0; arguments as in `BaseMotionEnv`."""
     if not isinstance(config, WorldConfig):
         raise KinfeasError(f"world must be a WorldConfig, not {config!r}")
-    return World(load_robot(robot), load_task(task, task_parameters), config, seed=0)
+    terms = check_terms(observation, "observation")
+    world = World(load_robot(robot), load_task(task, task_parameters), config, seed=0)
+    world.loop.observer.terms = terms
+    return world
 
 
 def observation_space(world: World) -> "spaces.Box[np.float32]":
-    """Return the space of the observation of one robot, shape (21 + j,), metres and radians."""
-    bounds = {"ee_position": _FARTHEST, "goal_position": _FARTHEST}
-    bounds["planned_velocity"] = _FARTHEST / HORIZON
-    sizes = {name: TERMS[name].width(world.robot) for name in OBSERVATION}
-    del sizes["joint_positions"]
-    fields = np.concatenate([np.full(k, bounds.get(name, 1.0)) for name, k in sizes.items()])
+    """Return the space of the observation of one robot, shape (d,), metres and radians."""
     # Beyond one turn, where arms may go, although they do not begin there.
     limits, continuous = world.robot.joint_limits, world.robot.continuous
-    low, high = np.where(continuous, [[-np.pi], [np.pi]], limits)
     beyond = 0.0 if world.config.backend == "analytic" else _BEYOND
     beyond += _NOISE if world.config.adapters else 0.0
-    return spaces.Box(
-        np.concatenate([-fields, low - beyond]).astype(np.float32),
-        np.concatenate([fields, high + beyond]).astype(np.float32),
-    )
+    joints = np.where(continuous, [[-np.pi], [np.pi]], limits) + np.array([[-beyond], [beyond]])
+    bounds = dict.fromkeys(_LENGTHS, _FARTHEST) | {"planned_velocity": _FARTHEST / HORIZON}
+    low, high = np.hstack([
+        joints
+        if name == "joint_positions"
+        else np.outer([-1.0, 1.0], np.full(TERMS[name].width(world.robot), bounds.get(name, 1.0)))
+        for name in world.loop.observer.terms
+    ])  # fmt: skip
+    return spaces.Box(low.astype(np.float32), high.astype(np.float32))
 
 
 def action_space(world: World) -> "spaces.Box[np.float32]":

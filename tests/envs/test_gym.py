@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from kinfeas import envs
 from kinfeas.config import PluginSpec
+from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.batch import step_info
 from kinfeas.envs.gym import BaseMotionEnv, BaseMotionVectorEnv
@@ -105,8 +106,9 @@ def test_processes_of_sb3_make_the_environment_by_its_name():
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr", "ridgeback_ur5"])
 def test_every_observation_is_within_the_space(name):
     noise = PluginSpec("joint_noise", {"deviation": 0.02})
-    for config in (WorldConfig(), WorldConfig(max_failures=999, adapters=(noise,))):
-        env = BaseMotionVectorEnv(32, name, world=config)
+    noisy = WorldConfig(max_failures=999, adapters=(noise,))
+    for config, terms in ((WorldConfig(), OBSERVATION), (noisy, tuple(TERMS))):
+        env = BaseMotionVectorEnv(32, name, "ggr_obstacles", config, observation=terms)
         env.reset(seed=0)
         env.action_space.seed(0)
         for _ in range(60):
@@ -163,7 +165,9 @@ def test_actions_are_finite_numbers_of_their_shape(kind):
 
 
 @pytest.mark.parametrize(
-    "arguments", [{"robot": None}, {"world": 3}, {"render_mode": "ansi"}], ids=list
+    "arguments",
+    [{"robot": None}, {"world": 3}, {"render_mode": "ansi"}, {"observation": ["sight"]}],
+    ids=list,
 )
 def test_wrong_arguments_are_named(arguments):
     with pytest.raises(KinfeasError, match=next(iter(arguments))):
