@@ -28,8 +28,7 @@ box is on the place table, the door open beyond 60 degrees, the drawer beyond 0.
 without objects count the goals reached."""
 
 _COLLISIONS = """\
-Collisions of the base / the arm per episode; in brackets the percentage of episodes without any. \
-The policy does not observe obstacles."""
+Collisions of the base / the arm per episode; in brackets the percentage of episodes without any."""
 
 _DEVIATION = "Mean distance of the EE from the desired position, mm."
 
