@@ -43,7 +43,7 @@ def planned_transitions(config: TrainConfig, steps: int) -> NDArray[np.float32]:
         replace(config, seed=config.seed + 7, world=replace(config.world, filters=filters))
     )
     env = WorldVecEnv(world, EPISODES, config.action_repeat)
-    policy = load_policy("pretrained", load_robot(config.robot))
+    policy = load_policy("follow_ee", load_robot(config.robot))
     commands: list[NDArray[np.float64]] = []
     step = world.loop.step
 
