@@ -167,9 +167,9 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
 def fill_physics(page: str, pybullet: Sequence[Entry], mujoco: Sequence[Entry]) -> str:
     """Return the page of physics with the success in the records of both engines."""
     lines = [*physics_table(*SUCCESS, pybullet, mujoco), "", ""]
-    place = re.compile(r"\| success, % \(paper\).*?\n\n(?=PR2 also uses)", re.DOTALL)
+    place = re.compile(r"\| success, % \(paper\).*?\n\n(?=Success is at most)", re.DOTALL)
     filled, count = place.subn(lambda _: "\n".join(lines), page, count=1)
-    return _found(filled, count, "physics.md: no table of success before 'PR2'")
+    return _found(filled, count, "physics.md: no table of success in its place")
 
 
 def physics_table(
