@@ -260,16 +260,3 @@ def test_a_newer_measurement_of_resting_robots_begins_anew(solver):
     start = np.tile(at(), (3, 1))
     loop.measure(loop.backend.reset(start, loop.robots.joint_positions))
     np.testing.assert_array_equal(loop.robots.base_pose, start)
-
-
-def test_times_add_up_and_limits_tighten_behind_further_delays():
-    inner = ResponseModel(command_latency=0.02, base_lag=0.1, acceleration=1.0, jerk=5.0)
-    outer = ResponseModel(command_latency=0.03, arm_lag=0.04, acceleration=2.0, rotation_jerk=7.0)
-    both = ResponseModel(
-        command_latency=0.05, base_lag=0.1, arm_lag=0.04, acceleration=1.0, jerk=5.0,
-        rotation_jerk=7.0,
-    )  # fmt: skip
-    assert inner.within(outer) == outer.within(inner) == both
-    assert inner.within(ResponseModel()) == inner
-    assert ResponseModel().immediate
-    assert not both.immediate

@@ -150,16 +150,3 @@ def test_poses_ahead_lie_between_the_desired_pose_and_the_goal(robot, begin):
     apart = spatial.compose(tips.ahead(np.array([0.1])), tool_pose(robot))[:, 0]
     tip = spatial.compose(tips.desired, np.broadcast_to(tool_pose(robot), (6, 7)))
     np.testing.assert_allclose(spatial.distance(apart, tip)[0], 0.1, atol=1e-9)
-
-
-def test_paused_rows_stay(begin):
-    sequence, paused = begin(), np.array([True, False] * 3)
-    for subgoal in range(4):
-        before, step = sequence.snapshot(), sequence.step_of(HORIZON)
-        sequence.move(step, paused)
-        np.testing.assert_array_equal(sequence.desired[~paused], step.desired[~paused])
-        for key, values in sequence.snapshot().items():
-            np.testing.assert_array_equal(values[paused], before[key][paused], err_msg=key)
-        sequence.end_subgoals(np.ones(6, dtype=bool), FAR)
-        if subgoal == 1:
-            follow(sequence, 3)

@@ -109,20 +109,6 @@ def test_an_episode_is_the_same_to_the_bit_in_any_batch(name, task, config):
         np.testing.assert_array_equal(alone, together[list(episodes)])
 
 
-def test_an_episode_is_the_same_in_any_row_and_after_others(hsr):
-    world, policy = make(hsr, CHAIN, HARSH), random_network(hsr, 64)
-    expected, others = trace(world, range(8)), trace(world, range(100, 105), 53)
-    world.start(range(100, 105))
-    for _ in range(13):
-        world.step(policy.act(world.loop.observation))
-    world.start([7, 2], np.array([4, 0]))
-    for i in range(40):
-        transition = world.step(policy.act(world.loop.observation))
-        seen = np.column_stack([transition.observation, transition.reward])
-        np.testing.assert_array_equal(seen[[4, 0]], expected[[7, 2], i])
-        np.testing.assert_array_equal(seen[1:4], others[1:4, 13 + i])
-
-
 @pytest.mark.parametrize(("task", "config", "terms"), [
     (ggr(), HARSH, ()), (CHAIN, NOISY, ()),
     (Walled(), WorldConfig(), ("ee_position", "scan_low", "previous_command")),
