@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from kinfeas.backends.physics import drives
 from kinfeas.backends.physics.visuals import ROBOT
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
@@ -18,7 +15,6 @@ from tests.backends.conftest import place, stay
 from tests.builders import assert_near, twist
 
 DT, STEP = 0.02, 1 / 240
-NUMBER = st.floats(-2.0, 2.0)
 
 
 def random_joints(solver, rng):
@@ -126,16 +122,6 @@ def test_each_finger_goes_to_its_own_position(opened, scout, right):
         palm, *fingers = world.link_poses(0, links)
         sideways = [spatial.relative(finger, palm)[1] for finger in fingers]
         np.testing.assert_allclose(sideways, [0.05 * opening, -abs(right) * opening], atol=1e-3)
-
-
-@given(NUMBER, NUMBER, NUMBER, st.floats(0.05, 2.0))
-def test_a_cubic_meets_its_boundary_conditions(position, velocity, change, duration):
-    times = (0.0, 1e-7, duration, 2.0 * duration)
-    path, speed = np.array([drives.cubic(position, velocity, change, duration, t) for t in times]).T
-    assert (path[0], speed[0]) == (position, velocity)
-    assert (path[1] - path[0]) / 1e-7 == pytest.approx(velocity, abs=1e-2)
-    np.testing.assert_allclose(path[2:], position + change, atol=1e-9)
-    np.testing.assert_allclose(speed[2:], 0.0, atol=1e-9)
 
 
 def test_joints_use_and_keep_their_velocity_limits(world, begin):

@@ -55,7 +55,7 @@ def driven(folder: Path, robot: str, **options) -> Path:
     return record
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def record(tmp_path_factory):
     """The record of HSR within the adapters of `TRUTH`."""
     folder = tmp_path_factory.mktemp("record")
