@@ -57,7 +57,7 @@ def test_summary(config, policy):
     assert sum(ended) == 20
 
 
-PLANNED = ["path_planner", "feasibility"]
+PLANNED = ["obstacle_distance", "path_planner", "feasibility"]
 
 
 @pytest.mark.parametrize(("adapters", "settings", "dt", "filters"), [
