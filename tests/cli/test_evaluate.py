@@ -2,7 +2,7 @@ import pytest
 
 from kinfeas.config.recipes import default_engine
 
-EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "2")
+EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "1")
 SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
 ENGINE = default_engine()
 
@@ -14,7 +14,7 @@ def evaluate(kinfeas):
 
 
 def test_options_of_physics(evaluate):
-    words = ("--world", ENGINE, "--episodes", "1", "--task", "drawer", "--no-objects")
+    words = ("--world", ENGINE, "--task", "drawer", "--no-objects")
     words += ("--robot", "tiago")
     figures = evaluate(*SHORT, *words, "--head-start", "0.2", "--time-scale", "0.5")
     assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
