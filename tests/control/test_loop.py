@@ -157,6 +157,15 @@ def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
     np.testing.assert_allclose(*metres, rtol=0.02)
 
 
+def test_backends_get_a_seed_for_each_episode(solver):
+    robots = Robots()
+    loop = make_loop(solver, 4, robots)
+    first = robots.seeds
+    assert len(set(first.values())) == len(first) == 4
+    loop.start(starts(solver.robot, 1), [rngs(4)[2]], np.array([1]))
+    assert robots.seeds == {1: first[2]}
+
+
 @pytest.mark.parametrize("prepares", [False, True])
 def test_subgoals_end_within_25_mm_and_the_last_one_finishes(solver, prepares):
     # Preparing a step while the robot moves changes nothing.
