@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas.cli import options
-from kinfeas.core.errors import KinfeasError
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
 from kinfeas.io.run_log import read_record
 from kinfeas.plugins.imitation import GaussianMixture, Imitation
@@ -185,19 +183,6 @@ def test_a_target_source_that_fails_ends_the_run_and_is_named(
     if fails != "start":
         assert not read_record(tmp_path / "run.csv").base_twist[-1].any()
         assert "messages" in done.facts
-
-
-def test_output_files_are_checked_in_advance(tmp_path):
-    check = options.output_file(".png")
-    assert check(None) is None
-    assert check(tmp_path / "a.PNG") == tmp_path / "a.PNG"
-    (tmp_path / "file").touch()
-    (tmp_path / "folder.png").mkdir()
-    (tmp_path / "lost.png").symlink_to("missing/target")
-    for wrong in ("missing/a.png", "file/a.png", "folder.png", "lost.png", "a.txt"):
-        with pytest.raises(KinfeasError, match=str(tmp_path / wrong)):
-            check(tmp_path / wrong)
-    assert len(list(tmp_path.iterdir())) == 3
 
 
 @pytest.mark.parametrize("path", ["-", "/dev/stdout"])

@@ -1,7 +1,6 @@
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.tasks.loading import load_task
 from tests.cli.conftest import HEAVY, kinfeas_process
 
-OWN_ROBOT = Path(__file__).parents[2] / "examples" / "own_robot"
 HSR = ("--robot", "hsr", "--no-real-time")
 QUICK = ("--set", "generator.gain=1")
 GOAL = ("--backend", "analytic", "--goal", "0.9", "0.1", "0.8")

@@ -2,7 +2,7 @@ import pytest
 
 from kinfeas.config.recipes import default_engine
 
-EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "2")
+EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "1")
 SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
 ENGINE = default_engine()
 
@@ -14,7 +14,7 @@ def evaluate(kinfeas):
 
 
 def test_options_of_physics(evaluate):
-    words = ("--world", ENGINE, "--episodes", "1", "--task", "drawer", "--no-objects")
+    words = ("--world", ENGINE, "--task", "drawer", "--no-objects")
     words += ("--robot", "tiago")
     figures = evaluate(*SHORT, *words, "--head-start", "0.2", "--time-scale", "0.5")
     assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
@@ -40,7 +40,7 @@ def test_adapters_of_a_file(evaluate, tmp_path):
 def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     pytest.importorskip("viser")
     outputs = ("--video", "four.png", "--replay", "page.html", "--picture", "episode.png")
-    outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "1", code=0)
+    outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "0", code=0)
     assert set(outcome.out.splitlines()[-3:]) == {"four.png", "page.html", "episode.png"}
     for name in ("four.png", "episode.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")

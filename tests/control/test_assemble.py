@@ -20,10 +20,10 @@ LADDER = ("ideal", "paper", "pr2_like", "harsh", "randomised")
 
 def test_shipped_lists_suit_any_robot():
     assert recipes("sim2real") == sorted(f"sim2real/{name}" for name in LADDER)
-    for name, robot in product(LADDER, ("pr2", "tiago", "hsr")):
+    for name, robot in product(LADDER, map(load_robot, ("pr2", "tiago", "hsr"))):
         world = AnalyticBackend()
         world.dynamics = world  # that of a simulator with physics
-        backend = with_adapters(world, read_sim2real(name).adapters, load_robot(robot))
+        backend = with_adapters(world, read_sim2real(name).adapters, robot)
         assert backend.execution(ExecutionConfig(time_scale=0.5)).time_scale <= 0.5
 
 

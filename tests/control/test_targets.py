@@ -39,15 +39,6 @@ def counted(box):
     return {name: n for name, n in zip(RULES, box.counts.sum(axis=0).tolist(), strict=True) if n}
 
 
-def test_a_twist_moves_the_target_until_the_time_out():
-    box = inbox()
-    send_twist(box, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.2)
-    for k in range(20):
-        advance(box, k * DT)
-    assert box.target[0, 0] == pytest.approx(0.1 * 6 * DT)
-    assert not box.live[0]
-
-
 def test_a_slow_stream_of_poses_moves_the_target_steadily():
     box, x = inbox(), []
     for k in range(60):

@@ -1,5 +1,4 @@
 import warnings
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -14,14 +13,12 @@ from kinfeas import envs
 from kinfeas.config import PluginSpec
 from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.batch import step_info
 from kinfeas.envs.gym import BaseMotionEnv, BaseMotionVectorEnv
 from kinfeas.envs.world import WorldConfig
 
 NOISY = WorldConfig(
     max_seconds=4.0, max_failures=5, adapters=(PluginSpec("base_noise", {"linear": 0.05}),)
 )
-SHORT = WorldConfig(max_seconds=0.4, max_failures=1)
 SEED, EPISODES = 7, 8
 BOTH = pytest.mark.parametrize("kind", [BaseMotionEnv, BaseMotionVectorEnv])
 
@@ -120,17 +117,6 @@ def test_an_episode_is_the_same_alone_and_beside_others():
     single = trace_single("hsr")
     assert len(set(single.values())) == EPISODES
     assert trace_vector("hsr", 3) == single
-
-
-@pytest.mark.parametrize(("reached", "failures"), [(True, 0), (True, 1), (False, 0)])
-def test_success_is_a_goal_reached_without_a_failure(reached, failures):
-    world = BaseMotionEnv("hsr").world
-    world.start([0])
-    transition = replace(world.step(np.zeros((1, 3))), reached=np.array([reached]))
-    world.failures[:] = failures
-    info = step_info(world, transition)
-    assert (info["reached"], info["failures"]) == (reached, failures)
-    assert info["is_success"] == (reached and not failures)
 
 
 def test_a_reset_without_a_seed_takes_the_next_episodes():

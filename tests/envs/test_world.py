@@ -109,20 +109,6 @@ def test_an_episode_is_the_same_to_the_bit_in_any_batch(name, task, config):
         np.testing.assert_array_equal(alone, together[list(episodes)])
 
 
-def test_an_episode_is_the_same_in_any_row_and_after_others(hsr):
-    world, policy = make(hsr, CHAIN, HARSH), random_network(hsr, 64)
-    expected, others = trace(world, range(8)), trace(world, range(100, 105), 53)
-    world.start(range(100, 105))
-    for _ in range(13):
-        world.step(policy.act(world.loop.observation))
-    world.start([7, 2], np.array([4, 0]))
-    for i in range(40):
-        transition = world.step(policy.act(world.loop.observation))
-        seen = np.column_stack([transition.observation, transition.reward])
-        np.testing.assert_array_equal(seen[[4, 0]], expected[[7, 2], i])
-        np.testing.assert_array_equal(seen[1:4], others[1:4, 13 + i])
-
-
 @pytest.mark.parametrize(("task", "config", "terms"), [
     (ggr(), HARSH, ()), (CHAIN, NOISY, ()),
     (Walled(), WorldConfig(), ("ee_position", "scan_low", "previous_command")),
@@ -205,48 +191,33 @@ def test_an_end_on_the_last_step_is_no_truncation(hsr, end):
     assert (last.terminated, last.truncated) == (True, False)
 
 
-class RealRobot(AnalyticBackend, RealTimeBackend):
-    closed = False
+CLOSED = []
 
-    def read(self):
-        raise AssertionError
 
-    def stop(self):
-        raise AssertionError
-
+class Closing(AnalyticBackend):
     def close(self):
-        type(self).closed = True
+        CLOSED.append(self)
+
+
+class RealRobot(Closing, RealTimeBackend):
+    read = stop = None
 
 
 def make_real():
     return RealRobot()
 
 
-@pytest.mark.parametrize(("factory", "built"), [(RealRobot, False), (make_real, True)])
-def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch, factory, built):
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-    monkeypatch.setattr(RealRobot, "closed", False)
-    registry.register("kinfeas.backends", "real", factory)
-    with pytest.raises(KinfeasError, match="real"):
-        make(hsr, world=WorldConfig(backend="real"))
-    assert RealRobot.closed == built
-
-
-class Closing(AnalyticBackend):
-    closed = False
-
-    def close(self):
-        type(self).closed = True
-
-
-def test_a_backend_is_closed_if_an_adapter_cannot_be_built(hsr, monkeypatch):
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-    monkeypatch.setattr(Closing, "closed", False)
-    registry.register("kinfeas.backends", "closing", Closing)
-    noise = PluginSpec("base_noise", {"linear": -1.0})
-    with pytest.raises(KinfeasError, match="linear"):
-        make(hsr, world=WorldConfig(backend="closing", adapters=(noise,)))
-    assert Closing.closed
+@pytest.mark.parametrize(("factory", "noise", "closed"), [
+    (RealRobot, 0.1, 0), (make_real, 0.1, 1), (Closing, -1.0, 1),
+])  # fmt: skip
+@pytest.mark.usefixtures("unregistered")
+def test_real_robots_and_wrong_adapters_leave_no_backend_open(hsr, factory, noise, closed):
+    CLOSED.clear()
+    registry.register("kinfeas.backends", "mine", factory)
+    adapters = (PluginSpec("base_noise", {"linear": noise}),)
+    with pytest.raises(KinfeasError, match="linear" if noise < 0.0 else "mine"):
+        make(hsr, world=WorldConfig(backend="mine", adapters=adapters))
+    assert len(CLOSED) == closed
 
 
 def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):

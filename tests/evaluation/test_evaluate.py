@@ -57,7 +57,7 @@ def test_summary(config, policy):
     assert sum(ended) == 20
 
 
-PLANNED = ["path_planner", "feasibility"]
+PLANNED = ["obstacle_distance", "path_planner", "feasibility"]
 
 
 @pytest.mark.parametrize(("adapters", "settings", "dt", "filters"), [
@@ -172,10 +172,7 @@ def test_motions_that_pass_their_end_are_carried_out(hsr, tmp_path, generator, p
     config = configure(hsr, str(tmp_path / "task.yaml"), episodes=2)
     policy = load_policy("pretrained", hsr)
     world = World(config.robot, config.task, config.world, config.seed)
-    together = record_episodes(world, policy, 2)
-    alone = record_episodes(world, policy, 1, first=1)[0]
-    np.testing.assert_array_equal(together[1].desired, alone.desired)
-    for episode in together:
+    for episode in record_episodes(world, policy, 2):
         goal = np.broadcast_to(episode.goal, episode.desired.shape)
         away = spatial.distance(episode.desired, goal)[0]
         arrival = int(np.argmax(away < 0.03))

@@ -4,13 +4,17 @@ Processors and libraries differ in the last bits, so figures need to be close, n
 the last bits decide, a few rows may differ. `compare.py` compares to the bit on one machine.
 """
 
+from fnmatch import fnmatch
+
 import numpy as np
 import pytest
 
-from tests.golden.figures import FIGURES
+from tests.golden.figures import FIGURES, TASKS
 from tests.golden.renew import DATA
 
-SLOW = ("path_planner", "physics")
+SLOW = ("path_planner-*", "physics-*", *(f"feasibility_filter-*-{task}" for task in TASKS[1:]))
+"""Patterns of figures that take long; the feasibility filter has a quick one for each robot."""
+
 CLOSE = 1e-6
 OTHER_SOLUTIONS = 0.002
 """Share of IK targets for which another restart may win."""
@@ -43,7 +47,8 @@ def other_rows(name, values):
 
 def cases():
     return [
-        pytest.param(name, marks=pytest.mark.slow if kind(name) in SLOW else ()) for name in FIGURES
+        pytest.param(name, marks=[pytest.mark.slow] * any(fnmatch(name, slow) for slow in SLOW))
+        for name in FIGURES
     ]
 
 

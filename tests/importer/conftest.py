@@ -48,6 +48,13 @@ STUCK = (
 
 
 @pytest.fixture
+def few(monkeypatch):
+    """Measure reach with few goals; the full number takes seconds."""
+    monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
+    monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
+
+
+@pytest.fixture
 def dolly(tmp_path) -> Path:
     path = tmp_path / "dolly.urdf"
     path.write_text(ARM)

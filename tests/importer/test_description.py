@@ -57,7 +57,7 @@ X, Y, YAW = ("prismatic", "1 0 0"), ("prismatic", "0 1 0"), ("continuous", "0 0 
 @pytest.mark.parametrize(
     ("joints", "drive"), [((X, Y, YAW), "omnidirectional"), ((X, YAW), "differential")]
 )
-def test_without_wheels_the_drive_is_read_from_planar_joints(changed, joints, drive):
+def test_without_wheels_the_drive_is_read_from_planar_joints(changed, few, joints, drive):
     links = [*(f"frame_{i}" for i in range(len(joints))), "base"]
     chain = "".join(
         f'<link name="{parent}"/><joint name="to_{child}" type="{kind}"><parent link="{parent}"/>'

@@ -21,12 +21,6 @@ WIDE = '<collision><geometry><sphere radius="0.5"/></geometry></collision>'
 TOUCHING = ('<link name="lower"/>', f'<link name="lower">{WIDE}</link>')
 
 
-@pytest.fixture
-def few(monkeypatch):
-    monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
-    monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
-
-
 def test_a_draft_is_a_robot(changed, tmp_path, few):
     names = ('"lift"', '"on"'), ('"pan"', '"a: b"')  # YAML needs quotes around these
     path, shares = changed(*STUCK, *names, TOUCHING), []

@@ -86,7 +86,7 @@ def inside(points, solids, row, low, high):
 
 
 def test_beams_end_at_the_first_solid():
-    n, beams, longest = 40, 48, 3.0
+    n, beams, longest = 20, 48, 3.0
     solids, bases = draw_solids(n, 8), draw_bases(n)
     ranges = scan(solids, bases, BANDS, beams, longest)
     assert ranges.shape == (n, 2, beams)

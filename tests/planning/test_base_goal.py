@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import compose, distance, planar_pose, relative
+from kinfeas.core.spatial import compose, distance, planar_pose
 from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
@@ -128,17 +128,3 @@ def test_a_robot_whose_ee_never_is_ahead_plans_too():
     planner = BaseGoalPlanner(solver, settings=BaseGoalSettings(rest_reach=(50.0, 60.0)))
     starts = [sample_start(task, solver, episode_rng(1, k)) for k in range(3)]
     assert any(plan(planner, start) is not None for start in starts)
-
-
-def test_arms_at_rest_reach_the_ee_where_the_base_strays(planned):
-    planner, _, paths = planned
-    if planner.robot.name == "hsr":
-        pytest.skip("its arm needs the base to reach")
-    strayed = planar_pose(*np.array([[0.06, 0.06, 0.1], [-0.06, 0.06, -0.1], [0.06, -0.06, 0.1]]).T)
-    long = [path for path in paths if path is not None and len(path.robot) > 80]
-    assert len(long) > 3
-    for path in long:
-        middle = len(path.robot) // 2
-        base, arm = planar_pose(*path.robot[middle, :3]), path.robot[middle, 3:]
-        target = relative(path.ee[middle], compose(base, strayed))
-        assert planner.solver.solve(target, np.tile(arm, (3, 1))).feasible.all()

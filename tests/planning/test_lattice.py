@@ -3,8 +3,6 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from kinfeas.core.solids import Solids
-from kinfeas.planning.base_lattice import LATTICE, driving_costs
 from kinfeas.planning.lattice import UNSEEN, path_to, search_grid
 
 CELL, LEVEL = 0.2, 0.3
@@ -49,16 +47,3 @@ def test_costs_are_those_of_dijkstra_and_a_goal_ends_the_search_early(heights):
     assert (early.slot != UNSEEN).sum() < reached.sum()
     path = path_to(early, goal)
     assert path[0] in sources and path[-1] == goal
-
-
-def test_driving_costs_rise_near_solids_that_stand_at_the_height_of_the_disc():
-    solids = Solids.empty(1, 3)
-    solids.pose[0, :, 0] = [0.0, 4.0, 8.0]
-    solids.size[0] = [[0.5, 0.5, 0.0, 1.0], [0.5, 0.5, 0.5, 1.0], [0.5, 0.5, 0.0, 1.0]]
-    solids.velocity[0, 2] = 0.1
-    low, high, disc = np.array([-2.0, -2.0]), np.array([10.0, 2.0]), (0.3, 0.1)
-    cost = driving_costs(solids, low, high, 0.25, disc)
-    x = low[0] + 0.25 * np.arange(len(cost))
-    row, gap = cost[:, 8], np.maximum(np.abs(x) - 0.5, 0.0)
-    near = np.maximum(1.0 - gap / (disc[0] + LATTICE.clearance), 0.0)
-    np.testing.assert_allclose(row, np.where(gap < 0.3, np.inf, 1.0 + LATTICE.crowded * near**2))

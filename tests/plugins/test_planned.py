@@ -60,18 +60,18 @@ def planned(solids, start, goal, **parameters):
 
 
 def test_paths_keep_clear_arrive_and_are_smooth():
-    solids, start, goal = worlds(40)
+    solids, start, goal = worlds(16)
     generator, state = planned(solids, start, goal)
     poses, twists, _ = run(generator, start, goal, 250.0, state=state)
     assert np.max(distance(poses[-1], goal)) < 1e-6
     assert max(map(np.max, speeds(twists))) <= 0.1 * (1.0 + 1e-9)
     around = 0
-    for row in range(40):
+    for row in range(16):
         if connected(solids, row, start[row], goal[row]):
             assert clearance(solids, row, poses[:, row, :3]).min() >= RADIUS
             way = np.linalg.norm(np.diff(poses[:, row, :3], axis=0), axis=1).sum()
             around += way > 1.01 * distance(start[row], goal[row])[0]
-    assert around > 10
+    assert around > 3
     linear, angular = speeds(np.diff(twists, axis=0, prepend=0.0) / DT)
     assert max(linear.max(), angular.max()) < 0.15  # m/s^2, rad/s^2
 

@@ -30,12 +30,12 @@ def test_a_stream_is_followed_to_its_end_without_failure_and_jump(name):
 
 @pytest.mark.parametrize("name", TASKS)
 def test_targets_keep_their_speed_and_heights(name):
-    made = world(name, seconds=20.0)
+    made = world(name, seconds=9.0)
     made.start(range(8))
     inbox = made.loop.stream.inbox
     low, high = made.robot.reach.comfortable
     offset = 0.1 if name == "chunks" else 0.0
-    for _ in range(150):
+    for _ in range(80):
         before = inbox.target
         made.step(np.zeros((8, 3)))
         assert inbox.speed.max() <= 0.2 * (1.0 + 1e-9)

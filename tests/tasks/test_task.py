@@ -10,7 +10,7 @@ from kinfeas.core.start import Start
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import GoalReaching
 from kinfeas.tasks.loading import load_task, task_name
-from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals, random_arm, sample_start
+from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals, sample_start
 
 RNG = np.random.default_rng(0)
 
@@ -34,11 +34,6 @@ def test_wrong_motions_raise(motion, named):
 def test_parameters_out_of_range_raise(task, wrong, named):
     with pytest.raises(KinfeasError, match=f"'{named}' must"):
         load_task(task, wrong)
-
-
-def arms(solver, n, accept=None, **options):
-    rngs = (np.random.default_rng((0, i)) for i in range(n))
-    return np.array([random_arm(solver, rng, accept, **options) for rng in rngs])
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ from kinfeas.tasks.task import build_subgoals
 from tests.builders import assert_near
 
 
-def world_of(robot, task="ggr_restricted", filters=("path_planner", "feasibility")):
+def world_of(robot, task="ggr_restricted", filters=("path_planner", "feasibility"), **parameters):
     config = WorldConfig(max_failures=99, filters=tuple(map(PluginSpec, filters)))
-    return World(load_robot(robot), load_task(task, {}), config, seed=3)
+    return World(load_robot(robot), load_task(task, parameters), config, seed=3)
 
 
 def test_paths_succeed_where_the_policy_does_not():
@@ -68,7 +68,7 @@ def test_plans_fail_ever_more_rarely_but_pushed_robots_get_one_soon(monkeypatch,
 def test_with_targets_that_are_not_known_in_advance_the_policy_acts():
     policy = load_policy("follow_ee", load_robot("pr2"))
     planned, alone = (
-        run_episodes(world_of("pr2", "joystick", filters), policy, 1)
+        run_episodes(world_of("pr2", "joystick", filters, seconds=4.0), policy, 1)
         for filters in (("path_planner",), ())
     )
     np.testing.assert_array_equal(planned.max_deviation, alone.max_deviation)

@@ -147,11 +147,3 @@ def test_draws_follow_their_law_in_each_column(draw, law):
         assert kstest(column, law).pvalue > 1e-3
     correlations = np.corrcoef(values.T) - np.eye(12)
     assert np.abs(correlations).max() < 5.0 / np.sqrt(20_000)
-
-
-@pytest.mark.parametrize("draw", [normal, uniform])
-def test_rows_and_steps_are_on_their_own(draw):
-    together = draw_rows(draw, 5, step=3)
-    for row in range(5):
-        np.testing.assert_array_equal(draw_rows(draw, 1, row, step=3)[0], together[row])
-    assert np.intersect1d(together, draw_rows(draw, 5, step=4)).size == 0

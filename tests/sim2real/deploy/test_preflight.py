@@ -130,17 +130,3 @@ def test_work_is_prepared_shortly_before_the_end_of_a_period(time):
     periods.append(rate.wait())  # too late to prepare anything
     np.testing.assert_allclose(periods, 0.02)
     np.testing.assert_allclose(begun, [0.01, 0.036])
-
-
-def test_measures_periods_that_a_robot_times(time):
-    rate = Rate(0.02, time.clock, waits=False)
-    assert rate.tick() == 0.0
-    assert rate.timing().periods == 0
-    for period in (0.02, 0.029, 0.031, 0.019):
-        time.passes(0.005)
-        rate.worked()
-        time.passes(period - 0.005)
-        assert rate.tick() == pytest.approx(period)
-    timing = rate.timing()
-    assert (timing.periods, timing.misses, timing.work_p99) == (4, 1, pytest.approx(0.005))
-    assert timing.longest == pytest.approx(0.031)

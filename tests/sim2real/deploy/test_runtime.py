@@ -11,7 +11,6 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.loop import Loop
-from kinfeas.control.observation import OBSERVATION
 from kinfeas.core import spatial
 from kinfeas.core.backend import RealTimeBackend, StopCall
 from kinfeas.core.errors import KinfeasError
@@ -143,10 +142,9 @@ def test_reaches_the_goal_and_reports_task_success(run, trained, done, end):
 class Bold:
     """A policy whose actions exceed their range, and which observes the last ones."""
 
-    observation_terms = (*OBSERVATION, "previous_command")
-
     def __init__(self, network):
         self.network = network
+        self.observation_terms = (*network.observation_terms, "previous_command")
 
     def act(self, policy_input):
         size = self.network.biases[-1].size

@@ -64,26 +64,18 @@ def nearest_around(solids, pose):
     return np.min([np.roll(minima, shift) for shift in (-1, 0, 1)], axis=0)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_a_laser_at_the_base_measures_the_nearest_point_of_each_sector(seed):
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("aside", [0.0, 0.3])
+def test_a_laser_measures_the_nearest_point_of_each_sector(seed, aside):
     solids, pose, _ = draw(seed)
-    yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi)
-    ranges = laser_ranges(laser(solids, pose, (0.0, 0.0, yaw)))
-    assert np.all(ranges >= nearest_around(solids, pose))
-    assert np.all(ranges <= scanned(grown(solids, -MARGIN), pose) + MARGIN)
-    assert np.mean(np.abs(ranges - sector_minima(solids, pose)) < MARGIN) > 0.9
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_laser_beside_the_base_finds_surfaces_at_their_place(seed):
-    solids, pose, _ = draw(seed)
-    rng = np.random.default_rng(seed)
-    mount = (*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi))
-    ranges = laser_ranges(laser(solids, pose, mount))
+    mount = np.random.default_rng(seed).uniform([-aside, -aside, -np.pi], [aside, aside, np.pi])
+    ranges, expected = laser_ranges(laser(solids, pose, mount)), scanned(solids, pose)
     assert np.all(ranges >= nearest_around(solids, pose))
     # Beams that end at the solid nearest to the laser have no other one before them.
-    expected = scanned(solids, pose)
     assert ranges[np.argmin(expected)] <= expected.min() + 0.1
+    if not aside:
+        assert np.all(ranges <= scanned(grown(solids, -MARGIN), pose) + MARGIN)
+        assert np.mean(np.abs(ranges - sector_minima(solids, pose)) < MARGIN) > 0.9
 
 
 def test_readings_without_return_and_sectors_without_rays():
@@ -101,7 +93,7 @@ def test_readings_without_return_and_sectors_without_rays():
     assert not np.isnan(laser_ranges(LaserReading(np.full(8, np.inf), **angles))[middle])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_a_costmap_has_the_ranges_of_its_solids_to_within_a_cell(seed):
     solids, pose, base = draw(seed)
     rng = np.random.default_rng(seed)

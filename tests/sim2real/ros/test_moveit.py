@@ -78,11 +78,11 @@ def compute_path(participant):
     return Client(participant, "/kinfeas/compute_cartesian_path", "GetCartesianPath")
 
 
-def ik(x=1.0, z=0.8, frame="map"):
-    request = MOVEIT.GetPositionIK_Request()
-    goal = request.ik_request.pose_stamped
-    goal.header.frame_id, goal.pose = frame, pose(x, z)
-    return request
+def ik(x=1.0, z=0.8, frame="map", **fields):
+    goal = MOVEIT.PoseStamped(MOVEIT.Header(frame_id=frame), pose(x, z))
+    return MOVEIT.GetPositionIK_Request(
+        ik_request=MOVEIT.PositionIKRequest(pose_stamped=goal, **fields)
+    )
 
 
 def pose(x, z=0.8):
@@ -133,57 +133,38 @@ def test_plans_lead_along_straight_lines_from_the_start_state(compute_path):
     )
 
 
-def _constrained():
-    request = ik()
-    request.ik_request.constraints.joint_constraints = [MOVEIT.JointConstraint("arm_lift_joint")]
-    return request
+FIXED_LIFT = MOVEIT.Constraints(joint_constraints=[MOVEIT.JointConstraint("arm_lift_joint")])
+FAR_AWAY = MOVEIT.RobotState(
+    multi_dof_joint_state=MOVEIT.MultiDOFJointState(
+        transforms=[MOVEIT.Transform(MOVEIT.Vector3(2e4))]
+    )
+)
 
 
-def _of_link():
-    request = ik()
-    request.ik_request.ik_link_name = "base_link"
-    return request
-
-
-def _from(x):
-    request = ik()
-    transform = MOVEIT.Transform(MOVEIT.Vector3(x))
-    request.ik_request.robot_state.multi_dof_joint_state.transforms = [transform]
-    return request
-
-
-def _arm_alone(lift):
-    names = [joint.name for joint in load_robot("hsr").arm]
-    position = [lift, *[0.0] * (len(names) - 1)]
-    return MOVEIT.RobotState(MOVEIT.JointState(name=names, position=position))
-
-
-@pytest.mark.parametrize(("request_of", "code"), [
-    (lambda: ik(z=3.0), -31),
-    (lambda: ik(frame="odom"), -21),
-    (lambda: ik(x=np.nan), -16),
-    (_constrained, -16),
-    (_of_link, -18),
-    (lambda: _from(2e4), -17),
+@pytest.mark.parametrize(("fields", "code"), [
+    ({"z": 3.0}, -31), ({"frame": "odom"}, -21), ({"x": np.nan}, -16),
+    ({"constraints": FIXED_LIFT}, -16), ({"ik_link_name": "base_link"}, -18),
+    ({"robot_state": FAR_AWAY}, -17),
 ])  # fmt: skip
-def test_requests_without_base_pose_have_error_codes(compute_ik, request_of, code):
-    error = compute_ik(request_of()).error_code
+def test_requests_without_base_pose_have_error_codes(compute_ik, fields, code):
+    error = compute_ik(ik(**fields)).error_code
     assert (error.val, error.source) == (code, "kinfeas")
     assert error.message
 
 
-@pytest.mark.parametrize(("request_of", "code"), [
-    (lambda: path(1.0), -16),
-    (lambda: path(1.0, np.nan), -16),
-    (lambda: path(1.0, 1.1, max_step=1e-9), -16),
-    (lambda: path(*[1.0] * 10_001), -16),
-    (lambda: path(1.0, 1.1, header=MOVEIT.Header(frame_id="base_footprint")), -21),
-    (lambda: path(1.0, 9.0, max_step=1.0), -1),
-    (lambda: path(1.0, 1.1, start_state=MOVEIT.RobotState(MOVEIT.JointState(name=["a"]))), -17),
-    (lambda: path(1.0, 1.1, start_state=_arm_alone(5.0)), -17),
+ARM = [joint.name for joint in load_robot("hsr").arm]
+LIFTED = MOVEIT.JointState(name=ARM, position=[5.0, *[0.0] * (len(ARM) - 1)])
+
+
+@pytest.mark.parametrize(("xs", "fields", "code"), [
+    ([1.0], {}, -16), ([1.0, np.nan], {}, -16), ([1.0, 1.1], {"max_step": 1e-9}, -16),
+    ([1.0] * 10_001, {}, -16), ([1.0, 9.0], {"max_step": 1.0}, -1),
+    ([1.0, 1.1], {"header": MOVEIT.Header(frame_id="base_footprint")}, -21),
+    ([1.0, 1.1], {"start_state": MOVEIT.RobotState(MOVEIT.JointState(name=["a"]))}, -17),
+    ([1.0, 1.1], {"start_state": MOVEIT.RobotState(LIFTED)}, -17),
 ])  # fmt: skip
-def test_requests_without_plan_have_error_codes(compute_path, request_of, code):
-    reply = compute_path(request_of())
+def test_requests_without_plan_have_error_codes(compute_path, xs, fields, code):
+    reply = compute_path(path(*xs, **fields))
     assert (reply.error_code.val, reply.fraction) == (code, 0.0)
     assert reply.error_code.message
 

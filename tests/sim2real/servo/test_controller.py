@@ -122,7 +122,7 @@ def test_time_scaling_waits_at_the_end_of_the_reach(solver):
     """An arm that is led out of its reach, while the base may not move, stops without a failure."""
     controller, clock, loop = begin(solver)
     scales = []
-    for _ in range(400):
+    for _ in range(250):
         controller.set_twist([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
         outcome = step(clock, loop)
         assert outcome.feasible[0]
