@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.plugins.linear import Linear
-from tests.builders import random_poses, rngs
+from tests.builders import assert_near, random_poses, rngs
 
 FAR = np.zeros(1, dtype=bool)  # no EE is as near as a grip needs it
 
@@ -138,3 +138,28 @@ def test_motions_avoid_the_solids_of_their_row_now_and_at_later_subgoals(begin):
     sequence.start(random_poses(1), target, rngs(1))  # without solids
     sequence.end_subgoals(at_once[:1], FAR)
     assert np.abs(sequence.goal - target[0, 1])[0, 2] <= 0.1
+
+
+def test_poses_ahead_lie_between_the_desired_pose_and_the_goal(robot, begin):
+    sequence = begin()
+    follow(sequence, 20)
+    ahead = sequence.ahead(np.array([0.0, 0.1, 100.0]))
+    assert_near(ahead[:, 0], sequence.desired, 1e-6, 1e-6)
+    assert_near(ahead[:, 2], sequence.goal, 1e-6, 1e-6)
+    tips = begin(subgoals=CHAIN[:1])
+    apart = spatial.compose(tips.ahead(np.array([0.1])), tool_pose(robot))[:, 0]
+    tip = spatial.compose(tips.desired, np.broadcast_to(tool_pose(robot), (6, 7)))
+    np.testing.assert_allclose(spatial.distance(apart, tip)[0], 0.1, atol=1e-9)
+
+
+def test_paused_rows_stay(begin):
+    sequence, paused = begin(), np.array([True, False] * 3)
+    for subgoal in range(4):
+        before, step = sequence.snapshot(), sequence.step_of(HORIZON)
+        sequence.move(step, paused)
+        np.testing.assert_array_equal(sequence.desired[~paused], step.desired[~paused])
+        for key, values in sequence.snapshot().items():
+            np.testing.assert_array_equal(values[paused], before[key][paused], err_msg=key)
+        sequence.end_subgoals(np.ones(6, dtype=bool), FAR)
+        if subgoal == 1:
+            follow(sequence, 3)

@@ -42,6 +42,22 @@ def test_no_figure_depends_on_the_batch_and_the_other_episodes(world, policy, re
     assert_equal(run_episodes(world, policy, 3, first=20), records, slice(20, 23))
 
 
+def test_records_are_sums_over_the_steps(world, policy, records):
+    episode = 11
+    world.start([episode])
+    seen = []
+    while not seen or not seen[-1].done.any():
+        seen.append(world.step(policy.act(world.loop.observation)))
+    deviation = np.array([one.outcome.deviation[0] for one in seen])
+    assert records.steps[episode] == len(seen)
+    assert records.failures[episode] == sum(not one.outcome.feasible[0] for one in seen)
+    assert records.joint_jumps[episode] == sum(one.outcome.joint_jump[0] for one in seen)
+    assert records.reached[episode] == seen[-1].reached[0]
+    assert records.final_distance[episode] == seen[-1].outcome.goal_distance[0]
+    assert records.max_deviation[episode] == deviation.max()
+    assert records.mean_deviation[episode] == pytest.approx(deviation.mean())
+
+
 def test_an_episode_that_never_begins_its_last_sub_goal_ends_far_from_it(world, policy):
     short = WorldConfig(max_seconds=0.3)
     records = run_episodes(World(world.robot, pick_place(), short, seed=0), policy, 3)

@@ -1,4 +1,5 @@
 import warnings
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -13,6 +14,7 @@ from kinfeas import envs
 from kinfeas.config import PluginSpec
 from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.batch import step_info
 from kinfeas.envs.gym import BaseMotionEnv, BaseMotionVectorEnv
 from kinfeas.envs.world import WorldConfig
 
@@ -160,3 +162,14 @@ def test_wrong_arguments_are_named(arguments):
         BaseMotionEnv(**arguments)
     with pytest.raises(KinfeasError, match="num_envs"):
         BaseMotionVectorEnv(0)
+
+
+@pytest.mark.parametrize(("reached", "failures"), [(True, 0), (True, 1), (False, 0)])
+def test_success_is_a_goal_reached_without_a_failure(reached, failures):
+    world = BaseMotionEnv("hsr").world
+    world.start([0])
+    transition = replace(world.step(np.zeros((1, 3))), reached=np.array([reached]))
+    world.failures[:] = failures
+    info = step_info(world, transition)
+    assert (info["reached"], info["failures"]) == (reached, failures)
+    assert info["is_success"] == (reached and not failures)

@@ -18,6 +18,24 @@ PHYSICS = "domain_randomisation"
 NAMES = sorted({plugin.name for plugin in registry.plugins("kinfeas.adapters")} - {PHYSICS})
 HARSH = read_sim2real("harsh").adapters
 
+NOTHING = {
+    "base_noise": {"linear": 0, "angular": 0},
+    "joint_noise": {"deviation": 0},
+    "ee_noise": {"linear": 0, "angular": 0},
+    "localisation": {"drift": 0, "turn_drift": 0, "jump": 0, "turn_jump": 0},
+    "scan_noise": {"deviation": 0, "lost": 0, "seconds": 0},
+    "command_latency": {"seconds": 0},
+    "sensor_latency": {"seconds": 0},
+    "dropped_commands": {"probability": 0},
+    "actuator_lag": {"base": 0, "arm": 0},
+    "acceleration_limit": {"linear": 1e9, "angular": 1e9},
+    "velocity_clamp": {"linear": 1e9, "angular": 1e9, "joints": 1e9},
+    "joint_limit_clamp": {"margin": 0},
+    "head_start": {"seconds": 0},
+    "time_scale": {"factor": 1},
+}
+"""Parameters of each adapter with which it does nothing."""
+
 
 def on_reset(backend, robot, seeds, env_ids=None):
     places = np.arange(len(seeds)) if env_ids is None else np.array(env_ids)
@@ -50,6 +68,17 @@ def go(backend, robot, seeds, steps, firsts=0):
 def flat(state):
     fields = [state.base_pose, state.joint_positions, state.ee_in_base]
     return np.concatenate([values for values in fields if values is not None], axis=1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
+    spec = PluginSpec(name, NOTHING[name])
+    adapter, plain = with_adapters(AnalyticBackend(), [spec], pr2), AnalyticBackend()
+    first = [flat(on_reset(world, pr2, [3, 4, 5])) for world in (adapter, plain)]
+    measured, expected = (go(world, pr2, [3, 4, 5], 6) for world in (adapter, plain))
+    # Where an EE is measured by itself, it comes after the rest.
+    np.testing.assert_array_equal(first[0][:, : first[1].shape[1]], first[1])
+    np.testing.assert_array_equal(measured[..., : expected.shape[-1]], expected)
 
 
 @pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])

@@ -70,7 +70,6 @@ def check(found) -> None:
             assert error <= (most if names is TIMES else most * truth[name]), name
 
 
-@pytest.mark.slow
 def test_robot_is_found_and_its_file_is_a_list_of_adapters(record, tmp_path, hsr):
     out, picture = tmp_path / "my_robot.yaml", tmp_path / "fit.png"
     found = identify(record, out=out, picture=picture)
