@@ -61,8 +61,7 @@ over training seeds is at most 1.2 points; intervals are in [study.json](../figu
 [physics.json](../figures/physics.json) and [mujoco.json](../figures/mujoco.json).
 """
 OF_ANALYTIC = """\
-500 episodes, pretrained TIAGo 200. In brackets: EE deviation below 5 cm throughout, and goal
-reached. *Ceiling*: reachable goals. The paper's `ggr_restricted` has harder starts, some in
+500 episodes. In brackets: EE deviation below 5 cm throughout, and goal reached. *Ceiling*: reachable goals. The paper's `ggr_restricted` has harder starts, some in
 self-collision; "any start" includes them."""
 OF_PHYSICS = """\
 PyBullet, then MuJoCo; with one number PyBullet. Arm contacts are per episode."""

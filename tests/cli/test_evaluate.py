@@ -2,6 +2,7 @@ import pytest
 
 from kinfeas.config.recipes import default_engine
 
+PLANNED = ["obstacle_distance", "path_planner", "feasibility"]
 EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "1")
 SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
 ENGINE = default_engine()
@@ -18,7 +19,7 @@ def test_options_of_physics(evaluate):
     words += ("--robot", "tiago")
     figures = evaluate(*SHORT, *words, "--head-start", "0.2", "--time-scale", "0.5")
     assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
-    assert (figures["task_success"], figures["filters"]) == (None, ["path_planner", "feasibility"])
+    assert (figures["task_success"], figures["filters"]) == (None, PLANNED)
     assert figures["base_collisions"] is not None
     names = ["obstacle_distance", "feasibility"]
     assert evaluate(*SHORT, *words, "--filters", ",".join(names))["filters"] == names
