@@ -61,7 +61,8 @@ over training seeds is at most 1.2 points; intervals are in [study.json](../figu
 [physics.json](../figures/physics.json) and [mujoco.json](../figures/mujoco.json).
 """
 OF_ANALYTIC = """\
-500 episodes. In brackets: EE deviation below 5 cm throughout, and goal reached. *Ceiling*: reachable goals. The paper's `ggr_restricted` has harder starts, some in
+500 episodes. In brackets: EE deviation below 5 cm throughout, and goal reached. *Ceiling*:
+reachable goals. The paper's `ggr_restricted` has harder starts, some in
 self-collision; "any start" includes them."""
 OF_PHYSICS = """\
 PyBullet, then MuJoCo; with one number PyBullet. Arm contacts are per episode."""
@@ -166,7 +167,7 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
 def fill_physics(page: str, pybullet: Sequence[Entry], mujoco: Sequence[Entry]) -> str:
     """Return the page of physics with the success in the records of both engines."""
     lines = [*physics_table(*SUCCESS, pybullet, mujoco), "", ""]
-    place = re.compile(r"\| success, % \(paper\).*?\n\n(?=Success is at most)", re.DOTALL)
+    place = re.compile(r"\| success, % \(paper\).*?\n\n(?=Success in PyBullet)", re.DOTALL)
     filled, count = place.subn(lambda _: "\n".join(lines), page, count=1)
     return _found(filled, count, "physics.md: no table of success in its place")
 
