@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -57,6 +58,7 @@ def test_summary(config, policy):
     assert sum(ended) == 20
 
 
+STUDY = Path(__file__).parents[2] / "docs" / "figures" / "study.json"
 PLANNED = ["obstacle_distance", "path_planner", "feasibility"]
 
 
@@ -76,8 +78,13 @@ def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_packaged_policies_keep_their_success_rate(name):
-    metadata = json.loads((load_robot(name).folder / "policies/pretrained/policy.json").read_text())
-    rate, episodes, robot = metadata["benchmark"]["ggr"]["success"], 60, load_robot(name)
+    cells, robot, episodes = json.loads(STUDY.read_text()), load_robot(name), 60
+    # The filters with the highest success are the default.
+    rate = max(
+        cell["success"]
+        for cell in cells
+        if (cell["robot"], cell["task"], cell["policy"]) == (name, "ggr", "pretrained")
+    )
     records = run(configure(robot, "ggr", episodes=episodes), load_policy("pretrained", robot))
     deviation = math.sqrt(rate * (1.0 - rate) / episodes)
     assert records.success.mean() >= rate - 3.0 * deviation

@@ -88,8 +88,8 @@ def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path
     killed = robot.kill()
     assert bus.seconds_to_zero(killed) <= LIMIT
     assert deployment.end() == 3
-    assert "measurement" in deployment.output()
-    assert "measurement" in read_record(tmp_path / "record.csv").event[-1]
+    assert " s old" in deployment.output()
+    assert " s old" in read_record(tmp_path / "record.csv").event[-1]
 
 
 def test_servo_stops_within_0_3_s_after_the_last_twist(bus, tmp_path):
