@@ -33,7 +33,7 @@ RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 PLANNED = ("pretrained", "path planner")
 DEFAULT = {"pr2": ("pretrained", "feasibility filter"), "tiago": PLANNED, "hsr": PLANNED}
-"""Policy and row with the filters that are a robot's default."""
+"""Policy and row with the default filters of a robot; here the obstacle filter changes nothing."""
 LEARNED = {
     ("sac", ""): "SAC, 3 seeds",
     ("pretrained", ""): "pretrained",

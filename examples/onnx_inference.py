@@ -21,7 +21,7 @@ def seen_from(frame, pose):
 
 
 def observe(terms, base, ee_in_base, planned, goal, joints):
-    """Return the observation; `base`, `planned` and `goal` are world poses, `terms` metadata."""
+    """Return the metadata's `terms` in order; `base`, `planned` and `goal` are world poses."""
     planned, goal = seen_from(base, planned), seen_from(base, goal)
     path = goal[:3] - planned[:3]  # straight
     length = max(np.linalg.norm(path), 1e-9)

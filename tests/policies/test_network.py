@@ -82,7 +82,9 @@ def test_terms_are_those_of_the_file(pr2, tmp_path):
 
 def test_new_terms_of_a_widened_network_have_no_effect(hsr):
     old = random_network(hsr, width=8)
+    old = replace(old, scale=2.0 * old.scale)  # of another version
     wide = old.widened(hsr, (*OBSERVATION, "previous_command"))
+    np.testing.assert_array_equal(wide.scale[: len(old.scale)], old.scale)
     seen = np.random.default_rng(0).normal(size=(5, len(wide.scale)))
     np.testing.assert_array_equal(wide(seen), old(seen[:, : len(old.scale)]))
     with pytest.raises(KinfeasError):
