@@ -30,6 +30,10 @@ _GAIN, _STEER, _MOVING = 3.0, 3.0, 0.05
 """Feedback of the base's deviation, 1/s; angle by which a differential base steers towards its path
 for each metre beside it, radians; and the speed from which on it does, m/s."""
 
+_WAITS_METRES, _WAITS_RADIANS, _LEAST = 0.015, 0.04, 0.2
+"""Deviations of a late base beyond which the EE slows down in inverse proportion, and its least
+speed as a fraction."""
+
 
 class PathPlanner:
     """Plans base and arm along each EE motion when it begins, and follows these paths.
@@ -154,7 +158,7 @@ class PathPlanner:
 
 
 class PathFollower:
-    """Moves bases and arms along paths."""
+    """Moves bases and arms along paths; the EE waits for bases that respond late."""
 
     def __init__(self, robot: Robot, dt: float) -> None:
         self._robot, self._dt = robot, dt
@@ -166,14 +170,15 @@ class PathFollower:
             return period
         elapsed, scale = period.motions.elapsed, period.time_scale.copy()
         scale[rows] *= [path.time_scale_at(elapsed[row]) for row, path in paths.items()]
+        now, base_pose = robots_on(paths, rows, elapsed), period.base_pose[rows]
+        if period.motion is not None:
+            scale[rows] *= _patience(base_pose, now)
         if (scale != period.time_scale).any():
             period = period.slowed(scale)
-        now = robots_on(paths, rows, elapsed)
         then = robots_on(paths, rows, elapsed + period.motion_seconds)
         guide = period.posture_guide
         guide = np.full_like(period.joints, np.nan) if guide is None else guide
-        base, base_pose = self._robot.base, period.base_pose[rows]
-        along = follow(base, base_pose, now[:, :3], then[:, :3], self._dt)
+        along = follow(self._robot.base, base_pose, now[:, :3], then[:, :3], self._dt)
         return period.changed(
             command=with_rows(period.command, rows, along),
             posture_guide=with_rows(guide, rows, then[:, 3:]),
@@ -227,6 +232,16 @@ def off_path(robot: Robot, period: Period, rows: Rows, robots: Array) -> tuple[A
     arm = np.abs(joint_displacement(robot, period.joints[rows], robots[:, 3:])).max(axis=1)
     base: Array = np.linalg.norm(robots[:, :2] - period.base_pose[rows, :2], axis=1)
     return base, arm
+
+
+def _patience(base_pose: Array, now: Array) -> Array:
+    """Return the fractions of their speeds with which EEs wait for bases beside their paths, (m,).
+
+    Bases have world poses (m, 7), and on the path x, y and yaw, shape (m, 3 + j).
+    """
+    away = np.linalg.norm(now[:, :2] - base_pose[:, :2], axis=1) / _WAITS_METRES
+    turned = np.abs(wrap(now[:, 2] - yaw(base_pose))) / _WAITS_RADIANS
+    return np.clip(1.0 / np.maximum(np.maximum(away, turned), 1.0), _LEAST, 1.0)
 
 
 def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float) -> Array:

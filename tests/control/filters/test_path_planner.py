@@ -9,7 +9,7 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
 from kinfeas.control.filters.path_planner import PlanFollower, follow
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import integrate, planar_pose, yaw
+from kinfeas.core.spatial import compose, integrate, planar_pose, yaw
 from kinfeas.core.start import stacked
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
@@ -23,8 +23,12 @@ from kinfeas.tasks.task import build_subgoals
 from tests.builders import assert_near
 
 
-def world_of(robot, task="ggr_restricted", filters=("path_planner", "feasibility"), **parameters):
-    config = WorldConfig(max_failures=99, filters=tuple(map(PluginSpec, filters)))
+def world_of(
+    robot, task="ggr_restricted", filters=("path_planner", "feasibility"), adapters=(), **parameters
+):
+    config = WorldConfig(
+        max_failures=99, filters=tuple(map(PluginSpec, filters)), adapters=tuple(adapters)
+    )
     return World(load_robot(robot), load_task(task, parameters), config, seed=3)
 
 
@@ -63,6 +67,21 @@ def test_plans_fail_ever_more_rarely_but_pushed_robots_get_one_soon(monkeypatch,
             world.loop.restore({**state, "base_pose": pushed})
         world.step()
     np.testing.assert_allclose(np.array(periods) * world.loop.dt, seconds, atol=0.15)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_ees_wait_for_late_bases_beside_their_paths(late):
+    lag = PluginSpec("actuator_lag", {"base": 0.1})
+    world = world_of("pr2", adapters=[lag] * late)
+    world.loop.set_policy(load_policy("stationary", world.robot))
+    world.start([0])
+    scales = [world.step().outcome.time_scale for _ in range(12)]
+    assert scales[-1] == 1.0
+    state = world.loop.snapshot()
+    moved = planar_pose(np.array([0.03]), np.zeros(1), np.zeros(1))
+    names = [name for name in state if name.endswith("base_pose")]
+    world.loop.restore({**state, **{name: compose(state[name], moved) for name in names}})
+    assert (world.step().outcome.time_scale < 0.8) == late
 
 
 def test_with_targets_that_are_not_known_in_advance_the_policy_acts():
