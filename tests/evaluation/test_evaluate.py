@@ -60,12 +60,13 @@ def test_summary(config, policy):
 
 STUDY = Path(__file__).parents[2] / "docs" / "figures" / "study.json"
 PLANNED = ["obstacle_distance", "path_planner", "feasibility"]
+LATE = ["path_planner", "time_scaling"]
 
 
 @pytest.mark.parametrize(("adapters", "settings", "dt", "filters"), [
-    (["actuator_lag"], {}, 0.02, ["time_scaling"]), (["base_noise"], {}, 0.02, PLANNED),
+    (["actuator_lag"], {}, 0.02, LATE), (["base_noise"], {}, 0.02, PLANNED),
     (["actuator_lag"], {"world.dt": 0.1, "world.filters": []}, 0.1, []), ([], {}, 0.1, PLANNED),
-    (["command_latency"], {}, 0.02, ["time_scaling"]),
+    (["command_latency"], {}, 0.02, LATE),
 ])  # fmt: skip
 def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
     hsr, adapters, settings, dt, filters
