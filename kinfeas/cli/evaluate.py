@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
 
 
+_LISTED = 6  # numbers of failed episodes that the table shows
+
+
 def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyName,
     robot: options.PolicyRobotName = None,
@@ -121,20 +124,20 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
 def _show(summary: "Summary") -> None:
     title = "{policy} on {task}, robot {robot}, {episodes} episodes of seed {seed}, {world}"
     rows = [
-        ["goal reached without a kinematic failure", _fraction(summary, "success")],
-        ["EE never more than 5 cm off, and at the goal", _fraction(summary, "within_5cm")],
-        ["the same in the frame of its localisation", _fraction(summary, "tracked_5cm")],
+        ["success: goal reached, no IK failure", _fraction(summary, "success")],
+        ["EE always within 5 cm of path and goal", _fraction(summary, "within_5cm")],
         ["goal reached", percent(summary["reached"])],
-        ["kinematic failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
+        ["IK failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
         ["EE deviation, mean", f"{1000 * summary['mean_deviation_m']:.1f} mm"],
-        ["tracking error, mean", f"{1000 * summary['mean_tracking_error_m']:.1f} mm"],
         ["joint jumps an episode", f"{summary['joint_jumps_per_episode']:.2f}"],
         ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]
+    if summary["adapters"]:  # else the same as without localisation
+        rows[2:2] = [["the same, seen by its localisation", _fraction(summary, "tracked_5cm")]]
+        tracking = f"{1000 * summary['mean_tracking_error_m']:.1f} mm"
+        rows.append(["tracking error, mean", tracking])
     if summary["ceiling"] is not None:
-        rows.insert(
-            1, ["ceiling: goals that some base pose reaches", _fraction(summary, "ceiling")]
-        )
+        rows.insert(1, ["ceiling: goals within reach of a base", _fraction(summary, "ceiling")])
     if (lateness := summary["lateness_s"]) is not None:
         rows.append(["base later than its response model", f"{1000 * lateness:.0f} ms"])
     if (rms := summary["rms_deviation_m"]) is not None:
@@ -151,6 +154,9 @@ def _show(summary: "Summary") -> None:
             ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
             ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
         ]
+    if failed := summary["failed"]:
+        numbers = ", ".join(map(str, failed[:_LISTED])) + ", ..." * (len(failed) > _LISTED)
+        rows.append(["episodes without success", numbers])
     print_table(title.format(**summary), ["", " fraction (95 % interval) or mean"], rows)
 
 

@@ -98,7 +98,8 @@ def progress() -> Iterator["OnProgress"]:
             sys.stderr.write(f"{fraction:4.0%}  {text}\n")
 
     if not console.is_terminal:
-        yield write_line
+        with _compiling(console):
+            yield write_line
         return
     with _compiling(console), Progress(console=console, transient=True) as bar:
         task = bar.add_task("", total=1.0)
@@ -124,10 +125,7 @@ def status(text: str) -> Iterator["Status"]:
 
 @contextmanager
 def _compiling(console: "Console") -> Iterator[None]:
-    """Print a line on a terminal when numba begins to compile kernels that it has not cached."""
-    if not console.is_terminal:
-        yield
-        return
+    """Print a line when numba begins to compile kernels that it has not cached."""
     from numba.core import event
 
     printed = False

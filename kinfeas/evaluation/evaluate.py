@@ -6,6 +6,8 @@ from dataclasses import astuple, dataclass, field
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged
 from kinfeas.config.recipes import section
 from kinfeas.control.assemble import respond_late
@@ -21,7 +23,10 @@ from kinfeas.tasks.task import StreamTask, Task
 
 
 class Summary(Metrics):
-    """Metrics of a policy, what they were measured on, and the ceiling; null if not measured."""
+    """Metrics of a policy, what they were measured on, and the ceiling; null if not measured.
+
+    `failed` are the numbers of the episodes without success.
+    """
 
     robot: str
     task: str
@@ -33,6 +38,7 @@ class Summary(Metrics):
     adapters: list[str]
     filters: list[str]
     backend_parameters: dict[str, object]
+    failed: list[int]
     ceiling: float | None
     ceiling_low: float | None
     ceiling_high: float | None
@@ -131,6 +137,7 @@ def evaluate(
         "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
         **summarize(records),
+        "failed": (config.first + np.flatnonzero(~records.success)).tolist(),
         "ceiling": None, "ceiling_low": None, "ceiling_high": None,
     }  # fmt: skip
 
