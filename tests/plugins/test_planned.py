@@ -9,7 +9,8 @@ from kinfeas.core.spatial import distance
 from kinfeas.plugins.minimum_jerk import MinimumJerk
 from kinfeas.plugins.planned import Planned, RandomSpline, WholeBody
 from kinfeas.testing import check_motion_generator
-from tests.plugins.conftest import DT, random_poses, run, speeds
+from tests.builders import random_poses
+from tests.plugins.conftest import DT, run, speeds
 
 RADIUS = 0.15
 
@@ -52,11 +53,10 @@ def connected(solids, row, start, goal):
     return areas[ends[0]] == areas[ends[1]] > 0
 
 
-def planned(solids, start, goal, **parameters):
-    generator = Planned(radius=RADIUS, **parameters)
-    return generator, generator.replan(
-        generator.start(start, goal, [None] * len(start)), start, goal, solids
-    )
+def planned(solids, start, goal):
+    generator = Planned(radius=RADIUS)
+    state = generator.start(start, goal, [None] * len(start))
+    return generator, generator.replan(state, start, goal, solids)
 
 
 def test_paths_keep_clear_arrive_and_are_smooth():
@@ -99,7 +99,7 @@ def across(high, half=3.0, at=1.5):
 
 
 def test_without_solids_the_motion_is_that_of_minimum_jerk():
-    start, goal = random_poses(5, 0), random_poses(5, 1)
+    start, goal = random_poses((2, 5), reach=2.0)
     expected = run(MinimumJerk(), start, goal, 60.0)[0]
     np.testing.assert_allclose(run(Planned(), start, goal, 60.0)[0], expected, atol=1e-9)
 
@@ -143,7 +143,6 @@ def test_a_new_plan_begins_with_the_velocity_of_the_old_one():
 
 def test_splines_are_random_smooth_and_within_their_spread():
     generator = RandomSpline(spread=0.4)
-    check_motion_generator(generator)
     start, goal = np.zeros((20, 7)), np.zeros((20, 7))
     start[:, 6], goal[:, 6], goal[:, 0] = 1.0, 1.0, 3.0
     state = generator.start(start, goal, [np.random.default_rng(i) for i in range(20)])

@@ -5,18 +5,12 @@ from hypothesis import strategies as st
 
 from kinfeas.core import spatial
 from kinfeas.plugins.servo import Servo
-from tests.builders import assert_near
+from tests.builders import assert_near, random_poses
 
 LIMITS = {
     "max_velocity": 0.2, "max_acceleration": 2.0, "max_jerk": 60.0,
     "max_angular_velocity": 0.5, "max_angular_acceleration": 6.0, "max_angular_jerk": 150.0,
 }  # fmt: skip
-
-
-def poses(rng, n):
-    quaternions = rng.normal(size=(n, 4))
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.concatenate([rng.uniform(-1.0, 1.0, (n, 3)), spatial.canonical(quaternions)], axis=1)
 
 
 def follow(motion, pose, targets, dt):
@@ -34,9 +28,10 @@ def follow(motion, pose, targets, dt):
 @settings(max_examples=25, deadline=None)
 def test_velocity_acceleration_and_jerk_stay_within_their_limits(seed, hold):
     """Also where targets jump, and where each row slows down by itself."""
-    rng, n, steps, dt = np.random.default_rng(seed), 20, 100, 1e-3
-    targets = np.array([poses(rng, n) for _ in range(steps)]).repeat(hold, axis=0)[:steps]
-    _, velocity = follow(Servo(**LIMITS), poses(rng, n), targets, np.full((steps, n), dt))
+    n, steps, dt = 20, 100, 1e-3
+    start, *targets = random_poses((steps + 1, n), seed)
+    targets = np.repeat(targets, hold, axis=0)[:steps]
+    _, velocity = follow(Servo(**LIMITS), start, targets, np.full((steps, n), dt))
     velocity = np.concatenate([np.zeros((2, n, 6)), velocity])
     for part, kind in ((velocity[..., :3], ""), (velocity[..., 3:], "angular_")):
         for order, name in enumerate(("velocity", "acceleration", "jerk")):
@@ -47,11 +42,11 @@ def test_velocity_acceleration_and_jerk_stay_within_their_limits(seed, hold):
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_an_ee_stays_within_a_box_of_targets_and_reaches_the_last_one(seed):
-    rng, n, steps = np.random.default_rng(seed), 10, 600
-    targets = np.array([poses(rng, n) for _ in range(6)]).repeat(steps // 6, axis=0)
+    n, steps = 10, 600
+    start, *targets = random_poses((7, n), seed)
+    targets = np.repeat(targets, steps // 6, axis=0)
     targets[steps // 3 :] = targets[-1]
-    dt = rng.uniform(0.001, 0.3, (steps, n))
-    start = poses(rng, n)
+    dt = np.random.default_rng(seed).uniform(0.001, 0.3, (steps, n))
     paths, _ = follow(Servo(**LIMITS), start, targets, dt)
     box = np.concatenate([start[np.newaxis], targets])
     assert np.all(paths[..., :3] >= box.min(axis=0)[:, :3] - 1e-9)
@@ -61,8 +56,7 @@ def test_an_ee_stays_within_a_box_of_targets_and_reaches_the_last_one(seed):
 
 def test_a_motion_does_not_depend_on_the_control_rate():
     """A command that both rates limit to the same velocity leads to the same pose."""
-    rng = np.random.default_rng(0)
-    start = poses(rng, 5)
+    start = random_poses(5)
     target = start + np.array([50.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     ends = [
         follow(Servo(**LIMITS), start, np.array([target] * n), np.full((n, 5), 1.0 / n))[0][-1]
