@@ -17,6 +17,7 @@ from tests.builders import random_bases
 PHYSICS = "domain_randomisation"
 NAMES = sorted({plugin.name for plugin in registry.plugins("kinfeas.adapters")} - {PHYSICS})
 HARSH = read_sim2real("harsh").adapters
+LISTS = pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 
 NOTHING = {
     "base_noise": {"linear": 0, "angular": 0},
@@ -38,30 +39,26 @@ NOTHING = {
 
 
 def on_reset(backend, robot, seeds, env_ids=None):
-    places = np.arange(len(seeds)) if env_ids is None else np.array(env_ids)
-    backend.seed(np.array(seeds, dtype=np.uint64), places)
+    rows = np.arange(len(seeds)) if env_ids is None else env_ids
+    backend.seed(np.array(seeds, dtype=np.uint64), rows)
     base = np.concatenate([random_bases(1, seed) for seed in seeds])
-    joints = np.stack([configuration(robot, seed) for seed in seeds])
-    return backend.reset(base, joints, None if env_ids is None else places)
+    joints = configurations(robot, [np.random.default_rng(seed) for seed in seeds])
+    return backend.reset(base, joints, env_ids)
 
 
-def configuration(robot, seed):
-    rng = np.random.default_rng((seed, 1))
-    lower = [max(joint.lower, -np.pi) for joint in robot.arm]
-    upper = [min(joint.upper, np.pi) for joint in robot.arm]
-    return rng.uniform(lower, upper)
+def configurations(robot, rngs):
+    lower, upper = np.clip(robot.joint_limits, -np.pi, np.pi)
+    return np.stack([rng.uniform(lower, upper) for rng in rngs])
 
 
 def go(backend, robot, seeds, steps, firsts=0):
     """Return measurements after steps whose commands depend on seeds and numbers of steps alone."""
-    measured, firsts = [], np.broadcast_to(firsts, len(seeds))
+    measured, twist = [], np.zeros((len(seeds), 6))
     for step in range(steps):
-        numbers = list(zip(seeds, (firsts + step).tolist(), strict=True))
-        rngs = [np.random.default_rng((seed, 2, number)) for seed, number in numbers]
-        twist = np.zeros((len(seeds), 6))
+        numbers = np.column_stack([seeds, np.broadcast_to(firsts, len(seeds)) + step])
+        rngs = [np.random.default_rng(number) for number in numbers]
         twist[:, [0, 1, 5]] = [rng.normal(scale=0.1, size=3) for rng in rngs]
-        targets = np.stack([configuration(robot, seed + 100 * number) for seed, number in numbers])
-        measured.append(flat(backend.step(twist, targets, 0.05)))
+        measured.append(flat(backend.step(twist.copy(), configurations(robot, rngs), 0.05)))
     return np.stack(measured)
 
 
@@ -81,12 +78,12 @@ def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
     np.testing.assert_array_equal(measured[..., : expected.shape[-1]], expected)
 
 
-@pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
+@LISTS
 def test_new_episodes_leave_the_others_alone(adapters, pr2):
     backend, alone = (with_adapters(AnalyticBackend(), adapters, pr2) for _ in "ab")
     on_reset(backend, pr2, [0, 1, 2])
     before = go(backend, pr2, [0, 1, 2], 9)
-    state = flat(on_reset(backend, pr2, [8], env_ids=[1]))
+    state = flat(on_reset(backend, pr2, [8], np.array([1])))
     np.testing.assert_array_equal(state[[0, 2]], before[-1][[0, 2]])
     np.testing.assert_array_equal(state[1], flat(on_reset(alone, pr2, [8]))[0])
     after = go(backend, pr2, [0, 8, 2], 9, [9, 0, 9])
@@ -96,7 +93,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
     np.testing.assert_array_equal(after[:, 0], go(whole, pr2, [0], 18)[9:, 0])
 
 
-@pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
+@LISTS
 def test_continues_from_a_snapshot_to_the_bit(adapters, pr2):
     twice = [*adapters, *adapters]
     backend, other = (with_adapters(AnalyticBackend(), twice, pr2) for _ in "ab")
