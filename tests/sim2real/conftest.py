@@ -1,4 +1,6 @@
-"""Backends that tests of adapters wrap."""
+"""Backends that tests of adapters wrap, and domains of ROS."""
+
+import os
 
 import numpy as np
 import pytest
@@ -6,6 +8,7 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.spatial import planar_pose
 from tests.sim2real.doubles import Time
+from tests.sim2real.ros_processes import own_domain
 
 
 class Recorder(AnalyticBackend):
@@ -56,6 +59,18 @@ class Rig:
 @pytest.fixture
 def time():
     return Time()
+
+
+@pytest.fixture(scope="module")
+def domain():
+    """A domain of ROS 2 on this computer alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CYCLONEDDS_URI", os.environ.get("CYCLONEDDS_URI", ""))  # restored at the end
+        if not os.environ["CYCLONEDDS_URI"]:
+            patch.delenv("CYCLONEDDS_URI")
+        patch.setenv("ROS_DOMAIN_ID", own_domain())
+        patch.setenv("ROS_LOCALHOST_ONLY", "1")
+        yield int(own_domain())
 
 
 @pytest.fixture(scope="session")
