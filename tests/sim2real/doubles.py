@@ -60,17 +60,19 @@ def joints_at(robot, positions=None, **others):
     return JointReading({**robot.fixed_joints, **named, **others})
 
 
-def present(robot, x=1.0, y=2.0, yaw=0.5, **base):
+def present(robot, x=1.0, y=2.0, yaw=0.5, joints=None):
+    """Return an answer of a robot that measures its base and all joints."""
+
     def answer(readings):
-        readings.base(BaseReading(x, y, yaw, **base))
-        readings.joints(joints_at(robot))
+        readings.base(BaseReading(x, y, yaw))
+        readings.joints(joints or joints_at(robot))
 
     return answer
 
 
-def connected(robot, time=None, **where):
+def connected(robot, time, **where):
     """Return a backend, after its reset, and its link."""
-    link, clock = MemoryLink(present(robot, **where)), None if time is None else time.clock
-    backend = LinkBackend(robot, link, clock=clock)
+    link = MemoryLink(present(robot, **where))
+    backend = LinkBackend(robot, link, clock=time.clock)
     backend.reset(None, None)
     return backend, link

@@ -1,3 +1,4 @@
+import inspect
 from unittest.mock import Mock
 
 import numpy as np
@@ -19,23 +20,8 @@ NAMES = sorted({plugin.name for plugin in registry.plugins("kinfeas.adapters")} 
 HARSH = read_sim2real("harsh").adapters
 LISTS = pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 
-NOTHING = {
-    "base_noise": {"linear": 0, "angular": 0},
-    "joint_noise": {"deviation": 0},
-    "ee_noise": {"linear": 0, "angular": 0},
-    "localisation": {"drift": 0, "turn_drift": 0, "jump": 0, "turn_jump": 0},
-    "scan_noise": {"deviation": 0, "lost": 0, "seconds": 0},
-    "command_latency": {"seconds": 0},
-    "sensor_latency": {"seconds": 0},
-    "dropped_commands": {"probability": 0},
-    "actuator_lag": {"base": 0, "arm": 0},
-    "acceleration_limit": {"linear": 1e9, "angular": 1e9},
-    "velocity_clamp": {"linear": 1e9, "angular": 1e9, "joints": 1e9},
-    "joint_limit_clamp": {"margin": 0},
-    "head_start": {"seconds": 0},
-    "time_scale": {"factor": 1},
-}
-"""Parameters of each adapter with which it does nothing."""
+NEUTRAL = {"acceleration_limit": 1e9, "velocity_clamp": 1e9, "time_scale": 1}
+"""Values of parameters with which an adapter does nothing, where they are not zero."""
 
 
 def on_reset(backend, robot, seeds, env_ids=None):
@@ -69,7 +55,9 @@ def flat(state):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
-    spec = PluginSpec(name, NOTHING[name])
+    parameters = inspect.signature(registry.load("kinfeas.adapters", name)).parameters
+    keys = [key for key in parameters if key not in {"backend", "robot"} and "jerk" not in key]
+    spec = PluginSpec(name, dict.fromkeys(keys, NEUTRAL.get(name, 0)))
     adapter, plain = with_adapters(AnalyticBackend(), [spec], pr2), AnalyticBackend()
     first = [flat(on_reset(world, pr2, [3, 4, 5])) for world in (adapter, plain)]
     measured, expected = (go(world, pr2, [3, 4, 5], 6) for world in (adapter, plain))

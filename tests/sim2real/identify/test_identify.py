@@ -9,7 +9,6 @@ import pytest
 from kinfeas.api.identify import drive, identify
 from kinfeas.api.load import read_adapters
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.backends.physics.drives import ArmSetpoints
 from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import default_engine
 from kinfeas.control.assemble import with_adapters
@@ -115,18 +114,6 @@ def test_chain_is_that_of_the_adapters(hsr):
     np.testing.assert_allclose(np.cumsum(means, axis=0)[:, :2] * DT, way, atol=1e-4)
     arm = chain.moved_arm(chain.delayed(np.concatenate([before, targets]), weights), DT, 0.05)[1:]
     np.testing.assert_allclose(arm, [s.joint_positions[0] for s in states], atol=1e-3)
-
-
-def test_arm_moves_on_the_cubics_of_worlds_with_physics(hsr):
-    seconds, rng = 0.1, np.random.default_rng(0)
-    targets = np.cumsum(rng.normal(scale=0.002, size=(100, 5)), axis=0)
-    world = ArmSetpoints(hsr, seconds)
-    world.reset(targets[:1])
-    reached = []
-    for target in targets:
-        path, _ = world.plan(target[np.newaxis], np.array([DT]))
-        reached.append(path[0, -1, :5])
-    np.testing.assert_allclose(chain.moved_arm(targets, DT, 0.0, seconds), reached, atol=1e-9)
 
 
 @pytest.mark.parametrize("seconds", [0.0, DT, 0.1, 0.5])
