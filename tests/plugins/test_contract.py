@@ -88,12 +88,6 @@ def test_arrives_from_anywhere_finished_for_good_and_comes_back_when_pushed(gene
     assert np.all(np.sum(twist[:, :3] * (goal - pushed)[:, :3], axis=1) > 0.0)
 
 
-def test_motions_do_not_depend_on_the_rate(generator):
-    start, target = starts_and_targets(6, 2)
-    fine, coarse = (run(generator, start, target, 40.0, dt)[0] for dt in (0.02, 0.1))
-    assert_near(fine[::5], coarse, 0.1, 0.3)
-
-
 def test_moves_with_its_target_or_stays_in_the_world(generator, case):
     start, target = starts_and_targets(6, 7)
     moved = make_pose(np.array([1.0, -2.0, 0.3]), Rotation.random(rng=3))

@@ -19,7 +19,7 @@ from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.link.scans import ANGLES
 from tests.builders import at, twist
-from tests.sim2real.doubles import Time
+from tests.sim2real.conftest import Time
 
 DT = 0.02
 ROBOTS = {name: load_robot(name) for name in ("pr2", "tiago", "hsr")}

@@ -1,4 +1,7 @@
 import shutil
+import socket
+import types
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -9,11 +12,11 @@ from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.kinematics import drive
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.link import BaseReading, JointReading
+from kinfeas.sim2real.link import BaseReading, JointReading, Orders
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.scans import CostmapReading, LaserReading
-from tests.builders import at, twist
-from tests.sim2real.doubles import MemoryLink, connected, joints_at, present
+from tests.builders import at, twist, wait
+from tests.sim2real.conftest import MemoryLink, connected, joints_at, present
 
 DT = 0.02
 PR2 = load_robot("pr2")
@@ -193,3 +196,39 @@ def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
     assert not scan.blind.any()
     np.testing.assert_allclose(scan.ranges[0, 0], 2.0)
     assert np.all((scan.ranges[0, 1] > 0.39) & (scan.ranges[0, 1] < 0.65))
+
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "udp_backend.py"
+
+
+def test_the_udp_example_carries_measurements_commands_and_stops(hsr):
+    udp, orders = types.ModuleType("udp"), {"drive": [], "move": [], "grip": []}
+    exec(compile(EXAMPLE.read_text(), str(EXAMPLE), "exec"), vars(udp))
+    with socket.socket(type=socket.SOCK_DGRAM) as one, socket.socket(type=socket.SOCK_DGRAM) as two:
+        for port in (one, two):  # which are free
+            port.bind(("127.0.0.1", 0))
+        udp.OURS, udp.ROBOTS = one.getsockname(), two.getsockname()
+    theirs, ours = udp.UdpBackend.robot_link(hsr), udp.UdpBackend(hsr, seconds=0.25)
+    assert isinstance(ours, RealTimeBackend)
+    assert ours.stop_call() is not None
+    theirs.open(Orders(*(orders[name].append for name in ("drive", "move", "grip"))))
+    ours.link.open(ours._inbox.readings())
+    ours._opened = True
+    base = BaseReading(1.0, 2.0, np.pi / 2, np.array([0.1, 0.0, 0.2]), stamp=5.0)
+    theirs.report(base, joints_at(hsr), None)
+    wait(lambda: not any(ours._inbox.missing()))
+    state = ours.read()
+    np.testing.assert_allclose(state.base_pose[0, :2], [1.0, 2.0])
+    np.testing.assert_allclose(state.base_twist[0], [0, 0.1, 0, 0, 0, 0.2], atol=1e-12)
+    targets = hsr.home["home"] + 0.01
+    ours.step(np.array([[0.0, 0.2, 0.0, 0.0, 0.0, 0.0]]), targets[np.newaxis], 0.002)
+    ours.grip("close", np.array([0]))
+    wait(lambda: all(orders.values()))
+    np.testing.assert_allclose(orders["drive"][0], [0.2, 0.0, 0.0], atol=1e-12)
+    path = orders["move"][0]
+    assert path.joints == tuple(joint.name for joint in hsr.arm)
+    np.testing.assert_allclose(path.positions, [targets])
+    udp.stop_base()()
+    wait(lambda: not orders["drive"][-1].any())
+    ours.close()
+    theirs.close()

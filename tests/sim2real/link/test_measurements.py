@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.measurements import DRIFT, Inbox, TransportDelay
-from tests.sim2real.doubles import joints_at
+from tests.sim2real.conftest import joints_at
 
 PR2 = load_robot("pr2")
 ARM = [joint.name for joint in PR2.arm]

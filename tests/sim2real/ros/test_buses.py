@@ -1,3 +1,5 @@
+import select
+import socket
 import threading
 import time
 from unittest.mock import Mock
@@ -15,6 +17,7 @@ from kinfeas.sim2real.link.scans import LaserReading, costmap_ranges, laser_rang
 from kinfeas.sim2real.ros import bus as ros_bus
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import stop_base
+from kinfeas.sim2real.ros.ros1 import MasterWatch
 from kinfeas.sim2real.ros.ros2 import MESSAGES, Ros2Bus
 from kinfeas.sim2real.ros.topics import read_topics
 from kinfeas.sim2real.servo.controller import TargetController
@@ -214,3 +217,32 @@ def test_a_path_in_the_ee_frame_is_a_relative_chunk():
     np.testing.assert_allclose(controller.targets(progress)[0, [0, 2]], [1.0, 0.0], atol=1e-6)
     for bus in (source, policy):
         bus.close()
+
+
+@pytest.fixture
+def server(monkeypatch):
+    """A socket that listens, as a master does."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{listening.getsockname()[1]}")
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    yield listening
+    listening.close()
+
+
+def test_notices_that_the_master_died(server):
+    watch = MasterWatch()
+    connection, _ = server.accept()
+    watch.check()
+    connection.shutdown(socket.SHUT_RDWR)
+    select.select([watch._socket], [], [], 60.0)
+    with pytest.raises(Fault, match="master"):
+        watch.check()
+    connection.close()
+    watch.close()
+    watch.close()
+
+
+def test_no_master_is_an_error(server):
+    server.close()
+    with pytest.raises(KinfeasError, match=r"no ROS master at http://127\.0\.0\.1"):
+        MasterWatch()
