@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
 
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
@@ -13,7 +14,7 @@ from kinfeas.core.motion import Demonstrated
 from kinfeas.core.spatial import IDENTITY, compose, distance, make_pose, planar_pose, relative
 from kinfeas.io.demonstrations import Demonstration
 from kinfeas.plugins.fit import fit
-from kinfeas.plugins.imitation import GaussianMixture, Imitation, learned_path, read_model
+from kinfeas.plugins.imitation import GaussianMixture, Imitation, learned_path, read_model, regress
 from kinfeas.plugins.path import below
 from tests.builders import assert_near, random_poses
 from tests.plugins.conftest import (
@@ -41,6 +42,17 @@ def imitation(files):
 @pytest.fixture(scope="module")
 def mixture(files):
     return GaussianMixture(model=files["gaussian_mixture"])
+
+
+def test_regression_is_the_mean_of_the_conditional_density(model):
+    index = np.array([0.0, 0.31, 0.77, 1.0])
+    for row, at in zip(regress(model, index), index, strict=True):
+        likely, expected = [], []
+        for component in model.components:
+            mean, covariance = np.array(component.mean), np.array(component.covariance)
+            likely.append(component.weight * multivariate_normal(mean[0], covariance[0, 0]).pdf(at))
+            expected.append(mean[1:] + covariance[1:, 0] / covariance[0, 0] * (at - mean[0]))
+        assert np.allclose(row, np.average(expected, axis=0, weights=likely), atol=1e-12)
 
 
 def test_paths_are_smooth_even_between_knots_and_end_at_the_goal(model):

@@ -100,25 +100,18 @@ OWN = "max_velocity", "max_acceleration", "max_rotation", "max_rotation_accelera
 
 
 @pytest.mark.parametrize("limits", [(0.1, 1.0, 0.1, 1.0), (9.0, 99.0, 9.0, 99.0)])
-def test_velocity_and_acceleration_are_limited_by_guards_and_robot(limits):
+def test_velocity_and_acceleration_are_limited_by_guards_and_robot_but_for_brakes(limits):
     lower = zip(limits, (getattr(PR2.base, name) for name in OWN), strict=True)
     speed, acceleration, turn, rotation = map(min, lower)
     guard, backend = guarded(Guards(**dict(zip(LIMITS, limits, strict=True))))
     for _ in range(40):
         guard.step(twist(3.0, 4.0, -9.0), arm(guard), DT)
+    guard.commands.brake = True  # at once
+    guard.step(twist(3.0), arm(guard), DT)
+    assert not backend.sent.pop()[0].any()
     sent, steps = np.array([sent[0] for sent, _ in backend.sent]), DT * np.arange(1, 41)
     np.testing.assert_allclose(np.hypot(*sent[:, :2].T), np.minimum(steps * acceleration, speed))
     np.testing.assert_allclose(sent[:, 5], -np.minimum(steps * rotation, turn))
-
-
-def test_the_base_brakes_at_once_past_the_limits_of_acceleration():
-    guard, backend = guarded()
-    for _ in range(40):
-        guard.step(twist(0.3), arm(guard), DT)
-    guard.commands.brake = True
-    guard.step(twist(0.3), arm(guard), DT)
-    assert backend.sent[-2][0][0, 0] == pytest.approx(PR2.base.max_velocity)
-    assert not backend.sent[-1][0].any()
 
 
 def test_a_jump_of_the_arm_becomes_a_motion_at_its_speed():
@@ -142,6 +135,11 @@ def test_joint_targets_stay_within_their_limits():
     for _ in range(100):
         guard.step(twist(), targets, DT)
     assert backend.sent[-1][1][0, 1] == PR2.arm[1].upper
+    guard.commands.joint_targets[0, 4] = math.pi - 0.01  # continuous: it takes the short way
+    targets = arm(guard)
+    targets[0, 4] = -math.pi + 0.01
+    guard.step(twist(), targets, DT)
+    np.testing.assert_allclose(guard.commands.joint_targets, targets)
     # A joint that starts beyond a limit does not jump to it.
     beyond = PR2.home["home"].copy()
     for start, by in ((PR2.arm[1].upper + 0.05, 0.1), (PR2.arm[1].lower - 0.05, -0.1)):
@@ -151,15 +149,6 @@ def test_joint_targets_stay_within_their_limits():
         for further in (0.0, by):
             guard.step(twist(), arm(guard, 1, further), DT)
             assert backend.sent[-1][1][0, 1] == start
-
-
-def test_a_continuous_joint_goes_the_short_way():
-    guard, _ = guarded(Guards(joint_jump=0.5))
-    guard.commands.joint_targets[0, 4] = math.pi - 0.01
-    targets = arm(guard)
-    targets[0, 4] = -math.pi + 0.01
-    guard.step(twist(), targets, DT)
-    np.testing.assert_allclose(guard.commands.joint_targets, targets)
 
 
 @pytest.mark.parametrize(("guards", "joint", "by", "named"), [

@@ -289,20 +289,15 @@ def test_signals_end_a_run_cleanly(run, time, number):
     assert signal.getsignal(number) is before
 
 
-def test_a_second_signal_does_not_wait_for_the_loop():
+def test_a_second_signal_does_not_wait_for_the_loop_and_nohup_outlives_its_terminal():
     with Signals() as signals:
         for _ in range(2):  # a terminal may send it twice
             os.kill(os.getpid(), signal.SIGHUP)
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert signals.caught is signal.SIGHUP
-
-
-def test_a_run_under_nohup_outlives_its_terminal():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with Signals() as signals:
-            os.kill(os.getpid(), signal.SIGHUP)
-        assert signals.caught is None
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    with Signals() as signals:
+        os.kill(os.getpid(), signal.SIGHUP)
+    signal.signal(signal.SIGHUP, before)
+    assert signals.caught is None

@@ -22,20 +22,18 @@ from tests.sim2real.conftest import Time
 DT = 0.02
 
 
-@pytest.fixture(scope="module")
-def solver():
-    return IkSolver(load_robot("pr2"))
+SOLVER = IkSolver(load_robot("pr2"))
 
 
-def begin(solver, **rules):
+def begin(**rules):
     clock = Time()
-    controller = TargetController(solver.robot, TargetRules(**rules), clock=clock.clock.monotonic)
+    controller = TargetController(SOLVER.robot, TargetRules(**rules), clock=clock.clock.monotonic)
     analytic = registry.build("kinfeas.backends", "analytic", {})
     loop = assemble(
-        solver, build_subgoals(ServoTask(controller).subgoals), analytic, dt=DT,
+        SOLVER, build_subgoals(ServoTask(controller).subgoals), analytic, dt=DT,
         filters=[controller, PluginSpec("time_scaling")], stream=controller,
     )  # fmt: skip
-    start = ServoTask(controller).sample(solver, np.random.default_rng(0))
+    start = ServoTask(controller).sample(SOLVER, np.random.default_rng(0))
     arrays = (start.base_pose, start.joint_positions, start.target_poses)
     loop.start(Start(*(array[np.newaxis] for array in arrays)), [np.random.default_rng(0)])
     return controller, clock, loop
@@ -50,8 +48,8 @@ def speed(loop, before):
     return float(np.linalg.norm(loop.ee_pose[0, :3] - before[0, :3])) / DT
 
 
-def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one(solver):
-    controller, clock, loop = begin(solver)
+def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one():
+    controller, clock, loop = begin()
     for _ in range(50):
         controller.set_twist([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
         before = loop.ee_pose
@@ -67,9 +65,9 @@ def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one(solver)
     np.testing.assert_array_equal(loop.robots.base_pose, base)
 
 
-def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee(solver):
-    controller, clock, loop = begin(solver, max_jump=1.0)
-    ee, frame = loop.desired[0], solver.robot.ee_frame
+def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee():
+    controller, clock, loop = begin(max_jump=1.0)
+    ee, frame = loop.desired[0], SOLVER.robot.ee_frame
     for _ in range(20):
         controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], frame=frame)
         step(clock, loop)
@@ -95,14 +93,14 @@ MALFORMED = [
 ]  # fmt: skip
 
 
-def test_malformed_messages_from_many_threads_have_no_effect(solver):
-    controller, clock, loop = begin(solver)
+def test_malformed_messages_from_many_threads_have_no_effect():
+    controller, clock, loop = begin()
     begun = loop.desired.copy()
 
     def send():
         for value in MALFORMED:
             controller.set_twist(value)
-            controller.set_target(value, frame=solver.robot.base.frame)
+            controller.set_target(value, frame=SOLVER.robot.base.frame)
             controller.set_target(spatial.IDENTITY, frame="nowhere")
             controller.set_target(spatial.IDENTITY, stamp="soon")
             controller.set_chunk(value, np.arange(65) / 65.0)
@@ -121,9 +119,9 @@ def test_malformed_messages_from_many_threads_have_no_effect(solver):
     assert controller.counts["frame"] == 2 * len(MALFORMED)
 
 
-def test_time_scaling_waits_at_the_end_of_the_reach(solver):
+def test_time_scaling_waits_at_the_end_of_the_reach():
     """An arm that is led out of its reach, while the base may not move, stops without a failure."""
-    controller, clock, loop = begin(solver)
+    controller, clock, loop = begin()
     scales = []
     for _ in range(250):
         controller.set_twist([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
@@ -146,9 +144,9 @@ def columns(poses):
 
 
 @pytest.mark.parametrize("rotations", [lambda poses: poses, columns], ids=["quaternions", "6-D"])
-def test_a_relative_chunk_begins_at_the_pose_of_its_observation(solver, rotations):
+def test_a_relative_chunk_begins_at_the_pose_of_its_observation(rotations):
     """It arrives 0.2 s after the observation, and the last chunk stays until 0.3 s."""
-    controller, clock, loop = begin(solver)
+    controller, clock, loop = begin()
     begun, times = clock.monotonic, np.linspace(0.1, 2.0, 20)
     first = np.tile(loop.desired[0], (20, 1))
     first[:, 2] += 0.1 * times
@@ -173,8 +171,8 @@ def test_a_relative_chunk_begins_at_the_pose_of_its_observation(solver, rotation
     assert radians < 1e-3
 
 
-def test_chunks_of_wrong_times_and_rotations_are_ignored(solver):
-    controller, clock, loop = begin(solver)
+def test_chunks_of_wrong_times_and_rotations_are_ignored():
+    controller, clock, loop = begin()
     for _ in range(300):
         step(clock, loop)
     now, chunk = clock.monotonic, np.tile(spatial.IDENTITY, (2, 1))
@@ -193,8 +191,8 @@ def test_chunks_of_wrong_times_and_rotations_are_ignored(solver):
 UP = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
 
 
-def test_messages_are_counted_by_the_reason_why_they_are_ignored(solver):
-    controller, clock, loop = begin(solver)
+def test_messages_are_counted_by_the_reason_why_they_are_ignored():
+    controller, clock, loop = begin()
     there = clock.monotonic
     for stamp in (0.0, 0.01, 0.01, 0.005, -0.5, 1e6):
         controller.set_twist(UP, stamp=there + stamp)
@@ -213,8 +211,8 @@ def test_messages_are_counted_by_the_reason_why_they_are_ignored(solver):
     assert sum(counts.values()) == 1009
 
 
-def test_messages_that_are_ignored_for_long_are_reported_once(solver, caplog):
-    controller, clock, loop = begin(solver)
+def test_messages_that_are_ignored_for_long_are_reported_once(caplog):
+    controller, clock, loop = begin()
     for count, behind in ((10, 0.0), (200, 0.3), (10, 0.0)):
         for _ in range(count):
             controller.set_twist(UP, stamp=clock.monotonic - behind)
