@@ -6,36 +6,34 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
 from kinfeas.control.targets import TargetRules
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.errors import Fault
-from kinfeas.core.start import Start
+from kinfeas.core.start import stacked
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.sim2real.servo.messages import SenderClock
 from kinfeas.tasks.task import build_subgoals
+from tests.builders import assert_near, rngs
 from tests.sim2real.conftest import Time
 
 DT = 0.02
-
-
 SOLVER = IkSolver(load_robot("pr2"))
 
 
 def begin(**rules):
     clock = Time()
     controller = TargetController(SOLVER.robot, TargetRules(**rules), clock=clock.clock.monotonic)
-    analytic = registry.build("kinfeas.backends", "analytic", {})
+    task, filters = ServoTask(controller), [controller, PluginSpec("time_scaling")]
     loop = assemble(
-        SOLVER, build_subgoals(ServoTask(controller).subgoals), analytic, dt=DT,
-        filters=[controller, PluginSpec("time_scaling")], stream=controller,
+        SOLVER, build_subgoals(task.subgoals), AnalyticBackend(), dt=DT, filters=filters,
+        stream=controller,
     )  # fmt: skip
-    start = ServoTask(controller).sample(SOLVER, np.random.default_rng(0))
-    arrays = (start.base_pose, start.joint_positions, start.target_poses)
-    loop.start(Start(*(array[np.newaxis] for array in arrays)), [np.random.default_rng(0)])
+    loop.start(stacked([task.sample(SOLVER, np.random.default_rng(0))]), rngs(1))
     return controller, clock, loop
 
 
@@ -166,9 +164,7 @@ def test_a_relative_chunk_begins_at_the_pose_of_its_observation(rotations):
     np.testing.assert_allclose(loop.desired[0, [0, 1, 3, 4, 5, 6]], seen[[0, 1, 3, 4, 5, 6]])
     for _ in range(110):
         step(clock, loop)
-    metres, radians = spatial.distance(loop.desired[0], spatial.compose(seen, actions[-1]))
-    assert metres < 1e-4
-    assert radians < 1e-3
+    assert_near(loop.desired[0], spatial.compose(seen, actions[-1]), 1e-4, 1e-3)
 
 
 def test_chunks_of_wrong_times_and_rotations_are_ignored():
