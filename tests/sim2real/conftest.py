@@ -1,12 +1,12 @@
-"""Test doubles: clocks, a link that records commands, adapters around a recorder, ROS domains."""
+"""Test doubles: clocks, a link that records commands, adapters in a rig, a domain of ROS."""
 
 import os
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.core.errors import Fault
 from kinfeas.core.spatial import planar_pose
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
@@ -32,31 +32,16 @@ class MemoryLink:
     base_source, joint_source = "/odometer", "/encoders"
 
     def __init__(self, answer=lambda readings: None, deaf=None):
-        self.answer, self.deaf, self.broken = answer, deaf, None
-        self.driven, self.moved, self.gripped, self.closed = [], [], [], 0
+        self.answer, self.driven, self.moved, self.gripped = answer, [], [], []
+        self.drive, self.grip = self.driven.append, self.gripped.append
+        self.check, self.close, self.waits_for = Mock(), Mock(), Mock(return_value=deaf)
 
     def open(self, readings):
         self.readings = readings
         self.answer(readings)
 
-    def waits_for(self):
-        return self.deaf
-
-    def check(self):
-        if self.broken:
-            raise Fault(self.broken)
-
-    def drive(self, velocity):
-        self.driven.append(velocity.copy())
-
     def move(self, positions, seconds):
         self.moved.append((dict(positions), seconds))
-
-    def grip(self, grip):
-        self.gripped.append(grip)
-
-    def close(self):
-        self.closed += 1
 
 
 def joints_at(robot, positions=None, **others):
@@ -84,49 +69,34 @@ def connected(robot, time, **where):
     return backend, link
 
 
-class Recorder(AnalyticBackend):
-    """The analytic world, which keeps what gets through to it."""
-
-    def __init__(self):
-        super().__init__()
-        self.twists, self.targets = [], []
-
-    def step(self, base_twist, joint_targets, dt):
-        self.twists.append(base_twist.copy())
-        self.targets.append(joint_targets.copy())
-        return super().step(base_twist, joint_targets, dt)
-
-
 class Rig:
-    """An adapter around a recorder, driven step by step."""
+    """An adapter around the analytic world, driven step by step."""
 
     def __init__(self, adapter, robot, n=1, first_seed=0, **parameters):
-        self.recorder, self.robot = Recorder(), robot
-        self.adapter = adapter(self.recorder, robot, **parameters)
-        self.n, self.j = n, len(robot.arm)
-        self.joints = np.zeros((n, self.j))
+        backend, self.robot = AnalyticBackend(), robot
+        self.steps = backend.step = Mock(wraps=backend.step)
+        self.adapter = adapter(backend, robot, **parameters)
+        self.n, self.joints = n, np.zeros((n, len(robot.arm)))
         self.adapter.seed(np.arange(first_seed, first_seed + n, dtype=np.uint64), np.arange(n))
         self.first = self.adapter.reset(planar_pose(*np.zeros((3, n))), self.joints)
 
     def run(self, twists, dt=0.1, targets=None):
         """Return the states after each of the twists, (steps, n, 6) or (steps, 6)."""
-        states = []
+        states, shape = [], self.joints.shape
         for i, twist in enumerate(twists):
-            joints = np.broadcast_to(
-                self.joints if targets is None else targets[i], (self.n, self.j)
-            )
+            joints = self.joints if targets is None else np.broadcast_to(targets[i], shape)
             states.append(self.adapter.step(np.broadcast_to(twist, (self.n, 6)), joints, dt))
         return states
 
     @property
     def passed(self):
         """Twists that got through, shape (steps, n, 6)."""
-        return np.stack(self.recorder.twists)
+        return np.stack([call.args[0] for call in self.steps.call_args_list])
 
     @property
     def sent(self):
         """Joint targets that got through, shape (steps, n, j)."""
-        return np.stack(self.recorder.targets)
+        return np.stack([call.args[1] for call in self.steps.call_args_list])
 
 
 @pytest.fixture

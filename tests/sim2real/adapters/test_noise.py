@@ -110,7 +110,7 @@ def scanned(rig):
         ranges = [np.full((n, 2, SCAN_BEAMS), 1.0 + 0.1 * step) for step in range(12)]
         for grown in ranges:
             grown[:, 1, :5] = SCAN_RANGE
-        noisy.adapter._exact = Mock(scan=lambda: Scan(ranges[len(noisy.recorder.twists)]))
+        noisy.adapter._exact = Mock(scan=lambda: Scan(ranges[noisy.steps.call_count]))
         read = [noisy.adapter.scan().ranges]
         for twist in np.zeros((10, 6)):
             noisy.run([twist])
