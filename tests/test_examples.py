@@ -25,7 +25,7 @@ PRINTED = {
 TESTED_ELSEWHERE = {
     "onnx_inference": "policies/test_export.py",
     "target_source": "cli/test_commands.py",
-    "udp_backend": "sim2real/test_udp_example.py",
+    "udp_backend": "sim2real/link/test_backend.py",
 }
 
 

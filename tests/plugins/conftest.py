@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core.spatial import compose, distance, integrate, make_pose, planar_pose
+from kinfeas.core.spatial import compose, integrate, make_pose, planar_pose
 from kinfeas.io.demonstrations import Demonstration, write_demonstration
 from kinfeas.plugins.fit import fit, write_model
 from kinfeas.plugins.path import below
+from tests.builders import random_poses
 
 KINDS = ("imitation", "gaussian_mixture")
 DT = 0.1
@@ -51,17 +52,9 @@ def _door_demonstration(rng, scatter, base):
 SHOWN = door_demonstrations(1)[0]
 
 
-def random_poses(n, seed, reach=2.0):
-    """Return poses within `reach` metres of the origin, in any orientation, shape (n, 7)."""
-    rng = np.random.default_rng(seed)
-    way = rng.normal(size=(n, 3))
-    way *= (reach * rng.uniform(size=n) / np.linalg.norm(way, axis=1))[:, np.newaxis]
-    return make_pose(way, Rotation.from_quat(rng.normal(size=(n, 4))))
-
-
 def starts_and_targets(n, seed):
     """Return starts up to 3 m away from the targets, and the targets, in any orientation."""
-    targets, away = random_poses(n, seed), random_poses(n, seed + 1, reach=3.0)
+    targets, away = random_poses(n, seed), random_poses(n, seed + 1, reach=1.7)
     away[:, :3] += targets[:, :3]
     return away, targets
 
@@ -79,11 +72,6 @@ def run(generator, start, target, duration, dt=DT, *, state=None, on_step=lambda
     return np.stack(poses), np.stack(twists), state
 
 
-def apart(poses, target):
-    """Return the metres and radians between each pose and `target`, broadcast."""
-    return distance(poses, np.broadcast_to(target, poses.shape))
-
-
 def speeds(twists):
     return np.linalg.norm(twists[..., :3], axis=-1), np.linalg.norm(twists[..., 3:], axis=-1)
 
@@ -93,30 +81,17 @@ def write_waypoints(path, poses=WAYPOINTS, time=None):
     header = "x,y,z,qx,qy,qz,qw"
     if time is not None:
         header, rows = f"{header},time", [f"{row},{t}" for row, t in zip(rows, time, strict=True)]
-    path.write_text("\n".join([header, *rows]) + "\n")
+    path.write_text("\n".join([header, *rows]))
     return str(path)
 
 
 @pytest.fixture(scope="session")
-def models(tmp_path_factory):
-    """Paths of a door's models, by kind; `nobase` is an imitation model without the base."""
-    folder, shown = tmp_path_factory.mktemp("models"), door_demonstrations()
-    for kind in KINDS:
-        write_model(fit(shown, kind, command="kinfeas fit").model, folder / f"{kind}.yaml")
-    write_model(fit(door_demonstrations(base=False)).model, folder / "nobase.yaml")
-    return {name: str(folder / f"{name}.yaml") for name in (*KINDS, "nobase")}
-
-
-@pytest.fixture(scope="session")
 def files(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("files")
-    write_demonstration(SHOWN, folder / "shown.csv")
-    waypoints = write_waypoints(folder / "waypoints.csv")
-    return {"shown": str(folder / "shown.csv"), "waypoints": waypoints}
-
-
-def circle(poses=33, radius=0.15):
-    """Return the waypoints of a circle that begins and ends at the target."""
-    angle = np.linspace(0.0, 2.0 * np.pi, poses)
-    x, y = radius * (np.cos(angle) - 1.0), radius * np.sin(angle)
-    return np.stack([x, y, *0.0 * np.stack([x] * 4), np.ones(poses)], axis=1)
+    """Paths by the generators that read them; `nobase` is an imitation model without the base."""
+    folder, shown = tmp_path_factory.mktemp("files"), door_demonstrations()
+    for kind in KINDS:
+        write_model(fit(shown, kind).model, folder / f"{kind}.yaml")
+    write_model(fit(door_demonstrations(base=False)).model, folder / "nobase.yaml")
+    write_demonstration(SHOWN, folder / "replay.csv")
+    write_waypoints(folder / "waypoints.csv")
+    return {path.stem: str(path) for path in folder.iterdir()}

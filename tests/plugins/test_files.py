@@ -6,21 +6,13 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY
+from kinfeas.core.spatial import IDENTITY, distance
 from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.io.run_log import About, Moment, Recorder
 from kinfeas.plugins.replay import Replay, read_recording
 from kinfeas.plugins.waypoints import Waypoints, read_waypoints
-from tests.builders import assert_near
-from tests.plugins.conftest import (
-    DT,
-    SHOWN,
-    WAYPOINTS,
-    apart,
-    random_poses,
-    run,
-    write_waypoints,
-)
+from tests.builders import assert_near, random_poses
+from tests.plugins.conftest import DT, SHOWN, WAYPOINTS, run, write_waypoints
 
 TIME = [0.0, 6.0, 16.0, 40.0]
 YAML = "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n- [1, 2, 4, 0, 0, 0.7071, 0.7071]\n"
@@ -28,16 +20,16 @@ CSV = "x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1\n1,2,4,0,0,0.7071,0.7071\n"
 TIMED = "note,qw,x,y,z,qx,qy,qz,time\na,1,1,2,3,0,0,0,0.5\nb,0.7071,1,2,4,0,0,0.7071,2\n"
 
 
-def from_the_first(generator, duration, poses=WAYPOINTS):
+def from_the_first(generator, duration):
     """Return poses and twists of a motion that begins at the first waypoint; target: origin."""
-    path, twists, _ = run(generator, poses[:1], IDENTITY[np.newaxis], duration)
+    path, twists, _ = run(generator, WAYPOINTS[:1], IDENTITY[np.newaxis], duration)
     return path[:, 0], twists[:, 0]
 
 
 def test_passes_every_waypoint_smoothly(files):
     poses, twists = from_the_first(Waypoints(file=files["waypoints"]), 60.0)
     for waypoint in WAYPOINTS:
-        assert np.add(*apart(poses, waypoint)).min() < 0.03
+        assert np.add(*distance(poses, waypoint)).min() < 0.03
     # Where the turn reverses, the motion would jerk by 0.1 rad/s if it only kept to its limits.
     assert np.abs(np.diff(twists, axis=0)).max() < 0.05
 
@@ -49,7 +41,7 @@ def test_meets_the_times_of_the_file_and_rests_at_repeated_waypoints(tmp_path):
         assert_near(poses[round(moment / DT)], waypoint, 2e-3, 1e-2)
     rest = WAYPOINTS[[0, 0, 1]]
     file = write_waypoints(tmp_path / "rest.csv", rest, [0.0, 5.0, 20.0])
-    assert apart(from_the_first(Waypoints(file=file), 4.0)[0], rest[0])[0].max() < 0.02
+    assert distance(from_the_first(Waypoints(file=file), 4.0)[0], rest[0])[0].max() < 0.02
     with pytest.raises(KinfeasError, match="waypoint 2"):
         Waypoints(file=write_waypoints(tmp_path / "untimed.csv", rest))
 
@@ -92,10 +84,8 @@ def test_repeats_a_slow_recording_to_the_moment(tmp_path):
     write_demonstration(slow, tmp_path / "slow.csv")
     generator = Replay(file=str(tmp_path / "slow.csv"), frame="world")
     poses, _, _ = run(generator, slow.ee_pose[:1], IDENTITY[np.newaxis], slow.time[-1])
-    for i in range(0, len(slow.time), 10):
-        assert_near(
-            poses[round(slow.time[i] / DT), 0], slow.ee_pose[i], 6e-3, 2e-2
-        )  # half a step, at most
+    steps = np.round(slow.time / DT).astype(int)
+    assert_near(poses[steps, 0], slow.ee_pose, 6e-3, 2e-2)  # half a step, at most
 
 
 def test_reads_an_ee_without_base_and_object(tmp_path):
@@ -109,21 +99,20 @@ def test_reads_an_ee_without_base_and_object(tmp_path):
         read_recording(path, "object")
 
 
-def write_run(path, desired, times):
+def read_run(path, desired, times, frame):
+    """Return what is read of a run, after writing it."""
     with Recorder(path, ABOUT) as recorder:
         for time, pose in zip(times, desired, strict=True):
             two, twist = np.zeros(2), np.zeros(6)
             recorder.write(Moment(time, np.nan, IDENTITY, two, pose, IDENTITY, twist, two, True, 0))
-    return path
+    return read_recording(path, frame)
 
 
-@pytest.mark.parametrize("name", ["run.csv", "RUN.CSV"])
-def test_reads_the_desired_motion_of_a_run(tmp_path, name):
-    desired = random_poses(5, 0)
-    path = write_run(tmp_path / name, desired, [0.0, 0.1, 0.2, 0.3, 0.3])
-    time, ee_pose, _ = read_recording(path, "world")
+def test_reads_the_desired_motion_of_a_run(tmp_path):
+    desired, path = random_poses(5), tmp_path / "RUN.CSV"
+    time, ee_pose, _ = read_run(path, desired, [0.0, 0.1, 0.2, 0.3, 0.3], "world")
     assert np.allclose(time, [0.0, 0.1, 0.2, 0.3])
     assert np.allclose(ee_pose, desired[:4], atol=1e-7)
     for frame, times in (("object", np.arange(5)), ("goal", [0.1] * 5), ("goal", [0, 2, 1, 1, 1])):
-        with pytest.raises(KinfeasError, match=name):
-            read_recording(write_run(path, desired, times), frame)
+        with pytest.raises(KinfeasError, match=path.name):
+            read_run(path, desired, times, frame)

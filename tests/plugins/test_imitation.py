@@ -16,14 +16,12 @@ from kinfeas.io.demonstrations import Demonstration
 from kinfeas.plugins.fit import fit
 from kinfeas.plugins.imitation import GaussianMixture, Imitation, learned_path, read_model, regress
 from kinfeas.plugins.path import below
-from tests.builders import assert_near
+from tests.builders import assert_near, random_poses
 from tests.plugins.conftest import (
     ANGLE,
     KINDS,
     RADIUS,
-    apart,
     door_demonstrations,
-    random_poses,
     run,
     starts_and_targets,
 )
@@ -32,18 +30,18 @@ BASE = [-0.7, 0.0, np.pi], [-1.0, 0.3, np.pi + 0.5]  # x, y and yaw in the first
 
 
 @pytest.fixture(params=KINDS)
-def model(request, models):
-    return read_model(models[request.param], request.param)
+def model(request, files):
+    return read_model(files[request.param], request.param)
 
 
 @pytest.fixture(scope="module")
-def imitation(models):
-    return Imitation(model=models["imitation"])
+def imitation(files):
+    return Imitation(model=files["imitation"])
 
 
 @pytest.fixture(scope="module")
-def mixture(models):
-    return GaussianMixture(model=models["gaussian_mixture"])
+def mixture(files):
+    return GaussianMixture(model=files["gaussian_mixture"])
 
 
 def test_regression_is_the_mean_of_the_conditional_density(model):
@@ -59,8 +57,7 @@ def test_regression_is_the_mean_of_the_conditional_density(model):
 
 def test_paths_are_smooth_even_between_knots_and_end_at_the_goal(model):
     path = learned_path(model)
-    metres, radians = distance(path.knots[-1], np.array(model.goal))
-    assert max(metres, radians) < 1e-7
+    assert_near(path.knots[-1], np.array(model.goal), 1e-7, 1e-7)
     fine = path.at(np.linspace(0.0, 1.0, 4 * (len(path.knots) - 1) + 1))
     assert np.abs(fine[::4] - path.knots).max() < 1e-12
     metres = distance(fine[:-1], fine[1:])[0].reshape(-1, 4)
@@ -69,17 +66,15 @@ def test_paths_are_smooth_even_between_knots_and_end_at_the_goal(model):
     assert np.abs(np.diff(path.segments[:, :3], axis=0)).max() < 3e-4
 
 
-def test_generators_return_the_base_or_nan(models, imitation, mixture):
+def test_generators_return_the_base_or_nan(files, imitation, mixture):
     start, target = starts_and_targets(3, 3)
-    first, last = (planar_pose(*np.full((3, 3), pose).T) for pose in BASE)
     for generator in (imitation, mixture):
         assert isinstance(generator, Demonstrated)
-        _, _, state = run(generator, start, target, 100.0)
-        base = generator.base_pose(generator.start(start, target, []), target)
-        assert_near(base, compose(below(target), first), 0.02, 0.03)
-        base = generator.base_pose(state, target)
-        assert_near(base, compose(below(target), last), 0.02, 0.03)
-    bare = Imitation(model=models["nobase"])
+        states = generator.start(start, target, []), run(generator, start, target, 100.0)[2]
+        for state, base in zip(states, BASE, strict=True):
+            expected = compose(below(target), planar_pose(*np.array(base)))
+            assert_near(generator.base_pose(state, target), expected, 0.02, 0.03)
+    bare = Imitation(model=files["nobase"])
     assert np.isnan(bare.base_pose(bare.start(start, target, []), target)).all()
 
 
@@ -87,7 +82,7 @@ def test_imitation_first_comes_to_the_beginning_then_follows_the_path(imitation)
     path = imitation.path
     start, target = starts_and_targets(20, 9)
     poses, _, state = run(imitation, start, target, 100.0)
-    metres, radians = apart(poses, compose(target, np.repeat(path.knots[:1], 20, axis=0)))
+    metres, radians = distance(poses, compose(target, path.knots[0]))
     # The phase begins to move within a fraction of its scales, 5 cm and 0.3 rad.
     assert np.all((metres < 0.08).any(axis=0))
     assert np.all((radians < 0.4).any(axis=0))
@@ -100,7 +95,7 @@ def test_imitation_first_comes_to_the_beginning_then_follows_the_path(imitation)
 
 def test_gaussian_mixture_keeps_its_time_or_runs_ahead(mixture):
     target = random_poses(3, 0)
-    start = compose(target, np.repeat(mixture.path.knots[:1], 3, axis=0))
+    start = compose(target, mixture.path.knots[0])
     poses, _, state = run(mixture, start, target, 30.0)
     for share in (0.25, 0.5, 1.0):
         now = relative(poses[round(300 * share)], target)
@@ -112,14 +107,14 @@ def test_gaussian_mixture_keeps_its_time_or_runs_ahead(mixture):
     assert distance(reference, poses[-1])[0].min() > 0.5
 
 
-def test_models_are_found_by_name_and_path_and_have_a_kind(models):
+def test_models_are_found_by_name_and_path_and_have_a_kind(files):
     assert read_model("door_open", "imitation").has_base
-    assert not read_model(models["nobase"], "imitation").has_base
+    assert not read_model(files["nobase"], "imitation").has_base
     for missing, named in (("door_opn", "'door_open'"), ("here.yaml", r"here\.yaml")):
         with pytest.raises(KinfeasError, match=named):
             read_model(missing, "imitation")
     with pytest.raises(KinfeasError, match="'kind'"):
-        GaussianMixture(model=models["imitation"])
+        GaussianMixture(model=files["imitation"])
 
 
 @pytest.mark.parametrize(("key", "value"), [
@@ -127,8 +122,8 @@ def test_models_are_found_by_name_and_path_and_have_a_kind(models):
     ("components.0.covariance.0.0", 0.0), ("components.0.weight", 0.9),
     ("components.1.mean.2", math.inf), ("components.1.mean", [0.0] * 8),
 ])  # fmt: skip
-def test_wrong_models_raise(key, value, models, tmp_path):
-    entry = broken = strict_yaml.read(Path(models["imitation"]))
+def test_wrong_models_raise(key, value, files, tmp_path):
+    entry = broken = strict_yaml.read(Path(files["imitation"]))
     *above, last = (int(part) if part.isdigit() else part for part in key.split("."))
     for part in above:
         entry = entry[part]

@@ -80,33 +80,28 @@ while True:
 """
 
 
-class Process:
-    def __init__(self, code: str, arguments: list[str], out: Path, env: dict[str, str]) -> None:
-        self.out = out
+class Process(subprocess.Popen):
+    def __init__(self, code: str, arguments: tuple[str, ...], out: Path, env: dict) -> None:
+        command, self.out = [sys.executable, "-c", code, *arguments], out
         with out.open("w") as file:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", code, *arguments], env=env, stdout=file,
-                stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
-            )  # fmt: skip
+            super().__init__(command, env=env, stdout=file, stderr=file, stdin=subprocess.DEVNULL)
 
     def output(self) -> str:
         return self.out.read_text()
 
-    def wait_for(self, text: str) -> None:
-        self.wait(lambda: text in self.output())
-
-    def wait(self, condition) -> None:
+    def until(self, condition) -> None:
         """Wait until something holds; fail at once if the process ends before."""
-        wait(lambda: condition() or self.process.poll() is not None)
+        wait(lambda: condition() or self.poll() is not None)
         assert condition(), self.output()
 
     def end(self) -> int:
-        return self.process.wait(TIMEOUT)
+        return self.wait(TIMEOUT)
 
-    def kill(self) -> float:
+    def killed(self) -> float:
+        """Kill the process, and return when."""
         now = time.monotonic()
-        self.process.kill()
-        self.process.wait()
+        self.kill()
+        self.wait()
         return now
 
 
@@ -117,21 +112,21 @@ class Bus:
     def __init__(self, folder: Path, env: dict[str, str]) -> None:
         self.folder, self.env = folder, os.environ | env
         self.started: list[Process] = []
-        self._robot = None
+        self._robot: Process | None = None
         topics = read_topics(load_robot("pr2"), self.version).base
         self.listener = self.run(_LISTEN, topics.command, topics.odometry, str(self.version))
-        self.listener.wait_for("listens")
+        self.listener.until(lambda: "listens" in self.listener.output())
 
     def run(self, code: str, *arguments: str) -> Process:
         out = self.folder / f"{len(self.started)}.txt"
-        self.started.append(Process(code, list(arguments), out, self.env))
+        self.started.append(Process(code, arguments, out, self.env))
         return self.started[-1]
 
     def robot(self) -> Process:
-        if self._robot is None or self._robot.process.poll() is not None:
+        if self._robot is None or self._robot.poll() is not None:
             played = ["simulate", "--backend", f"ros{self.version}", "--robot", "pr2"]
             self._robot = self.run(_COMMAND, *played, "--seconds", "2000")
-        self._robot.wait_for("is ready")
+        self._robot.until(lambda: "is ready" in self._robot.output())
         return self._robot
 
     def deploy(self, *arguments: str, command: str = "deploy") -> Process:
@@ -153,7 +148,7 @@ class Bus:
             fast = ((rows[:, 0] > since) & (np.abs(rows[:, 1:]).max(1) > 0.02) for rows in both)
             return all(rows.sum() > 15 for rows in fast)
 
-        deployment.wait(moves)
+        deployment.until(moves)
 
     def seconds_to_zero(self, since: float, mark: str = "command", small: float = 0.0) -> float:
         """Wait until the base is at rest; return how long after `since` it moved last."""
@@ -169,7 +164,7 @@ class Bus:
 
     def close(self) -> None:
         for process in self.started:
-            process.kill()
+            process.killed()
 
 
 class Ros1(Bus):
@@ -181,10 +176,9 @@ class Ros1(Bus):
         self.uri = f"http://127.0.0.1:{port}"
         home = {"ROS_HOME": str(folder / "ros"), "ROS_LOG_DIR": str(folder / "ros/log")}
         env = {**home, "ROS_MASTER_URI": self.uri, "ROS_IP": "127.0.0.1"}
-        self._log = (folder / "roscore.log").open("w")
-        self._core = subprocess.Popen(
-            ["roscore", "-p", str(port)], stdout=self._log, stderr=self._log, env=os.environ | env
-        )
+        with (folder / "roscore.log").open("w") as log:
+            command = ["roscore", "-p", str(port)]
+            self._core = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | env)
         wait(self._answers)
         super().__init__(folder, env)
 
@@ -202,7 +196,6 @@ class Ros1(Bus):
             self._core.wait(15.0)
         except subprocess.TimeoutExpired:
             self._core.kill()
-        self._log.close()
 
     def _answers(self) -> bool:
         try:

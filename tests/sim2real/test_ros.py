@@ -72,11 +72,11 @@ def test_the_base_stops_when_the_deployment_is_killed_or_stalls(bus, tmp_path, s
     bus.robot()
     deployment = far(bus, tmp_path / "record.csv")
     stopped = time.monotonic()
-    deployment.process.send_signal(signal.SIGSTOP if stall else signal.SIGKILL)
+    deployment.send_signal(signal.SIGSTOP if stall else signal.SIGKILL)
     assert bus.seconds_to_zero(stopped) <= LIMIT
     assert bus.seconds_to_zero(stopped, "moves", 0.01) <= LIMIT
     if stall:
-        deployment.process.send_signal(signal.SIGCONT)
+        deployment.send_signal(signal.SIGCONT)
         assert bus.seconds_to_zero(stopped) <= LIMIT
     assert deployment.end() == (3 if stall else -signal.SIGKILL)
     assert len(read_record(tmp_path / "record.csv").time) > 10
@@ -85,7 +85,7 @@ def test_the_base_stops_when_the_deployment_is_killed_or_stalls(bus, tmp_path, s
 def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path):
     robot = bus.robot()
     deployment = far(bus, tmp_path / "record.csv")
-    killed = robot.kill()
+    killed = robot.killed()
     assert bus.seconds_to_zero(killed) <= LIMIT
     assert deployment.end() == 3
     assert " s old" in deployment.output()
@@ -99,9 +99,9 @@ def test_servo_stops_within_0_3_s_after_the_last_twist(bus, tmp_path):
     begin, servo = time.monotonic(), bus.deploy(*words, command="servo")
     sender = bus.run(SEND, str(bus.version))
     bus.wait_for_motion(servo, begin)
-    ended = sender.kill()
+    ended = sender.killed()
     assert bus.seconds_to_zero(ended) <= 0.3
-    servo.process.send_signal(signal.SIGINT)
+    servo.send_signal(signal.SIGINT)
     servo.end()
     run = read_record(record)
     moved = np.linalg.norm(np.diff(run.desired[:, :3], axis=0), axis=1) / np.diff(run.time)

@@ -1,3 +1,4 @@
+import inspect
 from unittest.mock import Mock
 
 import numpy as np
@@ -17,51 +18,33 @@ from tests.builders import random_bases
 PHYSICS = "domain_randomisation"
 NAMES = sorted({plugin.name for plugin in registry.plugins("kinfeas.adapters")} - {PHYSICS})
 HARSH = read_sim2real("harsh").adapters
+LISTS = pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 
-NOTHING = {
-    "base_noise": {"linear": 0, "angular": 0},
-    "joint_noise": {"deviation": 0},
-    "ee_noise": {"linear": 0, "angular": 0},
-    "localisation": {"drift": 0, "turn_drift": 0, "jump": 0, "turn_jump": 0},
-    "scan_noise": {"deviation": 0, "lost": 0, "seconds": 0},
-    "command_latency": {"seconds": 0},
-    "sensor_latency": {"seconds": 0},
-    "dropped_commands": {"probability": 0},
-    "actuator_lag": {"base": 0, "arm": 0},
-    "acceleration_limit": {"linear": 1e9, "angular": 1e9},
-    "velocity_clamp": {"linear": 1e9, "angular": 1e9, "joints": 1e9},
-    "joint_limit_clamp": {"margin": 0},
-    "head_start": {"seconds": 0},
-    "time_scale": {"factor": 1},
-}
-"""Parameters of each adapter with which it does nothing."""
+NEUTRAL = {"acceleration_limit": 1e9, "velocity_clamp": 1e9, "time_scale": 1}
+"""Values of parameters with which an adapter does nothing, where they are not zero."""
 
 
 def on_reset(backend, robot, seeds, env_ids=None):
-    places = np.arange(len(seeds)) if env_ids is None else np.array(env_ids)
-    backend.seed(np.array(seeds, dtype=np.uint64), places)
+    rows = np.arange(len(seeds)) if env_ids is None else env_ids
+    backend.seed(np.array(seeds, dtype=np.uint64), rows)
     base = np.concatenate([random_bases(1, seed) for seed in seeds])
-    joints = np.stack([configuration(robot, seed) for seed in seeds])
-    return backend.reset(base, joints, None if env_ids is None else places)
+    joints = configurations(robot, [np.random.default_rng(seed) for seed in seeds])
+    return backend.reset(base, joints, env_ids)
 
 
-def configuration(robot, seed):
-    rng = np.random.default_rng((seed, 1))
-    lower = [max(joint.lower, -np.pi) for joint in robot.arm]
-    upper = [min(joint.upper, np.pi) for joint in robot.arm]
-    return rng.uniform(lower, upper)
+def configurations(robot, rngs):
+    lower, upper = np.clip(robot.joint_limits, -np.pi, np.pi)
+    return np.stack([rng.uniform(lower, upper) for rng in rngs])
 
 
 def go(backend, robot, seeds, steps, firsts=0):
     """Return measurements after steps whose commands depend on seeds and numbers of steps alone."""
-    measured, firsts = [], np.broadcast_to(firsts, len(seeds))
+    measured, twist = [], np.zeros((len(seeds), 6))
     for step in range(steps):
-        numbers = list(zip(seeds, (firsts + step).tolist(), strict=True))
-        rngs = [np.random.default_rng((seed, 2, number)) for seed, number in numbers]
-        twist = np.zeros((len(seeds), 6))
+        numbers = np.column_stack([seeds, np.broadcast_to(firsts, len(seeds)) + step])
+        rngs = [np.random.default_rng(number) for number in numbers]
         twist[:, [0, 1, 5]] = [rng.normal(scale=0.1, size=3) for rng in rngs]
-        targets = np.stack([configuration(robot, seed + 100 * number) for seed, number in numbers])
-        measured.append(flat(backend.step(twist, targets, 0.05)))
+        measured.append(flat(backend.step(twist.copy(), configurations(robot, rngs), 0.05)))
     return np.stack(measured)
 
 
@@ -72,7 +55,9 @@ def flat(state):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
-    spec = PluginSpec(name, NOTHING[name])
+    parameters = inspect.signature(registry.load("kinfeas.adapters", name)).parameters
+    keys = [key for key in parameters if key not in {"backend", "robot"} and "jerk" not in key]
+    spec = PluginSpec(name, dict.fromkeys(keys, NEUTRAL.get(name, 0)))
     adapter, plain = with_adapters(AnalyticBackend(), [spec], pr2), AnalyticBackend()
     first = [flat(on_reset(world, pr2, [3, 4, 5])) for world in (adapter, plain)]
     measured, expected = (go(world, pr2, [3, 4, 5], 6) for world in (adapter, plain))
@@ -81,12 +66,12 @@ def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
     np.testing.assert_array_equal(measured[..., : expected.shape[-1]], expected)
 
 
-@pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
+@LISTS
 def test_new_episodes_leave_the_others_alone(adapters, pr2):
     backend, alone = (with_adapters(AnalyticBackend(), adapters, pr2) for _ in "ab")
     on_reset(backend, pr2, [0, 1, 2])
     before = go(backend, pr2, [0, 1, 2], 9)
-    state = flat(on_reset(backend, pr2, [8], env_ids=[1]))
+    state = flat(on_reset(backend, pr2, [8], np.array([1])))
     np.testing.assert_array_equal(state[[0, 2]], before[-1][[0, 2]])
     np.testing.assert_array_equal(state[1], flat(on_reset(alone, pr2, [8]))[0])
     after = go(backend, pr2, [0, 8, 2], 9, [9, 0, 9])
@@ -96,7 +81,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
     np.testing.assert_array_equal(after[:, 0], go(whole, pr2, [0], 18)[9:, 0])
 
 
-@pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
+@LISTS
 def test_continues_from_a_snapshot_to_the_bit(adapters, pr2):
     twice = [*adapters, *adapters]
     backend, other = (with_adapters(AnalyticBackend(), twice, pr2) for _ in "ab")

@@ -110,7 +110,7 @@ def scanned(rig):
         ranges = [np.full((n, 2, SCAN_BEAMS), 1.0 + 0.1 * step) for step in range(12)]
         for grown in ranges:
             grown[:, 1, :5] = SCAN_RANGE
-        noisy.adapter._exact = Mock(scan=lambda: Scan(ranges[len(noisy.recorder.twists)]))
+        noisy.adapter._exact = Mock(scan=lambda: Scan(ranges[noisy.steps.call_count]))
         read = [noisy.adapter.scan().ranges]
         for twist in np.zeros((10, 6)):
             noisy.run([twist])
@@ -125,8 +125,7 @@ def test_delay_noise_and_losses_of_scans_are_those_of_their_parameters(scanned):
     late = scanned(n=2, deviation=0.0, lost=0.0, seconds=0.31)[:, :, 0, 0]
     np.testing.assert_allclose(late.T, [1.0 + 0.1 * np.maximum(np.arange(11) - 3, 0)] * 2)
     noisy = scanned(n=50, deviation=0.03, lost=0.0, seconds=0.0)
-    expected = 1.0 + 0.1 * np.arange(11)[:, np.newaxis, np.newaxis]
-    error = noisy[:, :, 0] - expected
+    error = noisy[:, :, 0] - 1.0 - 0.1 * np.arange(11)[:, np.newaxis, np.newaxis]
     assert np.std(error) == pytest.approx(0.03, rel=0.03)
     assert np.mean(error) == pytest.approx(0.0, abs=0.001)
     np.testing.assert_array_equal(noisy[:, :, 1, :5], SCAN_RANGE)
@@ -135,14 +134,10 @@ def test_delay_noise_and_losses_of_scans_are_those_of_their_parameters(scanned):
     np.testing.assert_array_equal(scanned(n=3, deviation=0.03), scanned(n=5, deviation=0.03)[:, :3])
 
 
-def draw_rows(draw, n, first=0, step=0, width=4):
-    seeds = np.arange(first, first + n, dtype=np.uint64)
-    return draw(seeds, np.full(n, step, dtype=np.uint64), width)
-
-
 @pytest.mark.parametrize(("draw", "law"), [(normal, "norm"), (uniform, "uniform")])
 def test_draws_follow_their_law_in_each_column(draw, law):
-    values = draw_rows(draw, 20_000, width=12)
+    seeds = np.arange(20_000, dtype=np.uint64)
+    values = draw(seeds, np.zeros_like(seeds), 12)
     for column in values.T:
         assert kstest(column, law).pvalue > 1e-3
     correlations = np.corrcoef(values.T) - np.eye(12)

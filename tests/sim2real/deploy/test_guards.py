@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kinfeas.config import PluginSpec
 from kinfeas.core import registry, spatial
-from kinfeas.core.backend import SCAN_BEAMS, Backend, RealTimeBackend, RobotState, Scan
+from kinfeas.core.backend import SCAN_BEAMS, Backend, RobotState, Scan
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.kinematics.drive import base_velocity
 from kinfeas.robots.loading import load_robot
@@ -19,7 +19,7 @@ from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.link.scans import ANGLES
 from tests.builders import at, twist
-from tests.sim2real.doubles import Time
+from tests.sim2real.conftest import Time
 
 DT = 0.02
 ROBOTS = {name: load_robot(name) for name in ("pr2", "tiago", "hsr")}
@@ -27,16 +27,21 @@ PR2 = ROBOTS["pr2"]
 
 
 class Double(Backend):
-    def __init__(self, robot, time):
-        self.robot, self.time, self.took = robot, time, DT
-        self.sent = []
-        self.state = home(robot)
+    """A robot that measures what a test sets, in real time if it is `live`."""
+
+    def __init__(self, robot=PR2, live=False, follows=False, **abilities):
+        self.time, self.took, self.follows, self.sent = Time(), DT, follows, []
+        self.state = home(robot, age=np.zeros(1) if live else None)
+        self.real_time = Mock(read=lambda: self.state) if live else None
+        vars(self).update(abilities)
 
     def reset(self, base_pose, joint_positions, env_ids=None):
         return self.state
 
     def step(self, base_twist, joint_targets, dt):
         self.sent.append((base_twist.copy(), joint_targets.copy()))
+        if self.follows:
+            self.state = replace(self.state, joint_positions=joint_targets.copy())
         base_twist += 9.0  # which must not change later commands
         joint_targets += 9.0
         self.time.passes(self.took)
@@ -46,43 +51,14 @@ class Double(Backend):
         pass
 
 
-class Following(Double):
-    """A backend whose arm reaches its targets."""
-
-    def step(self, base_twist, joint_targets, dt):
-        self.state = home(self.robot, joint_positions=joint_targets.copy())
-        return super().step(base_twist, joint_targets, dt)
-
-
-class RealTime(Double, RealTimeBackend):
-    """A robot that moves in real time, and returns the age of its state."""
-
-    stops, limit = 0, None
-
-    def __init__(self, robot, time):
-        super().__init__(robot, time)
-        self.state = home(robot, age=np.array([0.0]))
-
-    def read(self):
-        return self.state
-
-    def stop(self):
-        self.stops += 1
-
-    def limit_arm(self, velocity):
-        self.limit = velocity
-
-
-def home(robot, **changes):
-    joints = robot.home["home"][np.newaxis]
-    state = RobotState(spatial.IDENTITY[np.newaxis], joints)
+def home(robot=PR2, **changes):
+    state = RobotState(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
     return replace(state, **changes)
 
 
-def guarded(robot="pr2", guards=None, kind=Double, adapters=()):
-    time = Time()
-    backend = kind(ROBOTS[robot], time)
-    guard = Guarded(backend, ROBOTS[robot], guards, adapters=adapters, clock=time.clock)
+def guarded(guards=None, robot=PR2, adapters=(), **backend):
+    backend = Double(robot, **backend)
+    guard = Guarded(backend, robot, guards, adapters=adapters, clock=backend.time.clock)
     guard.reset(backend.state.base_pose, backend.state.joint_positions)
     return guard, backend
 
@@ -99,8 +75,8 @@ def stops(guard, backend, message, command=None, targets=None):
     targets = arm(guard) if targets is None else targets
     with pytest.raises(KinfeasError, match=message):
         guard.step(twist() if command is None else command, targets, DT)
-    if isinstance(backend, RealTime):
-        assert backend.stops
+    if backend.real_time:
+        assert backend.real_time.stop.called
     else:
         assert not backend.sent[-1][0].any()
     with pytest.raises(Fault):
@@ -124,31 +100,24 @@ OWN = "max_velocity", "max_acceleration", "max_rotation", "max_rotation_accelera
 
 
 @pytest.mark.parametrize("limits", [(0.1, 1.0, 0.1, 1.0), (9.0, 99.0, 9.0, 99.0)])
-def test_velocity_and_acceleration_are_limited_by_guards_and_robot(limits):
+def test_velocity_and_acceleration_are_limited_by_guards_and_robot_but_for_brakes(limits):
     lower = zip(limits, (getattr(PR2.base, name) for name in OWN), strict=True)
     speed, acceleration, turn, rotation = map(min, lower)
-    guard, backend = guarded(guards=Guards(**dict(zip(LIMITS, limits, strict=True))))
+    guard, backend = guarded(Guards(**dict(zip(LIMITS, limits, strict=True))))
     for _ in range(40):
         guard.step(twist(3.0, 4.0, -9.0), arm(guard), DT)
+    guard.commands.brake = True  # at once
+    guard.step(twist(3.0), arm(guard), DT)
+    assert not backend.sent.pop()[0].any()
     sent, steps = np.array([sent[0] for sent, _ in backend.sent]), DT * np.arange(1, 41)
     np.testing.assert_allclose(np.hypot(*sent[:, :2].T), np.minimum(steps * acceleration, speed))
     np.testing.assert_allclose(sent[:, 5], -np.minimum(steps * rotation, turn))
 
 
-def test_the_base_brakes_at_once_past_the_limits_of_acceleration():
-    guard, backend = guarded()
-    for _ in range(40):
-        guard.step(twist(0.3), arm(guard), DT)
-    guard.commands.brake = True
-    guard.step(twist(0.3), arm(guard), DT)
-    assert backend.sent[-2][0][0, 0] == pytest.approx(PR2.base.max_velocity)
-    assert not backend.sent[-1][0].any()
-
-
 def test_a_jump_of_the_arm_becomes_a_motion_at_its_speed():
-    guard, backend = guarded(guards=Guards(joint_speed=0.5), kind=Following)
-    _, real = guarded(guards=Guards(joint_speed=0.5), kind=RealTime)
-    np.testing.assert_allclose(real.limit, 0.5 * PR2.max_joint_velocity)
+    guard, backend = guarded(Guards(joint_speed=0.5), live=True, follows=True)
+    (limit,) = backend.real_time.limit_arm.call_args.args
+    np.testing.assert_allclose(limit, 0.5 * PR2.max_joint_velocity)
     targets = arm(guard)
     targets[0, [1, 3]] -= [0.8, 0.4]
     for _ in range(100):
@@ -161,29 +130,25 @@ def test_a_jump_of_the_arm_becomes_a_motion_at_its_speed():
 
 
 def test_joint_targets_stay_within_their_limits():
-    guard, backend = guarded(kind=Following)
+    guard, backend = guarded(follows=True)
     targets = arm(guard, 1, 1.0)
     for _ in range(100):
         guard.step(twist(), targets, DT)
     assert backend.sent[-1][1][0, 1] == PR2.arm[1].upper
-    # A joint that starts beyond a limit does not jump to it.
-    beyond = PR2.home["home"].copy()
-    for start, by in ((PR2.arm[1].upper + 0.05, 0.1), (PR2.arm[1].lower - 0.05, -0.1)):
-        beyond[1] = start
-        backend.state = home(PR2, joint_positions=beyond[np.newaxis])
-        guard.reset(None, None)
-        for further in (0.0, by):
-            guard.step(twist(), arm(guard, 1, further), DT)
-            assert backend.sent[-1][1][0, 1] == start
-
-
-def test_a_continuous_joint_goes_the_short_way():
-    guard, _ = guarded(guards=Guards(joint_jump=0.5))
-    guard.commands.joint_targets[0, 4] = math.pi - 0.01
+    guard.commands.joint_targets[0, 4] = math.pi - 0.01  # continuous: it takes the short way
     targets = arm(guard)
     targets[0, 4] = -math.pi + 0.01
     guard.step(twist(), targets, DT)
     np.testing.assert_allclose(guard.commands.joint_targets, targets)
+    # A joint that starts beyond a limit does not jump to it.
+    beyond = PR2.home["home"].copy()
+    for start, by in ((PR2.arm[1].upper + 0.05, 0.1), (PR2.arm[1].lower - 0.05, -0.1)):
+        beyond[1] = start
+        backend.state = home(joint_positions=beyond[np.newaxis])
+        guard.reset(None, None)
+        for further in (0.0, by):
+            guard.step(twist(), arm(guard, 1, further), DT)
+            assert backend.sent[-1][1][0, 1] == start
 
 
 @pytest.mark.parametrize(("guards", "joint", "by", "named"), [
@@ -191,7 +156,7 @@ def test_a_continuous_joint_goes_the_short_way():
     (Guards(max_tracking_delay=0.11, max_consecutive_ik_failures=3), 3, 1.0, "r_elbow_flex"),
 ])  # fmt: skip
 def test_an_arm_that_cannot_go_on_holds_until_the_run_ends(guards, joint, by, named):
-    guard, backend = guarded(guards=guards)
+    guard, backend = guarded(guards)
     targets = arm(guard, joint, by)
     with pytest.raises(Fault, match=named):
         for _ in range(20):
@@ -205,7 +170,7 @@ def test_an_arm_that_cannot_go_on_holds_until_the_run_ends(guards, joint, by, na
 
 
 def test_only_ik_failures_in_a_row_end_the_run():
-    guard, backend = guarded(guards=Guards(max_consecutive_ik_failures=2))
+    guard, backend = guarded(Guards(max_consecutive_ik_failures=2))
     for feasible in (False, False, True, False, False):
         guard.step(twist(0.01), arm(guard), DT)
         guard.count(feasible=feasible)
@@ -233,7 +198,7 @@ BELOW = np.where(np.arange(7) == 1, PR2.arm[1].lower - 0.11, PR2.home["home"])
     ({"age": np.array([np.nan])}, "old"),
 ])  # fmt: skip
 def test_measurements_beyond_the_limits_stop_the_robot(changes, named):
-    guard, backend = guarded(kind=RealTime)
+    guard, backend = guarded(live=True)
     assert guard.read() is backend.state
     guard.step(twist(0.02), arm(guard), DT)
     backend.state = replace(backend.state, **changes)
@@ -243,52 +208,40 @@ def test_measurements_beyond_the_limits_stop_the_robot(changes, named):
             guard.read()
 
 
-def test_the_base_may_be_measured_where_it_can_have_driven():
-    guard, backend = guarded(guards=Guards(max_distance=1.0))
-    backend.took = 0.15  # s, in which the base drives 3 cm
-    for x in (0.325, 0.65, 0.975):
-        backend.state = home(PR2, base_pose=at(x))
+@pytest.mark.parametrize(("allowed", "beyond", "named"), [
+    ([at(0.325), at(0.65), at(0.975)], at(1.01), "from its start"),
+    ([], at(0.335), "jumped by 0.335 m"),
+    ([at(yaw=0.64)], at(yaw=1.3), "jumped by 0.66 rad"),
+])  # fmt: skip
+def test_the_base_may_be_measured_where_it_can_have_driven(allowed, beyond, named):
+    guard, backend = guarded(Guards(max_distance=1.0))
+    backend.took = 0.15  # s, in which the base drives 3 cm and turns by 0.15 rad
+    for pose in allowed:
+        backend.state = home(base_pose=pose)
         guard.step(twist(0.02), arm(guard), DT)
-    backend.state = home(PR2, base_pose=at(1.01))
-    stops(guard, backend, "from its start", twist(0.04))
-    guard, backend = guarded()
-    backend.took, backend.state = 0.15, home(PR2, base_pose=at(0.335))
-    stops(guard, backend, "jumped by 0.335 m", twist(0.04))
-    guard, backend = guarded()
-    backend.took, backend.state = 0.15, home(PR2, base_pose=at(yaw=0.64))  # 0.5 rad, and 1 rad/s
-    guard.step(twist(0.02), arm(guard), DT)
-    backend.state = home(PR2, base_pose=at(yaw=1.3))
-    stops(guard, backend, "jumped by 0.66 rad", twist(0.04))
+    backend.state = home(base_pose=beyond)
+    stops(guard, backend, named, twist(0.04))
 
 
-def test_a_stopped_simulation_is_commanded_once():
-    guard, backend = guarded()
-    guard.step(twist(0.01), arm(guard), DT)
-    for _ in range(2):
-        guard.stop()
-    guard.close()
-    assert [bool(base.any()) for base, _ in backend.sent] == [True, False]
-
-
-@pytest.mark.parametrize("kind", [Double, RealTime])
-def test_a_stall_before_a_command_or_after_it_stops_the_robot(kind):
-    guard, backend = guarded(kind=kind)
+@pytest.mark.parametrize("live", [False, True])
+def test_a_stall_before_a_command_or_after_it_stops_the_robot(live):
+    guard, backend = guarded(live=live)
     guard.step(twist(0.02), arm(guard), DT)
     backend.time.passes(0.5)
     sent = len(backend.sent)
     stops(guard, backend, "made of a measurement 0.5 s old", twist(0.02))
     assert not any(command.any() for command, _ in backend.sent[sent:])
-    guard, backend = guarded(kind=kind)
+    guard, backend = guarded(live=live)
     backend.took = 0.5
     stops(guard, backend, "control period took 0.5 s")
 
 
 def test_an_old_measurement_and_a_short_stall_add_up():
-    guard, backend = guarded(kind=RealTime)
-    backend.state = home(PR2)  # of a real robot, without an age
+    guard, backend = guarded(live=True)
+    backend.state = home()  # of a real robot, without an age
     stops(guard, backend, "age")
-    guard, backend = guarded(kind=RealTime)
-    backend.state = home(PR2, age=np.array([0.15]))
+    guard, backend = guarded(live=True)
+    backend.state = home(age=np.array([0.15]))
     guard.step(twist(0.02), arm(guard), DT)
     backend.time.passes(0.1)
     stops(guard, backend, "made of a measurement 0.25 s old", twist(0.02))
@@ -316,17 +269,17 @@ class Keeping(Adapter):
 
 class Hiding(Adapter):
     def modify_state(self, state):
-        return home(PR2, age=np.zeros(1))
+        return home(age=np.zeros(1))
 
 
 @pytest.mark.filterwarnings("ignore:invalid value")
 @pytest.mark.parametrize(
     ("kind", "named"), [(Slow, "0.3 s old"), (Keeping, "has not passed"), (Hiding, "base command")]
 )
-def test_no_adapter_makes_a_command_late_drops_it_or_hides_a_fault(monkeypatch, kind, named):
-    monkeypatch.setattr(registry, "_REGISTERED", [])
+@pytest.mark.usefixtures("unregistered")
+def test_no_adapter_makes_a_command_late_drops_it_or_hides_a_fault(kind, named):
     registry.register("kinfeas.adapters", "mine", kind)
-    guard, backend = guarded(kind=RealTime, adapters=[PluginSpec("mine")])
+    guard, backend = guarded(live=True, adapters=[PluginSpec("mine")])
     if kind is Hiding:
         backend.state = replace(backend.state, base_pose=backend.state.base_pose * np.nan)
         guard.step(twist(0.02), arm(guard), DT)
@@ -351,17 +304,19 @@ def test_any_error_stops_the_robot_and_a_failing_stop_is_reported(error):
     assert (guard.unstopped, guard.unclosed) == ("boom", "")
 
 
-def test_a_gripper_does_nothing_after_a_stop():
-    backend = Double(PR2, Time())
-    backend.gripper = Mock()
-    guard = Guarded(backend, PR2)
-    guard.reset(None, None)
+def test_a_stopped_simulation_is_commanded_once_and_its_gripper_does_nothing():
+    guard, backend = guarded(gripper=Mock())
     guard.gripper.grip("close", np.array([0]))
     guard.stop()
     with pytest.raises(Fault):
         guard.gripper.grip("open", np.array([0]))
     backend.gripper.grip.assert_called_once()
     assert backend.sent == []  # since nothing has moved
+    guard.reset(None, None)
+    guard.step(twist(0.01), arm(guard), DT)
+    for end in (guard.stop, guard.stop, guard.close):
+        end()
+    assert [bool(base.any()) for base, _ in backend.sent] == [True, False]
 
 
 def test_a_rate_below_the_limits_of_time_is_an_error():
@@ -385,7 +340,7 @@ NOISE = PluginSpec("base_noise", {"linear": 0.5, "angular": 0.5})
 @given(st.sampled_from(sorted(ROBOTS)), some_steps, st.sampled_from([(), (NOISE,)]))
 def test_every_command_is_within_the_limits_or_zero(name, steps, adapters):
     robot, guards = ROBOTS[name], Guards(max_linear_velocity=0.15, acceleration=1.0)
-    guard, backend = guarded(name, guards, adapters=adapters)
+    guard, backend = guarded(guards, robot, adapters)
     j, poses = len(robot.arm), []
     for command, targets, age, (x, y, heading), took in steps:
         poses.append(guard.state.base_pose)
@@ -417,32 +372,28 @@ def test_every_command_is_within_the_limits_or_zero(name, steps, adapters):
         assert not backend.sent[-1][0].any()
 
 
-class Scanning(RealTime):
-    def __init__(self, robot, time):
-        super().__init__(robot, time)
-        self.now = Scan(np.ones((1, 2, SCAN_BEAMS)), np.zeros(SCAN_BEAMS, dtype=bool))
-        self.scanner = self
-
-    def scan(self):
-        return self.now
+def scanning(adapters=(), **changes):
+    """Return guards, their backend and its scan, which is blind nowhere."""
+    scan = Scan(np.ones((1, 2, SCAN_BEAMS)), np.zeros(SCAN_BEAMS, dtype=bool))
+    scanner = Mock(scan=Mock(return_value=replace(scan, **changes)))
+    return *guarded(live=True, adapters=adapters, scanner=scanner), scanner.scan.return_value
 
 
 @pytest.mark.parametrize(("age", "blind"), [(0.6, False), (0.0, True), (np.inf, False)])
 def test_an_old_or_blind_scan_stops_the_robot_that_uses_it(age, blind):
-    guard, backend = guarded(kind=Scanning)
-    assert guard.scanner.scan() is backend.now
-    assert guarded(kind=RealTime)[0].scanner is None
-    backend.now = replace(backend.now, age=age, blind=np.full(SCAN_BEAMS, blind))
+    assert guarded()[0].scanner is None
+    guard, _, scan = scanning()
+    assert guard.scanner.scan() is scan
+    guard, backend, _ = scanning(age=age, blind=np.full(SCAN_BEAMS, blind))
     guard.step(twist(0.01), arm(guard), DT)  # a policy without scans may go on
     with pytest.raises(Fault, match="scan"):
         guard.scanner.scan()
-    assert backend.stops
+    assert backend.real_time.stop.called
 
 
 @pytest.mark.parametrize("adapters", [(), (PluginSpec("scan_noise"),)])
 def test_the_base_does_not_drive_where_its_scan_is_blind(adapters):
-    guard, backend = guarded(kind=Scanning, adapters=adapters)
-    backend.now.blind[np.abs(ANGLES) > 0.5 * np.pi] = True
+    guard, backend, _ = scanning(adapters, blind=np.abs(ANGLES) > 0.5 * np.pi)
     for command in (twist(0.03), twist(0.0, 0.03), twist(turn=0.05), twist(-0.01)):
         guard.scanner.scan()
         guard.step(command, arm(guard), DT)

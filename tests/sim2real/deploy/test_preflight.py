@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,35 +19,34 @@ from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, build_subgoals
+from tests.builders import at
 
 HSR = IkSolver(load_robot("hsr"))
+AT_HOME = RobotState(at(), HSR.robot.home["home"][np.newaxis])
 
 
 def goal(*position, rpy=None):
     return make_goal_task(position, rpy, MotionSpec())
 
 
-def checked(task, guards, execution=None, solver=HSR):
+def checked(task, guards, solver=HSR):
     rng = np.random.default_rng(3)
-    subgoals = build_subgoals(task.subgoals)
-    loop = assemble(solver, subgoals, AnalyticBackend(), dt=0.02, execution=execution)
+    loop = assemble(solver, build_subgoals(task.subgoals), AnalyticBackend(), dt=0.02)
     return preflight(loop, begin(task, solver, rng, None), rng, guards)
 
 
-@pytest.mark.parametrize(
-    "task", ["door", "drawer", "pick_place", (0.9, 0.1, 0.8), (-3.0, 2.0, 0.6)]
-)
+@pytest.mark.parametrize("task", [
+    *map(load_task, ("door", "drawer", "pick_place")), goal(0.9, 0.1, 0.8), goal(-3.0, 2.0, 0.6),
+])  # fmt: skip
 def test_reachable_goals_pass(task):
-    task = load_task(task, {}) if isinstance(task, str) else goal(*task)
     assert checked(task, Guards()) == ""
 
 
 @pytest.mark.parametrize("height", [-0.5, 2.2, 90.0])
 def test_a_goal_out_of_reach_is_an_error_with_its_pose(height):
     task = goal(1.5, 0.0, height, rpy=(0.0, 0.1, -0.2))
-    with pytest.raises(
-        KinfeasError, match=rf"x 1.5, y 0, z {height:g} m, roll 0, pitch 0.1, yaw -0.2 rad"
-    ):
+    pose = f"x 1.5, y 0, z {height:g} m, roll 0, pitch 0.1, yaw -0.2 rad"
+    with pytest.raises(KinfeasError, match=pose):
         checked(task, Guards())
     assert checked(task, Guards(reach=False)) == ""
 
@@ -57,14 +58,13 @@ def test_the_tolerance_is_that_of_a_reached_goal():
     assert checked(goal(*high), Guards(), solver=pr2) == ""
 
 
-@pytest.mark.parametrize("base", [spatial.IDENTITY, spatial.planar_pose(3.0, 1.0, 2.0)])
-def test_begins_where_the_robot_is_with_its_orientation_as_the_goal(base):
-    joints = HSR.robot.home["home"][np.newaxis]
-    real = None if base is spatial.IDENTITY else RobotState(base[np.newaxis], joints)
+@pytest.mark.parametrize("real", [None, replace(AT_HOME, base_pose=at(3.0, 1.0, 2.0))])
+def test_begins_where_the_robot_is_with_its_orientation_as_the_goal(real):
     start = begin(goal(1.0, 2.0, 0.5), HSR, np.random.default_rng(1), real)
-    ee = spatial.compose(base[np.newaxis], forward(HSR.chain, joints))
-    np.testing.assert_array_equal(start.base_pose, [base])
-    np.testing.assert_array_equal(start.joint_positions, joints)
+    expected = real or AT_HOME
+    np.testing.assert_array_equal(start.base_pose, expected.base_pose)
+    np.testing.assert_array_equal(start.joint_positions, expected.joint_positions)
+    ee = spatial.compose(expected.base_pose, forward(HSR.chain, expected.joint_positions))
     np.testing.assert_allclose(start.target_poses[0, 0], [1.0, 2.0, 0.5, *ee[0, 3:]], atol=1e-12)
 
 
@@ -78,14 +78,15 @@ def test_an_orientation_is_given_by_angles_or_a_quaternion():
             goal(x, 0.0, 0.0, rpy=angles)
 
 
-@pytest.mark.parametrize(("task", "known"), [("ggr_obstacles", 0), ("shelf", 15), ("door", 0)])
+@pytest.mark.parametrize(
+    ("task", "known"), [("ggr_obstacles", 0), ("shelf", 15), ("door_cluttered", 39)]
+)
 def test_only_furniture_and_given_solids_are_known_around_a_real_robot(task, known):
-    real = RobotState(spatial.IDENTITY[np.newaxis], HSR.robot.home["home"][np.newaxis])
-    drawn = load_task(task, {}), HSR, np.random.default_rng(0)
-    start = begin(*drawn, real)
+    drawn = load_task(task), HSR, np.random.default_rng(0)
+    start = begin(*drawn, AT_HOME)
     assert (0 if start.solids is None else int(start.solids.filled.sum())) == known
     box = Solids.from_table(np.array([[2.0, 0, 0, 0.2, 0.2, 0, 1, 0, 0, 0, 0]]))
-    for measured in (None, real):
+    for measured in (None, AT_HOME):
         assert begin(*drawn, measured, box).solids.table.tolist() == box.table.tolist()
 
 
@@ -101,8 +102,7 @@ def test_late_awakenings_do_not_add_up(time):
     assert time.monotonic == pytest.approx(1000.0 + 1000 * 0.02 + 0.001, abs=1e-6)
     timing = rate.timing()
     assert (timing.periods, timing.misses) == (1000, 0)
-    assert timing.p50 == pytest.approx(0.02)
-    assert (timing.work_p50, timing.work_p99) == (pytest.approx(0.003), pytest.approx(0.003))
+    assert (timing.p50, timing.work_p50, timing.work_p99) == pytest.approx((0.02, 0.003, 0.003))
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,10 @@
+import math
 import os
 import signal
 import sys
 from dataclasses import replace
 from itertools import chain, repeat
+from types import SimpleNamespace
 from unittest.mock import MagicMock, Mock
 
 import numpy as np
@@ -19,7 +21,6 @@ from kinfeas.evaluation.evaluate import configure
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.io.run_log import REACHED, About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.policies import network as policy
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy import runtime
@@ -35,44 +36,45 @@ QUICK = MotionSpec("linear", {"gain": 1.0})
 PR2 = IkSolver(load_robot("pr2"))
 
 
-class RealTimeRobot(RealTimeBackend):
-    """A robot in real time by simulated clocks, with a trouble after ten steps or at the start."""
+class RealTimeRobot(AnalyticBackend, RealTimeBackend):
+    """A robot in real time by simulated clocks; after some steps `trouble` returns its state."""
 
     def __init__(self, time, trouble=None, after=10):
-        self.world, self.time = AnalyticBackend(), time
-        home = PR2.robot.home["home"][np.newaxis]
-        self.world.reset(spatial.IDENTITY[np.newaxis], home)
-        self.rate = Rate(DT, time.clock)
-        self.trouble, self.after = trouble, after
-        self.measured, self.commands, self.closed = time.monotonic, [], 0
+        super().__init__()
+        super().reset(spatial.IDENTITY[np.newaxis], PR2.robot.home["home"][np.newaxis])
+        self.time, self.rate = time, Rate(DT, time.clock)
+        self.trouble, self.after = trouble, after if trouble else math.inf
+        self.measured, self.commands, self.close = time.monotonic, [], Mock()
 
     def reset(self, base_pose, joint_positions, env_ids=None):
         return self.read()
 
     def step(self, base_twist, joint_targets, dt):
         self.commands.append((self.time.monotonic, base_twist.copy()))
-        self.world.step(base_twist, joint_targets, dt)
+        super().step(base_twist, joint_targets, dt)
         self.rate.wait()
         return self.read()
 
     def read(self):
         broken = len(self.commands) > self.after
-        if not (broken and self.trouble == "silence"):
+        if not broken:
             self.measured = self.time.monotonic
-        state = replace(self.world.state, age=np.array([self.time.monotonic - self.measured]))
-        if broken and self.trouble == "nan":
-            return replace(state, base_pose=state.base_pose * np.nan)
-        if broken and self.trouble == "nothing":
-            return None
-        if broken and isinstance(self.trouble, BaseException):
-            raise self.trouble
-        return state
+        state = replace(self.state, age=np.array([self.time.monotonic - self.measured]))
+        return self.trouble(state) if broken else state
 
     def stop(self):
         self.commands.append((self.time.monotonic, np.zeros((1, 6))))
 
-    def close(self):
-        self.closed += 1
+
+def silence(state):
+    return state
+
+
+def nan(state):
+    return replace(state, base_pose=state.base_pose * np.nan)
+
+
+NOTHING = Mock(return_value=None)
 
 
 class Drive:
@@ -86,11 +88,6 @@ class Drive:
         if self.steps == self.at:
             self.do()
         return self.action
-
-
-@pytest.fixture(scope="module")
-def trained():
-    return policy.read_network(PR2.robot.folder / "policies" / "pretrained", PR2.robot)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -119,16 +116,12 @@ def run(tmp_path, time):
     return start
 
 
-class WithObjects:
-    def __init__(self, task, done):
-        self.name, self.subgoals, self.sample = task.name, task.subgoals, task.sample
-        self.done, self.settle, self.drawn = lambda: done, lambda joints, dt: None, dict
-
-
 @pytest.mark.parametrize(("done", "end"), [(True, ", task done"), (False, ", task not done")])
-def test_reaches_the_goal_and_reports_task_success(run, trained, done, end):
+def test_reaches_the_goal_and_reports_task_success(run, done, end):
     target = goal(0.9, 0.1, 0.8)
-    task = WithObjects(target, done)
+    parts = {"name": target.name, "subgoals": target.subgoals, "sample": target.sample}
+    task = SimpleNamespace(**parts, done=lambda: done, settle=Mock(), drawn=dict)
+    trained = load_policy("pretrained", PR2.robot)
     outcome, record = run(AnalyticBackend(), trained, task, seconds=100.0, real_time=False)
     assert (outcome.code, outcome.reason) == (Code.REACHED, REACHED + end)
     assert outcome.task_done is done
@@ -157,19 +150,18 @@ class Bold:
     ("hsr", [], Bold),
 ])  # fmt: skip
 def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, filters, drive):
-    settings = {"task.distance": [1.0, 1.2], "world.filters": filters}
-    config = configure(load_robot(name), "ggr", seed=3, settings=settings)
-    policy = load_policy("pretrained", config.robot)
+    robot, moments = load_robot(name), []
+    driver = drive(load_policy("pretrained", robot))
     # Accelerations that the policy does not reach, since evaluations have no limits.
-    base = replace(config.robot.base, max_acceleration=99.0, max_rotation_acceleration=99.0)
-    config, driver = replace(config, robot=replace(config.robot, base=base)), drive(policy)
+    base = replace(robot.base, max_acceleration=99.0, max_rotation_acceleration=99.0)
+    settings = {"task.distance": [1.0, 1.2], "world.filters": filters}
+    config = configure(replace(robot, base=base), "ggr", seed=3, settings=settings)
     world = World(config.robot, config.task, config.world, config.seed)
     (recording,) = record_episodes(world, driver, 1)
-    moments = []
-    backend, settings = AnalyticBackend(config.robot), {"seed": 3, "filters": config.world.filters}
     setup = Setup(
-        world.solver, driver, config.task, backend, config.world.dt, real_time=False, **settings
-    )
+        world.solver, driver, config.task, AnalyticBackend(robot), config.world.dt,
+        real_time=False, seed=3, filters=config.world.filters,
+    )  # fmt: skip
     assert deploy(setup, Mock(write=moments.append)).code == Code.REACHED
     moments = moments[: len(recording.base_pose)]  # the last one is the stop
     for key in ("base_pose", "joint_positions", "desired"):
@@ -185,7 +177,7 @@ def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
     assert outcome.seconds == pytest.approx(0.4, abs=0.5 * DT)
     # The first period is over at once: it starts the clock of the robot.
     assert len(record.time) == 21 + 2
-    assert robot.closed
+    assert robot.close.called
     # The same with a policy that misses four deadlines of five.
     slow = Drive()
     act, slow.act = slow.act, lambda observation: (time.passes(5 * DT), act(observation))[1]
@@ -216,12 +208,12 @@ def test_a_simulated_world_waits_for_the_clock_or_has_none(run, time):
 
 
 @pytest.mark.parametrize(("trouble", "reason"), [
-    ("silence", "measurement"),
-    ("nan", "base_pose is not finite"),
-    ("nothing", "RobotState"),
-    (ConnectionError("the bus is gone"), "the bus is gone"),
-    (KeyError("boom"), "KeyError: 'boom'"),
-    (SystemExit(5), "SystemExit: 5"),
+    (silence, "measurement"),
+    (nan, "base_pose is not finite"),
+    (NOTHING, "RobotState"),
+    (Mock(side_effect=ConnectionError("the bus is gone")), "the bus is gone"),
+    (Mock(side_effect=KeyError("boom")), "KeyError: 'boom'"),
+    (Mock(side_effect=SystemExit(5)), "SystemExit: 5"),
 ])  # fmt: skip
 def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reason):
     robot = RealTimeRobot(time, trouble)
@@ -235,7 +227,7 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reaso
     assert record.event[-1] == outcome.reason
     assert not record.base_twist[-1].any()
     # A mistake in the code of a plugin needs its traceback.
-    assert ("Traceback" in caplog.text) is isinstance(trouble, KeyError | SystemExit)
+    assert ("Traceback" in caplog.text) is reason.startswith(("KeyError", "SystemExit"))
 
 
 @pytest.mark.parametrize(("driver", "named", "filters"), [
@@ -248,12 +240,12 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reaso
 ])  # fmt: skip
 def test_a_policy_or_filter_that_fails_stops_the_robot(run, time, driver, named, filters):
     robot = RealTimeRobot(time)
-    robot.close = Mock(side_effect=RuntimeError("boom"))
+    robot.close.side_effect = RuntimeError("boom")
     outcome, record = run(robot, driver, filters=filters)
     assert outcome.code is Code.FAULT
     assert named in outcome.reason
     assert record.event[-1] == outcome.reason
-    assert not any(twist.any() for _, twist in robot.commands[-1:])
+    assert not robot.commands[-1][1].any()
     assert (outcome.unstopped, outcome.unclosed) == ("", "boom")
 
 
@@ -277,12 +269,12 @@ def test_a_watchdog_that_is_lost_ends_a_run_and_one_takes_over_where_stopping_fa
     assert outcome.timing.periods == pytest.approx(9 if lost else 100, abs=2)
 
 
-@pytest.mark.parametrize("trouble", ["nan", "nothing", KeyError("boom")])
+@pytest.mark.parametrize("trouble", [nan, NOTHING, Mock(side_effect=KeyError("boom"))])
 def test_a_run_that_cannot_start_is_an_error_and_moves_nothing(run, time, trouble):
     robot = RealTimeRobot(time, trouble, after=-1)
     with pytest.raises((KinfeasError, KeyError)):
         run(robot, Drive())
-    assert robot.closed
+    assert robot.close.called
     assert not any(twist.any() for _, twist in robot.commands)
 
 
@@ -297,20 +289,15 @@ def test_signals_end_a_run_cleanly(run, time, number):
     assert signal.getsignal(number) is before
 
 
-def test_a_second_signal_does_not_wait_for_the_loop():
+def test_a_second_signal_does_not_wait_for_the_loop_and_nohup_outlives_its_terminal():
     with Signals() as signals:
         for _ in range(2):  # a terminal may send it twice
             os.kill(os.getpid(), signal.SIGHUP)
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert signals.caught is signal.SIGHUP
-
-
-def test_a_run_under_nohup_outlives_its_terminal():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with Signals() as signals:
-            os.kill(os.getpid(), signal.SIGHUP)
-        assert signals.caught is None
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    with Signals() as signals:
+        os.kill(os.getpid(), signal.SIGHUP)
+    signal.signal(signal.SIGHUP, before)
+    assert signals.caught is None

@@ -2,19 +2,18 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kinfeas.api.identify import drive, identify
 from kinfeas.api.load import read_adapters
-from kinfeas.backends.physics.drives import ArmSetpoints
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import default_engine
 from kinfeas.control.assemble import with_adapters
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY
 from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.sim2real.identify import chain
@@ -22,6 +21,7 @@ from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, bas
 from kinfeas.sim2real.identify.log import Log, log_of
 from kinfeas.sim2real.identify.model import Delays, Track
 from kinfeas.sim2real.identify.noise import Walk, base_noise, joint_noise
+from tests.builders import at, twist
 
 TRUTH = {
     "base_noise": {"linear": 0.04, "angular": 0.03},
@@ -41,33 +41,27 @@ NOISE = ("base_noise.linear", "base_noise.angular", "joint_noise.deviation")
 DT = 0.02
 
 
-def adapters_file(folder: Path, truth: dict) -> Path:
+def driven(folder, robot="hsr", truth=TRUTH, **options):
+    """Return the record of a robot within adapters."""
+    record, adapters = folder / "run.csv", folder / "truth.yaml"
     entries = [{"name": name, **numbers} for name, numbers in truth.items()]
-    path = folder / "truth.yaml"
-    path.write_text(json.dumps({"adapters": entries}))  # which is YAML, too
-    return path
-
-
-def driven(folder: Path, robot: str, **options) -> Path:
-    record = folder / f"{robot}.csv"
-    done = drive(robot, backend="analytic", record=record, real_time=False, **options)
-    assert done.outcome.code == 0, done.outcome.reason
+    adapters.write_text(json.dumps({"adapters": entries}))  # which is YAML, too
+    options = {"backend": "analytic", "real_time": False, **options}
+    outcome = drive(robot, record=record, adapters=adapters, **options).outcome
+    assert outcome.code == 0, outcome.reason
     return record
 
 
 @pytest.fixture(scope="session")
 def record(tmp_path_factory):
-    """The record of HSR within the adapters of `TRUTH`."""
-    folder = tmp_path_factory.mktemp("record")
-    return driven(folder, "hsr", adapters=adapters_file(folder, TRUTH), seed=3)
+    return driven(tmp_path_factory.mktemp("record"), seed=3)
 
 
 def check(found) -> None:
-    truth = {f"{name}.{key}": value for name, own in TRUTH.items() for key, value in own.items()}
-    for names, most in ((TIMES, 0.015), (LIMITS, 0.15), (NOISE, 0.3)):
+    for names, most in ((TIMES, {"abs": 0.015}), (LIMITS, {"rel": 0.15}), (NOISE, {"rel": 0.3})):
         for name in names:
-            error = abs(found.estimates[name].value - truth[name])
-            assert error <= (most if names is TIMES else most * truth[name]), name
+            adapter, key = name.split(".")
+            assert found.estimates[name].value == pytest.approx(TRUTH[adapter][key], **most), name
 
 
 def test_robot_is_found_and_its_file_is_a_list_of_adapters(record, tmp_path, hsr):
@@ -75,8 +69,7 @@ def test_robot_is_found_and_its_file_is_a_list_of_adapters(record, tmp_path, hsr
     found = identify(record, out=out, picture=picture)
     check(found)
     assert found.response.base_lag == found.estimates["actuator_lag.base"].value
-    mean_latency = found.response.command_latency
-    assert mean_latency == pytest.approx(0.07 + 0.015, abs=0.015)
+    assert found.response.command_latency == pytest.approx(0.07 + 0.015, abs=0.015)
     specs = read_adapters(out)
     assert [spec.name for spec in specs] == [spec.name for spec in found.adapters]
     with_adapters(build_backend("analytic", {}), specs, hsr)
@@ -87,60 +80,40 @@ def test_robot_is_found_and_its_file_is_a_list_of_adapters(record, tmp_path, hsr
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["pr2", "tiago"])
 def test_other_robots_are_found(tmp_path, robot):
-    check(identify(driven(tmp_path, robot, adapters=adapters_file(tmp_path, TRUTH), seed=4)))
+    check(identify(driven(tmp_path, robot, seed=4)))
 
 
 @pytest.mark.slow
 def test_robot_without_delays_has_none(tmp_path):
-    found = identify(driven(tmp_path, "hsr"))
+    found = identify(driven(tmp_path, truth={}))
     assert found.response.command_latency < 0.005
     assert found.response.base_lag < 0.005
     assert found.response.acceleration is None
     assert any("no limit of the linear acceleration" in sentence for sentence in found.missing)
 
 
-def test_chain_is_that_of_the_adapters(hsr, tmp_path):
-    truth = {
-        "actuator_lag": {"base": 0.1, "arm": 0.05},
-        "acceleration_limit": {
-            "linear": 0.5, "angular": 1.0, "linear_jerk": 5.0, "angular_jerk": 10.0
-        },
-        "command_latency": {"seconds": 0.05},
-    }  # fmt: skip
-    specs = read_adapters(adapters_file(tmp_path, truth))
-    world = build_backend("analytic", {})
-    backend = with_adapters(world, specs, hsr)
+def test_chain_is_that_of_the_adapters(hsr):
+    limits = {"linear": 0.5, "angular": 1.0, "linear_jerk": 5.0, "angular_jerk": 10.0}
+    specs = [
+        PluginSpec("actuator_lag", {"base": 0.1, "arm": 0.05}),
+        PluginSpec("acceleration_limit", limits),
+        PluginSpec("command_latency", {"seconds": 0.05}),
+    ]
+    backend = with_adapters(AnalyticBackend(), specs, hsr)
     backend.seed(np.zeros(1, dtype=np.uint64), np.array([0]))
-    backend.reset(IDENTITY[np.newaxis], np.zeros((1, 5)))
+    backend.reset(at(), np.zeros((1, 5)))
     rng, n = np.random.default_rng(0), 200
-    twists = np.repeat(rng.uniform(-0.3, 0.3, size=(n // 20, 3)), 20, axis=0)
+    sent = np.repeat(rng.uniform(-0.3, 0.3, size=(n // 20, 3)), 20, axis=0)
     targets = np.cumsum(rng.normal(scale=0.01, size=(n, 5)), axis=0)
-    states = []
-    for twist, target in zip(twists, targets, strict=True):
-        full = np.array([[*twist[:2], 0.0, 0.0, 0.0, twist[2]]])
-        states.append(backend.step(full, target[np.newaxis], DT))
-    weights = Delays(0.05).weights(DT)
-    sent = np.concatenate([np.zeros((1, 3)), twists])
-    limits = np.array([0.5, 1.0]), np.array([5.0, 10.0])
-    means = chain.moved_base(chain.delayed(sent, weights), DT, 0.1, *limits)[1:]
+    steps = zip(sent, targets, strict=True)
+    states = [backend.step(twist(*velocity), target[np.newaxis], DT) for velocity, target in steps]
+    weights, before = Delays(0.05).weights(DT), np.zeros((1, 5))
+    active = chain.delayed(np.concatenate([before[:, :3], sent]), weights)
+    means = chain.moved_base(active, DT, 0.1, np.array([0.5, 1.0]), np.array([5.0, 10.0]))[1:]
     way = np.array([state.base_pose[0, :2] for state in states])
     np.testing.assert_allclose(np.cumsum(means, axis=0)[:, :2] * DT, way, atol=1e-4)
-    aims = np.concatenate([np.zeros((1, 5)), targets])
-    arm = chain.moved_arm(chain.delayed(aims, weights), DT, 0.05)[1:]
-    reached = np.array([state.joint_positions[0] for state in states])
-    np.testing.assert_allclose(arm, reached, atol=1e-3)
-
-
-def test_arm_moves_on_the_cubics_of_worlds_with_physics(hsr):
-    seconds, rng = 0.1, np.random.default_rng(0)
-    targets = np.cumsum(rng.normal(scale=0.002, size=(100, 5)), axis=0)
-    world = ArmSetpoints(hsr, seconds)
-    world.reset(targets[:1])
-    reached = []
-    for target in targets:
-        path, _ = world.plan(target[np.newaxis], np.array([DT]))
-        reached.append(path[0, -1, :5])
-    np.testing.assert_allclose(chain.moved_arm(targets, DT, 0.0, seconds), reached, atol=1e-9)
+    arm = chain.moved_arm(chain.delayed(np.concatenate([before, targets]), weights), DT, 0.05)[1:]
+    np.testing.assert_allclose(arm, [s.joint_positions[0] for s in states], atol=1e-3)
 
 
 @pytest.mark.parametrize("seconds", [0.0, DT, 0.1, 0.5])
@@ -154,8 +127,7 @@ def test_delay_of_cubics_is_that_at_constant_velocity(seconds):
 def test_latency_is_found_behind_an_arm_on_trajectories(tmp_path):
     """Such an arm is later than the base, by a time that the record tells."""
     pytest.importorskip(default_engine())
-    record, adapters = tmp_path / "pr2.csv", adapters_file(tmp_path, TRUTH)
-    drive("pr2", backend=default_engine(), record=record, adapters=adapters, real_time=False)
+    record = driven(tmp_path, "pr2", backend=default_engine())
     seconds = read_record(record).about.arm_seconds
     assert seconds > DT
     found, delays = identify(record).estimates, TRUTH["command_latency"]

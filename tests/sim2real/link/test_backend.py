@@ -1,4 +1,7 @@
 import shutil
+import socket
+import types
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -9,11 +12,11 @@ from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.kinematics import drive
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.link import BaseReading, JointReading
+from kinfeas.sim2real.link import BaseReading, JointReading, Orders
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.scans import CostmapReading, LaserReading
-from tests.builders import at
-from tests.sim2real.doubles import MemoryLink, Time, connected, joints_at, present
+from tests.builders import at, twist, wait
+from tests.sim2real.conftest import MemoryLink, connected, joints_at, present
 
 DT = 0.02
 PR2 = load_robot("pr2")
@@ -48,23 +51,13 @@ def test_the_response_of_a_robots_file_is_that_of_its_backend(tmp_path):
     assert LinkBackend(PR2, MemoryLink()).response.immediate
 
 
-def parts(joints=None, base=True):
-    def answer(readings):
-        if base:
-            readings.base(BaseReading(0.0, 0.0, 0.0))
-        if joints:
-            readings.joints(joints)
-
-    return answer
-
-
 @pytest.mark.parametrize(("answer", "deaf", "named"), [
-    (parts(joints_at(PR2), base=False), None, "/odometer"),
-    (parts(), None, "/encoders"),
+    (lambda readings: readings.joints(joints_at(PR2)), None, "/odometer"),
+    (lambda readings: readings.base(BaseReading(0.0, 0.0, 0.0)), None, "/encoders"),
     (present(PR2), "/cmd_vel", "/cmd_vel"),
-    (parts(JointReading(dict.fromkeys(ARM[:-1], 0.0))), None, ARM[-1]),
-    (parts(joints_at(PR2, torso_lift_joint=0.5)), None, "torso_lift_joint"),
-    (parts(joints_at(PR2, torso_lift_joint=-0.5)), None, "torso_lift_joint"),
+    (present(PR2, joints=JointReading(dict.fromkeys(ARM[:-1], 0.0))), None, ARM[-1]),
+    (present(PR2, joints=joints_at(PR2, torso_lift_joint=0.5)), None, "torso_lift_joint"),
+    (present(PR2, joints=joints_at(PR2, torso_lift_joint=-0.5)), None, "torso_lift_joint"),
 ])  # fmt: skip
 def test_errors_of_reset_name_the_missing_part(answer, deaf, named):
     with pytest.raises(KinfeasError, match=named):
@@ -72,9 +65,9 @@ def test_errors_of_reset_name_the_missing_part(answer, deaf, named):
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago"])
-def test_the_base_gets_the_action_of_the_policy_in_its_own_frame(name):
+def test_the_base_gets_the_action_of_the_policy_in_its_own_frame(name, time):
     robot, rng = load_robot(name), np.random.default_rng(0)
-    backend, link = connected(robot, Time(), yaw=2.5)
+    backend, link = connected(robot, time, yaw=2.5)
     pose, home = backend.read().base_pose, robot.home["home"][np.newaxis]
     for _ in range(20):
         action = 0.7 * rng.uniform(-1.0, 1.0, (1, drive.command_size(robot.base)))
@@ -90,11 +83,11 @@ def test_the_base_gets_the_action_of_the_policy_in_its_own_frame(name):
 def test_the_arm_is_sent_by_the_robots_own_names(time):
     positions = dict(joints_at(PR2).positions)
     positions["elbow"] = positions.pop(ARM[ELBOW])
-    link = MemoryLink(parts(JointReading(positions)))
+    link = MemoryLink(present(PR2, joints=JointReading(positions)))
     backend = LinkBackend(PR2, link, names={ARM[ELBOW]: "elbow"}, seconds=0.25, clock=time.clock)
     state = backend.reset(None, None)
     np.testing.assert_array_equal(state.joint_positions, AT_HOME)
-    backend.step(np.zeros((1, 6)), AT_HOME, DT)
+    backend.step(twist(), AT_HOME, DT)
     sent, seconds = link.moved[-1]
     assert list(sent) == [*ARM[:ELBOW], "elbow", *ARM[ELBOW + 1 :]]
     np.testing.assert_allclose(list(sent.values()), AT_HOME[0])
@@ -104,28 +97,26 @@ def test_the_arm_is_sent_by_the_robots_own_names(time):
 @pytest.mark.parametrize("turns", [-3, 0, 2])
 def test_continuous_joints_go_the_short_way(ends, turns):
     backend, link = ends
-    measured = 3.0 + turns * 2.0 * np.pi
+    measured, targets = 3.0 + turns * 2.0 * np.pi, AT_HOME.copy()
     link.readings.joints(JointReading({ARM[ROLL]: measured}))
-    targets = AT_HOME.copy()
     targets[0, ROLL] = -3.0
-    backend.step(np.zeros((1, 6)), targets, DT)
+    backend.step(twist(), targets, DT)
     assert link.moved[-1][0][ARM[ROLL]] == pytest.approx(measured + 2.0 * np.pi - 6.0)
 
 
-@pytest.mark.parametrize(("factor", "used"), [(None, 1.0), (0.2, 0.2), (99.0, 1.0)])
-def test_no_joint_is_sent_faster_than_its_limit(ends, factor, used):
+def test_no_joint_is_sent_faster_than_its_limit(ends):
     backend, link = ends
     fastest = PR2.max_joint_velocity
-    if factor is not None:
-        backend.limit_arm(factor * fastest)
-    backend.step(np.zeros((1, 6)), AT_HOME + np.eye(7)[ELBOW], DT)
-    # The peak of a cubic from rest is 1.5 times its mean.
-    seconds = pytest.approx(1.5 / (used * fastest[ELBOW]))
-    assert link.moved[-1][1] == seconds
-    backend.stop()  # without a newer measurement: the arm may be at its target already
-    positions, returns = link.moved[-1]
-    np.testing.assert_allclose(list(positions.values()), AT_HOME[0])
-    assert returns == seconds
+    for limit in (None, 0.2, 99.0):
+        if limit is not None:
+            backend.limit_arm(limit * fastest)
+        backend.step(twist(), AT_HOME + np.eye(7)[ELBOW], DT)
+        # The peak of a cubic from rest is 1.5 times its mean.
+        seconds = pytest.approx(1.5 / (min(limit or 1.0, 1.0) * fastest[ELBOW]))
+        assert link.moved[-1][1] == seconds
+        backend.stop()  # without a newer measurement: the arm may be at its target already
+        np.testing.assert_allclose(list(link.moved[-1][0].values()), AT_HOME[0])
+        assert link.moved[-1][1] == seconds
 
 
 def test_steps_keep_the_rate_and_return_the_newest_state(ends, time):
@@ -134,7 +125,7 @@ def test_steps_keep_the_rate_and_return_the_newest_state(ends, time):
     backend.prepare = lambda: prepared.append(len(link.driven))
     for x in (3.0, 4.0):
         link.readings.base(BaseReading(x, 0.0, 0.0))
-        state = backend.step(np.zeros((1, 6)), AT_HOME, DT)
+        state = backend.step(twist(), AT_HOME, DT)
         assert state.base_pose[0, 0] == x
     assert time.monotonic - start == pytest.approx(2 * DT)
     assert state.age[0] == pytest.approx(2 * DT)  # of the joints
@@ -161,14 +152,14 @@ def test_stop_commands_zero_and_holds_the_arm(ends):
 
 def test_a_broken_link_or_useless_measurements_are_faults_that_send_nothing(ends):
     backend, link = ends
-    link.broken = "cable"
+    link.check.side_effect = Fault("cable")
     for _ in range(2):
         with pytest.raises(Fault, match=r"cable|is not finite"):
             backend.step(np.full((1, 6), 0.1), AT_HOME, DT)
-        link.broken = None
+        link.check.side_effect = None
         link.readings.base(BaseReading(0.0, np.nan, 0.0))
     assert link.driven == link.moved == []
-    link.broken = "cable"
+    link.check.side_effect = Fault("cable")
     with pytest.raises(Fault, match="cable"):
         backend.reset(None, None)
 
@@ -181,7 +172,7 @@ def test_grips_and_closes_once(ends):
     backend.close()
     backend.close()
     backend.stop()
-    assert (link.closed, len(link.driven)) == (1, 1)
+    assert (link.close.call_count, len(link.driven)) == (1, 1)
 
 
 def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
@@ -205,3 +196,39 @@ def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
     assert not scan.blind.any()
     np.testing.assert_allclose(scan.ranges[0, 0], 2.0)
     assert np.all((scan.ranges[0, 1] > 0.39) & (scan.ranges[0, 1] < 0.65))
+
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "udp_backend.py"
+
+
+def test_the_udp_example_carries_measurements_commands_and_stops(hsr):
+    udp, orders = types.ModuleType("udp"), {"drive": [], "move": [], "grip": []}
+    exec(compile(EXAMPLE.read_text(), str(EXAMPLE), "exec"), vars(udp))
+    with socket.socket(type=socket.SOCK_DGRAM) as one, socket.socket(type=socket.SOCK_DGRAM) as two:
+        for port in (one, two):  # which are free
+            port.bind(("127.0.0.1", 0))
+        udp.OURS, udp.ROBOTS = one.getsockname(), two.getsockname()
+    theirs, ours = udp.UdpBackend.robot_link(hsr), udp.UdpBackend(hsr, seconds=0.25)
+    assert isinstance(ours, RealTimeBackend)
+    assert ours.stop_call() is not None
+    theirs.open(Orders(*(orders[name].append for name in ("drive", "move", "grip"))))
+    ours.link.open(ours._inbox.readings())
+    ours._opened = True
+    base = BaseReading(1.0, 2.0, np.pi / 2, np.array([0.1, 0.0, 0.2]), stamp=5.0)
+    theirs.report(base, joints_at(hsr), None)
+    wait(lambda: not any(ours._inbox.missing()))
+    state = ours.read()
+    np.testing.assert_allclose(state.base_pose[0, :2], [1.0, 2.0])
+    np.testing.assert_allclose(state.base_twist[0], [0, 0.1, 0, 0, 0, 0.2], atol=1e-12)
+    targets = hsr.home["home"] + 0.01
+    ours.step(np.array([[0.0, 0.2, 0.0, 0.0, 0.0, 0.0]]), targets[np.newaxis], 0.002)
+    ours.grip("close", np.array([0]))
+    wait(lambda: all(orders.values()))
+    np.testing.assert_allclose(orders["drive"][0], [0.2, 0.0, 0.0], atol=1e-12)
+    path = orders["move"][0]
+    assert path.joints == tuple(joint.name for joint in hsr.arm)
+    np.testing.assert_allclose(path.positions, [targets])
+    udp.stop_base()()
+    wait(lambda: not orders["drive"][-1].any())
+    ours.close()
+    theirs.close()

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.measurements import DRIFT, Inbox, TransportDelay
-from tests.sim2real.doubles import joints_at
+from tests.sim2real.conftest import joints_at
 
 PR2 = load_robot("pr2")
 ARM = [joint.name for joint in PR2.arm]
@@ -95,26 +95,22 @@ def test_the_age_is_that_of_the_oldest_part(inbox, time):
     assert inbox.state().age[0] == 3.0
 
 
-def test_messages_that_were_overtaken_are_dropped(inbox):
-    inbox.readings().joints(joints_at(PR2))
-    for x, stamp in ((1.0, 10.0), (2.0, 10.0), (3.0, 9.95)):
-        inbox.readings().base(BaseReading(x, 0.0, 0.0, stamp=stamp))
-    assert inbox.state().base_pose[0, 0] == 2.0
-    assert inbox.fault is None
-
-
-@pytest.mark.parametrize("part", ["the base", "r_elbow_flex_joint"])
-def test_a_clock_that_is_set_back_is_a_fault_of_its_part(inbox, part):
+def test_messages_that_were_overtaken_are_dropped_and_clocks_that_are_set_back_are_faults(inbox):
     readings = inbox.readings()
-    readings.joints(JointReading({ARM[0]: 0.0}, stamp=99.0))  # of another joint
-    for stamp in (10.0, 7.5):
-        if part == "the base":
-            readings.base(BaseReading(0.0, 0.0, 0.0, stamp=stamp))
-        else:
-            readings.joints(JointReading({part: 0.0}, stamp=stamp))
-    assert part in inbox.fault
+    readings.joints(JointReading(joints_at(PR2).positions, stamp=9.0))
+    for x, stamp in ((1.0, 10.0), (2.0, 10.0), (3.0, 9.95)):
+        readings.base(BaseReading(x, 0.0, 0.0, stamp=stamp))
+        readings.joints(JointReading({"r_elbow_flex_joint": -x}, stamp=stamp))
+    state = inbox.state()
+    assert (state.base_pose[0, 0], state.joint_positions[0, 3]) == (2.0, -2.0)
+    assert inbox.fault is None
+    readings.base(BaseReading(0.0, 0.0, 0.0, stamp=7.5))
+    assert "the base" in inbox.fault
     inbox.forget()
     assert inbox.fault is None
+    for stamp in (10.0, 7.5):
+        readings.joints(JointReading({"r_elbow_flex_joint": 0.0}, stamp=stamp))
+    assert "r_elbow_flex_joint" in inbox.fault
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

@@ -1,6 +1,5 @@
 """Services of ROS 2, called as a node with `rmw_cyclonedds_cpp` does."""
 
-import os
 import struct
 
 import numpy as np
@@ -22,9 +21,8 @@ from kinfeas.api.serve import PlanningServer
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros.moveit import MOVEIT
 from tests.builders import TIMEOUT, wait
-from tests.sim2real.ros_processes import own_domain
 
-CLIENT = 0xFEDCBA9876543210
+CLIENT, TYPES = 0xFEDCBA9876543210, "moveit_msgs::srv::dds_::"
 DEFAULTS = Qos(
     Policy.Reliability.Reliable(duration(seconds=1)),
     Policy.Durability.Volatile,
@@ -40,11 +38,8 @@ class Client:
         self.writer = DataWriter(participant, topics, qos=DEFAULTS)
         replies = Topic(participant, f"rr{service}Reply", reply)
         self.reader, self.number = DataReader(participant, replies, qos=DEFAULTS), 0
-        wait(
-            lambda: (
-                self.writer.get_matched_subscriptions() and self.reader.get_matched_publications()
-            )
-        )
+        wait(self.writer.get_matched_subscriptions)
+        wait(self.reader.get_matched_publications)
 
     def __call__(self, request):
         self.number += 1
@@ -56,16 +51,10 @@ class Client:
 
 
 @pytest.fixture(scope="module")
-def participant():
+def participant(domain):
     """A participant beside a server of HSR in a room."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", own_domain())
-        patch.setenv("ROS_LOCALHOST_ONLY", "1")
-        patch.setenv("CYCLONEDDS_URI", os.environ.get("CYCLONEDDS_URI", ""))
-        if not os.environ["CYCLONEDDS_URI"]:
-            patch.delenv("CYCLONEDDS_URI")
-        with PlanningServer("hsr", "room", 0, ros2=True):
-            yield DomainParticipant(int(own_domain()))
+    with PlanningServer("hsr", "room", 0, ros2=True):
+        yield DomainParticipant(domain)
 
 
 @pytest.fixture(scope="module")
@@ -106,10 +95,8 @@ def test_base_poses_are_those_of_reach(compute_ik):
     reply = compute_ik(ik())
     (placement,) = reach("hsr", [[1.0, 0.5, 0.8, 0, 0, 0, 1]], scene="room", k=1)
     assert reply.error_code.val == 1
-    np.testing.assert_allclose(
-        base_of(reply.solution.multi_dof_joint_state), placement.base_pose[0]
-    )
-    joints = reply.solution.joint_state
+    base, joints = reply.solution.multi_dof_joint_state, reply.solution.joint_state
+    np.testing.assert_allclose(base_of(base), placement.base_pose[0])
     np.testing.assert_allclose(joints.position, placement.joint_positions[0])
     assert joints.name[0] == "arm_lift_joint"
     several = MOVEIT.GetPositionIK_Request()
@@ -124,27 +111,21 @@ def test_plans_lead_along_straight_lines_from_the_start_state(compute_path):
     assert len(arm.points) == len(base.points) == 21
     assert base.points[-1].time_from_start.to_sec() >= 2.0 - 1e-6
     assert arm.points[0].positions == reply.start_state.joint_state.position
-    onward = path(1.2, start_state=reply.start_state)
-    again = compute_path(onward)
+    again = compute_path(path(1.2, start_state=reply.start_state))
     assert again.error_code.val == 1
     assert len(again.solution.joint_trajectory.points) in {21, 22}  # the EE is not exactly there
-    assert base_of(again.start_state.multi_dof_joint_state) == pytest.approx(
-        base_of(reply.start_state.multi_dof_joint_state), abs=1e-6
-    )
+    begun, onward = (base_of(each.start_state.multi_dof_joint_state) for each in (reply, again))
+    assert onward == pytest.approx(begun, abs=1e-6)
 
 
 FIXED_LIFT = MOVEIT.Constraints(joint_constraints=[MOVEIT.JointConstraint("arm_lift_joint")])
-FAR_AWAY = MOVEIT.RobotState(
-    multi_dof_joint_state=MOVEIT.MultiDOFJointState(
-        transforms=[MOVEIT.Transform(MOVEIT.Vector3(2e4))]
-    )
-)
+FAR = MOVEIT.MultiDOFJointState(transforms=[MOVEIT.Transform(MOVEIT.Vector3(2e4))])
 
 
 @pytest.mark.parametrize(("fields", "code"), [
     ({"z": 3.0}, -31), ({"frame": "odom"}, -21), ({"x": np.nan}, -16),
     ({"constraints": FIXED_LIFT}, -16), ({"ik_link_name": "base_link"}, -18),
-    ({"robot_state": FAR_AWAY}, -17),
+    ({"robot_state": MOVEIT.RobotState(multi_dof_joint_state=FAR)}, -17),
 ])  # fmt: skip
 def test_requests_without_base_pose_have_error_codes(compute_ik, fields, code):
     error = compute_ik(ik(**fields)).error_code
@@ -170,22 +151,19 @@ def test_requests_without_plan_have_error_codes(compute_path, xs, fields, code):
 
 
 def test_topics_and_types_have_the_names_of_ros(participant, compute_ik, compute_path):
-    names = set()
+    names = {}
     for kind in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription):
         reader = BuiltinDataReader(participant, kind)
-        names |= {(topic.topic_name, topic.type_name) for topic in reader.take(100)}
-    assert names >= {
-        ("rq/kinfeas/compute_ikRequest", "moveit_msgs::srv::dds_::GetPositionIK_Request_"),
-        ("rr/kinfeas/compute_ikReply", "moveit_msgs::srv::dds_::GetPositionIK_Response_"),
-        (
-            "rq/kinfeas/compute_cartesian_pathRequest",
-            "moveit_msgs::srv::dds_::GetCartesianPath_Request_",
-        ),
-        (
-            "rr/kinfeas/compute_cartesian_pathReply",
-            "moveit_msgs::srv::dds_::GetCartesianPath_Response_",
-        ),
-    }
+        names |= {topic.topic_name: topic.type_name for topic in reader.take(100)}
+    assert (
+        names.items()
+        >= {
+            "rq/kinfeas/compute_ikRequest": f"{TYPES}GetPositionIK_Request_",
+            "rr/kinfeas/compute_ikReply": f"{TYPES}GetPositionIK_Response_",
+            "rq/kinfeas/compute_cartesian_pathRequest": f"{TYPES}GetCartesianPath_Request_",
+            "rr/kinfeas/compute_cartesian_pathReply": f"{TYPES}GetCartesianPath_Response_",
+        }.items()
+    )
 
 
 def _cdr(*values):

@@ -3,38 +3,37 @@ import threading
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
 from kinfeas.control.targets import TargetRules
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.errors import Fault
-from kinfeas.core.start import Start
+from kinfeas.core.start import stacked
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
+from kinfeas.sim2real.servo.messages import SenderClock
 from kinfeas.tasks.task import build_subgoals
-from tests.sim2real.doubles import Time
+from tests.builders import assert_near, rngs
+from tests.sim2real.conftest import Time
 
 DT = 0.02
+SOLVER = IkSolver(load_robot("pr2"))
 
 
-@pytest.fixture(scope="module")
-def solver():
-    return IkSolver(load_robot("pr2"))
-
-
-def begin(solver, **rules):
+def begin(**rules):
     clock = Time()
-    controller = TargetController(solver.robot, TargetRules(**rules), clock=clock.clock.monotonic)
-    analytic = registry.build("kinfeas.backends", "analytic", {})
+    controller = TargetController(SOLVER.robot, TargetRules(**rules), clock=clock.clock.monotonic)
+    task, filters = ServoTask(controller), [controller, PluginSpec("time_scaling")]
     loop = assemble(
-        solver, build_subgoals(ServoTask(controller).subgoals), analytic, dt=DT,
-        filters=[controller, PluginSpec("time_scaling")], stream=controller,
+        SOLVER, build_subgoals(task.subgoals), AnalyticBackend(), dt=DT, filters=filters,
+        stream=controller,
     )  # fmt: skip
-    start = ServoTask(controller).sample(solver, np.random.default_rng(0))
-    arrays = (start.base_pose, start.joint_positions, start.target_poses)
-    loop.start(Start(*(array[np.newaxis] for array in arrays)), [np.random.default_rng(0)])
+    loop.start(stacked([task.sample(SOLVER, np.random.default_rng(0))]), rngs(1))
     return controller, clock, loop
 
 
@@ -47,8 +46,8 @@ def speed(loop, before):
     return float(np.linalg.norm(loop.ee_pose[0, :3] - before[0, :3])) / DT
 
 
-def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one(solver):
-    controller, clock, loop = begin(solver)
+def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one():
+    controller, clock, loop = begin()
     for _ in range(50):
         controller.set_twist([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
         before = loop.ee_pose
@@ -64,9 +63,9 @@ def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one(solver)
     np.testing.assert_array_equal(loop.robots.base_pose, base)
 
 
-def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee(solver):
-    controller, clock, loop = begin(solver, max_jump=1.0)
-    ee, frame = loop.desired[0], solver.robot.ee_frame
+def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee():
+    controller, clock, loop = begin(max_jump=1.0)
+    ee, frame = loop.desired[0], SOLVER.robot.ee_frame
     for _ in range(20):
         controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], frame=frame)
         step(clock, loop)
@@ -92,14 +91,14 @@ MALFORMED = [
 ]  # fmt: skip
 
 
-def test_malformed_messages_from_many_threads_have_no_effect(solver):
-    controller, clock, loop = begin(solver)
+def test_malformed_messages_from_many_threads_have_no_effect():
+    controller, clock, loop = begin()
     begun = loop.desired.copy()
 
     def send():
         for value in MALFORMED:
             controller.set_twist(value)
-            controller.set_target(value, frame=solver.robot.base.frame)
+            controller.set_target(value, frame=SOLVER.robot.base.frame)
             controller.set_target(spatial.IDENTITY, frame="nowhere")
             controller.set_target(spatial.IDENTITY, stamp="soon")
             controller.set_chunk(value, np.arange(65) / 65.0)
@@ -118,9 +117,9 @@ def test_malformed_messages_from_many_threads_have_no_effect(solver):
     assert controller.counts["frame"] == 2 * len(MALFORMED)
 
 
-def test_time_scaling_waits_at_the_end_of_the_reach(solver):
+def test_time_scaling_waits_at_the_end_of_the_reach():
     """An arm that is led out of its reach, while the base may not move, stops without a failure."""
-    controller, clock, loop = begin(solver)
+    controller, clock, loop = begin()
     scales = []
     for _ in range(250):
         controller.set_twist([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
@@ -143,9 +142,9 @@ def columns(poses):
 
 
 @pytest.mark.parametrize("rotations", [lambda poses: poses, columns], ids=["quaternions", "6-D"])
-def test_a_relative_chunk_begins_at_the_pose_of_its_observation(solver, rotations):
+def test_a_relative_chunk_begins_at_the_pose_of_its_observation(rotations):
     """It arrives 0.2 s after the observation, and the last chunk stays until 0.3 s."""
-    controller, clock, loop = begin(solver)
+    controller, clock, loop = begin()
     begun, times = clock.monotonic, np.linspace(0.1, 2.0, 20)
     first = np.tile(loop.desired[0], (20, 1))
     first[:, 2] += 0.1 * times
@@ -165,13 +164,11 @@ def test_a_relative_chunk_begins_at_the_pose_of_its_observation(solver, rotation
     np.testing.assert_allclose(loop.desired[0, [0, 1, 3, 4, 5, 6]], seen[[0, 1, 3, 4, 5, 6]])
     for _ in range(110):
         step(clock, loop)
-    metres, radians = spatial.distance(loop.desired[0], spatial.compose(seen, actions[-1]))
-    assert metres < 1e-4
-    assert radians < 1e-3
+    assert_near(loop.desired[0], spatial.compose(seen, actions[-1]), 1e-4, 1e-3)
 
 
-def test_chunks_of_wrong_times_and_rotations_are_ignored(solver):
-    controller, clock, loop = begin(solver)
+def test_chunks_of_wrong_times_and_rotations_are_ignored():
+    controller, clock, loop = begin()
     for _ in range(300):
         step(clock, loop)
     now, chunk = clock.monotonic, np.tile(spatial.IDENTITY, (2, 1))
@@ -190,8 +187,8 @@ def test_chunks_of_wrong_times_and_rotations_are_ignored(solver):
 UP = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
 
 
-def test_messages_are_counted_by_the_reason_why_they_are_ignored(solver):
-    controller, clock, loop = begin(solver)
+def test_messages_are_counted_by_the_reason_why_they_are_ignored():
+    controller, clock, loop = begin()
     there = clock.monotonic
     for stamp in (0.0, 0.01, 0.01, 0.005, -0.5, 1e6):
         controller.set_twist(UP, stamp=there + stamp)
@@ -210,8 +207,8 @@ def test_messages_are_counted_by_the_reason_why_they_are_ignored(solver):
     assert sum(counts.values()) == 1009
 
 
-def test_messages_that_are_ignored_for_long_are_reported_once(solver, caplog):
-    controller, clock, loop = begin(solver)
+def test_messages_that_are_ignored_for_long_are_reported_once(caplog):
+    controller, clock, loop = begin()
     for count, behind in ((10, 0.0), (200, 0.3), (10, 0.0)):
         for _ in range(count):
             controller.set_twist(UP, stamp=clock.monotonic - behind)
@@ -221,3 +218,97 @@ def test_messages_that_are_ignored_for_long_are_reported_once(solver, caplog):
     controller.fail("the tracker is gone")
     with pytest.raises(Fault, match="the tracker is gone"):
         step(clock, loop)
+
+
+TOLERANCE, EVERY = 0.1, 0.02
+
+
+class Stream:
+    """A sender at 50 Hz, with a clock of its own, and a receiver."""
+
+    def __init__(self, ahead=0.0):
+        self.clock, self.now, self.ahead = SenderClock(TOLERANCE), 1000.0, ahead
+
+    def take(self, stamp):
+        """Return whether a message that arrives now counts as fresh."""
+        sent = self.clock.sent(stamp, self.now)
+        assert sent is None or sent <= self.now
+        return sent is not None and self.now - sent <= TOLERANCE
+
+    def run(self, count, late=0.0, every=EVERY, rate=1.0):
+        """Return which of the next messages, each late by some seconds, are fresh, (count,)."""
+        fresh = []
+        for _ in range(count):
+            fresh.append(self.take(rate * (self.now - late) + self.ahead))
+            self.now += every
+        return np.array(fresh)
+
+
+@pytest.mark.parametrize("ahead", [0.0, 1.7e9, -900.0])
+@pytest.mark.parametrize("overtaken", [0, 1, 4, 10])
+def test_messages_of_a_queue_are_late_also_behind_older_ones(ahead, overtaken):
+    stream = Stream(ahead)
+    assert stream.run(50).all()
+    last = stream.now - EVERY
+    stream.now += 5.0
+    for i in range(overtaken):
+        assert not stream.take(last - 0.01 * (overtaken - i) + ahead)
+        stream.now += EVERY
+    assert not stream.run(250, late=stream.now - last - EVERY).any()
+    assert stream.run(50).all()
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.2, 5.0), st.floats(0.0, 5.0)), min_size=1, max_size=4),
+    st.lists(st.floats(0.0, 0.05), min_size=50, max_size=50),
+)
+def test_no_message_that_waited_longer_than_the_tolerance_is_fresh(outages, jitter):
+    """Messages keep their order; those of an outage arrive after it, all at once."""
+    clock, made = SenderClock(TOLERANCE), 1000.0 + EVERY * np.arange(1000)
+    arrivals, begin = made + np.resize(jitter, len(made)), 1002.0
+    for seconds, pause in outages:
+        waits = (arrivals >= begin) & (arrivals < begin + seconds)
+        arrivals[waits] = begin + seconds
+        begin += seconds + pause
+    arrivals = np.maximum.accumulate(arrivals)
+    least = np.inf
+    for stamp, arrival in zip(made, arrivals, strict=True):
+        least = min(least, arrival - stamp)
+        sent = clock.sent(stamp - 500.0, arrival)
+        assert arrival - sent == pytest.approx(arrival - stamp - least, abs=0.03)
+
+
+@pytest.mark.parametrize("error", [1e6, 5.0, 0.2, -0.2, -5.0, -1e6, 1e300, -1e300])
+def test_one_wrong_stamp_costs_one_message(error):
+    stream = Stream()
+    assert stream.run(50).all()
+    assert not stream.take(stream.now + error)
+    stream.now += EVERY
+    assert stream.run(3000).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "pause"),  # the last ones are of a sender that restarts
+    [(1.0, 0.0), (-1.0, 0.0), (0.3, 0.0), (-3600.0, 0.0), (-1000.0, 3.0), (5000.0, 3.0)],
+)
+def test_a_clock_that_is_set_is_accepted_after_half_a_second(change, pause):
+    stream = Stream()
+    assert stream.run(50).all()
+    stream.now, stream.ahead = stream.now + pause, stream.ahead + change
+    fresh = stream.run(200)
+    assert pause or not fresh[:20].any()
+    assert fresh[30:].all()
+
+
+@pytest.mark.parametrize("behind", [0.3, -0.3])
+def test_of_two_senders_the_first_is_followed(behind):
+    stream, fresh = Stream(), []
+    for _ in range(500):
+        fresh.append((stream.take(stream.now), stream.take(stream.now - behind)))
+        stream.now += EVERY
+    assert [sum(column) for column in zip(*fresh, strict=True)] == [500, 0]
+
+
+@pytest.mark.parametrize("rate", [1 - 1e-4, 1 + 1e-4])
+def test_a_clock_may_drift_for_an_hour(rate):
+    assert Stream().run(36_000, every=0.1, rate=rate).all()

@@ -1,4 +1,5 @@
-import os
+import select
+import socket
 import threading
 import time
 from unittest.mock import Mock
@@ -16,12 +17,14 @@ from kinfeas.sim2real.link.scans import LaserReading, costmap_ranges, laser_rang
 from kinfeas.sim2real.ros import bus as ros_bus
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import stop_base
+from kinfeas.sim2real.ros.ros1 import MasterWatch
 from kinfeas.sim2real.ros.ros2 import MESSAGES, Ros2Bus
 from kinfeas.sim2real.ros.topics import read_topics
 from kinfeas.sim2real.servo.controller import TargetController
 from kinfeas.sim2real.servo.ros import Ros2Source
-from tests.builders import wait
-from tests.sim2real.ros_processes import own_domain
+from tests.builders import at, wait
+
+pytestmark = pytest.mark.usefixtures("domain")
 
 TOPICS = """
 base: {command: /cmd_vel, stamped: %s, measured_by: %s}
@@ -34,44 +37,31 @@ scan: {topic: /scan, x: 0.2}
 costmap: {topic: /local_costmap/costmap}
 gripper: {command: /gripper/joint_trajectory, kind: trajectory, joints: [finger], open: 0.04}
 """
-
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
-    monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
-    monkeypatch.setenv("CYCLONEDDS_URI", os.environ.get("CYCLONEDDS_URI", ""))
-    if not os.environ["CYCLONEDDS_URI"]:
-        monkeypatch.delenv("CYCLONEDDS_URI")
+TIAGO = load_robot("tiago")
+ARM = [joint.name for joint in TIAGO.arm]
 
 
 @pytest.fixture(params=[("false", "odometry"), ("true", "tf")], ids=["plain", "stamped-tf"])
 def ends(request, tmp_path):
     """Both ends, and what each of them received."""
-    robot = load_robot("tiago")
     path = tmp_path / "topics.yaml"
-    joints = ", ".join(joint.name for joint in robot.arm[1:])
-    path.write_text(TOPICS % (*request.param, joints))
-    topics = read_topics(robot, 2, str(path))
+    path.write_text(TOPICS % (*request.param, ", ".join(ARM[1:])))
+    topics = read_topics(TIAGO, 2, str(path))
     ours, theirs = RosLink(topics, Ros2Bus()), RosRobotLink(topics, Ros2Bus())
-    measured, ordered = {}, {}
-    ours.open(Readings(*(_into(measured, name) for name in ("base", "joints", "scan"))))
-    theirs.open(Orders(*(_into(ordered, name) for name in ("drive", "move", "grip"))))
+    measured = {"base": [], "joints": [], "scan": []}
+    ordered = {"drive": [], "move": [], "grip": []}
+    ours.open(Readings(*(into.append for into in measured.values())))
+    theirs.open(Orders(*(into.append for into in ordered.values())))
     yield ours, theirs, measured, ordered
     for end in (ours, theirs):
         end.close()
         end.close()
 
 
-def _into(handed, name):
-    return lambda value: handed.setdefault(name, []).append(value)
-
-
 def test_commands_and_measurements_arrive(ends):
     ours, theirs, measured, ordered = ends
     wait(lambda: ours.waits_for() is None)
-    arm = [joint.name for joint in load_robot("tiago").arm]
-    positions = dict(zip(arm, np.linspace(0.1, 0.8, 8).tolist(), strict=True))
+    positions = dict(zip(ARM, np.linspace(0.1, 0.8, 8).tolist(), strict=True))
     base = BaseReading(1.5, -2.0, 0.75, np.array([0.1, 0.0, -0.2]), 1e9 + 0.5)
     joints = JointReading({"torso_lift_joint": 0.25, "arm_1_joint": 1.5}, {"arm_1_joint": 0.5})
     ranges = np.full((2, SCAN_BEAMS), [[1.0], [2.0]])
@@ -84,12 +74,10 @@ def test_commands_and_measurements_arrive(ends):
         theirs.report(base, joints, ranges)
         theirs.check()
         time.sleep(0.02)
-        moved = {name for path in ordered.get("move", []) for name in path.joints}
-        scans = {type(reading) for reading in measured.get("scan", [])}
-        commands = moved == positions.keys() and {"drive", "grip"} <= ordered.keys()
-        return (
-            commands and scans == ours.scan_sources.keys() and {"base", "joints"} <= measured.keys()
-        )
+        moved = {name for path in ordered["move"] for name in path.joints}
+        scans = {type(reading) for reading in measured["scan"]}
+        complete = moved == positions.keys() and scans == ours.scan_sources.keys()
+        return complete and all(map(len, (*measured.values(), *ordered.values())))
 
     wait(arrived)
     np.testing.assert_array_equal(ordered["drive"][-1], [0.1, -0.2, 0.3])
@@ -203,8 +191,8 @@ def test_a_robot_that_is_not_there_is_an_error():
 
 
 def test_a_path_in_the_ee_frame_is_a_relative_chunk():
-    robot, seen = load_robot("tiago"), spatial.planar_pose(1.0, 2.0, np.pi / 2)[np.newaxis]
-    controller, source, policy = TargetController(robot), Ros2Source(), Ros2Bus()
+    seen = at(1.0, 2.0, np.pi / 2)
+    controller, source, policy = TargetController(TIAGO), Ros2Source(), Ros2Bus()
     rows = np.zeros(1, dtype=np.intp)
     progress = Progress(rows, rows, seen, seen, np.ones(1), 0.02, 0.02)
     controller.start(seen, [np.random.default_rng(0)], rows)
@@ -215,7 +203,7 @@ def test_a_path_in_the_ee_frame_is_a_relative_chunk():
 
     def arrived():
         now, path = time.time(), MESSAGES.Path()
-        path.header.frame_id, path.header.stamp = robot.ee_frame, MESSAGES.Time.from_sec(now)
+        path.header.frame_id, path.header.stamp = TIAGO.ee_frame, MESSAGES.Time.from_sec(now)
         for seconds in (0.0, 1.0):
             pose = MESSAGES.PoseStamped()
             pose.header.stamp = MESSAGES.Time.from_sec(now + seconds)
@@ -229,3 +217,32 @@ def test_a_path_in_the_ee_frame_is_a_relative_chunk():
     np.testing.assert_allclose(controller.targets(progress)[0, [0, 2]], [1.0, 0.0], atol=1e-6)
     for bus in (source, policy):
         bus.close()
+
+
+@pytest.fixture
+def server(monkeypatch):
+    """A socket that listens, as a master does."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{listening.getsockname()[1]}")
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    yield listening
+    listening.close()
+
+
+def test_notices_that_the_master_died(server):
+    watch = MasterWatch()
+    connection, _ = server.accept()
+    watch.check()
+    connection.shutdown(socket.SHUT_RDWR)
+    select.select([watch._socket], [], [], 60.0)
+    with pytest.raises(Fault, match="master"):
+        watch.check()
+    connection.close()
+    watch.close()
+    watch.close()
+
+
+def test_no_master_is_an_error(server):
+    server.close()
+    with pytest.raises(KinfeasError, match=r"no ROS master at http://127\.0\.0\.1"):
+        MasterWatch()
