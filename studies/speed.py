@@ -9,6 +9,8 @@ Training uses the robot's recipe on all cores for half a minute.
 
 import argparse
 import os
+import resource
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -36,7 +38,6 @@ from kinfeas.policies.loading import trained_folder
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.link.rate import peak_memory_mb
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""
@@ -114,7 +115,7 @@ def measure_speed(
         if on_part is not None:
             on_part(name)
         figures += measure()
-    return [*figures, Figure("peak memory", peak_memory_mb(), "MB")]
+    return [*figures, Figure("peak memory", _peak_memory_mb(), "MB")]
 
 
 def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
@@ -346,6 +347,14 @@ def _one_step(ee_pose: Array, rng: np.random.Generator) -> Array:
 def _directions(rng: np.random.Generator, count: int, axes: int) -> Array:
     vectors = rng.normal(size=(count, axes))
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _peak_memory_mb() -> float:
+    """Return the peak memory of this process and its children so far, 10^6 bytes."""
+    processes = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+    most = max(resource.getrusage(who).ru_maxrss for who in processes)
+    # Linux counts kibibytes, macOS bytes.
+    return most / 1e6 if sys.platform == "darwin" else most * 1024 / 1e6
 
 
 def main() -> None:

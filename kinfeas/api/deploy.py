@@ -32,7 +32,7 @@ from kinfeas.core.registry import from_anywhere
 from kinfeas.core.spatial import distance
 from kinfeas.core.start import episode_rng
 from kinfeas.io.files import writing
-from kinfeas.io.run_log import About, Recorder
+from kinfeas.io.run_log import About, Moment, Recorder
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_path import BasePath
 from kinfeas.policies.loading import load_policy
@@ -83,7 +83,7 @@ def deploy(  # noqa: PLR0913 - options of the command
     real_time: bool = True,
     filters: str | Sequence[str] | None = None,
     settings: Settings | None = None,
-    on_start: Callable[[], None] = lambda: None,
+    on_moment: Callable[[Moment], None] | None = None,
 ) -> Deployment:
     """Run a policy on a robot and return the result; the base is stopped in any case.
 
@@ -91,7 +91,7 @@ def deploy(  # noqa: PLR0913 - options of the command
 
     Arguments are the options of the command: the goal in metres, its orientation in radians or as a
     quaternion xyzw; a `plan` replaces goal, task and policy. `settings` are values by key of
-    `DeployConfig`. `on_start` is called when all parts are prepared.
+    `DeployConfig`. `on_moment` is called with each line of the record.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
@@ -126,8 +126,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         rate=rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
     )  # fmt: skip
     setup = replace(setup, filters=(*follower, *setup.filters))
-    on_start()
-    return recorded(setup, str(robot), str(policy), backend, record)
+    return recorded(setup, str(robot), str(policy), backend, record, on_moment)
 
 
 def servo(  # noqa: PLR0913 - options of the command
@@ -143,15 +142,15 @@ def servo(  # noqa: PLR0913 - options of the command
     guards: Name | None = None,
     filters: str | Sequence[str] | None = None,
     settings: Settings | None = None,
-    on_start: Callable[[], None] = lambda: None,
+    on_moment: Callable[[Moment], None] | None = None,
 ) -> Deployment:
     """Let base and arm follow EE targets, and return the result; the base is stopped at the end.
 
     Example: `kinfeas.servo(robot="pr2", backend="ros2", source=MySource()).targets`
 
     Arguments are the options of the command; `source` may also be a `TargetSource` of the calling
-    program. `settings` are values by key of `ServoConfig`. `on_start` is called when all parts are
-    prepared.
+    program. `settings` are values by key of `ServoConfig`. `on_moment` is called with each line of
+    the record.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
@@ -176,13 +175,12 @@ def servo(  # noqa: PLR0913 - options of the command
         rate=rate, seconds=seconds, seed=0, real_time=True,
     )  # fmt: skip
     setup = replace(setup, filters=(controller, *setup.filters))
-    on_start()
     unclosed = ""
     with _watched(name, controller):
         try:
             with plugin_note(name):
                 targets.start(controller)
-            done = recorded(setup, str(robot), str(policy), backend, record)
+            done = recorded(setup, str(robot), str(policy), backend, record, on_moment)
         finally:
             try:
                 targets.close()
@@ -197,12 +195,13 @@ def servo(  # noqa: PLR0913 - options of the command
     return replace(done, outcome=outcome, targets=controller.statistics())
 
 
-def recorded(
+def recorded(  # noqa: PLR0913 - the parts of a recorded run
     setup: Setup,
     robot: str,
     policy: str,
     backend: str,
     record: Name | None,
+    on_moment: Callable[[Moment], None] | None = None,
     *,
     adapters: tuple[PluginSpec, ...] = (),
 ) -> Deployment:
@@ -210,7 +209,7 @@ def recorded(
     with closed_on_error(setup.backend):
         about = _about(setup, robot, policy, backend, adapters)
         path = _new_record(about) if record is None else Path(record)
-        with Recorder(path, about) as recorder:
+        with Recorder(path, about, on_moment) as recorder:
             outcome = run(setup, recorder)
     return Deployment(outcome, about, path, {})
 

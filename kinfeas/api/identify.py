@@ -15,7 +15,7 @@ from kinfeas.core.backend import build_backend, closed_on_error
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.io.files import write_file
-from kinfeas.io.run_log import read_record
+from kinfeas.io.run_log import Moment, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot
@@ -168,7 +168,7 @@ def drive(  # noqa: PLR0913 - options of the command
     seed: int = 0,
     real_time: bool = True,
     settings: Settings | None = None,
-    on_start: Callable[[], None] = lambda: None,
+    on_moment: Callable[[Moment], None] | None = None,
 ) -> Deployment:
     """Drive the pattern of a minute from which a robot is identified, and return the run.
 
@@ -199,5 +199,4 @@ def drive(  # noqa: PLR0913 - options of the command
             seed=checked(Seed, seed, "seed"), execution=execution, filters=(excitation,),
             guards=config.guards, real_time=real_time,
         )  # fmt: skip
-    on_start()
-    return recorded(setup, str(robot), "stationary", backend, record, adapters=around)
+    return recorded(setup, str(robot), "stationary", backend, record, on_moment, adapters=around)

@@ -10,7 +10,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import print_facts, status, write_json
+from kinfeas.cli.output import moving, print_facts, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -57,13 +57,13 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import deploy as api
 
-    with status("preparing") as preparing:
+    with moving() as on_moment:
         done = api.deploy(
             policy, plan=plan, robot=robot, backend=backend, goal=goal, rpy=rpy,
             quaternion=quaternion, generator=generator, task=task, rate=rate, seconds=seconds,
             seed=seed, record=record, adapters=adapters, guards=guards,
             real_time=not no_real_time, filters=filters, settings=options.read_settings(overrides),
-            on_start=preparing.stop,
+            on_moment=on_moment,
         )  # fmt: skip
     raise typer.Exit(report(done, json))
 
@@ -93,25 +93,23 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import deploy as api
 
-    with status("preparing") as preparing:
+    with moving() as on_moment:
         done = api.servo(
             policy, robot=robot, backend=backend, source=source, rate=rate, seconds=seconds,
             record=record, adapters=adapters, guards=guards, filters=filters,
-            settings=options.read_settings(overrides), on_start=preparing.stop,
+            settings=options.read_settings(overrides), on_moment=on_moment,
         )  # fmt: skip
     raise typer.Exit(report(done, json))
 
 
 def report(done: "Deployment", json: Path | None) -> int:
     """Print the results of a run and return its code."""
-    from kinfeas.sim2real.link.rate import peak_memory_mb
-
     outcome, about = done.outcome, done.about
     code = int(outcome.code)
     facts = {**asdict(outcome), "code": code, **done.targets, "record": str(done.record)}
     title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
     with suppress(OSError):  # of a terminal that was closed
-        print_facts(title, {**facts, "peak_memory_mb": peak_memory_mb()})
+        print_facts(title, {key: fact for key, fact in facts.items() if fact or fact == 0})
         if code:
             sys.stderr.write(f"stopped: {outcome.reason}\n")
         if outcome.unstopped:

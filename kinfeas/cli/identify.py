@@ -8,7 +8,7 @@ import typer
 from kinfeas.cli import options
 from kinfeas.cli.deploy import report
 from kinfeas.cli.options import argument, option
-from kinfeas.cli.output import print_paths, print_table, status, write_json
+from kinfeas.cli.output import moving, print_paths, print_table, status, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -50,11 +50,11 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
     if drive:
         if paths:
             raise KinfeasError("--drive records by itself and excludes records")
-        with status("preparing") as preparing:
+        with moving() as on_moment:
             done = api.drive(
                 robot or DEFAULT_ROBOT, backend=backend, record=record, adapters=adapters,
                 rate=rate, seed=seed, real_time=not no_real_time,
-                settings=options.read_settings(overrides), on_start=preparing.stop,
+                settings=options.read_settings(overrides), on_moment=on_moment,
             )  # fmt: skip
         if code := report(done, None):
             raise typer.Exit(code)

@@ -1,6 +1,7 @@
 """Output of commands: JSON, tables, and progress on standard error."""
 
 import json
+import math
 import sys
 import tempfile
 import time
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from kinfeas.api import OnProgress
+    from kinfeas.io.run_log import Moment
 
 LINE_SECONDS = 15.0
 """Time between lines on progress where standard error is no terminal."""
@@ -121,6 +123,30 @@ def status(text: str) -> Iterator["Status"]:
     console = Console(stderr=True)
     with _compiling(console), console.status(escape(text)) as shown:
         yield shown
+
+
+@contextmanager
+def moving() -> Iterator[Callable[["Moment"], None]]:
+    """Show the state of a run on standard error, each second, or in lines if it is no terminal."""
+    from rich.console import Console
+
+    console, printed = Console(stderr=True), 0.0
+
+    def show(moment: "Moment") -> None:
+        nonlocal printed
+        if printed <= moment.time < printed + (1.0 if console.is_terminal else LINE_SECONDS):
+            return
+        printed = moment.time
+        away = math.dist(moment.goal[:3], moment.desired[:3])
+        text = f"moving for {printed:.0f} s, {away:.2f} m before the goal; Ctrl-C stops"
+        if console.is_terminal:
+            shown.update(text)
+        else:
+            sys.stderr.write(f"{text}\n")
+
+    # Few refreshes, since they take time from the control loop.
+    with _compiling(console), console.status("preparing", refresh_per_second=4.0) as shown:
+        yield show
 
 
 @contextmanager

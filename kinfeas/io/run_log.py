@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from io import StringIO
@@ -103,9 +103,14 @@ class Recorder:
     The file is removed if no line was written.
     """
 
-    def __init__(self, path: Path, about: About) -> None:
-        """Begin a file; raise KinfeasError if it exists or cannot be written."""
-        self.path, self._begun = path, False
+    def __init__(
+        self, path: Path, about: About, on_moment: Callable[[Moment], None] | None = None
+    ) -> None:
+        """Begin a file; raise KinfeasError if it exists or cannot be written.
+
+        `on_moment` is called with each line.
+        """
+        self.path, self._begun, self._on_moment = path, False, on_moment
         with writing(path):
             self._file: TextIO = path.open("x", encoding="utf-8", newline="", buffering=1)
             try:
@@ -129,6 +134,8 @@ class Recorder:
         with writing(self.path):
             self._file.write(_line([f"{moment.time:.4f}", age, *numbers, *rest]))
         self._begun = True
+        if self._on_moment is not None:
+            self._on_moment(moment)
 
     def _end(self) -> None:
         with suppress(OSError):  # `write` has already raised for a full disk

@@ -1,8 +1,6 @@
 """A fixed control rate: absolute deadlines, and statistics of times and memory."""
 
 import math
-import resource
-import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -134,11 +132,3 @@ class Rate:
         self._periods.append(period)
         self._count, self._longest = self._count + 1, max(self._longest, period)
         return period
-
-
-def peak_memory_mb() -> float:
-    """Return the peak memory of this process and its children so far, 10^6 bytes."""
-    processes = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
-    most = max(resource.getrusage(who).ru_maxrss for who in processes)
-    # Linux counts kibibytes, macOS bytes.
-    return most / 1e6 if sys.platform == "darwin" else most * 1024 / 1e6

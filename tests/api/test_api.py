@@ -85,12 +85,12 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
     run = kinfeas.servo(source=source, record=tmp_path / "a.csv", settings=relaxed, **options)
     assert (run.outcome.code, source.closed, run.targets["messages"]["accepted"]) == (4, True, 0)
     assert run.outcome.reason == "no message was accepted: none came"
-    started = []
+    moments = []
     run = kinfeas.deploy(
         "pretrained", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "b.csv",
-        on_start=lambda: started.append(True), **options,
+        on_moment=moments.append, **options,
     )  # fmt: skip
-    assert (run.outcome.code, run.about.robot, started) == (4, "hsr", [True])
+    assert (run.outcome.code, run.about.robot, len(moments)) == (4, "hsr", 17)
     assert kinfeas.view(record=run.record)["steps"] == 15
 
 
