@@ -68,27 +68,6 @@ def follow(sequence, steps, arrived=None):
     return np.stack(path)
 
 
-@pytest.mark.parametrize(("dt", "periods"), [(0.1, 12), (0.02, 56), (0.3, 4)])
-def test_a_dwell_keeps_its_time(begin, dt, periods):
-    subgoals = [SubgoalMotion(LINEAR, dwell=1.12), SubgoalMotion(LINEAR)]
-    sequence = begin(2, subgoals, dt, grasp_settle_time=1.0)  # they have no grip
-    sequence.move(sequence.step_of(dt))
-    sequence.end_subgoals(np.array([True, False]), FAR)
-    assert sequence.dwelling.tolist() == [periods, 0]
-    rest = sequence.desired[0]
-    for i in range(periods):
-        assert sequence.subgoal[0] == 0
-        np.testing.assert_array_equal(sequence.step_of(HORIZON).desired[0], rest)
-        before = sequence.desired
-        sequence.move(sequence.step_of(dt))
-        np.testing.assert_array_equal(sequence.desired[0], rest)
-        assert np.linalg.norm(sequence.desired[1] - before[1]) > 0.0
-        sequence.end_subgoals(np.array([i % 2 == 0, False]), FAR)
-    assert sequence.subgoal.tolist() == [1, 0]
-    sequence.move(sequence.step_of(dt))
-    assert np.linalg.norm(sequence.desired[0] - rest) > 0.0
-
-
 def test_the_base_is_demonstrated_on_its_subgoals_only(begin):
     sequence = begin(3, [SubgoalMotion(Wander()), SubgoalMotion(LINEAR)])
     follow(sequence, 5, lambda _: [False, True, False])
@@ -150,16 +129,3 @@ def test_poses_ahead_lie_between_the_desired_pose_and_the_goal(robot, begin):
     apart = spatial.compose(tips.ahead(np.array([0.1])), tool_pose(robot))[:, 0]
     tip = spatial.compose(tips.desired, np.broadcast_to(tool_pose(robot), (6, 7)))
     np.testing.assert_allclose(spatial.distance(apart, tip)[0], 0.1, atol=1e-9)
-
-
-def test_paused_rows_stay(begin):
-    sequence, paused = begin(), np.array([True, False] * 3)
-    for subgoal in range(4):
-        before, step = sequence.snapshot(), sequence.step_of(HORIZON)
-        sequence.move(step, paused)
-        np.testing.assert_array_equal(sequence.desired[~paused], step.desired[~paused])
-        for key, values in sequence.snapshot().items():
-            np.testing.assert_array_equal(values[paused], before[key][paused], err_msg=key)
-        sequence.end_subgoals(np.ones(6, dtype=bool), FAR)
-        if subgoal == 1:
-            follow(sequence, 3)
