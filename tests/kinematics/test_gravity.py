@@ -11,13 +11,11 @@ from kinfeas.planning.placement import Postures
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import sample_start
-from tests.kinematics.conftest import Pinocchio, draw
+from tests.kinematics.conftest import draw
 
 
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr", "odd_robot"])
-def test_gravity_torques_are_those_of_pinocchio(name, odd_robot):
-    robot = odd_robot if name == "odd_robot" else load_robot(name)
-    joints, judge = draw(robot, 100), Pinocchio(robot)
+def test_gravity_torques_are_those_of_pinocchio(robot, judge):
+    joints = draw(robot, 100)
     torques = gravity_torques(build_gravity_model(robot), joints)
     expected = [judge.gravity_torques(positions) for positions in joints]
     assert np.abs(expected).max() > 1.0

@@ -1,56 +1,39 @@
 from itertools import combinations
 
-import fcl
+import coal
 import numpy as np
+import pinocchio
 
 from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
-from tests.kinematics.conftest import Primitives, draw, touch
+from tests.kinematics.conftest import Shapes, draw
 
 
-class Pairs(Primitives):
-    def __init__(self, robot, judge):
-        super().__init__(robot, judge)
-        checked = {frozenset(pair) for pair in checked_links(robot)}
-        links = [link for link, _ in self.shapes]
-        pairs = combinations(range(len(links)), 2)
-        self.pairs = np.array([(i, k) for i, k in pairs if {links[i], links[k]} in checked])
-        carried = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
-        self.carried = [i for i, link in enumerate(links) if link in carried]
-        below = fcl.Transform(np.array([0.0, 0.0, -5.0]))
-        self.floor = fcl.CollisionObject(fcl.Box(20.0, 20.0, 10.0), below)
-
-    def touch(self, joint_positions):
-        """Return whether any pair or the floor touches; bounding spheres rule most of them out."""
-        centres = self.place(joint_positions)
-        low = [i for i in self.carried if centres[i, 2] < self.radius[i]]
-        if any(touch(self.objects[i], self.floor) for i in low):
-            return True
-        a, b = self.pairs.T
-        gaps = np.linalg.norm(centres[a] - centres[b], axis=1) - self.radius[a] - self.radius[b]
-        return any(touch(self.objects[i], self.objects[k]) for i, k in self.pairs[gaps <= 0.0])
+def pairs_of(robot):
+    """Return the shapes of a robot, the floor and the pairs that may not touch."""
+    shapes = Shapes(robot)
+    links, model = shapes.links, shapes.model
+    checked = {frozenset(pair) for pair in checked_links(robot)}
+    carried = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
+    below = pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, -5.0]))
+    floor = pinocchio.GeometryObject("floor", 0, below, coal.Box(20.0, 20.0, 10.0))
+    floor = model.addGeometryObject(floor)
+    for i, k in combinations(range(len(links)), 2):
+        if {links[i], links[k]} in checked:
+            model.addCollisionPair(pinocchio.CollisionPair(i, k))
+    for i, link in enumerate(links):
+        if link in carried:
+            model.addCollisionPair(pinocchio.CollisionPair(i, floor))
+    return shapes
 
 
-def compare(robot, judge, count):
-    """Return how many configurations are free, touching and needlessly rejected."""
-    joints, pairs = draw(robot, count), Pairs(robot, judge)
-    fast = self_collides(build_collision_model(robot), joints)
-    exact = np.array([pairs.touch(positions) for positions in joints])
-    assert not np.any(exact & ~fast), "free, but FCL's primitives touch"
-    return np.sum(~exact & ~fast), np.sum(exact & fast), np.sum(fast & ~exact)
-
-
-def test_free_configurations_are_free_for_fcl(robot, judge):
-    free, touching, needless = compare(robot, judge, 600)
-    assert needless / (free + needless) < 0.01  # the margin of 1 mm takes about 0.1 %
-    assert touching > 5
-    homes = np.array(list(robot.home.values()))
-    assert not np.any(self_collides(build_collision_model(robot), homes))
-
-
-def test_mimic_joints_carry_their_shapes(odd_robot, odd_judge):
-    free, touching, _ = compare(odd_robot, odd_judge, 500)
-    assert free > 50
-    assert touching > 5
+def test_free_configurations_are_free_for_coal(robot):
+    joints, pairs, model = draw(robot, 600), pairs_of(robot), build_collision_model(robot)
+    fast = self_collides(model, joints)
+    exact = np.array([pairs.collide(positions) for positions in joints])
+    assert not np.any(exact & ~fast), "free, but Coal's shapes touch"
+    assert np.sum(fast & ~exact) < 0.01 * np.sum(~exact)  # the margin of 1 mm takes about 0.1 %
+    assert exact.sum() > 5
+    assert not np.any(self_collides(model, np.array(list(robot.home.values()))))
 
 
 def test_checked_pairs_are_those_that_the_arm_moves_less_adjacent_ones(robot, judge):
@@ -59,8 +42,7 @@ def test_checked_pairs_are_those_that_the_arm_moves_less_adjacent_ones(robot, ju
     for positions in draw(robot, 5):
         judge.place(positions)
         for name in links:
-            turn, position = judge.link(name)
-            poses[name].append(np.block([[turn, position[:, np.newaxis]], [np.zeros(3), 1.0]]))
+            poses[name].append(judge.data.oMf[judge.model.getFrameId(name)].homogeneous)
     rigid = robot.urdf.rigid
     joined = {frozenset((rigid[j.parent], rigid[j.child])) for j in robot.urdf.joints.values()}
     expected = []

@@ -7,7 +7,7 @@ from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.sensing import base_obstacles, base_prisms, fine_base_prisms, scan
 from kinfeas.kinematics.solids import in_base
 from tests.builders import at
-from tests.kinematics.conftest import Among, Pinocchio, draw_bases, draw_solids
+from tests.kinematics.conftest import Among, draw_bases, draw_solids
 
 
 def test_base_obstacles_are_nearest_points(hsr):
@@ -16,7 +16,7 @@ def test_base_obstacles_are_nearest_points(hsr):
     bases, solids, home = draw_bases(n), draw_solids(n, 1), hsr.home["home"]
     solids.size[:, :, 2:] = [0.0, 3.0]
     near = base_obstacles(prisms, bases, solids, 1.0)
-    among, local = Among(hsr, Pinocchio(hsr)), in_base(solids, bases)
+    among, local = Among(hsr), in_base(solids, bases)
     exact = np.array([among.distances(home, local, row)[0] for row in range(n)])
     nearest = near.distance.min(axis=1)
     free = (exact > 0.0) & (exact < 1.0)

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
@@ -35,3 +36,16 @@ def test_points_outside_come_to_the_nearest_point_and_others_stay(seed, count, s
         assert (normals @ moved - offsets).max() <= 2.0 * SLACK
         expected = nearest(point, normals, offsets) if outside else point
         np.testing.assert_allclose(moved, expected, atol=1e-5 if outside else 0.0)
+
+
+@pytest.mark.parametrize(("point", "normals", "offsets", "expected"), [
+    ([0.5, 0.3], [[1.0, 0.0], [0.0, 1.0]], [-0.2, 0.4], [-0.2, 0.3]),  # the origin is outside
+    ([-0.5, 0.2], [[1.0, 0.0], [0.0, 1.0]], [-0.2, 0.4], [-0.5, 0.2]),
+    # Without a common point they are widened.
+    ([0.5, 0.7], [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]], [-0.2, -0.1, 0.3], [0.0, 0.3]),
+])  # fmt: skip
+def test_half_spaces_without_the_origin(point, normals, offsets, expected):
+    moved = np.array(point)
+    outside = project(moved, np.array(normals), np.array(offsets), SLACK)
+    assert outside == (point != expected)
+    np.testing.assert_allclose(moved, expected, atol=1e-5)
