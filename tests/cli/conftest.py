@@ -16,6 +16,18 @@ from tests.builders import TRAINING
 
 TINY = to_options(TRAINING)
 
+STUDY = f"""
+note: A very small one.
+robots: [hsr]
+tasks: [ggr]
+baselines: {{follow_ee: [ggr]}}
+trainings:
+  - {{robot: hsr, steps: 64, settings: {json.dumps(TRAINING)}}}
+seeds: [0, 1]
+episodes: 2
+settings: {{world.max_seconds: 2.5}}
+"""
+
 HEAVY = """
 import sys
 from kinfeas.cli.main import main

@@ -1,6 +1,8 @@
+import numba
 import pytest
 
 from kinfeas.cli import main as module
+from kinfeas.cli.output import progress, status
 from kinfeas.core.errors import KinfeasError
 from tests.cli.conftest import HEAVY, kinfeas_process
 
@@ -54,3 +56,16 @@ def test_help_and_version_succeed(kinfeas, words):
     done = kinfeas(*words)
     assert (done.code, done.err) == (0, "")
     assert "kinfeas" in done.out
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+@pytest.mark.parametrize("shown", [progress, lambda: status("searching")])
+def test_a_terminal_shows_once_that_kernels_are_compiled(monkeypatch, capfd, shown, terminal):
+    monkeypatch.setenv("TTY_COMPATIBLE", "1" if terminal else "0")
+    double = numba.njit(lambda value: value + value)
+    with shown():
+        assert (double(1), double(1.0)) == (2, 2.0)
+    with shown():
+        double(1)
+    out, err = capfd.readouterr()
+    assert (out, err.count("compiling kernels")) == ("", int(terminal))

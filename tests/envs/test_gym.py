@@ -14,9 +14,10 @@ from kinfeas import envs
 from kinfeas.config import PluginSpec
 from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs import PHYSICS_ENVIRONMENTS
 from kinfeas.envs.batch import step_info
 from kinfeas.envs.gym import BaseMotionEnv, BaseMotionVectorEnv
-from kinfeas.envs.world import WorldConfig
+from kinfeas.envs.world import WorldConfig, evaluation_world
 
 NOISY = WorldConfig(
     max_seconds=4.0, max_failures=5, adapters=(PluginSpec("base_noise", {"linear": 0.05}),)
@@ -130,11 +131,9 @@ def test_actions_are_finite_numbers_of_their_shape(kind):
             env.step(wrong)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [{"robot": None}, {"world": 3}, {"render_mode": "ansi"}, {"observation": ["sight"]}],
-    ids=list,
-)
+@pytest.mark.parametrize("arguments", [
+    {"robot": None}, {"world": 3}, {"render_mode": "ansi"}, {"observation": ["sight"]},
+], ids=list)  # fmt: skip
 def test_wrong_arguments_are_named(arguments):
     with pytest.raises(KinfeasError, match=next(iter(arguments))):
         BaseMotionEnv(**arguments)
@@ -151,3 +150,32 @@ def test_success_is_a_goal_reached_without_a_failure(reached, failures):
     info = step_info(world, transition)
     assert (info["reached"], info["failures"]) == (reached, failures)
     assert info["is_success"] == (reached and not failures)
+
+
+@pytest.fixture
+def make(engine):
+    return lambda robot="hsr", **arguments: gymnasium.make(
+        PHYSICS_ENVIRONMENTS[engine], robot=robot, **arguments
+    )
+
+
+@pytest.mark.filterwarnings("error")
+def test_gymnasium_finds_nothing_wrong_with_physics(make):
+    env = make(render_mode="rgb_array")
+    check_env(env.unwrapped)
+    env.close()
+
+
+def test_steps_count_contacts_and_pictures_show_the_robot(make, engine):
+    world = replace(evaluation_world(engine, "hsr"), max_seconds=0.1)
+    env = make(task="door", world=world, render_mode="rgb_array")
+    env.reset(seed=1)
+    for last in (False, False, False, False, True):
+        *_, truncated, info = env.step(np.zeros(3, dtype=np.float32))
+        assert truncated == last
+        assert (info["base_contacts"], info["arm_contacts"]) == (0, 0)
+    assert env.unwrapped.metadata["render_fps"] == 50
+    picture = env.render()
+    assert picture.shape == (360, 480, 3)
+    assert picture.std() > 5.0
+    env.close()
