@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from kinfeas import config
+from kinfeas import __version__, config
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
@@ -236,10 +236,13 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
     assert finished(out)
 
 
-@pytest.mark.parametrize(
-    "settings", [{"task": "dance"}, {"world.adapters": ["fog"]}, {"init": "follow_ee"}]
-)
-def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path, settings):
+@pytest.mark.parametrize("settings", [
+    {"task": "dance"}, {"world.adapters": ["fog"]}, {"init": "follow_ee"}, {"trackers": ["wandb"]},
+])  # fmt: skip
+def test_a_wrong_configuration_raises_before_anything_is_written(
+    tiny, tmp_path, monkeypatch, settings
+):
+    monkeypatch.setattr("kinfeas.core.extras.find_spec", lambda name: None)  # no wandb
     with pytest.raises(KinfeasError):
         train(tiny(settings), tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -310,3 +313,32 @@ def test_a_resumed_run_does_not_need_its_initial_policy(whole, tiny, tmp_path, m
     shutil.rmtree(first)
     resume(out)
     assert_same(out, through)
+
+
+@pytest.mark.slow
+def test_wandb_has_recipe_and_figures_offline(tiny, tmp_path, monkeypatch):
+    wandb = pytest.importorskip("wandb")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    seen, log = [], wandb.Run.log
+    monkeypatch.setattr(
+        wandb.Run, "log", lambda run, data, **o: (seen.append((run, data)), log(run, data, **o))
+    )
+    train(tiny({"trackers": ["wandb"], "schedule.steps": 160}), tmp_path / "run")
+    resume(tmp_path / "run", settings={"schedule.steps": 320})  # in the same run of the tracker
+    assert len(list((tmp_path / "run" / "wandb").glob("offline-run-*/*.wandb"))) == 2
+    assert len({run.id for run, _ in seen}) == 1
+    run, _ = seen[0]
+    assert run.config["version"] == __version__
+    assert run.config["learner"]["net_arch"]
+    assert "fresh/success" in seen[-1][1]
+
+
+def test_tensorboard_has_version_recipe_and_figures(tiny, tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    train(tiny({"trackers": ["tensorboard"], "schedule.steps": 160}), tmp_path / "run")
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard")).Reload()
+    assert "fresh/success" in events.Tags()["scalars"]
+    assert {"version/text_summary", "recipe/text_summary"} <= set(events.Tags()["tensors"])
