@@ -1,8 +1,6 @@
 """Commands run in this process, as a shell would see them."""
 
 import json
-import os
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,16 +25,6 @@ seeds: [0, 1]
 episodes: 2
 settings: {{world.max_seconds: 2.5}}
 """
-
-HEAVY = """
-import sys
-from kinfeas.cli.main import main
-try:
-    main()
-finally:
-    sys.stderr.write(f"heavy: {sorted(%r & set(sys.modules))}")
-"""
-"""A program that runs the command and prints which of some modules it has imported."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +56,6 @@ def kinfeas(monkeypatch, capfd, tmp_path):
         return outcome
 
     return run
-
-
-def kinfeas_process(code, *arguments, **environment):
-    command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(
-        command, capture_output=True, text=True, check=False, env={**os.environ, **environment}
-    )
 
 
 def check_one_line(outcome: Outcome, named: str = "") -> None:
