@@ -74,6 +74,12 @@ def test_positions_are_the_integral_of_velocities_within_their_limits(world, beg
         joints = before.joint_positions + STEP * after.joint_velocities
         np.testing.assert_allclose(after.joint_positions, joints, atol=1e-9)
         before, fastest = after, np.maximum(fastest, np.abs(after.joint_velocities[0]))
+    after = world.step(twist(0.2), target, 1e-3)  # less than a step of an engine
+    moved = spatial.integrate(before.base_pose, after.base_twist, 1e-3)
+    np.testing.assert_allclose(after.base_pose, moved, atol=1e-9)
+    for dt in (0.0, -0.02, np.nan, np.inf):
+        with pytest.raises(KinfeasError, match="control period"):
+            world.step(twist(), target, dt)
     fastest /= world.robot.max_joint_velocity
     assert np.all(fastest <= 1.05)
     assert np.any(fastest >= 0.9)

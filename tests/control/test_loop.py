@@ -143,16 +143,23 @@ def test_an_infeasible_step_keeps_the_arm_still(solver):
     assert rest(loop, 2).feasible[1]
 
 
-@pytest.mark.parametrize("dt", [0.02, 0.05])
-def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
-    fine, coarse = loops = make_loop(solver, 4, dt=dt), make_loop(solver, 4)
-    np.testing.assert_array_equal(fine.observation.values, coarse.observation.values)
-    rest(fine, round(HORIZON / dt))
-    rest(coarse)
-    # The motion is a dynamic system of its own time: close, whatever the rate.
-    np.testing.assert_allclose(fine.desired, coarse.desired, atol=1e-3)
-    metres = [spatial.distance(loop.observation.planned, loop.desired)[0] for loop in loops]
-    np.testing.assert_allclose(*metres, rtol=0.02)
+@pytest.mark.parametrize(("options", "steps", "planned"), [
+    ({"dt": 0.02}, 5, 1.0), ({"dt": 0.05}, 2, 1.0),
+    ({"execution": ExecutionConfig(time_scale=0.5)}, 2, 0.5),
+])  # fmt: skip
+def test_control_rate_and_time_scale_do_not_change_path_and_observation(
+    solver, options, steps, planned
+):
+    loop, plain = loops = make_loop(solver, 4, **options), make_loop(solver, 4)
+    np.testing.assert_array_equal(loop.observation.values, plain.observation.values)
+    for _ in range(5):
+        # Policies that do not learn read the motion as it will be.
+        metres, full = (spatial.distance(x.observation.planned, x.desired)[0] for x in loops)
+        np.testing.assert_allclose(metres, planned * full, rtol=0.03)
+        rest(loop, steps)
+        rest(plain)
+        # The motion is a dynamic system of its own time: close, whatever the rate.
+        np.testing.assert_allclose(loop.desired, plain.desired, atol=2e-3)
 
 
 @pytest.mark.parametrize("prepares", [False, True])
@@ -206,21 +213,6 @@ def test_a_gripper_acts_when_the_ee_has_come_near_enough(solver):
     loop = chained(solver, 1, subgoals, (-0.02, 0.0), robots, grasp_settle_time=20.0)
     away = [rest(loop).goal_distance[0] for _ in range(199) if not robots.grips]
     assert away[-1] <= GRASP_METRES < away[-2]
-
-
-def test_time_scale_changes_the_motion_but_not_the_observation(solver):
-    plain, slow = loops = [
-        make_loop(solver, 3, execution=ExecutionConfig(time_scale=scale)) for scale in (1.0, 0.5)
-    ]
-    np.testing.assert_array_equal(slow.observation.values, plain.observation.values)
-    # Policies that do not learn read the motion as it will be.
-    full, half = (np.stack(spatial.distance(x.desired, x.observation.planned)) for x in loops)
-    np.testing.assert_allclose(2.0 * half, full)
-    start = plain.desired
-    rest(plain, 5)
-    rest(slow, 10)
-    metres = [spatial.distance(start, loop.desired)[0] for loop in loops]
-    np.testing.assert_allclose(*metres, rtol=0.02)
 
 
 def test_ik_starts_from_the_last_joint_command(solver):

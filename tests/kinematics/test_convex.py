@@ -55,21 +55,6 @@ def apart(rng, a, b, gap):
     return far.at(far.position + (start - end) * (1.0 - gap / metres))
 
 
-def test_contacts_of_coal_are_never_missed_in_any_order():
-    rng, touching = np.random.default_rng(0), 0
-    for first, second in PAIRS:
-        for _ in range(300):
-            a, b = random_solid(rng, first), random_solid(rng, second)
-            tiny = Solid(second, np.full(3, min(a.size) / 10.0), b.turn, a.position)
-            assert near(a, tiny.at(a.position + rng.uniform(-0.4, 0.4, 3) * min(a.size)))
-            b = b.at(a.position + rng.normal(scale=0.3, size=3))
-            assert near(a, b) == near(b, a)
-            if collide(a, b):
-                touching += 1
-                assert near(a, b)
-    assert touching > 1000
-
-
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_the_distance_decides_near_the_margin(first, second):
     rng = np.random.default_rng(1)
@@ -77,7 +62,10 @@ def test_the_distance_decides_near_the_margin(first, second):
     for i in range(300):
         a, b = random_solid(rng, first), random_solid(rng, second)
         gap = gaps[i % len(gaps)]
-        assert near(a, apart(rng, a, b, gap)) == (gap < MARGIN), gap
+        b = apart(rng, a, b, gap)
+        assert near(a, b) == near(b, a) == (gap < MARGIN), gap
+        inside = a.at(b.position + rng.uniform(-1.0, 1.0, 3) * min(b.size) / 2.0)
+        assert near(inside, b)
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)

@@ -142,15 +142,9 @@ SIGNED = {
     "no JSON": (lambda m: setattr(m.metadata_props[3], "value", "{"), "JSON"),
     "fewer actions": (edit_entry("action", lambda a: [{**a[0], "size": 2}]), "graph"),
     "other term": (edit_entry("observation", lambda o: [{**o[0], "name": "x"}, *o[1:]]), "'x'"),
-    "other scale": (
-        edit_entry("action", lambda a: [{**a[0], "scale": [9.0, 9.0, 9.0]}]),
-        "observation or action",
-    ),
+    "other scale": (edit_entry("action", lambda a: [{**a[0], "scale": [9.0] * 3}]), "action"),
     "deep metadata": (lambda m: setattr(m.metadata_props[3], "value", "[" * 100_000), "JSON"),
-    "empty golden pairs": (
-        edit_entry("golden", lambda g: {"observation": [], "action": []}),
-        "gol",
-    ),
+    "no golden pairs": (edit_entry("golden", lambda g: {key: [] for key in g}), "golden"),
     "no layers": (without_layers, "graph"),
     "other horizon": (edit_entry("control", lambda c: {**c, "horizon": 0.2}), "observation or"),
 }
