@@ -1,5 +1,7 @@
 """Contacts, distances to obstacles and solids: those of the geometry, in both engines."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,39 @@ def test_distance_and_normal_of_a_wall(world, begin, yaw):
     np.testing.assert_allclose(points[:, 0] - near.distance[0], WALL, atol=2e-3)
 
 
+def engine_distance(world):
+    """Return the engine's own distance between the base and the objects of the scene."""
+    if world.engine == "PyBullet":
+        sim = world.sims[0]
+        body, closest = sim.body, sim.physics.client.getClosestPoints
+        points = [
+            point
+            for item in sim.furniture.bodies.values()
+            for point in closest(body.body, item, 2.0)
+        ]
+        return min(point[8] for point in points if point[3] not in body.arm_links)
+    from mujoco import mj_geomDistance
+
+    from kinfeas.backends.mujoco.model import ROBOT
+
+    model, data = world.model, world.sims.data(0)
+    owner, on_arm = (each[model.engine.geom_bodyid] for each in (model.owner, model.on_arm))
+    base, objects = np.flatnonzero((owner == ROBOT) & ~on_arm), np.flatnonzero(owner >= 0)
+    pairs = itertools.product(base.tolist(), objects.tolist())
+    return min(mj_geomDistance(model.engine, data, *pair, 2.0, None) for pair in pairs)
+
+
+@pytest.mark.parametrize(("name", "wider"), [("hsr", 2e-3), ("pr2", 0.02)])
+def test_distances_to_an_open_door_are_those_of_the_engine(name, wider, opened):
+    """PR2's base has tilted shapes, which slices enclose."""
+    world = opened(load_robot(name), read_scene("doorway").with_joints({"door": {"hinge": 1.0}}))
+    for x, y, yaw in ((-0.5, 3.0, 0.0), (-0.6, 2.8, 1.2), (0.6, 3.2, -2.0), (1.0, 3.1, 2.5)):
+        place(world, x, y, yaw)
+        distance, exact = world.obstacle_distances(2.0).distance.min(), engine_distance(world)
+        assert 0.0 < exact < 1.0
+        assert exact - wider <= distance <= exact + 2e-3
+
+
 def test_all_parts_that_are_near_a_wall_are_measured(scene, opened):
     # In this pose, the rear of PR2's base and the shoulder of its other arm are as near.
     world = opened(load_robot("pr2"), scene)
@@ -61,22 +96,16 @@ def test_a_base_has_its_size(shape, reach, scene, opened, scout):
     assert world.obstacle_distances(0.055).distance.min() == pytest.approx(0.05, abs=4e-3)
 
 
-@pytest.mark.parametrize(("name", "wider"), [("hsr", 2e-3), ("pr2", 0.02)])
-def test_contacts_with_a_door_begin_where_the_distance_ends(name, wider, opened):
-    """PR2's base has tilted shapes, which slices enclose."""
-    world = opened(load_robot(name), read_scene("doorway").with_joints({"door": {"hinge": 1.0}}))
-    for x, y, yaw in ((-0.5, 3.0, 0.0), (-0.6, 2.8, 1.2), (0.6, 3.2, -2.0), (1.0, 3.1, 2.5)):
-        place(world, x, y, yaw)
-        near = world.obstacle_distances(2.0)
-        distance, first = near.distance.min(), near.distance[0].argmin()
-        assert 0.0 < distance < 1.0
-        assert world.obstacle_distances(distance - 0.01).distance.size == 0
-        ahead = np.array([np.cos(yaw), np.sin(yaw)])
-        normal = near.normal[0, first] @ np.array([ahead, [-ahead[1], ahead[0]]])
-        for farther in (-2e-3, wider):
-            place(world, *([x, y] + (distance + farther) * normal), yaw)
-            assert (len(world.touching(0).base) > 0) == (farther > 0.0)
-        assert world.obstacle_distances(1.0).distance.min() < 0.0
+def test_contacts_begin_where_the_distance_ends(world, begin):
+    begin(x=-2.3)
+    distance = world.obstacle_distances(1.0).distance.min()
+    assert world.obstacle_distances(distance - 0.01).distance.size == 0
+    assert world.obstacle_distances(distance + 0.01).distance.size > 0
+    begin(x=-2.3 - distance + 2e-3)
+    assert not world.touched()
+    begin(x=-2.3 - distance - 2e-3)
+    assert world.touched()
+    assert world.obstacle_distances(1.0).distance.min() < 0.0
 
 
 def test_the_grasped_link_and_objects_beneath_are_no_obstacles(hsr, scene, opened):

@@ -107,7 +107,6 @@ def filled(env, config, kind=FastSAC):
     for _ in range(8):
         action = explore(learner, seen, random=True)
         after, rewards, dones, infos = env.step(action)
-        dones[4:], infos[6:] = True, [{"TimeLimit.truncated": True}] * 2
         learner.replay_buffer.add(seen, after, action, rewards, dones, infos)
         seen = after
     return learner
@@ -139,6 +138,23 @@ def test_the_actor_learns_less_often_than_the_critics(env):
     assert torch.equal(learner.actor.mu.weight, before)
     learner.train(1, 16)
     assert not torch.equal(learner.actor.mu.weight, before)
+
+
+def test_sampled_transitions_are_those_added(env):
+    buffer = make_learner(SMALL, env, 0).replay_buffer
+    shape = (8, *env.observation_space.shape)
+    for step in range(3):
+        seen = np.full(shape, step, dtype=np.float32)
+        ends = np.arange(8) >= 4  # the last two by the time limit
+        infos = [{"TimeLimit.truncated": row >= 6} for row in range(8)]
+        buffer.add(seen, seen + 0.5, np.zeros((8, 3)) + step, np.arange(8.0) + step, ends, infos)
+    data = buffer.sample(500)
+    step = data.observations[:, 0]
+    assert set(step.tolist()) == {0.0, 1.0, 2.0}
+    assert torch.equal(data.next_observations, data.observations + 0.5)
+    assert torch.equal(data.actions[:, 2], step)
+    row = data.rewards[:, 0] - step
+    assert torch.equal(data.dones[:, 0] == 1.0, (row >= 4) & (row < 6))
 
 
 def test_an_anchor_holds_only_where_nothing_is_around(env):
