@@ -11,7 +11,6 @@ from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.tasks.loading import load_task
 
 HSR = ("--robot", "hsr", "--no-real-time")
-QUICK = ("--set", "generator.gain=1")
 GOAL = ("--backend", "analytic", "--goal", "0.9", "0.1", "0.8")
 BRIEF = ("pretrained", *HSR, *GOAL, "--seconds", "0.1")
 
@@ -28,7 +27,8 @@ def run(kinfeas, tmp_path):
 
 
 def test_goal_is_reached_and_recorded(run):
-    done, record = run("pretrained", *HSR, *GOAL, *QUICK, "--rpy", "0", "1.2", "-0.3", code=0)
+    words = ("--set", "generator.gain=1", "--rpy", "0", "1.2", "-0.3")
+    done, record = run("pretrained", *HSR, *GOAL, *words, code=0)
     assert REACHED in done.out
     assert done.facts["reason"] == record.event[-1] == REACHED
 
