@@ -130,11 +130,15 @@ def test_bad_input_is_one_line_and_writes_nothing(kinfeas, files, line, named):
 
 @pytest.mark.parametrize(("line", "named"), [
     ("--host 203.0.113.7", "203.0.113.7"), ("--host no..host", "no..host"),
-    ("--backend mujocco", "'mujoco'"), ("--backend ros2", "'ros2'"),
-    ("follow_me", "'follow_me'"), ("--robot pr3", "'pr3'"),
+    ("--backend mujocco", "'mujoco'"), ("follow_me", "'follow_me'"), ("--robot pr3", "'pr3'"),
 ])  # fmt: skip
 def test_pages_end_with_one_line_before_their_address(kinfeas, line, named):
     pytest.importorskip("viser")
     done = kinfeas("play", "--port", "0", *line.split())
     check_one_line(done, named)
     assert done.out == ""
+
+
+def test_pages_end_with_one_line_if_the_backend_is_no_simulator(kinfeas):
+    pytest.importorskip("viser")
+    check_one_line(kinfeas("play", "--port", "0", "--backend", "ros2"), "'ros2'")

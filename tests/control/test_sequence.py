@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.plugins.linear import Linear
-from tests.builders import random_poses, rngs
+from tests.builders import assert_near, random_poses, rngs
 
 FAR = np.zeros(1, dtype=bool)  # no EE is as near as a grip needs it
 
@@ -94,3 +94,14 @@ def test_motions_avoid_the_solids_of_their_row_now_and_at_later_subgoals(begin):
     sequence.start(random_poses(1), target, rngs(1))  # without solids
     sequence.end_subgoals(at_once[:1], FAR)
     np.testing.assert_allclose(sequence.goal, target[:, 1], atol=1e-9)
+
+
+def test_poses_ahead_lie_between_the_desired_pose_and_the_goal(robot, begin):
+    sequence = begin(6, [SubgoalMotion(LINEAR, "tip")])
+    sequence.move(sequence.step_of(HORIZON))
+    ahead = sequence.ahead(np.array([0.0, 0.1, 100.0]))
+    assert_near(ahead[:, 0], sequence.desired, 1e-6, 1e-6)
+    assert_near(ahead[:, 2], sequence.goal, 1e-6, 1e-6)
+    tool = np.broadcast_to(tool_pose(robot), (6, 7))
+    tips = [spatial.compose(pose, tool) for pose in (ahead[:, 1], sequence.desired)]
+    np.testing.assert_allclose(spatial.distance(*tips)[0], 0.1, atol=1e-9)
