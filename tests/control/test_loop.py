@@ -162,6 +162,16 @@ def test_control_rate_and_time_scale_do_not_change_path_and_observation(
         np.testing.assert_allclose(loop.desired, plain.desired, atol=2e-3)
 
 
+def test_backends_get_a_seed_for_each_episode(solver):
+    robots, seeds = AnalyticBackend(), {}
+    robots.seed = lambda drawn, rows: seeds.update(zip(rows.tolist(), drawn.tolist(), strict=True))
+    loop = make_loop(solver, 4, robots)
+    first = dict(seeds)
+    assert len(set(first.values())) == 4
+    loop.start(starts(solver.robot, 1), [rngs(4)[2]], np.array([1]))
+    assert seeds == {**first, 1: first[2]}
+
+
 @pytest.mark.parametrize("prepares", [False, True])
 def test_subgoals_end_within_25_mm_and_the_last_one_finishes(solver, prepares):
     # Preparing a step while the robot moves changes nothing.
