@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 LINE_SECONDS = 15.0
 """Time between lines on progress where standard error is no terminal."""
 
+COMPILING = "compiling kernels (once, about 30 s)"
+
 
 def check_file_path(path: Path | None) -> Path | None:
     """Return `path`; raise KinfeasError if no file can be written there."""
@@ -160,7 +162,7 @@ def _compiling(console: "Console") -> Iterator[None]:
         def on_start(self, _: object) -> None:
             nonlocal printed
             if not printed:
-                console.print("compiling kernels (once, about 30 s)")
+                console.print(COMPILING)
             printed = True
 
         def on_end(self, _: object) -> None: ...

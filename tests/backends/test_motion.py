@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.physics.visuals import ROBOT
+from kinfeas.control.execution import tool_pose
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import compose
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.robots.loading import load_robot
@@ -72,6 +74,12 @@ def test_positions_are_the_integral_of_velocities_within_their_limits(world, beg
         joints = before.joint_positions + STEP * after.joint_velocities
         np.testing.assert_allclose(after.joint_positions, joints, atol=1e-9)
         before, fastest = after, np.maximum(fastest, np.abs(after.joint_velocities[0]))
+    after = world.step(twist(0.2), target, 1e-3)  # less than a step of an engine
+    moved = spatial.integrate(before.base_pose, after.base_twist, 1e-3)
+    np.testing.assert_allclose(after.base_pose, moved, atol=1e-9)
+    for dt in (0.0, -0.02, np.nan, np.inf):
+        with pytest.raises(KinfeasError, match="control period"):
+            world.step(twist(), target, dt)
     fastest /= world.robot.max_joint_velocity
     assert np.all(fastest <= 1.05)
     assert np.any(fastest >= 0.9)
@@ -173,3 +181,70 @@ def test_a_differential_drive_moves_along_its_heading(opened):
     place(world, yaw=0.7)  # it follows the part along its heading
     state = stay(world, 50, twist(0.1))[-1]
     assert np.linalg.norm(state.base_twist[0, :2]) == pytest.approx(0.1 * np.cos(0.7), abs=1e-3)
+
+
+FIRST = np.array([0])
+STILL = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@pytest.fixture
+def begun(hsr, scene, opened):
+    """A function that puts a bar on the edge of a chest, in the open hand or beside its middle."""
+    x, y, z = compose(forward(IkSolver(hsr).chain, hsr.home["home"]), tool_pose(hsr))[:3]
+    chest = np.array([x + 0.22, y, z - 0.3, *STILL])
+
+    def build(name="bar", aside=0.0, *, handled=True):
+        world = opened(hsr, scene)
+        if handled:
+            world.handle(name, "bar")
+        bar = np.array([x, y + aside, z, *STILL])
+        place(world, scene=scene.with_poses({name: bar, "chest": chest}))
+        return world
+
+    return build
+
+
+def bar_of(world):
+    return world.object_motion(0, "bar")[0]
+
+
+def test_a_grasp_carries_an_object_until_it_is_opened(begun):
+    world = begun()
+    assert not world.holds(0, "bar")
+    world.grip("close", FIRST)
+    stay(world, 60)
+    assert world.holds(0, "bar")
+    assert not (world.touching(0).arm or world.touching(0).base)  # the grasped link does not count
+    before = bar_of(world)
+    stay(world, 150, twist(-0.1))
+    np.testing.assert_allclose(bar_of(world)[:3] - before[:3], [-0.29, 0.0, 0.0], atol=0.02)
+    world.grip("open", FIRST)
+    assert not world.holds(0, "bar")
+    stay(world, 60)
+    assert bar_of(world)[2] < 0.2
+
+
+def test_a_grasp_breaks_above_its_limit(begun):
+    world = begun("post")
+    world.grip("close", FIRST)
+    stay(world, 60)
+    assert world.holds(0, "post")
+    stay(world, 150, twist(-0.1))  # the post is fixed
+    assert not world.holds(0, "post")
+
+
+def test_a_grasp_needs_both_fingers(begun):
+    world = begun(aside=0.5)
+    world.grip("close", FIRST)
+    stay(world, 60)
+    assert not world.holds(0, "bar")
+    # At the first of these positions that one finger touches, the other is far away.
+    near = (
+        aside for aside in np.arange(0.0, 0.1, 0.004) if begun(aside=aside, handled=False).touched()
+    )
+    world = begun(aside=next(near))
+    world.grip("close", FIRST)
+    stay(world, 1)
+    assert not world.holds(0, "bar")
+    stay(world, 60)
+    assert world.holds(0, "bar")

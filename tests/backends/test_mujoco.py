@@ -50,12 +50,6 @@ def run(world, ticks, first=0):
     return np.array(measured)
 
 
-def test_a_robot_moves_alike_alone_and_in_a_batch(begun):
-    together = run(begun(3), 40)
-    np.testing.assert_array_equal(run(begun(1), 40)[:, 0], together[:, 0])
-    assert not np.array_equal(together[:, 0], together[:, 1])
-
-
 @pytest.mark.parametrize("ticks", [3, 60])
 def test_a_saved_state_continues_to_the_bit(begun, ticks):
     world, fresh = begun(3), begun(1)

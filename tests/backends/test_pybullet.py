@@ -16,15 +16,6 @@ def physics():
     world.close()
 
 
-def test_a_control_period_has_a_whole_number_of_steps(physics):
-    for dt, steps in ((0.02, 5), (0.1, 24), (1 / 240, 1), (0.001, 1)):
-        assert physics.divide(dt) == steps
-        assert physics.step_time == dt / steps
-    for dt in (0.0, -0.02, float("nan"), float("inf")):
-        with pytest.raises(KinfeasError, match="control period"):
-            physics.divide(dt)
-
-
 @pytest.mark.parametrize("kind", ["visual", "collision"])
 @pytest.mark.parametrize("mesh", ["none.stl", "text.stl"])
 def test_an_unreadable_mesh_is_an_error_of_one_line(physics, tmp_path, capfd, kind, mesh):

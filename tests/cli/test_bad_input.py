@@ -7,8 +7,7 @@ import pytest
 from kinfeas.config.recipes import default_engine
 from kinfeas.robots.loading import load_robot
 from tests.builders import contents
-from tests.cli.conftest import check_one_line, write_demonstrations
-from tests.cli.test_benchmark import STUDY
+from tests.cli.conftest import STUDY, check_one_line, write_demonstrations
 
 ENGINE = default_engine()
 SCOUT = Path(__file__).parents[2] / "examples" / "own_robot"

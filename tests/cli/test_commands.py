@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinfeas.config.recipes import default_engine
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
 from kinfeas.io.run_log import read_record
 from kinfeas.plugins.imitation import GaussianMixture, Imitation
@@ -67,8 +68,6 @@ def test_replay_of_a_run(kinfeas, tmp_path):
     assert facts["adapters"] == [{"name": "base_noise", "parameters": {"linear": 0.05}}]
     assert facts["filters"] == [{"name": "time_scaling", "parameters": {}}]
     assert facts["generators"] == [{"name": "linear", "parameters": {"gain": 0.5}}]
-    kinfeas("dataset", "run.csv", "--kind", "csv", "--out", "shown", code=0)
-    assert len(read_demonstration(tmp_path / "shown" / "001.csv").time) == 11
     record = tmp_path / "run.csv"
     record.write_bytes(record.read_bytes()[:-300])
     kinfeas("view", "--record", "run.csv", code=0)
@@ -192,3 +191,49 @@ def test_json_on_standard_output_is_alone_there(kinfeas, tmp_path, path):
     assert "motion generator linear" in done.err
     assert list(tmp_path.iterdir()) == []
     assert "linear" in kinfeas("plugins", "check", "linear", "--duration", "60").out
+
+
+PLANNED = ["obstacle_distance", "path_planner", "feasibility"]
+EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "1")
+SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
+ENGINE = default_engine()
+
+
+@pytest.fixture
+def evaluate(kinfeas):
+    """Return a function that returns the JSON of `kinfeas evaluate`."""
+    return lambda *arguments: kinfeas(*arguments, "--json", "out.json", code=0).facts
+
+
+def test_options_of_physics(evaluate):
+    words = ("--world", ENGINE, "--task", "drawer", "--no-objects")
+    words += ("--robot", "tiago")
+    figures = evaluate(*SHORT, *words, "--head-start", "0.2", "--time-scale", "0.5")
+    assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
+    assert (figures["task_success"], figures["filters"]) == (None, PLANNED)
+    assert figures["base_collisions"] is not None
+    names = ["obstacle_distance", "feasibility"]
+    assert evaluate(*SHORT, *words, "--filters", ",".join(names))["filters"] == names
+    assert evaluate(*SHORT, *words, "--filters", "none")["filters"] == []
+
+
+def test_adapters_of_a_file(evaluate, tmp_path):
+    (tmp_path / "mine.yaml").write_text("adapters: [base_noise, {name: head_start, seconds: 1}]")
+    figures = evaluate(*SHORT, "--adapters", "mine.yaml", "--ablation")
+    assert (figures["adapters"], figures["head_start"]) == (["base_noise", "head_start"], 1.0)
+    one, other = ["base_noise"], ["head_start"]
+    assert {label: row["adapters"] for label, row in figures["ablation"].items()} == {
+        "none": [], "base_noise": one, "head_start": other, "no base_noise": other,
+        "no head_start": one,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("world", ["analytic", ENGINE])
+def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
+    pytest.importorskip("viser")
+    outputs = ("--video", "four.png", "--replay", "page.html", "--picture", "episode.png")
+    outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "0", code=0)
+    assert set(outcome.out.splitlines()[-3:]) == {"four.png", "page.html", "episode.png"}
+    for name in ("four.png", "episode.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert b"<html" in (tmp_path / "page.html").read_bytes()[:1000].lower()

@@ -9,10 +9,8 @@ from kinfeas.api.plan import load_plan
 from kinfeas.config.recipes import ENGINES
 from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.tasks.loading import load_task
-from tests.cli.conftest import HEAVY, kinfeas_process
 
 HSR = ("--robot", "hsr", "--no-real-time")
-QUICK = ("--set", "generator.gain=1")
 GOAL = ("--backend", "analytic", "--goal", "0.9", "0.1", "0.8")
 BRIEF = ("pretrained", *HSR, *GOAL, "--seconds", "0.1")
 
@@ -29,7 +27,8 @@ def run(kinfeas, tmp_path):
 
 
 def test_goal_is_reached_and_recorded(run):
-    done, record = run("pretrained", *HSR, *GOAL, *QUICK, "--rpy", "0", "1.2", "-0.3", code=0)
+    words = ("--set", "generator.gain=1", "--rpy", "0", "1.2", "-0.3")
+    done, record = run("pretrained", *HSR, *GOAL, *words, code=0)
     assert REACHED in done.out
     assert done.facts["reason"] == record.event[-1] == REACHED
 
@@ -109,14 +108,6 @@ def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):
     assert stopped.startswith("stopped: ")
     assert unwritten.startswith("--json: /dev/full")
     assert len(read_record(tmp_path / "run.csv").time) == 5 + 2
-
-
-@pytest.mark.slow
-def test_no_learning_or_drawing_library_is_imported(tmp_path):
-    heavy = {"torch", "stable_baselines3", "sklearn", "matplotlib", "pybullet", "onnxruntime"}
-    words = ("deploy", *BRIEF, "--record", str(tmp_path / "run.csv"))
-    done = kinfeas_process(HEAVY % heavy, *words)
-    assert (done.returncode, done.stderr.splitlines()[-1]) == (4, "heavy: []")
 
 
 @pytest.mark.slow

@@ -1,13 +1,41 @@
+import subprocess
+import sys
+
+import numba
 import pytest
 
 from kinfeas.cli import main as module
+from kinfeas.cli.output import progress, status
 from kinfeas.core.errors import KinfeasError
-from tests.cli.conftest import HEAVY, kinfeas_process
+
+HEAVY = """
+import sys
+from kinfeas.cli.main import main
+try:
+    main()
+finally:
+    sys.stderr.write(f"heavy: {sorted(%r & set(sys.modules))}")
+"""
+"""A program that runs the command and prints which of some modules it has imported."""
 
 
-def test_help_imports_nothing_heavy():
-    heavy = {"numpy", "numba", "torch", "matplotlib", "rich"}
-    assert kinfeas_process(HEAVY % heavy, "--help").stderr.endswith("heavy: []")
+LEARNING = {"torch", "stable_baselines3", "sklearn"}
+BRIEF = "deploy pretrained --robot hsr --no-real-time --backend analytic --goal 0.9 0.1 0.8"
+
+
+@pytest.mark.parametrize(("words", "code", "heavy"), [
+    ("--help", 0, {"numpy", "numba", "torch", "matplotlib", "rich"}),
+    ("train --resume .", 2, {"torch"}),
+    pytest.param(f"{BRIEF} --seconds 0.1", 4, LEARNING | {"matplotlib", "pybullet", "onnxruntime"},
+                 marks=pytest.mark.slow),
+])  # fmt: skip
+def test_commands_import_nothing_heavy_that_they_do_not_need(
+    tmp_path, monkeypatch, words, code, heavy
+):
+    monkeypatch.chdir(tmp_path)
+    command = [sys.executable, "-c", HEAVY % heavy, *words.split()]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (code, "heavy: []")
 
 
 def raising(error):
@@ -54,3 +82,16 @@ def test_help_and_version_succeed(kinfeas, words):
     done = kinfeas(*words)
     assert (done.code, done.err) == (0, "")
     assert "kinfeas" in done.out
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+@pytest.mark.parametrize("shown", [progress, lambda: status("searching")])
+def test_commands_say_once_that_kernels_are_compiled(monkeypatch, capfd, shown, terminal):
+    monkeypatch.setenv("TTY_COMPATIBLE", "1" if terminal else "0")
+    double = numba.njit(lambda value: value + value)
+    with shown():
+        assert (double(1), double(1.0)) == (2, 2.0)
+    with shown():
+        double(1)
+    out, err = capfd.readouterr()
+    assert (out, err.count("compiling kernels")) == ("", 1)

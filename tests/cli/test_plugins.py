@@ -38,17 +38,16 @@ def test_info_on_parameters(info):
     assert len(info("hsr")["robot"]["arm"]) == 5
 
 
-def test_check_of_a_policy(kinfeas):
-    words = ("--robot", "hsr", "--json", "out.json")
-    assert kinfeas("plugins", "check", "follow_ee", *words, code=0).facts["passed"] is True
-    check_one_line(kinfeas("plugins", "check", "follow_ee", "--set", "gain=1"), "follow_ee")
-    check_one_line(kinfeas("plugins", "check", "follow_ee"), "--robot")
-
-
-def test_check_of_an_adapter(kinfeas):
-    words = ("plugins", "check", "actuator_lag", "--set")
-    assert kinfeas(*words, "base=0.2", "--json", "out.json", code=0).facts["passed"] is True
-    check_one_line(kinfeas(*words, "base=-1"), "base")
+@pytest.mark.parametrize(("words", "wrong", "named"), [
+    (("follow_ee", "--robot", "hsr"), ("follow_ee", "--robot", "hsr", "--set", "gain=1"),
+     "follow_ee"),
+    (("actuator_lag", "--set", "base=0.2"), ("actuator_lag", "--set", "base=-1"), "base"),
+])  # fmt: skip
+def test_check_of_a_policy_or_an_adapter(kinfeas, words, wrong, named):
+    check = ("plugins", "check")
+    assert kinfeas(*check, *words, "--json", "out.json", code=0).facts["passed"] is True
+    check_one_line(kinfeas(*check, *wrong), named)
+    check_one_line(kinfeas(*check, "follow_ee"), "--robot")
 
 
 def test_check_of_a_generator_that_breaks_rules(kinfeas):

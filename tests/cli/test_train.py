@@ -14,7 +14,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.training import train as training
 from tests.builders import contents
-from tests.cli.conftest import HEAVY, TINY, check_one_line, kinfeas_process
+from tests.cli.conftest import TINY, check_one_line
 from tests.policy_cases import write_run
 
 SHORT = ("train", "--robot", "hsr", "--steps", "64", "--out", "run", *TINY)
@@ -70,12 +70,6 @@ def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch):
     before = contents(Path("run"))
     check_one_line(kinfeas(*SHORT), "--resume run")
     assert contents(Path("run")) == before
-
-
-def test_wrong_folder_is_an_error_before_heavy_imports():
-    done = kinfeas_process(HEAVY % {"torch"}, "train", "--resume", ".")
-    assert done.returncode == 2
-    assert done.stderr.endswith("heavy: []")
 
 
 def test_initial_policy_gives_robot_and_network(tmp_path):

@@ -9,9 +9,11 @@ from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import recipes
 from kinfeas.control.assemble import read_sim2real, with_adapters
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.core.backend import BackendWrapper
+from kinfeas.control.surroundings import Surroundings
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, BackendWrapper
 from kinfeas.core.response import ResponseModel
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 
@@ -59,3 +61,15 @@ def test_the_ee_rests_for_the_head_start_of_its_episode(pr2, dt):
         still += np.all(world.loop.desired == first, axis=1)
     assert len(set(still)) == 3
     assert np.all((still >= 0.5 / dt) & (still <= 1.5 / dt))
+
+
+def test_without_a_scanner_nothing_is_in_range_with_one_warning(hsr, caplog):
+    backend = AnalyticBackend(hsr)
+    backend.scanner = None
+    surroundings = Surroundings(backend, IkSolver(hsr).collision)
+    for n in (1, 3):
+        np.testing.assert_array_equal(
+            surroundings.ranges(n), np.full((n, 2, SCAN_BEAMS), SCAN_RANGE)
+        )
+    (warning,) = caplog.messages
+    assert backend.name in warning

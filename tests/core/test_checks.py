@@ -60,9 +60,9 @@ class Motion:
             setattr(self, name, lambda *_, name=name: self.values[name])
 
 
-def call(motion, *methods):
-    for name in methods or CALLS:
-        getattr(motion, name)(*CALLS[name])
+def call(motion):
+    for name, arguments in CALLS.items():
+        getattr(motion, name)(*arguments)
 
 
 @pytest.mark.parametrize(("method", "value"), [

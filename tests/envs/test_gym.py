@@ -14,62 +14,16 @@ from kinfeas import envs
 from kinfeas.config import PluginSpec
 from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs import PHYSICS_ENVIRONMENTS
 from kinfeas.envs.batch import step_info
 from kinfeas.envs.gym import BaseMotionEnv, BaseMotionVectorEnv
-from kinfeas.envs.world import WorldConfig
+from kinfeas.envs.world import WorldConfig, evaluation_world
 
 NOISY = WorldConfig(
     max_seconds=4.0, max_failures=5, adapters=(PluginSpec("base_noise", {"linear": 0.05}),)
 )
-SEED, EPISODES = 7, 8
+SEED = 7
 BOTH = pytest.mark.parametrize("kind", [BaseMotionEnv, BaseMotionVectorEnv])
-
-
-def command(step, size):
-    """Return an action that depends only on the number of the step in its episode."""
-    return np.sin(step * np.arange(1, size + 1), dtype=np.float32)
-
-
-def trace_single(name):
-    """Return observations, rewards and the end of each episode of one environment, as bytes."""
-    env, traces = BaseMotionEnv(name, world=NOISY), {}
-    for episode in range(EPISODES):
-        seen, info = env.reset(seed=SEED if episode == 0 else None)
-        assert info == {"episode_number": episode}
-        trace, step, done = [seen.tobytes()], 0, False
-        while not done:
-            action = command(step, env.world.action_size)
-            seen, reward, terminated, truncated, info = env.step(action)
-            trace += [seen.tobytes(), np.float64(reward).tobytes()]
-            step, done = step + 1, terminated or truncated
-        traces[episode] = b"".join([*trace, repr((terminated, truncated, info)).encode()])
-    return traces
-
-
-def trace_vector(name, n):
-    env = BaseMotionVectorEnv(n, name, world=NOISY)
-    seen, infos = env.reset(seed=SEED)
-    number, steps = infos["episode_number"].copy(), np.zeros(n, dtype=int)
-    traces = {k: [seen[row].tobytes()] for row, k in enumerate(number)}
-    whole = {}
-    while len(whole) < EPISODES:
-        actions = np.stack([command(step, env.world.action_size) for step in steps])
-        seen, rewards, terminated, truncated, infos = env.step(actions)
-        steps += 1
-        np.testing.assert_array_equal(infos["_feasible"], ~(terminated | truncated))
-        for row in range(n):
-            done = terminated[row] or truncated[row]
-            last = infos["final_obs"][row] if done else seen[row]
-            traces[number[row]] += [last.tobytes(), rewards[row].tobytes()]
-            if done:
-                final = infos["final_info"]
-                info = {k: v[row].item() for k, v in final.items() if not k.startswith("_")}
-                ended = repr((bool(terminated[row]), bool(truncated[row]), info)).encode()
-                if number[row] < EPISODES:
-                    whole[int(number[row])] = b"".join([*traces[number[row]], ended])
-                number[row], steps[row] = infos["episode_number"][row], 0
-                traces[number[row]] = [seen[row].tobytes()]
-    return whole
 
 
 def test_gymnasium_and_sb3_find_nothing_wrong():
@@ -115,10 +69,35 @@ def test_every_observation_is_within_the_space(name):
             assert seen in env.observation_space
 
 
+def begin(env, number):
+    """Begin an episode of the seed; return its first observation."""
+    starts = [env.reset(seed=SEED if episode == 0 else None) for episode in range(number + 1)]
+    assert starts[-1][1] == {"episode_number": number}
+    return starts[-1][0]
+
+
 def test_an_episode_is_the_same_alone_and_beside_others():
-    single = trace_single("hsr")
-    assert len(set(single.values())) == EPISODES
-    assert trace_vector("hsr", 3) == single
+    vector, alone = BaseMotionVectorEnv(3, "hsr", world=NOISY), BaseMotionEnv("hsr", world=NOISY)
+    first, _ = vector.reset(seed=SEED)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3, 3)).astype(np.float32)
+    steps, ended = [vector.step(action) for action in actions], []
+    for row in range(3):
+        np.testing.assert_array_equal(begin(alone, row), first[row])
+        for action, (seen, reward, terminated, truncated, infos) in zip(
+            actions, steps, strict=True
+        ):
+            found, *rest, info = alone.step(action[row])
+            done = terminated[row] or truncated[row]
+            last = infos["final_obs"][row] if done else seen[row]
+            np.testing.assert_array_equal(found, last)
+            assert rest == [reward[row], terminated[row], truncated[row]]
+            assert infos["_feasible"][row] == (not done)
+            if done:
+                ended.append(int(infos["episode_number"][row]))
+                final = infos["final_info"].items()
+                assert info == {key: values[row] for key, values in final if key[0] != "_"}
+                np.testing.assert_array_equal(begin(alone, ended[-1]), seen[row])
+    assert len(set(ended)) == len(ended) > 3
 
 
 def test_a_reset_without_a_seed_takes_the_next_episodes():
@@ -152,11 +131,9 @@ def test_actions_are_finite_numbers_of_their_shape(kind):
             env.step(wrong)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [{"robot": None}, {"world": 3}, {"render_mode": "ansi"}, {"observation": ["sight"]}],
-    ids=list,
-)
+@pytest.mark.parametrize("arguments", [
+    {"robot": None}, {"world": 3}, {"render_mode": "ansi"}, {"observation": ["sight"]},
+], ids=list)  # fmt: skip
 def test_wrong_arguments_are_named(arguments):
     with pytest.raises(KinfeasError, match=next(iter(arguments))):
         BaseMotionEnv(**arguments)
@@ -173,3 +150,32 @@ def test_success_is_a_goal_reached_without_a_failure(reached, failures):
     info = step_info(world, transition)
     assert (info["reached"], info["failures"]) == (reached, failures)
     assert info["is_success"] == (reached and not failures)
+
+
+@pytest.fixture
+def make(engine):
+    return lambda robot="hsr", **arguments: gymnasium.make(
+        PHYSICS_ENVIRONMENTS[engine], robot=robot, **arguments
+    )
+
+
+@pytest.mark.filterwarnings("error")
+def test_gymnasium_finds_nothing_wrong_with_physics(make):
+    env = make(render_mode="rgb_array")
+    check_env(env.unwrapped)
+    env.close()
+
+
+def test_steps_count_contacts_and_pictures_show_the_robot(make, engine):
+    world = replace(evaluation_world(engine, "hsr"), max_seconds=0.1)
+    env = make(task="door", world=world, render_mode="rgb_array")
+    env.reset(seed=1)
+    for last in (False, False, False, False, True):
+        *_, truncated, info = env.step(np.zeros(3, dtype=np.float32))
+        assert truncated == last
+        assert (info["base_contacts"], info["arm_contacts"]) == (0, 0)
+    assert env.unwrapped.metadata["render_fps"] == 50
+    picture = env.render()
+    assert picture.shape == (360, 480, 3)
+    assert picture.std() > 5.0
+    env.close()

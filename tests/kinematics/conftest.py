@@ -1,21 +1,19 @@
-"""References that share no code with the kernels, Pinocchio and FCL, and random draws."""
+"""References that share no code with the kernels, Pinocchio and Coal, and random draws."""
 
 import math
 from pathlib import Path
-from typing import Any
 
-import fcl
+import coal
 import numpy as np
 import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, planar_pose, rotation
+from kinfeas.core.spatial import Array, planar_pose
 from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.urdf import Shape
 
 
 class Pinocchio:
@@ -43,11 +41,6 @@ class Pinocchio:
         self.place(joint_positions)
         placement = self.data.oMf[self.frame]
         return placement.translation.copy(), placement.rotation.copy()
-
-    def link(self, name: str) -> tuple[Array, Array]:
-        """Return orientation, shape (3, 3), and position, shape (3,), of a link after `place`."""
-        placement = self.data.oMf[self.model.getFrameId(name)]
-        return placement.rotation.copy(), placement.translation.copy()
 
     def jacobian(self, joint_positions: Array) -> Array:
         """Return the EE's Jacobian by the arm's variables, shape (6, v)."""
@@ -90,109 +83,76 @@ class Pinocchio:
         return errors
 
 
-class Primitives:
-    """FCL's primitives of a robot, placed by Pinocchio.
+def apart(*pair):
+    """Return the distance of two placed shapes of Coal, and their nearest points."""
+    result = coal.DistanceResult()
+    distance = coal.distance(*pair, coal.DistanceRequest(), result)
+    return distance, result.getNearestPoint1(), result.getNearestPoint2()
+
+
+class Shapes:
+    """Collision shapes of a robot for Coal, placed by Pinocchio.
 
     Attributes:
-        shapes: Link and shape of each of them.
-        objects: For FCL.
-        radius: Radii of bounding spheres, metres.
+        links: Name of the link of each of them.
+        model: All of them, for Pinocchio.
     """
 
-    def __init__(self, robot: Robot, judge: Pinocchio) -> None:
-        self.judge = judge
-        self.shapes = [
-            (link.name, shape) for link in robot.urdf.links.values() for shape in link.shapes
-        ]
-        kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
-        geometries = [kinds[shape.kind](*shape.size) for _, shape in self.shapes]
-        self.objects = list(map(fcl.CollisionObject, geometries))
-        self.radius = np.array([_radius(shape) for _, shape in self.shapes])
+    def __init__(self, robot: Robot) -> None:
+        self.judge, kind = Pinocchio(robot), pinocchio.GeometryType.COLLISION
+        self.model = pinocchio.buildGeomFromUrdf(self.judge.model, str(robot.urdf_path), kind)
+        frames = [shape.parentFrame for shape in self.model.geometryObjects]
+        self.links = [self.judge.model.frames[frame].name for frame in frames]
 
-    def place(self, joint_positions: Array) -> Array:
-        """Move all primitives to the arm's joint positions, (v,); return their centres, (s, 3)."""
-        self.judge.place(joint_positions)
-        centres = np.empty((len(self.shapes), 3))
-        for i, (link, shape) in enumerate(self.shapes):
-            turn, position = self.judge.link(link)
-            centres[i] = position + turn @ shape.pose[:3]
-            placement = fcl.Transform(turn @ rotation(shape.pose).as_matrix(), centres[i])
-            self.objects[i].setTransform(placement)
-        return centres
+    def collide(self, joint_positions: Array) -> bool:
+        """Return whether any pair of the model touches at the arm's joint positions, (v,)."""
+        judge, data = self.judge, self.model.createData()
+        judge.place(joint_positions)
+        return pinocchio.computeCollisions(judge.model, judge.data, self.model, data, judge.q, True)
 
 
-def _radius(shape: Shape) -> float:
-    x = np.array(shape.size)
-    sizes = {"box": x / 2.0, "cylinder": x / [1.0, 2.0] if len(x) == 2 else x, "sphere": x}
-    return float(np.linalg.norm(sizes[shape.kind]))
+class Among(Shapes):
+    """A robot among solids: distances of the shapes of its base and of its arm."""
 
-
-def touch(one: Any, other: Any) -> bool:
-    return fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
-
-
-def fcl_solids(solids, row):
-    """Return the solids of a row for FCL."""
-    objects = []
-    for (x, y, turn), size, cylinder in zip(
-        solids.pose[row], solids.size[row], solids.cylinder[row], strict=True
-    ):
-        if size[0] > 0.0:
-            high = size[3] - size[2]
-            shape = fcl.Cylinder(size[0], high) if cylinder else fcl.Box(*2.0 * size[:2], high)
-            matrix = Rotation.from_euler("z", turn).as_matrix()
-            placement = fcl.Transform(matrix, [x, y, (size[2] + size[3]) / 2.0])
-            objects.append(fcl.CollisionObject(shape, placement))
-    return objects
-
-
-class Among(Primitives):
-    def __init__(self, robot, judge):
-        super().__init__(robot, judge)
-        body = build_collision_model(robot).body
-        self.groups = np.flatnonzero(body < 0), np.flatnonzero(body >= 0)
-
-    def touch(self, joint_positions, solids, row):
-        """Return whether each group of shapes touches; bounding spheres rule most pairs out."""
-        centres, objects = self.place(joint_positions), fcl_solids(solids, row)
-        middle = np.array([solid.getTranslation() for solid in objects]).reshape(-1, 3)
-        used = solids.size[row, solids.size[row, :, 0] > 0.0]
-        reach = np.linalg.norm([used[:, 0], used[:, 1], (used[:, 3] - used[:, 2]) / 2.0], axis=0)
-        near = np.linalg.norm(centres[:, np.newaxis] - middle, axis=2) <= (
-            self.radius[:, np.newaxis] + reach
-        )
-        return [
-            any(touch(self.objects[i], objects[k]) for i in group for k in np.flatnonzero(near[i]))
-            for group in self.groups
-        ]
+    def __init__(self, robot):
+        super().__init__(robot)
+        names, body = list(robot.urdf.links), build_collision_model(robot).body
+        order = np.argsort([names.index(link) for link in self.links], kind="stable")
+        self.groups = order[body < 0].tolist(), order[body >= 0].tolist()
 
     def distances(self, joint_positions, solids, row):
-        """Return the distance of each group of shapes to the nearest solid, metres."""
-        self.place(joint_positions)
-        objects = fcl_solids(solids, row)
-        return [
-            min(
-                (fcl.distance(self.objects[i], solid) for i in group for solid in objects),
-                default=np.inf,
-            )
-            for group in self.groups
+        """Return the distance of each group to the nearest solid, metres; negative if inside."""
+        self.judge.place(joint_positions)
+        data, nearest = self.model.createData(), [np.inf, np.inf]
+        pinocchio.updateGeometryPlacements(self.judge.model, self.judge.data, self.model, data)
+        placed = [
+            (shape.geometry, coal.Transform3s(pose.rotation, pose.translation))
+            for shape, pose in zip(self.model.geometryObjects, data.oMg, strict=True)
         ]
+        for (x, y, turn), (a, b, low, high), cylinder in zip(
+            solids.pose[row], solids.size[row], solids.cylinder[row], strict=True
+        ):
+            if a > 0.0:
+                box = coal.Box(2.0 * a, 2.0 * b, high - low)
+                solid = coal.Cylinder(a, high - low) if cylinder else box
+                matrix = Rotation.from_euler("z", turn).as_matrix()
+                there = coal.Transform3s(matrix, np.array([x, y, (low + high) / 2.0]))
+                for group, shapes in enumerate(self.groups):
+                    away = [apart(*placed[i], solid, there)[0] for i in shapes]
+                    nearest[group] = min(nearest[group], *away)
+        return nearest
 
 
-@pytest.fixture(scope="session")
-def odd_robot() -> Robot:
-    """A robot with skewed axes and mimic joints, prismatic ones too."""
-    return load_robot(Path(__file__).parent / "odd_robot.yaml")
+@pytest.fixture(scope="session", params=["pr2", "tiago", "hsr", "odd_robot"])
+def robot(request):
+    """The last one has skewed axes and mimic joints, prismatic ones too."""
+    odd = Path(__file__).parent / "odd_robot.yaml"
+    return load_robot(odd if request.param == "odd_robot" else request.param)
 
 
 @pytest.fixture(scope="session")
 def judge(robot):
     return Pinocchio(robot)
-
-
-@pytest.fixture(scope="session")
-def odd_judge(odd_robot):
-    return Pinocchio(odd_robot)
 
 
 def draw(robot: Robot, n: int, seed: int = 0) -> Array:

@@ -7,7 +7,7 @@ from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.sensing import base_obstacles, base_prisms, fine_base_prisms, scan
 from kinfeas.kinematics.solids import in_base
 from tests.builders import at
-from tests.kinematics.conftest import Among, Pinocchio, draw_bases, draw_solids
+from tests.kinematics.conftest import Among, draw_bases, draw_solids
 
 
 def test_base_obstacles_are_nearest_points(hsr):
@@ -16,7 +16,7 @@ def test_base_obstacles_are_nearest_points(hsr):
     bases, solids, home = draw_bases(n), draw_solids(n, 1), hsr.home["home"]
     solids.size[:, :, 2:] = [0.0, 3.0]
     near = base_obstacles(prisms, bases, solids, 1.0)
-    among, local = Among(hsr, Pinocchio(hsr)), in_base(solids, bases)
+    among, local = Among(hsr), in_base(solids, bases)
     exact = np.array([among.distances(home, local, row)[0] for row in range(n)])
     nearest = near.distance.min(axis=1)
     free = (exact > 0.0) & (exact < 1.0)
@@ -24,10 +24,8 @@ def test_base_obstacles_are_nearest_points(hsr):
     np.testing.assert_allclose(nearest[free], exact[free], atol=2e-5)
     assert np.all(nearest[exact >= 1.0] == np.inf)
     first = near.distance.argmin(axis=1)[:, np.newaxis, np.newaxis]
-    normal = np.take_along_axis(near.normal, first, axis=1)[:, 0]
-    np.testing.assert_allclose(np.linalg.norm(normal[free], axis=1), 1.0)
-    step = np.zeros((n, 7))
-    step[:, :2], step[:, 6] = 1e-4 * normal, 1.0
+    step = np.pad(1e-4 * np.take_along_axis(near.normal, first, axis=1)[:, 0], ((0, 0), (0, 5)))
+    step[:, 6] = 1.0
     closer = base_obstacles(prisms, compose(bases, step), solids, 1.0).distance.min(axis=1)
     np.testing.assert_allclose(nearest[free] - closer[free], 1e-4, atol=1e-6)
 
@@ -63,10 +61,6 @@ def test_a_parallel_wall_has_the_corners_of_the_base(pr2):
     wall.size[0, 0, 2:] = [1.5, 2.0]
     above = base_obstacles(base_prisms(model), at(), wall, 1.0)
     assert above.distance.size == 0
-    wall.pose[0, 0, 0], wall.size[0, 0, 2:] = front + 0.05, [0.0, 0.2]
-    np.testing.assert_allclose(
-        base_obstacles(base_prisms(model), at(), wall, 1.0).distance.min(), -0.05
-    )
 
 
 BANDS = ((0.0, 0.35), (0.35, 1.5))

@@ -4,12 +4,17 @@ import pickle
 import shutil
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
+import numpy as np
 import pytest
 
+from kinfeas.control.observation import CLIP, OBSERVATION
 from kinfeas.core.errors import KinfeasError
+from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.loading import BASELINES, load_policy, trained_folder, trained_policies
-from kinfeas.policies.network import read_network, write_network
+from kinfeas.policies.network import Network, read_network, write_network
+from kinfeas.robots.robot import fingerprint
 from kinfeas.testing import ConformanceError, check_policy
 from tests.builders import random_network
 
@@ -85,3 +90,82 @@ def test_each_shipped_policy_is_complete(robot):
     assert about["command"].startswith("kinfeas train ")
     assert {"config", "kinematics"} <= about.keys()
     assert pickle.loads(pickle.dumps(network)).equals(network)
+
+
+def network(sizes=(28, 256, 256, 3), seed=0):
+    rng = np.random.default_rng(seed)
+    pairs = list(pairwise(sizes))
+    return Network(
+        rng.uniform(0.5, 2.0, sizes[0]).astype(np.float32),
+        tuple((rng.normal(size=pair) / np.sqrt(pair[0])).astype(np.float32) for pair in pairs),
+        tuple(rng.normal(size=pair[1]).astype(np.float32) * np.float32(0.1) for pair in pairs),
+    )
+
+
+def observations(n, inputs=28, seed=1):
+    return np.random.default_rng(seed).normal(size=(n, inputs))
+
+
+@pytest.mark.parametrize("sizes", [(28, 3), (28, 7, 2), (28, 256, 256, 3), (26, 400, 300, 3)])
+def test_is_a_perceptron(sizes):
+    net, observation = network(sizes), observations(40, sizes[0])
+    values = np.clip(observation * net.scale.astype(float), -CLIP, CLIP)
+    for weight, bias in zip(net.weights[:-1], net.biases[:-1], strict=True):
+        values = np.maximum(values @ weight.astype(float) + bias, 0.0)
+    expected = np.tanh(values @ net.weights[-1].astype(float) + net.biases[-1])
+    np.testing.assert_allclose(net(observation), expected, atol=1e-5)
+    assert np.all(np.abs(net(observation * 100.0)) <= 1.0)
+
+
+@pytest.mark.parametrize("size", [1, 3, 64])
+def test_no_bit_depends_on_the_batch(size):
+    net, observation = network(), observations(128)
+    together = net(observation)
+    for first in range(0, 128, size):
+        rows = slice(first, first + size)
+        np.testing.assert_array_equal(net(observation[rows]), together[rows])
+    order = np.random.default_rng(2).permutation(128)
+    np.testing.assert_array_equal(net(np.asfortranarray(observation[order])), together[order])
+    assert (net(observation[:0]).shape, together.dtype) == ((0, 3), np.float64)
+
+
+@pytest.mark.parametrize("layers", [2, 4, 10**9])
+def test_as_many_layers_as_are_told_must_be_there(pr2, tmp_path, layers):
+    write_network(network(), tmp_path, pr2, {})
+    write_trained(replace(read_trained(tmp_path), layers=layers), tmp_path)
+    with pytest.raises(KinfeasError, match=str(tmp_path)):
+        read_network(tmp_path, pr2)
+
+
+def test_a_policy_is_for_the_kinematics_that_it_was_trained_with(pr2, tmp_path):
+    write_network(network(), tmp_path, pr2, {})
+    assert read_trained(tmp_path).kinematics == fingerprint(pr2)
+    faster = replace(pr2, base=replace(pr2.base, max_velocity=1.0))
+    with pytest.raises(KinfeasError, match="kinematics"):
+        read_network(tmp_path, faster)
+    same = read_network(tmp_path, replace(pr2, pose_tolerance=None))
+    np.testing.assert_array_equal(same(observations(9)), network()(observations(9)))
+
+
+def test_terms_are_those_of_the_file(pr2, tmp_path):
+    terms = ("goal_position", "joint_positions")
+    net = replace(network((10, 8, 3)), observation_terms=terms)
+    write_network(net, tmp_path, pr2, {})
+    assert read_network(tmp_path, pr2).observation_terms == terms
+    path = tmp_path / "policy.json"
+    text = path.read_text()
+    for key, name in (("observation", "goal_position"), ("action", "base_velocity")):
+        path.write_text(text.replace(name, "lidar"))
+        with pytest.raises(KinfeasError, match=rf"{key}.*lidar"):
+            read_network(tmp_path, pr2)
+
+
+def test_new_terms_of_a_widened_network_have_no_effect(hsr):
+    old = random_network(hsr, width=8)
+    old = replace(old, scale=2.0 * old.scale)  # of another version
+    wide = old.widened(hsr, (*OBSERVATION, "previous_command"))
+    np.testing.assert_array_equal(wide.scale[: len(old.scale)], old.scale)
+    seen = np.random.default_rng(0).normal(size=(5, len(wide.scale)))
+    np.testing.assert_array_equal(wide(seen), old(seen[:, : len(old.scale)]))
+    with pytest.raises(KinfeasError):
+        old.widened(hsr, OBSERVATION[::-1])

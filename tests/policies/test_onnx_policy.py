@@ -1,17 +1,32 @@
-from dataclasses import replace
+import json
+import re
+import runpy
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 from onnx import numpy_helper
 
-from kinfeas.control.observation import HORIZON, size
+from kinfeas.control.observation import (
+    HORIZON,
+    OBSERVATION,
+    ObservedState,
+    describe_observation,
+    observe,
+    size,
+)
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation
 from kinfeas.kinematics.drive import command_size
+from kinfeas.policies import export as export_module
 from kinfeas.policies import onnx_policy
-from kinfeas.policies.onnx_policy import digest_entry, read_policy_file
+from kinfeas.policies.export import GOLDEN_PAIRS, export
+from kinfeas.policies.network import read_network
+from kinfeas.policies.onnx_policy import TOLERANCE, digest_entry, read_policy_file
 from kinfeas.robots.loading import load_robot
-from tests.policy_cases import change, get_entry, set_entry, write_policy_file
+from tests.policy_cases import change, get_entry, set_entry, write_policy_file, write_run
 
 
 @pytest.fixture(scope="module")
@@ -127,15 +142,9 @@ SIGNED = {
     "no JSON": (lambda m: setattr(m.metadata_props[3], "value", "{"), "JSON"),
     "fewer actions": (edit_entry("action", lambda a: [{**a[0], "size": 2}]), "graph"),
     "other term": (edit_entry("observation", lambda o: [{**o[0], "name": "x"}, *o[1:]]), "'x'"),
-    "other scale": (
-        edit_entry("action", lambda a: [{**a[0], "scale": [9.0, 9.0, 9.0]}]),
-        "observation or action",
-    ),
+    "other scale": (edit_entry("action", lambda a: [{**a[0], "scale": [9.0] * 3}]), "action"),
     "deep metadata": (lambda m: setattr(m.metadata_props[3], "value", "[" * 100_000), "JSON"),
-    "empty golden pairs": (
-        edit_entry("golden", lambda g: {"observation": [], "action": []}),
-        "gol",
-    ),
+    "no golden pairs": (edit_entry("golden", lambda g: {key: [] for key in g}), "golden"),
     "no layers": (without_layers, "graph"),
     "other horizon": (edit_entry("control", lambda c: {**c, "horizon": 0.2}), "observation or"),
 }
@@ -154,3 +163,69 @@ def test_changes_with_a_matching_digest(path, hsr, case):
     edit, word = SIGNED[case]
     change(path, edit)
     rejected(path, hsr, word)
+
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "onnx_inference.py"
+
+
+def test_the_shipped_policies(robot, tmp_path):
+    folder = robot.folder / "policies" / "pretrained"
+    policy, off = export(folder, robot, tmp_path / "policy.onnx")
+    assert off <= TOLERANCE / 2.0
+    assert policy.metadata.success["evaluation"]["success"] > 0.7
+    network, golden = read_network(folder, robot), policy.metadata.golden
+    assert len(golden.action) == GOLDEN_PAIRS
+    np.testing.assert_allclose(network(np.array(golden.observation)), golden.action, atol=1e-7)
+    assert np.abs(np.array(golden.observation) * network.scale).max() > 2.0
+    model = onnx.load(tmp_path / "policy.onnx", load_external_data=False)
+    assert {node.op_type for node in model.graph.node} == {"Mul", "Clip", "Gemm", "Relu", "Tanh"}
+    assert [one.type.tensor_type.shape.dim[0].dim_param for one in model.graph.input] == ["batch"]
+
+
+def test_takes_the_best_checkpoint_and_its_run_s_figures(pr2, tmp_path):
+    run = tmp_path / "runs" / "mine"
+    best = write_run(pr2, run / "checkpoints" / "best")
+    write_run(pr2, run / "checkpoints" / "last", net_arch=4)
+    figures = {"policy": "/home/me/runs/mine", "task": "door", "episodes": 500, "success": 0.5}
+    (run / "evaluation.json").write_text(json.dumps(figures))
+    policy, _ = export(run, pr2, tmp_path / "policy.onnx")
+    np.testing.assert_allclose(policy(np.ones((1, 28))), best(np.ones((1, 28))), atol=TOLERANCE)
+    metadata = policy.metadata
+    assert metadata.success["evaluation"] == {"task": "door", "episodes": 500, "success": 0.5}
+    assert b"/home/me" not in (tmp_path / "policy.onnx").read_bytes()
+    assert metadata.training == {"config": metadata.training["config"], "steps": 1000}
+
+
+def test_a_policy_that_deviates_is_not_written(pr2, tmp_path, monkeypatch):
+    write_run(pr2, tmp_path)
+    monkeypatch.setattr(export_module, "_run", lambda _, rows: np.zeros((len(rows), 3)))
+    with pytest.raises(KinfeasError, match="deviates"):
+        export(tmp_path, pr2, tmp_path / "policy.onnx")
+    assert not (tmp_path / "policy.onnx").exists()
+
+
+def test_inference_with_onnxruntime_alone(pr2, tmp_path, monkeypatch):
+    write_run(pr2, tmp_path)
+    export(tmp_path, pr2, tmp_path / "pr2.onnx")
+    assert "kinfeas" not in re.findall(r"^(?:import|from) (\w+)", EXAMPLE.read_text(), re.M)
+    monkeypatch.chdir(tmp_path)
+    observation, twist = runpy.run_path(str(EXAMPLE))["main"]()
+    action = read_policy_file(tmp_path / "pr2.onnx", pr2)(observation)[0]
+    speed = np.hypot(*action[:2]) * 0.2
+    expected = action * [0.2, 0.2, 1.0] * [*[0.2 / max(speed, 0.2)] * 2, 1.0]
+    np.testing.assert_allclose(twist, expected, atol=1e-5)
+
+
+def test_the_example_observes_as_the_loop_does(pr2):
+    terms = [asdict(term) for term in describe_observation(pr2, OBSERVATION)]
+    example = runpy.run_path(str(EXAMPLE))
+    rng = np.random.default_rng(0)
+    poses = rng.normal(size=(4, 50, 7))
+    poses[..., 3:] /= np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
+    poses[1, :, 3:] *= np.sign(poses[1, :, 6:])  # where the EE is, w >= 0 as forward kinematics say
+    joints = rng.normal(size=(50, 7))
+    shown = [
+        example["observe"](terms, *row, angles) for *row, angles in zip(*poses, joints, strict=True)
+    ]
+    np.testing.assert_allclose(shown, observe(ObservedState(*poses, joints)), atol=1e-12)

@@ -11,6 +11,7 @@ TINY = {
     "world": {"max_seconds": 1.5, "adapters": [{"name": "base_noise"}]},
     "learner": {
         "net_arch": [16, 16], "batch_size": 32, "learning_starts": 80, "buffer_size": 240,
+        "ent_coef": "learned",
     },
     "schedule": {
         "steps": 320, "minutes": None, "evaluations": 2, "evaluation_episodes": 2,

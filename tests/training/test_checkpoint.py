@@ -13,71 +13,32 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.learner import explore, make_learner
-from kinfeas.training.run import read_state
 from kinfeas.training.train import resume
 from kinfeas.training.vec_env import WorldVecEnv
 
 ADAPTERS = ["base_noise", "command_latency", "sensor_latency"]
 
 
-class Toy:
-    """A learner and its environments, without train.py."""
-
-    def __init__(self, config):
-        self.env = WorldVecEnv(
-            World(load_robot(config.robot), load_task("ggr"), config.world, 1), 4
-        )
-        self.learner = make_learner(config.learner, self.env, 0)
-        self.seen = self.env.reset()
-
-    def learn(self, steps):
-        for _ in range(steps):
-            action = explore(self.learner, self.seen, random=False)
-            seen, rewards, dones, infos = self.env.step(action)
-            self.learner.replay_buffer.add(self.seen, seen, action, rewards, dones, infos)
-            self.seen = seen
-            self.learner.train(2, 16)
-
-    def save(self, folder, state=None):
-        folder.mkdir()
-        save_learner(folder, self.learner, self.env.snapshot(), state or {})
-
-    def load(self, folder):
-        self.seen = self.env.restore(load_learner(folder, self.learner, self.env.snapshot()))
-
-
 @pytest.fixture
 def saved(tiny, tmp_path):
-    """A checkpoint, and another toy that could load it."""
-    config = tiny({"learner.ent_coef": "learned", "world.adapters": ADAPTERS})
-    toy = Toy(config)
-    toy.learn(3)
-    toy.save(tmp_path / "a")
-    return tmp_path / "a", Toy(config)
+    """The folder of a checkpoint, and a fresh learner and snapshot that could be loaded from it."""
+    config = tiny({"world.adapters": ADAPTERS})
 
+    def make():
+        world = World(load_robot(config.robot), load_task("ggr"), config.world, 1)
+        env = WorldVecEnv(world, 4)
+        return make_learner(config.learner, env, 0), env, env.reset()
 
-@pytest.mark.parametrize("steps", [3, 40], ids=["buffer not full", "buffer full"])
-@pytest.mark.parametrize("settings", [{}, {"learner.ent_coef": "learned"}])
-def test_resumes_to_the_bit(tiny, tmp_path, settings, steps):
-    config = tiny({"learner.buffer_size": 100, **settings})
-    toy = Toy(config)
-    toy.learn(steps)
-    assert toy.learner.replay_buffer.full == (steps == 40)
-    toy.save(tmp_path / "a", {"progress": {"steps": 3}})
-    toy.learn(9)
-    toy.save(tmp_path / "expected")
-    other = Toy(config)
-    other.learn(2)
-    other.load(tmp_path / "a")
-    assert read_state(tmp_path / "a")["progress"] == {"steps": 3}
-    other.learn(9)
-    other.save(tmp_path / "found")
-    expected, found = (load_file(tmp_path / n / "state.safetensors") for n in ("expected", "found"))
-    assert expected.keys() == found.keys()
-    for key, values in expected.items():
-        assert np.array_equal(values, found[key]), key
-    texts = [(tmp_path / n / "state.json").read_text() for n in ("expected", "found")]
-    assert texts[0] == texts[1]
+    learner, env, seen = make()
+    for _ in range(3):
+        action = explore(learner, seen, random=False)
+        after, rewards, dones, infos = env.step(action)
+        learner.replay_buffer.add(seen, after, action, rewards, dones, infos)
+        seen = after
+    learner.train(2, 16)
+    save_learner(tmp_path, learner, env.snapshot(), {})
+    other, fresh, _ = make()
+    return tmp_path, other, fresh.snapshot()
 
 
 FORMS = {
@@ -90,7 +51,7 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS)
 def test_tensors_of_another_form_raise(saved, form):
-    folder, other = saved
+    folder, learner, snapshot = saved
     tensors = load_file(folder / "state.safetensors")
     for key in sorted(tensors):
         changed, values = dict(tensors), FORMS[form](tensors[key])
@@ -101,18 +62,18 @@ def test_tensors_of_another_form_raise(saved, form):
             changed[key] = values
         save_file(changed, folder / "state.safetensors")
         with pytest.raises(KinfeasError, match=f"{folder}: "):
-            load_learner(folder, other.learner, other.env.snapshot())
+            load_learner(folder, learner, snapshot)
 
 
 @pytest.mark.parametrize(
     ("key", "value"), [("format", 7), ("buffer", {"position": 5, "full": False})]
 )
 def test_foreign_numbers_raise(saved, key, value):
-    folder, other = saved
+    folder, learner, snapshot = saved
     path = folder / "state.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
     with pytest.raises(KinfeasError, match=f"{folder}: "):
-        other.load(folder)
+        load_learner(folder, learner, snapshot)
 
 
 def test_the_end_of_time_is_no_terminal_state(whole):

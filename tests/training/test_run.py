@@ -1,4 +1,5 @@
 import json
+import shutil
 
 import pytest
 
@@ -6,7 +7,6 @@ from kinfeas import config
 from kinfeas.config.recipes import recipes
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
-from kinfeas.io.policy_metadata import Trained, write_trained
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig, load_recipe
@@ -16,10 +16,7 @@ from kinfeas.training.run import (
     check_new,
     finished,
     fraction_done,
-    identity,
     read_progress,
-    read_state,
-    write_state,
 )
 
 
@@ -27,9 +24,8 @@ from kinfeas.training.run import (
 def test_a_run_begins_in_an_empty_folder(tmp_path, name):
     (tmp_path / "empty").mkdir()
     (tmp_path / "half" / ".half").mkdir(parents=True)
-    before = sorted(tmp_path.rglob("*"))
     check_new(tmp_path / name)
-    assert sorted(tmp_path.rglob("*")) == before
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_run_is_not_written_over_and_suggests_to_resume_it(tmp_path):
@@ -59,52 +55,50 @@ def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
     assert fraction_done(tiny({"schedule": schedule}), Progress(400, 30.0)) == share
 
 
+def edit(path, keys, value):
+    """Change an entry of a JSON file."""
+    data = entries = json.loads(path.read_text())
+    for key in keys[:-1]:
+        entries = entries[key]
+    entries[keys[-1]] = value
+    path.write_text(json.dumps(data))
+
+
 @pytest.fixture
-def write_run(tiny, tmp_path):
-    """A function that writes the files of a run and returns its settings and last checkpoint."""
-    best, last = tmp_path / "checkpoints" / "best", tmp_path / "checkpoints" / "last"
-
-    def write(steps=320, evaluations=2, fresh=True):
-        settings = tiny()
-        progress = Progress(steps, 9.0, evaluations=evaluations)
-        for folder in (best, last):
-            folder.mkdir(parents=True)
-        config.dump(settings, tmp_path / "config.yaml")
-        write_state(last, {"config": identity(settings), "progress": progress.saved()})
-        figures = {"success": 0.5} if fresh else {}
-        terms = {"observation": (), "action": ()}
-        write_trained(Trained(robot="hsr", layers=3, fresh_evaluation=figures, **terms), best)
-        return settings, last
-
-    return write
+def ended(whole, tmp_path):
+    """A copy of the checkpoints and settings of a finished run."""
+    shutil.copytree(whole, tmp_path / "run")
+    assert finished(tmp_path / "run")
+    return tmp_path / "run"
 
 
-@pytest.mark.parametrize("left", [{"steps": 312}, {"evaluations": 1}, {"fresh": False}])
-def test_a_run_with_something_left_to_do_is_not(write_run, tmp_path, left):
-    write_run(**left)
-    assert finished(tmp_path) is None
+@pytest.mark.parametrize(("file", "keys", "value"), [
+    ("last/state.json", ("progress", "steps"), 312),
+    ("last/state.json", ("progress", "evaluations"), 1),
+    ("best/policy.json", ("fresh_evaluation",), {}),
+])  # fmt: skip
+def test_a_run_with_something_left_to_do_is_not(ended, file, keys, value):
+    edit(ended / "checkpoints" / file, keys, value)
+    assert finished(ended) is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("steps", -8), ("seconds", float("nan")), ("best", 2.0), ("recent", [0.5])]
+)
+def test_wrong_progress_raises(ended, key, value):
+    edit(ended / "checkpoints/last/state.json", ("progress", key), value)
+    with pytest.raises(KinfeasError, match=rf"state\.json: .*'{key}[.0]*'"):
+        finished(ended)
 
 
 @pytest.mark.parametrize(
     ("settings", "key"),
     [({"seed": 3}, "seed"), ({"num_envs": 4}, "num_envs"), ({"learner.gamma": 0.9}, "learner")],
 )
-def test_a_checkpoint_of_other_settings_raises(write_run, tiny, settings, key):
-    _, last = write_run()
+def test_a_checkpoint_of_other_settings_raises(whole, tiny, settings, key):
+    last = whole / "checkpoints" / "last"
     with pytest.raises(KinfeasError, match=f"{last}: .* its {key} is"):
         read_progress(tiny(settings), last)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("steps", -8), ("seconds", float("nan")), ("best", 2.0), ("recent", [0.5])]
-)
-def test_wrong_progress_raises(write_run, tmp_path, key, value):
-    _, last = write_run()
-    state = read_state(last)
-    state["progress"][key] = value
-    (last / "state.json").write_text(json.dumps(state))
-    with pytest.raises(KinfeasError, match=rf"state\.json: .*'{key}[.0]*'"):
-        finished(tmp_path)
 
 
 @pytest.mark.parametrize(("name", "robot"), [

@@ -3,8 +3,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -12,7 +10,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from kinfeas import config
+from kinfeas import __version__, config
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
@@ -23,19 +21,7 @@ from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.run import finished
 from kinfeas.training.train import resume, train
-from tests.builders import KilledError, contents, kill, stop_at, wait
-
-# Slowed down, so that it cannot end before it is killed; no figure depends on it.
-TRAIN = """
-import sys, time
-from pathlib import Path
-from kinfeas import config
-from kinfeas.training.config import TrainConfig
-from kinfeas.training.train import _Run, train
-step = _Run._step
-_Run._step = lambda run: (time.sleep(0.05), step(run))
-train(config.load(TrainConfig, Path(sys.argv[1])), Path(sys.argv[2]))
-"""
+from tests.builders import KilledError, contents, kill, stop_at
 
 
 @pytest.fixture
@@ -82,37 +68,12 @@ def assert_same(one, other):
     assert steps == sorted(steps)
 
 
-def checkpoint_steps(out):
-    try:
-        return state(out)["progress"]["steps"]
-    except (FileNotFoundError, json.JSONDecodeError):
-        return 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("signal_number", [signal.SIGKILL, signal.SIGINT])
-def test_a_killed_process_resumes_to_the_same_bits(whole, tiny, tmp_path, signal_number):
-    out, settings = tmp_path / "run", tmp_path / "settings.yaml"
-    config.dump(tiny(), settings)
-    with subprocess.Popen([sys.executable, "-c", TRAIN, settings, out]) as process:
-        try:
-            wait(lambda: process.poll() is not None or checkpoint_steps(out) > 80)
-            assert process.poll() is None
-            process.send_signal(signal_number)
-            assert process.wait(timeout=60) != 0
-        finally:
-            process.kill()
-    assert 80 < checkpoint_steps(out) < 320
-    resume(out)
-    assert_same(out, whole)
-
-
 def interrupt():
     signal.raise_signal(signal.SIGINT)
 
 
-STOPS = [
-    (vec_env.EpisodesVecEnv, "step_wait", 20, kill),
+STOPS = [  # the first one with a replay buffer that is full
+    (vec_env.EpisodesVecEnv, "step_wait", 35, kill),
     (shutil, "copyfile", 1, kill),
     (training, "explore", 15, interrupt),
     (training, "write_network", 2, interrupt),
@@ -167,19 +128,27 @@ def test_divergence_raises_and_keeps_the_last_checkpoint(tiny, tmp_path, monkeyp
     assert contents(run / "checkpoints") == before
 
 
-def test_minutes_count_training_without_evaluations(tiny, tmp_path, monkeypatch):
-    clock = {"now": 0.0}
+@pytest.fixture
+def ticks(monkeypatch):
+    """A function that replaces the clock by one that calls of functions advance."""
 
-    def tick(seconds, function):
+    def advance(owner, name, seconds):
+        function = getattr(owner, name)
+
         def ticking(*arguments, **options):
-            clock["now"] += seconds
+            advance.now += seconds
             return function(*arguments, **options)
 
-        return ticking
+        monkeypatch.setattr(owner, name, ticking)
 
-    monkeypatch.setattr(training.time, "monotonic", lambda: clock["now"])
-    monkeypatch.setattr(training, "explore", tick(1.0, training.explore))
-    monkeypatch.setattr(training, "summarize", tick(1000.0, training.summarize))
+    advance.now = 0.0
+    monkeypatch.setattr(training.time, "monotonic", lambda: advance.now)
+    return advance
+
+
+def test_minutes_count_training_without_evaluations(tiny, tmp_path, ticks):
+    ticks(training, "explore", 1.0)
+    ticks(training, "summarize", 1000.0)
     reports = []
     settings = tiny({"schedule.steps": None, "schedule.minutes": 0.5})
     progress = train(settings, tmp_path / "run", reports.append)
@@ -190,37 +159,30 @@ def test_minutes_count_training_without_evaluations(tiny, tmp_path, monkeypatch)
     assert (longer.steps, longer.seconds) == (288, 36.0)
 
 
-class Engine(AnalyticBackend):
-    """Stands for an engine of physics."""
+@pytest.fixture
+def engine(unregistered):
+    """Register a backend that stands for an engine of physics."""
+    registry.register("kinfeas.backends", "engine", AnalyticBackend)
 
 
-def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch):
-    clock = {"now": 0.0}
-
-    def step(*arguments, **options):
-        clock["now"] += 1.0
-        return explore(*arguments, **options)
-
+@pytest.mark.usefixtures("engine")
+def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch, ticks):
     def within(seconds, pool, processes, *parts):
         build, policy, episodes, on_done = parts
         rounds = max(1, int(seconds / 6.0))
-        clock["now"] += 6.0 * min(rounds, len(episodes) / 4)
+        ticks.now += 6.0 * min(rounds, len(episodes) / 4)
         return evaluate_episodes(build, policy, episodes[: 4 * rounds], on_done=on_done)
 
-    explore = training.explore
-    monkeypatch.setattr(training.time, "monotonic", lambda: clock["now"])
-    monkeypatch.setattr(training, "explore", step)
+    ticks(training, "explore", 1.0)
     monkeypatch.setattr(worlds, "evaluate_within", within)
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-    registry.register("kinfeas.backends", "engine", Engine)
     schedule = {"steps": None, "minutes": 2, "evaluations": 6, "evaluation_episodes": 32}
     schedule |= {"final_episodes": 256, "checkpoint_seconds": 30}
     settings = tiny({"world.backend": "engine", "schedule": schedule})
     reports = []
     progress = train(settings, tmp_path / "run", reports.append)
-    assert 100.0 < clock["now"] <= 130.0
+    assert 100.0 < ticks.now <= 130.0
     assert progress.seconds > 60.0
-    assert progress.seconds + progress.other_seconds == clock["now"]
+    assert progress.seconds + progress.other_seconds == ticks.now
     assert progress.evaluations == 6
     assert (0, 32) in [one.evaluating for one in reports]
     figures = json.loads((tmp_path / "run/checkpoints/best/policy.json").read_text())
@@ -230,9 +192,8 @@ def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch):
     assert 220.0 < longer.seconds + longer.other_seconds <= 250.0
 
 
+@pytest.mark.usefixtures("engine")
 def test_a_run_with_physics_begins_in_the_analytic_world(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-    registry.register("kinfeas.backends", "engine", Engine)
     world = {"world.backend": "engine", "world.dt": 0.02, "action_repeat": 5}
     settings = tiny({**world, "schedule.analytic": 0.5})
     explore = Mock(side_effect=training.explore)
@@ -250,18 +211,14 @@ def test_a_run_with_physics_begins_in_the_analytic_world(tiny, tmp_path, monkeyp
 
 def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monkeypatch):
     successes, original = iter([0.5, 0.25, 0.5, 0.4, 0.3]), training.summarize
-    offsets, evaluator = [], training.periodic_evaluator
+    evaluator = Mock(side_effect=training.periodic_evaluator)
 
     def scored(records):
         success = next(successes)
         return {**original(records), "success": success, "tracked_5cm": success}
 
-    def noted(config, offset=worlds.EVALUATION_SEED):
-        offsets.append(offset)
-        return evaluator(config, offset)
-
     monkeypatch.setattr(training, "summarize", scored)
-    monkeypatch.setattr(training, "periodic_evaluator", noted)
+    monkeypatch.setattr(training, "periodic_evaluator", evaluator)
     out = tmp_path / "run"
     train(tiny({"schedule.evaluations": 4}), out)
     about = json.loads((out / "checkpoints/best/policy.json").read_text())
@@ -269,16 +226,19 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
     assert about["fresh_evaluation"]["success"] == 0.3
     assert about["steps"] == 240  # of equals the later one
     assert about["config"]["robot"] == "hsr"
-    assert offsets == [worlds.EVALUATION_SEED, worlds.FRESH_SEED]
+    assert [call.args[1:] for call in evaluator.call_args_list] == [(), (worlds.FRESH_SEED,)]
     resume(out)
-    assert offsets[2:] == [worlds.EVALUATION_SEED]
+    assert evaluator.call_args.args[1:] == ()
     assert finished(out)
 
 
-@pytest.mark.parametrize(
-    "settings", [{"task": "dance"}, {"world.adapters": ["fog"]}, {"init": "follow_ee"}]
-)
-def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path, settings):
+@pytest.mark.parametrize("settings", [
+    {"task": "dance"}, {"world.adapters": ["fog"]}, {"init": "follow_ee"}, {"trackers": ["wandb"]},
+])  # fmt: skip
+def test_a_wrong_configuration_raises_before_anything_is_written(
+    tiny, tmp_path, monkeypatch, settings
+):
+    monkeypatch.setattr("kinfeas.core.extras.find_spec", lambda name: None)  # no wandb
     with pytest.raises(KinfeasError):
         train(tiny(settings), tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -349,3 +309,32 @@ def test_a_resumed_run_does_not_need_its_initial_policy(whole, tiny, tmp_path, m
     shutil.rmtree(first)
     resume(out)
     assert_same(out, through)
+
+
+@pytest.mark.slow
+def test_wandb_has_recipe_and_figures_offline(tiny, tmp_path, monkeypatch):
+    wandb = pytest.importorskip("wandb")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    seen, log = [], wandb.Run.log
+    monkeypatch.setattr(
+        wandb.Run, "log", lambda run, data, **o: (seen.append((run, data)), log(run, data, **o))
+    )
+    train(tiny({"trackers": ["wandb"], "schedule.steps": 160}), tmp_path / "run")
+    resume(tmp_path / "run", settings={"schedule.steps": 320})  # in the same run of the tracker
+    assert len(list((tmp_path / "run" / "wandb").glob("offline-run-*/*.wandb"))) == 2
+    assert len({run.id for run, _ in seen}) == 1
+    run, _ = seen[0]
+    assert run.config["version"] == __version__
+    assert run.config["learner"]["net_arch"]
+    assert "fresh/success" in seen[-1][1]
+
+
+def test_tensorboard_has_version_recipe_and_figures(tiny, tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    train(tiny({"trackers": ["tensorboard"], "schedule.steps": 160}), tmp_path / "run")
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard")).Reload()
+    assert "fresh/success" in events.Tags()["scalars"]
+    assert {"version/text_summary", "recipe/text_summary"} <= set(events.Tags()["tensors"])
