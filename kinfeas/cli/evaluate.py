@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 _LISTED = 6  # numbers of failed episodes that the table shows
+_REASONS = {"ik_failure": "IK failure", "collision": "collision", "time": "out of time"}
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -139,7 +140,7 @@ def _show(summary: "Summary") -> None:
     if summary["ceiling"] is not None:
         rows.insert(1, ["ceiling: goals within reach of a base", _fraction(summary, "ceiling")])
     if (lateness := summary["lateness_s"]) is not None:
-        rows.append(["base later than its response model", f"{1000 * lateness:.0f} ms"])
+        rows.append(["base later than its response model", f"{round(1000 * lateness)} ms"])
     if (rms := summary["rms_deviation_m"]) is not None:
         rows += [
             ["followed without failure and joint jump", _fraction(summary, "smooth")],
@@ -154,9 +155,9 @@ def _show(summary: "Summary") -> None:
             ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
             ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
         ]
-    if failed := summary["failed"]:
+    for reason, failed in summary["failed"].items():
         numbers = ", ".join(map(str, failed[:_LISTED])) + ", ..." * (len(failed) > _LISTED)
-        rows.append(["episodes without success", numbers])
+        rows.append([f"failed: {_REASONS[reason]}", numbers])
     print_table(title.format(**summary), ["", " fraction (95 % interval) or mean"], rows)
 
 

@@ -25,7 +25,7 @@ from kinfeas.tasks.task import StreamTask, Task
 class Summary(Metrics):
     """Metrics of a policy, what they were measured on, and the ceiling; null if not measured.
 
-    `failed` are the numbers of the episodes without success.
+    `failed` are the numbers of the episodes without success, by what kept them from it.
     """
 
     robot: str
@@ -38,7 +38,7 @@ class Summary(Metrics):
     adapters: list[str]
     filters: list[str]
     backend_parameters: dict[str, object]
-    failed: list[int]
+    failed: dict[str, list[int]]
     ceiling: float | None
     ceiling_low: float | None
     ceiling_high: float | None
@@ -137,7 +137,7 @@ def evaluate(
         "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
         **summarize(records),
-        "failed": (config.first + np.flatnonzero(~records.success)).tolist(),
+        "failed": _failed(records, config.first),
         "ceiling": None, "ceiling_low": None, "ceiling_high": None,
     }  # fmt: skip
 
@@ -165,6 +165,19 @@ def _run(
         else:
             records = evaluate_episodes(build, policy, episodes, processes, on_done)
         return records, world.loop.execution
+
+
+def _failed(records: EpisodeRecords, first: int) -> dict[str, list[int]]:
+    """Return the numbers of the episodes without success by the reason, empty ones left out."""
+    collided = records.base_collisions
+    reasons = np.full(len(records.reached), "time", dtype=object)
+    if collided is not None:
+        reasons[collided > 0] = "collision"
+    reasons[records.failures > 0] = "ik_failure"
+    failed: dict[str, list[int]] = {}
+    for row in np.flatnonzero(~records.success).tolist():
+        failed.setdefault(reasons[row], []).append(first + row)
+    return failed
 
 
 def add_ceiling(

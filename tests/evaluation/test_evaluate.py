@@ -56,6 +56,9 @@ def test_summary(config, policy):
     assert summary["success_low"] <= summary["success"] <= summary["success_high"]
     assert summary["success"] <= summary["ceiling"] <= summary["ceiling_high"]
     assert sum(ended) == 20
+    failed = summary["failed"]
+    assert sum(map(len, failed.values())) == round(20 * (1.0 - summary["success"]))
+    assert set(failed) <= {"ik_failure", "collision", "time"}
 
 
 STUDY = Path(__file__).parents[2] / "docs" / "figures" / "study.json"
