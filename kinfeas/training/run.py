@@ -107,8 +107,8 @@ def check_new(out: Path) -> None:
         # Hidden files may be left by a run that was killed while it wrote its first file.
         if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
             if (out / SETTINGS).is_file():
-                raise KinfeasError(f"{out}: holds a run; resume it, or choose another folder")
-            raise KinfeasError(f"{out}: holds other files; a run needs a new or an empty folder")
+                raise KinfeasError(f"{out}: holds a run; resume it, or choose another 'out'")
+            raise KinfeasError(f"{out}: holds other files; 'out' must be a new or an empty folder")
         nearest = next(folder for folder in (out, *out.parents) if folder.exists())
         TemporaryFile(dir=nearest).close()
 
