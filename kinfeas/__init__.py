@@ -1,6 +1,17 @@
 """Learned base motions that keep any end-effector motion kinematically feasible.
 
-These functions are imported with their packages at the first use.
+train, resume           train a policy; continue a training
+evaluate, ceiling       metrics of a policy; the fraction of reachable goals
+reach                   base poses from which EE poses are reached
+plan, load_plan         base and arm along an EE path; a plan from its file
+deploy, servo           run a policy or plan on a robot; follow streams of targets
+identify, fit           model of a robot's response; EE motion of demonstrations
+export                  policy as an ONNX file
+load_policy, load_robot policies and robots
+view                    facts on and pictures of scenes and records
+KinfeasError            raised for bad input
+
+Each is imported with its packages at the first use; `help(kinfeas.train)` shows the arguments.
 """
 
 __version__ = "0.3.0"

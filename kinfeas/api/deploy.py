@@ -15,7 +15,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from kinfeas.api import Name
-from kinfeas.api.load import checked, load_robot, plugin_settings, read_adapters, robot_of, text_of
+from kinfeas.api.load import (
+    Adapters,
+    checked,
+    load_robot,
+    plugin_settings,
+    read_adapters,
+    robot_of,
+    text_of,
+)
 from kinfeas.api.plan import load_plan
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
@@ -78,7 +86,7 @@ def deploy(  # noqa: PLR0913 - options of the command
     seconds: float = 300.0,
     seed: int = 0,
     record: Name | None = None,
-    adapters: Name | None = None,
+    adapters: Adapters | None = None,
     guards: Name | None = None,
     real_time: bool = True,
     filters: str | Sequence[str] | None = None,
@@ -89,9 +97,31 @@ def deploy(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.deploy("pretrained", backend="analytic", goal=(0.8, -0.2, 0.9)).outcome.code`
 
-    Arguments are the options of the command: the goal in metres, its orientation in radians or as a
-    quaternion xyzw; a `plan` replaces goal, task and policy. `settings` are values by key of
-    `DeployConfig`. `on_moment` is called with each line of the record.
+    Args:
+        policy: Name, run folder, ONNX file, or `module:Class`.
+        plan: File of `kinfeas.plan`, in place of policy, goal and task.
+        robot: Name or folder; by default the robot of the policy.
+        backend: `analytic`, `pybullet`, `mujoco`, `ros2`, `ros1`, or a plugin; by default PyBullet
+            or, without it, MuJoCo.
+        goal: World position of the EE, shape (3,), metres.
+        rpy: Its roll, pitch and yaw, radians; unchanged by default.
+        quaternion: The same as a quaternion xyzw.
+        generator: Motion generator; `linear` by default, with a scene `whole_body`.
+        task: Name or YAML file, in place of the goal.
+        rate: Control rate, Hz.
+        seconds: Maximum duration, seconds.
+        seed: Random seed.
+        record: New CSV file; by default one in `runs/deploy`.
+        adapters: Name or YAML file of a list of adapters, or its entries.
+        guards: YAML file of limits.
+        real_time: Whether a simulation runs no faster than a robot.
+        filters: Names of command filters; the robot's by default.
+        settings: Values by key of `DeployConfig`, such as `scene` or `guards.max_tilt`.
+        on_moment: Called with each line of the record.
+
+    Returns:
+        A `Deployment`, whose `outcome.code` is 0 if the goal was reached, 3 if a guard or an error
+        stopped the run, 4 if its time was over, 128 + N after the signal N.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
@@ -138,7 +168,7 @@ def servo(  # noqa: PLR0913 - options of the command
     rate: float = 50.0,
     seconds: float = 3600.0,
     record: Name | None = None,
-    adapters: Name | None = None,
+    adapters: Adapters | None = None,
     guards: Name | None = None,
     filters: str | Sequence[str] | None = None,
     settings: Settings | None = None,
@@ -148,9 +178,23 @@ def servo(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.servo(robot="pr2", backend="ros2", source=MySource()).targets`
 
-    Arguments are the options of the command; `source` may also be a `TargetSource` of the calling
-    program. `settings` are values by key of `ServoConfig`. `on_moment` is called with each line of
-    the record.
+    Args:
+        policy: Name, run folder, ONNX file, or `module:Class`.
+        robot: Name or folder; by default the robot of the policy.
+        backend: As of `deploy`.
+        source: `ros2`, `ros1`, `module:Class`, a plugin, or a `TargetSource` of the program.
+        rate: Control rate, Hz.
+        seconds: Duration, seconds.
+        record: New CSV file; by default one in `runs/deploy`.
+        adapters: Name or YAML file of a list of adapters, or its entries.
+        guards: YAML file of limits.
+        filters: Names of command filters; the robot's by default.
+        settings: Values by key of `ServoConfig`, such as `rules.KEY` or `source.KEY`.
+        on_moment: Called with each line of the record.
+
+    Returns:
+        A `Deployment`, whose `outcome.code` is 0 if the time is over, others as of `deploy`;
+        `targets` has the numbers of messages.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
-from kinfeas.api.load import checked, load_robot, plugin_settings, robot_of, text_of
+from kinfeas.api.load import Adapters, checked, load_robot, plugin_settings, robot_of, text_of
 from kinfeas.config import Settings, from_mapping, nested
 from kinfeas.config.quantities import Episodes, Processes, Seed
 from kinfeas.core.errors import KinfeasError
@@ -37,7 +37,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
     episodes: int | None = None,
     seed: int = 1,
     filters: str | Sequence[str] | None = None,
-    adapters: Name | None = None,
+    adapters: Adapters | None = None,
     ablation: bool = False,
     picture: Name | None = None,
     video: Name | None = None,
@@ -51,9 +51,29 @@ def evaluate(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.evaluate("pretrained", robot="pr2", episodes=100)["success"]`
 
-    Arguments are the options of the command; robots, tasks and policies are names or paths. A
-    policy may also be an object with `act`, for a given robot. `settings` are values by key, such
-    as `world.dt`.
+    Args:
+        policy: Name, run folder, ONNX file, `module:Class`, or an object with `act`.
+        robot: Name or folder; by default the robot of the policy.
+        task: Name or YAML file.
+        world: Backend: `analytic`, `pybullet`, `mujoco`, or a plugin.
+        episodes: Number of episodes; 500 by default, 50 with physics.
+        seed: Random seed of the episodes.
+        filters: Names of command filters; the robot's by default.
+        adapters: Name or YAML file of a list of adapters, or its entries.
+        ablation: Whether single adapters are evaluated, too.
+        picture: PNG file to write of an episode.
+        video: GIF, MP4 or PNG file to write of it.
+        replay: HTML file to write of it.
+        episode: Number of the episode of these files.
+        processes: Number of parallel processes.
+        settings: Values by key, such as `world.dt` or `task.KEY`.
+        on_progress: Called with the present work and the fraction of it that is done.
+
+    Returns:
+        Metrics by key: `success`, the fraction of episodes that reach the goal without an IK
+        failure; `within_5cm`, the fraction that reach it with the EE never more than 5 cm off;
+        `ceiling`, the fraction of reachable goals; each with its 95 % interval, `_low` and `_high`.
+        `Metrics` of `kinfeas.core.metrics` has the others, in metres and seconds.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid.
@@ -61,7 +81,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
     name = type(policy).__name__
     if isinstance(policy, str | Path) or not hasattr(policy, "act"):
         name = text_of(policy, "policy")
-    elif robot is None:
+    elif (robot := robot or getattr(policy, "robot", None)) is None:
         raise KinfeasError("give the 'robot' of a policy that is an object")
     model = load_robot(robot or robot_of(name))
     config = evaluation.configure(

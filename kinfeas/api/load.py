@@ -1,10 +1,10 @@
 """Robots and policies by name or path, and policies as ONNX files."""
 
 import reprlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.config import PluginSpec, convert, to_mapping
@@ -18,6 +18,9 @@ from kinfeas.policies import loading
 from kinfeas.policies.onnx_policy import OnnxPolicy, PolicyMetadata, read_policy_file
 from kinfeas.robots import loading as robots
 from kinfeas.robots.robot import Robot
+
+Adapters = Name | Sequence[str | Mapping[str, object]]
+"""List of adapters by name or YAML file, or its entries: names, or mappings with `name`."""
 
 
 def load_robot(robot: Name | Robot) -> Robot:
@@ -46,7 +49,7 @@ class PolicyFile:
 
     path: Path  # its file
     bytes: int  # size of the file
-    metadata: PolicyMetadata  # description of the policy
+    metadata: PolicyMetadata = field(repr=False)  # description of the policy
     # largest deviation of its actions from the trained policy's; None if not measured
     parity: float | None = None
 
@@ -109,17 +112,20 @@ def robot_of(policy: Name | None) -> str:
         settings, robot = metadata.training.get("config"), metadata.robot.name
     robot = str(settings.get("robot", robot)) if isinstance(settings, dict) else robot
     if is_path(robot) and not Path(robot).exists():
-        raise KinfeasError(f"{policy}: its robot {robot} does not exist; use --robot")
+        raise KinfeasError(f"{policy}: its robot {robot} is not there; give its folder as 'robot'")
     return robot
 
 
-def read_adapters(name: Name | None) -> tuple[PluginSpec, ...]:
-    """Return a list of adapters by name or path; none for None."""
-    return () if name is None else read_sim2real(str(name)).adapters
+def read_adapters(adapters: Adapters | None) -> tuple[PluginSpec, ...]:
+    """Return adapters by the name or path of their list, or each by itself; none for None."""
+    if isinstance(adapters, Sequence) and not isinstance(adapters, str):
+        kind = tuple[PluginSpec, ...]
+        return cast("tuple[PluginSpec, ...]", checked(kind, list(adapters), "adapters"))
+    return () if adapters is None else read_sim2real(str(adapters)).adapters
 
 
 def plugin_settings(
-    filters: str | Sequence[str] | None, adapters: Name | None = None, above: str = ""
+    filters: str | Sequence[str] | None, adapters: Adapters | None = None, above: str = ""
 ) -> dict[str, object]:
     """Return settings of filters and adapters, where they are not None, below the keys `above`."""
     settings: dict[str, object] = {}

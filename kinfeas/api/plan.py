@@ -54,6 +54,9 @@ class Plan(Moments):
     robot: Robot
     solids: Solids | None = None  # in the world, one row; None without any
 
+    def __repr__(self) -> str:
+        return f"Plan({self.robot.name!r}, {self.time[-1]:.1f} s, {len(self.time)} moments)"
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the arm joints."""

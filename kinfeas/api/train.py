@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 from kinfeas.api import Name
-from kinfeas.api.load import load_robot, read_adapters, robot_of, text_of
+from kinfeas.api.load import Adapters, load_robot, read_adapters, robot_of, text_of
 from kinfeas.config import Settings, nested
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
@@ -32,17 +32,13 @@ class Run:
 
 
 class Options(TypedDict, total=False):
-    """Options of a training; absent ones and None have the value of the recipe.
-
-    Robots, tasks, lists of adapters and recipes (`config`) are names or paths. `settings` are
-    values by key of the recipe, which win over the others.
-    """
+    """Options of a training; absent ones and None have the value of the recipe."""
 
     task: Name | None
     seed: int | None
     minutes: float | None
     steps: int | None
-    adapters: Name | None
+    adapters: Adapters | None
     world: str
     init: Name | None
     processes: int | None
@@ -60,6 +56,21 @@ def train(
     """Train a base policy in the folder `out`, by default `runs/ROBOT-TASK-SEED`; return its run.
 
     Example: `kinfeas.train("pr2", minutes=3, settings={"learner.batch_size": 256})`
+
+    Args:
+        robot: Name or folder; by default the robot of `config` or `init`, else PR2.
+        out: New folder.
+        on_progress: Called with the `Progress` of the run now and then.
+        task: Name or YAML file; `ggr` by default.
+        seed: Random seed.
+        minutes: Wall-clock time of training, 3 by default.
+        steps: Environment steps, in place of or beside `minutes`.
+        adapters: Name or YAML file of a list of adapters, or its entries.
+        world: Backend: `analytic`, `pybullet`, `mujoco`, or a plugin.
+        init: Policy to start from: a run folder, or `pretrained`.
+        processes: Processes of a world with physics.
+        config: Recipe: a YAML file, or a name such as `train_rooms`.
+        settings: Values by key of the recipe, which win over the other options.
 
     Raises:
         KinfeasError: If an option or a setting is invalid, or the folder holds a run.

@@ -16,7 +16,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     video: options.Video = None,
     html: Path | None = options.file_option(None, "Write an interactive page.", ".html", ".htm"),
 ) -> None:
-    """Show a scene or a recorded run.
+    """Show a scene, by default room; with --record a recorded run.
 
     Settings: every key of the scene, such as objects.box.position=[1,0,0.115].
 

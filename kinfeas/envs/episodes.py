@@ -158,7 +158,7 @@ def workers_alive(processes: int) -> Iterator[None]:
     except BrokenExecutor as error:
         raise WorkerDiedError(
             f"one of {processes} worker processes died, as if killed or out of memory; "
-            "try fewer --processes"
+            "try fewer processes"
         ) from error
 
 

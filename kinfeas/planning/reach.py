@@ -54,6 +54,11 @@ class Placement:
     manipulability: Array  # Yoshikawa's measure as a fraction of the robot's largest, shape (m,)
     limit: str = ""  # reason for which no base pose was found, one of `LIMITS`; empty if one was
     solids: tuple[int | str, ...] = ()  # solids in the way, by their places or names
+    heights: tuple[float, float] = (0.0, 0.0)  # of the EE, if `limit` is `height`, metres
+
+    def __repr__(self) -> str:
+        best = self.margin.max(initial=0.0)
+        return f"Placement({self.reason or f'{len(self.base_pose)} base poses, {best:.2f} margin'})"
 
     @property
     def reachable(self) -> bool:
@@ -73,6 +78,8 @@ class Placement:
     @property
     def reason(self) -> str:
         """The limit as a text; empty if there is a base pose."""
+        if self.limit == "height":
+            return f"{LIMITS['height']}, {self.heights[0]:.2f} to {self.heights[1]:.2f} m"
         if self.limit != "solids" or not self.solids:
             return LIMITS.get(self.limit, "")
         return f"in the way of base or arm: {', '.join(map(str, self.solids))}"
@@ -156,8 +163,8 @@ class BasePlacer:
 
         It is the first limit that keeps the robot from the pose if those after it are lifted.
         """
-        stages, heights = (_SETTINGS.without,), self._without[0][1].ee_pose[:, 2]
-        beyond = not heights.min() <= goal[2] <= heights.max()
+        stages, (lowest, highest) = (_SETTINGS.without,), self._heights
+        beyond = not lowest <= goal[2] <= highest
         for name, postures in self._without:
             if not len(self._search(goal, stages, postures=postures)[0]):
                 return "height" if name == "orientation" and beyond else name
@@ -171,6 +178,12 @@ class BasePlacer:
         each = (solids.only(np.array([k])).repeated(len(base)) for k in range(solids.places))
         robot = self.solver.collision, joints, base
         return np.stack([collides(*robot, solid).any(axis=1) for solid in each], axis=1)
+
+    @property
+    def _heights(self) -> tuple[float, float]:
+        """The least and the greatest height of the EE without limits, metres."""
+        heights = self._without[0][1].ee_pose[:, 2]
+        return float(heights.min()), float(heights.max())
 
     @cached_property
     def _without(self) -> list[tuple[str, Postures]]:
@@ -248,8 +261,9 @@ class BasePlacer:
 
     def _none(self, limit: str) -> Placement:
         joints = len(self.solver.robot.arm)
-        none = np.empty(0)
-        return Placement(np.empty((0, 7)), np.empty((0, joints)), none, none, none, limit)
+        none, heights = np.empty(0), self._heights if limit == "height" else (0.0, 0.0)
+        bases, arms = np.empty((0, 7)), np.empty((0, joints))
+        return Placement(bases, arms, none, none, none, limit, heights=heights)
 
 
 def _manipulability(solver: IkSolver, joints: Array) -> Array:

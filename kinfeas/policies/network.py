@@ -38,12 +38,18 @@ class Network:
         weights: Weights of each layer, shape (inputs, outputs), float32.
         biases: Biases of each layer, shape (outputs,), float32.
         observation_terms: Names of its observation terms, in order.
+        robot: Robot that it was read for; None of others.
     """
 
     scale: NDArray[np.float32]
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]
     observation_terms: tuple[str, ...] = OBSERVATION
+    robot: Robot | None = None
+
+    def __repr__(self) -> str:
+        sizes = len(self.scale), *map(len, self.biases)
+        return f"Network({' -> '.join(map(str, sizes))})"
 
     def act(self, observation: Observation) -> Array:
         """Return actions in [-1, 1], shape (n, actions)."""
@@ -121,7 +127,7 @@ def read_network(folder: Path, robot: Robot) -> Network:
         weights = tuple(tensors[f"weight.{i}"] for i in layers)
         biases = tuple(tensors[f"bias.{i}"] for i in layers)
         terms = tuple(term.name for term in trained.observation)
-        network = Network(tensors["scale"], weights, biases, terms)
+        network = Network(tensors["scale"], weights, biases, terms, robot)
     except KeyError as error:
         raise KinfeasError(f"{folder}: broken policy: there is no tensor {error}") from error
     check_network(network, trained.observation, trained.action, str(folder))

@@ -93,6 +93,7 @@ class OnnxPolicy:
     Attributes:
         metadata: Description of the policy.
         observation_terms: Names of its observation terms, in order.
+        robot: Robot that it was read for, if any.
 
     Raises:
         KinfeasError: If `kinfeas export` did not write the bytes, they were changed, or the
@@ -109,6 +110,7 @@ class OnnxPolicy:
         self.metadata = metadata = _metadata(entries)
         check_network(self._network, metadata.observation, metadata.action, "its graph")
         self.observation_terms = tuple(term.name for term in metadata.observation)
+        self.robot: Robot | None = None
         golden = metadata.golden
         try:
             actions = self(np.array(golden.observation))
@@ -144,6 +146,7 @@ def read_policy_file(path: Path, robot: Robot | None) -> OnnxPolicy:
         policy = OnnxPolicy(content)
     except KinfeasError as error:
         raise KinfeasError(f"{path}: {error}") from error
+    policy.robot = robot
     if robot is not None:
         info, metadata = policy.metadata.robot, policy.metadata
         terms = metadata.observation, metadata.action

@@ -66,6 +66,9 @@ class Robot:
     max_gravity_load: float | None  # fraction of the effort limits; None for no limit
     response: ResponseModel  # of the real robot
 
+    def __repr__(self) -> str:
+        return f"Robot({self.name!r}, {len(self.arm)} arm joints, {str(self.folder)!r})"
+
     @cached_property
     def continuous(self) -> NDArray[np.bool_]:
         """Whether each arm joint is continuous, shape (j,)."""

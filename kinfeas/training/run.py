@@ -2,7 +2,6 @@
 
 import json
 import math
-import shlex
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -108,9 +107,8 @@ def check_new(out: Path) -> None:
         # Hidden files may be left by a run that was killed while it wrote its first file.
         if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
             if (out / SETTINGS).is_file():
-                again = f"--resume {shlex.quote(str(out))}"
-                raise KinfeasError(f"{out}: already there; use {again}, or another --out")
-            raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
+                raise KinfeasError(f"{out}: holds a run; resume it, or choose another 'out'")
+            raise KinfeasError(f"{out}: holds other files; 'out' must be a new or an empty folder")
         nearest = next(folder for folder in (out, *out.parents) if folder.exists())
         TemporaryFile(dir=nearest).close()
 

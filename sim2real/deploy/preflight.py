@@ -46,7 +46,7 @@ def preflight(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards
         return ""
     return (
         f"guards.max_linear_velocity limits the base to {scale:.0%} of its velocity, but the EE "
-        f"moves at {loop.execution.time_scale:.0%}: --set time_scale={scale:.2g} slows it"
+        f"moves at {loop.execution.time_scale:.0%}: the setting time_scale={scale:.2g} slows it"
     )
 
 
@@ -94,6 +94,6 @@ def _check_reach(solver: IkSolver, goals: Array) -> None:
     x, y, z, roll, pitch, yaw = (f"{value + 0.0:g}" for value in numbers)
     raise KinfeasError(
         f"no base pose was found from which the arm reaches {goal}, x {x}, y {y}, z {z} m, roll "
-        f"{roll}, pitch {pitch}, yaw {yaw} rad ({reasons[first]}); --set guards.reach=false skips "
-        "this check"
+        f"{roll}, pitch {pitch}, yaw {yaw} rad ({reasons[first]}); the setting "
+        "guards.reach=false skips this check"
     )

@@ -163,7 +163,7 @@ def read_topics(robot: Robot, version: Version, file: str | None = None) -> Topi
     """
     path = robot.folder / f"ros{version}.yaml" if file is None else Path(file)
     if file is None and not path.is_file():
-        raise KinfeasError(f"{path} does not exist; --set backend.topics=FILE or --topics FILE")
+        raise KinfeasError(f"{path} does not exist; 'backend.topics' or --topics names another")
     topics = config.load(Topics, path)
     controllers = topics.joints.controllers
     commanded = Counter(name for controller in controllers for name in controller.joints)

@@ -25,9 +25,12 @@ def test_train_evaluate_export_and_load(tmp_path):
     about = kinfeas.export(run.folder, tmp_path / "hsr.onnx")
     assert about.metadata.robot.name == "hsr"
     for policy in (run.folder, tmp_path / "hsr.onnx"):
-        assert callable(kinfeas.load_policy(policy).act)
-    with pytest.raises(KinfeasError):
+        loaded = kinfeas.load_policy(policy)
+        assert kinfeas.evaluate(loaded, episodes=1, settings=SHORT)["robot"] == "hsr"
+    assert max(len(repr(each)) for each in (loaded, loaded.robot, about)) < 200
+    with pytest.raises(KinfeasError) as caught:
         kinfeas.train("hsr", out=run.folder)
+    assert "--" not in str(caught.value)
 
 
 def test_a_folder_does_not_hide_an_included_policy(tmp_path, monkeypatch):
@@ -45,6 +48,16 @@ def test_policies_are_names_or_objects():
     for wrong, named in ((policy, "robot"), (object(), "policy")):
         with pytest.raises(KinfeasError, match=named):
             kinfeas.evaluate(wrong, **options)
+
+
+def test_adapters_are_entries_of_a_list():
+    adapters = ["joint_noise", {"name": "base_noise", "linear": 0.01}]
+    metrics = kinfeas.evaluate("follow_ee", adapters=adapters, episodes=1, settings=SHORT)
+    assert metrics["adapters"] == ["joint_noise", "base_noise"]
+
+
+def test_help_lists_all_functions():
+    assert all(name in kinfeas.__doc__ for name in kinfeas.__all__[1:])
 
 
 def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
@@ -97,6 +110,7 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
 @pytest.mark.parametrize("arguments", [
     {"policy": "folow_ee"}, {"policy": object()}, {"robot": object()}, {"world": "real"},
     {"episodes": np.int64(0)}, {"seed": np.int64(-1)}, {"processes": 0}, {"filters": 3},
+    {"adapters": [3]},
     {"settings": {"world.dtt": 1}}, {"settings": {"world.dt": object()}},
     {"settings": {"world.dt": np.zeros(2)}}, {"settings": {5: 1}}, {"settings": 5},
 ])  # fmt: skip

@@ -70,6 +70,9 @@ def test_the_reason_is_named(of_pr2, limit, height, rpy, solids, places):
     placement = of_pr2.place(goal, boxes(*solids) if solids else None, start)
     assert (placement.limit, placement.solids) == (limit, places)
     assert placement.reachable == (not limit)
+    if limit == "height":
+        assert not placement.heights[0] <= height <= placement.heights[1]
+        assert f"{placement.heights[1]:.2f} m" in placement.reason
 
 
 def test_motors_that_hold_nothing_reach_nothing():

@@ -32,7 +32,7 @@ def test_a_run_is_not_written_over_and_suggests_to_resume_it(tmp_path):
     for folder, file in (("others", "notes.txt"), ("my run", "config.yaml")):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / file).touch()
-    with pytest.raises(KinfeasError, match=f"--resume '{tmp_path}/my run'"):
+    with pytest.raises(KinfeasError, match="resume it"):
         check_new(tmp_path / "my run")
     (tmp_path / "file").touch()
     for name in ("others", "file", "file/run", "n" * 300):

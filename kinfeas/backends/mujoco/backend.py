@@ -39,7 +39,7 @@ class MuJoCoBackend(PhysicsBackend):
     def open(self) -> None:
         """Build the first simulation; a second call does nothing."""
         if self._gui:
-            raise KinfeasError("the MuJoCo world has no window; use PyBullet, or --replay")
+            raise KinfeasError("the MuJoCo world has no window; use PyBullet, or a 'replay'")
         self._provide(0)
 
     def close(self) -> None:
