@@ -237,8 +237,8 @@ def _check_start(solver: IkSolver, base: Array, joints: Array, first: Array) -> 
     ee = compose(base, forward(solver.chain, joints[np.newaxis])[0])
     if (gap := float(distance(ee, first)[0])) > _AT_START:
         raise KinfeasError(
-            f"'path' must begin where the EE is, at {np.round(ee, 4).tolist()}; its first pose "
-            f"is {gap:.2f} m away"
+            f"'path' must begin where the EE is, at {(ee.round(4) + 0.0).tolist()}; its first "
+            f"pose is {gap:.2f} m away"
         )
 
 
