@@ -39,7 +39,7 @@ from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_no
 from kinfeas.core.registry import from_anywhere
 from kinfeas.core.spatial import distance
 from kinfeas.core.start import episode_rng
-from kinfeas.io.files import writing
+from kinfeas.io.files import check_new, writing
 from kinfeas.io.run_log import About, Moment, Recorder
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_path import BasePath
@@ -348,8 +348,7 @@ def _make_setup(  # noqa: PLR0913 - the parts of a run
     **options: Any,
 ) -> Setup:
     """Return the parts of a run, compiled and connected."""
-    if record is not None and Path(record).exists():
-        raise KinfeasError(f"{record}: exists")
+    check_new(record)
     dt = 1.0 / checked(Rate, rate, "rate")
     if seconds != inf:
         seconds = checked(NotNegative, seconds, "seconds")

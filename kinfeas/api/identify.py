@@ -14,7 +14,7 @@ from kinfeas.control.assemble import with_adapters
 from kinfeas.core.backend import build_backend, closed_on_error
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
-from kinfeas.io.files import write_file
+from kinfeas.io.files import check_new, write_file
 from kinfeas.io.run_log import Moment, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
@@ -99,7 +99,7 @@ def identify(
     Args:
         records: Records of `kinfeas deploy`, of `drive`, or bags of ROS, of one robot.
         robot: Robot; that of the first record by default. Bags need it.
-        out: YAML file of adapters to write.
+        out: New YAML file of adapters.
         picture: PNG file to write, of measured and predicted velocities.
         prior: Adapters whose drift of localisation is assumed: in the measured pose, drift and
             noise of the base look alike.
@@ -114,6 +114,7 @@ def identify(
         raise KinfeasError("give at least one record")
     if out is not None and Path(out).suffix not in (".yaml", ".yml"):
         raise KinfeasError(f"{out}: must end in .yaml")
+    check_new(out)
     name = str(robot) if robot is not None else _robot_of(paths[0])
     model, walk = load_robot(name), _walk(prior)
     logs = [_read_log(path, model) for path in paths]
@@ -181,8 +182,7 @@ def drive(  # noqa: PLR0913 - options of the command
     dt = 1.0 / checked(Rate, rate, "rate")
     model, backend = load_robot(robot), backend or default_engine()
     config = load_section(DeployConfig, "deploy", model.folder, settings)
-    if record is not None and Path(record).exists():
-        raise KinfeasError(f"{record}: exists")
+    check_new(record)
     around = read_adapters(adapters)
     solver, policy = IkSolver(model, config.ik), load_policy("stationary", model)
     excitation = Excitation(solver, dt)

@@ -31,7 +31,7 @@ from kinfeas.core.spatial import (
 from kinfeas.core.start import Start
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.demonstrations import check_samples, columns
-from kinfeas.io.files import read_csv, replacing, write_file
+from kinfeas.io.files import check_new, read_csv, replacing, write_file
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.reach import BasePlacer
@@ -63,10 +63,11 @@ class Plan(Moments):
         return tuple(joint.name for joint in self.robot.arm)
 
     def save(self, path: Name) -> None:
-        """Write a CSV file: time, base x y yaw, arm joints by name, and the EE pose.
+        """Write a new CSV file: time, base x y yaw, arm joints by name, and the EE pose.
 
         `replay` follows the EE poses of the file, `kinfeas deploy --plan` base and arm, too.
         """
+        check_new(path)
         names = ["time", *_BASE, *self.joint_names, *columns("ee_pose")]
         table = np.column_stack([self.time, self.base, self.joint_positions, self.ee_pose])
         with replacing(Path(path)) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
@@ -238,7 +239,10 @@ def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None)
 def _check_start(solver: IkSolver, base: Array, joints: Array, first: Array) -> None:
     ee = compose(base, forward(solver.chain, joints[np.newaxis])[0])
     if (gap := float(distance(ee, first)[0])) > _AT_START:
-        raise KinfeasError(f"'path' must begin where the EE is; its first pose is {gap:.2f} m away")
+        raise KinfeasError(
+            f"'path' must begin where the EE is, at {(ee.round(4) + 0.0).tolist()}; its first "
+            f"pose is {gap:.2f} m away"
+        )
 
 
 def _divided(ee: Array, step: float, base: Base) -> Array:

@@ -79,15 +79,13 @@ def dataset(
 
     Example: kinfeas dataset demonstrations --out datasets/reach --task "Reach the shelf."
     """
-    from kinfeas.core.errors import KinfeasError
     from kinfeas.io.demonstrations import demonstration_files, write_demonstration
-    from kinfeas.io.files import write_folder
+    from kinfeas.io.files import check_new, write_folder
     from kinfeas.io.lerobot import write_lerobot_dataset
 
     if kind == "lerobot":
         require("pyarrow")
-    if out.exists():
-        raise KinfeasError(f"{out}: exists")
+    check_new(out)
     with status("converting"):
         files = [demonstration_files(source) if source.is_dir() else [source] for source in sources]
         motions = [_read(file) for some in files for file in some]

@@ -10,6 +10,7 @@ from kinfeas.cli.deploy import report
 from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import moving, print_paths, print_table, status, write_json
 from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import check_new
 
 if TYPE_CHECKING:
     from kinfeas.api.identify import Identified
@@ -20,7 +21,7 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
         None, "Records of kinfeas deploy or of --drive, or bags of ROS.", metavar="[RECORD]..."
     ),
     robot: str | None = option(None, f"{options.ROBOT}  [default: that of the record]"),
-    out: Path | None = options.file_option(None, "Write adapters.", ".yaml", ".yml"),
+    out: Path | None = options.file_option(None, "New file of adapters.", ".yaml", ".yml"),
     picture: options.Picture = None,
     prior: str = option("harsh", "Adapters whose drift of localisation is assumed."),
     drive: bool = option(False, "Drive a pattern of a minute, and record it.", "--drive"),
@@ -46,6 +47,7 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.api import DEFAULT_ROBOT
     from kinfeas.api import identify as api
 
+    check_new(out)
     paths = list(records or ())
     if drive:
         if paths:

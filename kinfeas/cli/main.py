@@ -53,6 +53,9 @@ def main() -> None:
         sys.exit(code if isinstance(code, int) else 0)
     except TyperException as error:
         message = error.format_message()
+        option = getattr(error, "param", None)
+        if option is not None and option.nargs > 1:
+            message = f"{option.get_error_hint()} needs {option.nargs} numbers"
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
     except (KinfeasError, OSError) as error:

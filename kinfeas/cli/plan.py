@@ -6,13 +6,13 @@ from kinfeas.cli import options
 from kinfeas.cli.options import file_option, option
 from kinfeas.cli.output import print_facts, print_paths, status, write_json
 from kinfeas.cli.reach import START, Planar
-from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import check_new
 
 
 def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.RobotName = "pr2",
     path: Path = option(..., "EE poses, as of the generator waypoints.", metavar="FILE"),
-    out: Path = file_option(..., "File of the plan.", ".csv"),
+    out: Path = file_option(..., "New file of the plan.", ".csv"),
     scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
     start: Planar | None = option(
         None,
@@ -33,8 +33,7 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api.plan import plan as api
 
-    if out.resolve() == path.resolve():
-        raise KinfeasError(f"{out}: is the file of the EE poses")
+    check_new(out)
     settings = options.read_settings(overrides)
     with status("planning"):
         planned = api(robot, path, start=start, scene=scene, settings=settings)

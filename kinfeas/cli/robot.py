@@ -71,9 +71,10 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         check_file_path(path)
         write_file(path, text.encode())
     summary = _summary(draft)
-    write_json(summary, json)
+    found = [*draft.guesses.doubts, *warnings(draft.spec, draft.guesses, draft.free)]
+    write_json({**summary, "warnings": found}, json)
     print_facts(f"robot {called}", summary)
-    for warning in (*draft.guesses.doubts, *warnings(draft.spec, draft.guesses, draft.free)):
+    for warning in found:
         typer.echo(f"warning: {warning}", err=True)
     quoted = shlex.quote(str(out if os.sep in str(out) else Path(out)))
     typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
@@ -118,5 +119,4 @@ def _summary(draft: "Draft") -> dict[str, object]:
         "joints_without_room": list(guesses.stuck),
         **({"drive_from": guesses.drive} if guesses.drive else {}),
         **({"no_gripper": guesses.no_gripper} if guesses.no_gripper else {}),
-        "warnings": list(guesses.doubts),
     }

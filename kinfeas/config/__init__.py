@@ -22,6 +22,7 @@ from kinfeas.core.errors import KinfeasError, no_such
 
 if TYPE_CHECKING:  # takes 0.1 s to import
     from pydantic import TypeAdapter
+    from pydantic_core import ErrorDetails
 
 T = TypeVar("T")
 Settings = Mapping[str, object]
@@ -191,12 +192,13 @@ def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = 
     # A misspelt key is often a missing one as well.
     first = next((each for each in problems if each["type"] == _UNKNOWN), problems[0])
     keys = _keys(first["loc"], data)
-    # A union has a message for each of its types.
-    messages = dict.fromkeys(each["msg"] for each in problems if _keys(each["loc"], data) == keys)
-    text = " or ".join(messages)
+    # A union has a message for each of its types, a short list one for each missing entry.
+    same = (each for each in problems if _keys(each["loc"], data) == keys)
+    rules = {each["msg"]: _rule(each) for each in same}
+    text = " or ".join(dict.fromkeys(rules.values())).replace(" or must be", " or")
     if first["type"] == _UNKNOWN:
         text = f"unknown key{no_such(keys[-1], _fields(kind, keys[:-1]))}"
-    elif first["type"] == "missing":
+    elif first["type"] == "missing" and isinstance(first["loc"][-1], str):
         keys = [*keys, str(first["loc"][-1])]
     elif first["type"] != "value_error":
         text = f"{text}, not {reprlib.repr(first['input'])}"
@@ -207,6 +209,23 @@ def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = 
 
 
 _UNKNOWN = "unexpected_keyword_argument"
+_WORDS = {
+    "Value error, ": "", "Input should be": "must be", "a valid array": "a list",
+    "a valid integer": "an integer", "a valid ": "a ", "Field required": "is missing",
+}  # fmt: skip
+"""Words of pydantic, and those for the author of a YAML file."""
+
+
+def _rule(problem: "ErrorDetails") -> str:
+    """Return what an error of pydantic demands."""
+    if problem["type"] == "missing" and isinstance(index := problem["loc"][-1], int):
+        return f"must be a list of {index + 1} entries"
+    if problem["type"] == "too_long":
+        return f"must be a list of at most {problem['ctx']['max_length']} entries"
+    text = problem["msg"]
+    for word, plain in _WORDS.items():
+        text = text.replace(word, plain)
+    return text
 
 
 def _of_numpy(value: Any) -> object:

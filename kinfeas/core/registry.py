@@ -29,6 +29,7 @@ GROUPS = {
 }
 """Entry-point groups and the noun for their entries."""
 
+_PATHS = {"kinfeas.robots": ", or a folder", "kinfeas.tasks": ", or the path of a YAML file"}
 _MEMBERS = {
     "kinfeas.tasks": ("name", "subgoals", "sample"),
     "kinfeas.adapters": ("reset", "step", "close"),
@@ -210,7 +211,8 @@ def _entries(group: str) -> list[EntryPoint]:
 def _find(group: str, name: object) -> EntryPoint:
     matches = [entry for entry in _entries(group) if entry.name == name]
     if not matches:
-        raise KinfeasError(f"unknown {GROUPS[group]} {name!r}{no_such(str(name), names(group))}")
+        known = no_such(str(name), names(group)) + _PATHS.get(group, "")
+        raise KinfeasError(f"unknown {GROUPS[group]} {name!r}{known}")
     if len(matches) > 1:
         owners = " and ".join(sorted(_plugin(entry).distribution for entry in matches))
         raise KinfeasError(f"{GROUPS[group]} {name!r} exists in {owners}; uninstall all but one")

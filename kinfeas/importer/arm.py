@@ -208,7 +208,8 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
         beside = np.roll(x, 1)
     y = np.abs(_nearest_axis(beside))  # either finger may be the first
     reach = max((shape.reach(x) for shape in shapes), default=float(front @ x) * several)
-    tip = front - (front @ x) * x + reach * x if several else reach * x
+    # Without fingers, a frame ahead of all shapes is that of the tool.
+    tip = front - (front @ x) * x + reach * x if several else max(0.0, reach) * x
     to_gripper = np.stack([x, y, np.cross(x, y)])
     quaternion = Rotation.from_matrix(to_gripper).as_quat(canonical=True)
     gripper = _gripper(urdf, arm, closed, opened)

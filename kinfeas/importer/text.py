@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 from kinfeas.config.strict_yaml import to_line
-from kinfeas.robots.spec import RobotSpec
+from kinfeas.robots.spec import Drive, RobotSpec
 
 _FREE = 0.5
 """Fraction of configurations free of self-collision below which a warning says so."""
@@ -21,6 +21,7 @@ deploy: {filters: [path_planner, feasibility]}
 """
 """Recipes of a drafted robot."""
 
+_DRIVES = f"--drive {' or '.join(get_args(Drive))} sets it"
 _BASE_UNITS = {
     "max_velocity": "m/s", "max_rotation": "rad/s",
     "max_acceleration": "m/s^2", "max_rotation_acceleration": "rad/s^2",
@@ -71,7 +72,7 @@ def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
     """
     messages = []
     if guesses.drive.startswith("a guess"):
-        messages.append(f"the drive is {spec.base.drive}, {guesses.drive}; --drive sets it")
+        messages.append(f"the drive is {spec.base.drive}, {guesses.drive}; {_DRIVES}")
     if free < _FREE:
         often = sorted(guesses.contacts.items(), key=lambda entry: -entry[1])[:3]
         pairs = ", ".join(

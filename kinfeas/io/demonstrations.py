@@ -107,7 +107,8 @@ def check_samples(path: Path, time: Array, poses: dict[str, Array]) -> None:
         f"time is more than {LONGEST:g} s after the first{unit_hint(time)}",
     )
     for name, pose in poses.items():
-        near = np.all(np.abs(pose) <= REMOTEST, axis=1)
-        require(near, f"{name} is not finite or beyond {REMOTEST:,.0f} m")
+        for axis, values in zip(POSE_COLUMNS, pose.T, strict=True):
+            rule = f"{name}: {axis} is missing, not finite or beyond {REMOTEST:,.0f} m"
+            require(np.abs(values) <= REMOTEST, rule)
         norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
         require(np.abs(norm - 1.0) <= UNIT, f"{name} has no unit quaternion (xyzw)")

@@ -101,6 +101,12 @@ def read_json(path: Path) -> dict[str, object]:
     return data
 
 
+def check_new(path: str | Path | None) -> None:
+    """Raise KinfeasError if there is a file or folder at `path`."""
+    if path is not None and Path(path).exists():
+        raise KinfeasError(f"{path}: exists")
+
+
 def write_file(path: Path, content: bytes) -> None:
     """Write a file atomically; raise KinfeasError if it cannot be written."""
     with replacing(path) as fresh:

@@ -13,7 +13,7 @@ import numpy as np
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, continuous, interpolated
 from kinfeas.io.demonstrations import Demonstration, columns
-from kinfeas.io.files import write_folder
+from kinfeas.io.files import check_new, write_folder
 
 EE = tuple(f"{name}.pos" for name in columns("ee_pose"))
 """Names of a pose of the EE in features; LeRobot's rollout needs these endings."""
@@ -60,8 +60,7 @@ def write_lerobot_dataset(
     whole = {name: np.concatenate([episode[name] for episode in episodes]) for name in episodes[0]}
     about = {"robot_type": robot, "fps": fps, **_description(whole, names, len(episodes))}
     stats = {name: _statistics(values) for name, values in whole.items()}
-    if folder.exists():
-        raise KinfeasError(f"{folder}: exists")
+    check_new(folder)
 
     def fill(folder: Path) -> None:
         meta, first = folder / "meta", _FILE.format(chunk_index=0, file_index=0)

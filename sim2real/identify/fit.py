@@ -188,7 +188,10 @@ def _result(
 
 
 def adapter_list(estimates: Mapping[str, Estimate]) -> tuple[PluginSpec, ...]:
-    """Return the adapters of a robot, with the intervals of the estimates as ranges."""
+    """Return the adapters of a robot, with the intervals of the estimates as ranges.
+
+    Those whose parameters are all zero are left out.
+    """
     specs = []
     for name in _ORDER:
         parameters: dict[str, object] = {
@@ -196,7 +199,7 @@ def adapter_list(estimates: Mapping[str, Estimate]) -> tuple[PluginSpec, ...]:
             for key, estimate in estimates.items()
             if key.partition(".")[0] == name
         }
-        if parameters or name in _OF_ROBOT:
+        if any(parameters.values()) or name in _OF_ROBOT:
             specs.append(PluginSpec(name, parameters))
     return tuple(specs)
 

@@ -24,6 +24,7 @@ Flags = NDArray[np.bool_]
 _JUMP, _LEAST_JUMP = 4.5, 0.004  # of a jump: standard deviations, and m or rad
 _LATE = 0.01  # s by which the time of a measurement may be off
 _LEAST_VELOCITY = 1e-3  # m/s and rad/s, noise of the base at least in fits
+_ROUNDING = 1e-7  # rad and m, of the numbers of a record
 _LEAST_POSITION = 1e-4  # rad and m, the same of joints
 _CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
 _ENOUGH, _MORE = 200, 1.4  # measurements for a variance, and its factor that motion explains
@@ -93,6 +94,7 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
     if not interpolated:
         noise = _long_run(rest, np.ones(len(rest), dtype=np.bool_))
         samples = round(samples / (1.0 + 2.0 * _NEIGHBOURS))
+    noise = noise if noise > _ROUNDING**2 else 0.0
     return deviation(noise, samples), variance + _LEAST_POSITION**2, interpolated
 
 
@@ -155,14 +157,13 @@ def base_noise(
             shared = 1.0 + 2.0 * _NEIGHBOURS
         count = len(axes) * used.sum() / shared
         error = variance * (np.sqrt(2.0 / count) + SLACK / 2.0)
-        drift = min(drift, float(np.sqrt(variance * dt)))
-        drift_variance = drift**2 / dt
+        drift_variance = min(drift**2 / dt, variance)
         value, low, high = (
             float(np.sqrt(max(0.0, each - drift_variance)))
             for each in (variance, variance - NORMAL * error, variance + NORMAL * error)
         )
         estimates[f"base_noise.{name}"] = Estimate(value, low, high)
-        drifts.append(drift)
+        drifts.append(float(np.sqrt(drift_variance * dt)))
     for name, drift in zip(("drift", "turn_drift"), drifts, strict=True):
         estimates[f"localisation.{name}"] = Estimate(drift, drift, drift)
     missing.append(

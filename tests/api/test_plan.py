@@ -52,6 +52,8 @@ def test_plans_keep_to_the_path_the_limits_and_the_room(plan, robot):
 
 def test_a_file_has_the_whole_plan(plan, robot, tmp_path):
     plan.save(tmp_path / "plan.csv")
+    with pytest.raises(KinfeasError, match=r"plan\.csv: exists"):
+        plan.save(tmp_path / "plan.csv")
     loaded = kinfeas.load_plan(tmp_path / "plan.csv", robot.folder)
     for name in ("time", "base", "joint_positions", "ee_pose"):
         np.testing.assert_allclose(getattr(loaded, name), getattr(plan, name), atol=1e-6)
@@ -98,7 +100,7 @@ def test_plans_begin_where_the_robot_is(hsr):
     at_home = kinfeas.plan("hsr", "linear", target=FIRST, start=(0.0, 0.0, 0.0))
     np.testing.assert_allclose(at_home.base[0], 0.0, atol=1e-9)
     np.testing.assert_allclose(at_home.joint_positions[0], hsr.home["home"], atol=1e-3)
-    with pytest.raises(KinfeasError, match="begin where the EE is"):
+    with pytest.raises(KinfeasError, match=r"begin where the EE is, at \[4\."):
         kinfeas.plan("hsr", line(0.1, 0, 0, 0, 0, 0), start=(4.0, 0.0, 0.0))
 
 

@@ -19,7 +19,7 @@ INPUT = {
     "demo": [("--minutes -1", "minutes"), ("--out ..", "..")],
     "evaluate": [("", "--policy"), (f"--policy {'x' * 5000}", "File name too long")],
     "evaluate --policy follow_ee --robot hsr --episodes 2": [
-        ("--policy follow_me", "'follow_me'"), ("--task gr", "'gr'"),
+        ("--policy follow_me", "'follow_me'"), ("--task gr", "'gr'"), ("--task gr", "YAML"),
         ("--world pybulet", "'pybullet'"), ("--set task.colour=1", "colour"),
         ("--set world", "key=value"), ("--filters feasability", "'feasibility'"),
         ("--adapters adapters.yaml", "base_noise"), ("--gui", "gui"), ("--episode 2", "episode"),
@@ -41,6 +41,7 @@ INPUT = {
     "plan --out plan.csv": [
         ("", "--path"), ("--path none.txt", "none.txt"), ("--path plan.csv", "plan.csv"),
         ("--path none.csv --html plan.png", "plan.png"), ("--path linear", "linear"),
+        ("--path none.csv --out shown/0.csv", "shown/0.csv"),
     ],
     "benchmark --out out --processes 1 --config study.yaml": [
         ("--config benchmark/none", "study"), (f"--world {ENGINE}", "--world"),
@@ -53,7 +54,8 @@ INPUT = {
         ("run --out x.onnx --robot tiago", "'hsr'"),
     ],
     "deploy pretrained --backend analytic": [
-        ("", "goal"), ("--goal 1.5 0.3 0.8 --rate 5", "guards.max_age"),
+        ("", "goal"), ("--goal 1.5 0.3 --no-real-time", "3 numbers"),
+        ("--goal 1.5 0.3 0.8 --rate 5", "guards.max_age"),
         ("--task ggr --set scene=room", "scene"),
     ],
     "deploy pretrained --robot hsr --no-real-time --backend analytic --goal 0.9 0.1 0.8": [
@@ -72,6 +74,7 @@ INPUT = {
     "identify": [
         ("", "record"), ("adapters.yaml", "adapters.yaml"), ("run.bag", "run.bag"),
         ("none.csv --backend analytic", "--drive"), ("none.csv --out fit.txt", "fit.txt"),
+        ("none.csv --out adapters.yaml", "adapters.yaml"),
         ("none.csv --robot hsr --prior harhs", "'harsh'"),
     ],
     "identify --drive --robot hsr --no-real-time": [

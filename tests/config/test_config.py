@@ -115,6 +115,15 @@ def test_wrong_settings_are_named_without_the_file(key, wrong):
         from_mapping(Recipe, {}, "file.yaml", {"flag": True})
 
 
+@pytest.mark.parametrize(("key", "value", "rule"), [
+    ("window", [1.0], "'window': must be a list of 2 "), ("noise", {"lag": 200}, "'noise': 'lag'"),
+    ("either", float("nan"), "'either': .* number or a list,"), ("steps", 0, "'steps': must be"),
+])  # fmt: skip
+def test_rules_are_in_words_of_yaml(key, value, rule):
+    with pytest.raises(KinfeasError, match=f"^file.yaml: {rule}"):
+        from_mapping(Recipe, {"robot": "pr2", key: value}, "file.yaml")
+
+
 SCHEMAS = {
     **dict.fromkeys(("train", "train_physics", "train_rooms", "finetune_physics"), TrainConfig),
     **dict.fromkeys(("analytic", "pybullet"), EvalSettings),

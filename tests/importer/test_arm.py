@@ -103,6 +103,13 @@ def test_fingers_that_slide_are_a_gripper(changed, changes, tip, right):
     assert hand.gripper.positions("open") == {"l": 0.04, "r": right}
 
 
+def test_a_frame_ahead_of_a_hand_without_fingers_is_the_tool_tip(changed):
+    ahead = '<child link="tool"/>', '<child link="tool"/><origin xyz="0.3 0 0"/>'
+    urdf = parse_urdf(changed(*WITHOUT_FINGERS, ahead))
+    hand = read_hand(urdf, find_arm(urdf, "tool", "dolly"))
+    np.testing.assert_allclose(hand.tip, 0.0, atol=1e-9)
+
+
 NO_EFFORT = ('effort="30"', 'effort="0"'), ('effort="20"', 'effort="1e9"')
 
 

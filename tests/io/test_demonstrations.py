@@ -51,7 +51,7 @@ def test_the_base_may_be_missing(tmp_path):
 
 @pytest.mark.parametrize(("rows", "place"), [
     (changed(0, "time", 0.0)[:1], "at least 2"),
-    (changed(0, "base_y", "nan"), "row 1: base_pose"),
+    (changed(0, "base_y", "nan"), "row 1: base_pose: y"),
     (changed(1, "time", "inf"), "row 2: time"),
     (changed(1, "time", 0.0), "row 2: time"),
     (changed(1, "object_qw", 0.99), "row 2: object_pose"),

@@ -89,6 +89,7 @@ def test_robot_without_delays_has_none(tmp_path):
     assert found.response.command_latency < 0.005
     assert found.response.base_lag < 0.005
     assert found.response.acceleration is None
+    assert "joint_noise" not in [spec.name for spec in found.adapters]
     assert any("no limit of the linear acceleration" in sentence for sentence in found.missing)
 
 
