@@ -50,14 +50,16 @@ def measure(world: str, task: str, robot: str, adapters: str, predicts: bool, ep
 def table(figures: dict[str, Any]) -> str:
     """Return the figures as Markdown."""
     head = ["world, task", "robot", "adapters", "prediction", "success", "tracked within 5 cm"]
-    head += ["truly within 5 cm", "tracking error", "EE deviation"]
+    head += ["truly within 5 cm", "tracking error", "EE deviation", "task success"]
     lines = [head, ["---"] * len(head)]
     for key, row in figures.items():
         world, task, robot, adapters, predicts = key.split()
         success, *within = (f"{100 * row[name]:.1f} %" for name in COLUMNS[:3])
         errors = [f"{1000 * row[name]:.1f} mm" for name in COLUMNS[3:]]
         predicts = "-" if adapters == "ideal" else predicts
-        lines.append([f"{world}, {task}", robot, adapters, predicts, success, *within, *errors])
+        done = "-" if task == "ggr" else f"{100 * row['task_success']:.1f} %"
+        where = [f"{world}, {task}", robot, adapters, predicts]
+        lines.append([*where, success, *within, *errors, done])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

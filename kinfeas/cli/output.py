@@ -6,7 +6,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -141,10 +141,11 @@ def moving() -> Iterator[Callable[["Moment"], None]]:
         printed = moment.time
         away = math.dist(moment.goal[:3], moment.desired[:3])
         text = f"moving for {printed:.0f} s, {away:.2f} m before the goal; Ctrl-C stops"
-        if console.is_terminal:
-            shown.update(text)
-        else:
-            sys.stderr.write(f"{text}\n")
+        with suppress(OSError):  # of a terminal that was closed
+            if console.is_terminal:
+                shown.update(text)
+            else:
+                sys.stderr.write(f"{text}\n")
 
     # Few refreshes, since they take time from the control loop.
     with _compiling(console), console.status("preparing", refresh_per_second=4.0) as shown:
