@@ -23,7 +23,7 @@ PRINTED = {
     "train_and_evaluate": ["--steps", "128", "--episodes", "1", "the run holds checkpoints"],
 }
 TESTED_ELSEWHERE = {
-    "onnx_inference": "policies/test_export.py",
+    "onnx_inference": "policies/test_onnx_policy.py",
     "target_source": "cli/test_commands.py",
     "udp_backend": "sim2real/link/test_backend.py",
 }

@@ -68,7 +68,7 @@ def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch):
     kinfeas("train", "--resume", "run", "--steps", "128", code=0)
     assert "steps: 128" in Path("run/config.yaml").read_text()
     before = contents(Path("run"))
-    check_one_line(kinfeas(*SHORT), "--resume run")
+    check_one_line(kinfeas(*SHORT), "holds a run")
     assert contents(Path("run")) == before
 
 
