@@ -311,10 +311,10 @@ def _goal_task(
         raise KinfeasError("'rpy' and 'quaternion' exclude each other")
     default = "linear" if config.scene is None else "whole_body"
     motion = MotionSpec(generator or default, config.generator)
-    position = checked(Vector, list(goal), "goal")
+    position = checked(Vector, goal, "goal")
     if quaternion is not None:
-        return make_goal_task(position, checked(Quaternion, list(quaternion), "quaternion"), motion)
-    orientation = None if rpy is None else checked(Vector, list(rpy), "rpy")
+        return make_goal_task(position, checked(Quaternion, quaternion, "quaternion"), motion)
+    orientation = None if rpy is None else checked(Vector, rpy, "rpy")
     return make_goal_task(position, orientation, motion)
 
 

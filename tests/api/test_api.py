@@ -120,7 +120,7 @@ def test_bad_input_is_an_error(arguments):
 
 
 @pytest.mark.parametrize("arguments", [
-    {"goal": (0.9, 0.1)}, {"goal": "abc"}, {"quaternion": np.array([0.0, 0.0, 1.0])},
+    {"goal": (0.9, 0.1)}, {"goal": "abc"}, {"goal": 3}, {"quaternion": np.array([0.0, 0.0, 1.0])},
     {"seconds": -1.0}, {"seconds": np.nan}, {"rate": 0.0}, {"task": "ggr"},
 ])  # fmt: skip
 def test_bad_deployments_are_errors(tmp_path, arguments):
