@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from math import inf
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -311,11 +311,17 @@ def _goal_task(
         raise KinfeasError("'rpy' and 'quaternion' exclude each other")
     default = "linear" if config.scene is None else "whole_body"
     motion = MotionSpec(generator or default, config.generator)
-    position = checked(Vector, goal, "goal")
+    position = _listed(Vector, goal, "goal")
     if quaternion is not None:
-        return make_goal_task(position, checked(Quaternion, quaternion, "quaternion"), motion)
-    orientation = None if rpy is None else checked(Vector, rpy, "rpy")
+        return make_goal_task(position, _listed(Quaternion, quaternion, "quaternion"), motion)
+    orientation = None if rpy is None else _listed(Vector, rpy, "rpy")
     return make_goal_task(position, orientation, motion)
+
+
+def _listed(kind: Any, numbers: object, name: str) -> Sequence[float]:
+    """Return numbers, also of an array, as a list of a kind."""
+    numbers = np.asarray(numbers, dtype=object).tolist()
+    return cast("Sequence[float]", checked(kind, numbers, name))
 
 
 def _plan_task(file: Name, robot: Name, dt: float) -> tuple[Task, tuple[CommandFilter, ...]]:

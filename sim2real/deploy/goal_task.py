@@ -67,7 +67,7 @@ def make_goal_task(
     None for that at the start. Raises KinfeasError if a number is not finite or too large, or the
     quaternion has no unit norm.
     """
-    numbers = np.array([*position, *(() if orientation is None else orientation)])
+    numbers = np.array([*position, *(orientation or ())])
     if not (np.abs(numbers) <= REMOTEST).all():
         raise KinfeasError(f"a goal must have finite numbers of at most {REMOTEST:,.0f} in size")
     if orientation is None:
