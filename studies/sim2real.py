@@ -49,17 +49,17 @@ def measure(world: str, task: str, robot: str, adapters: str, predicts: bool, ep
 
 def table(figures: dict[str, Any]) -> str:
     """Return the figures as Markdown."""
-    head = ["world, task", "robot", "adapters", "prediction", "success", "tracked within 5 cm"]
-    head += ["truly within 5 cm", "tracking error", "EE deviation", "task success"]
+    head = ["world", "task", "robot", "adapters", "prediction", "success, %"]
+    head += ["tracked within 5 cm, %", "truly within 5 cm, %"]
+    head += ["tracking error, mm", "EE deviation, mm", "task success, %"]
     lines = [head, ["---"] * len(head)]
     for key, row in figures.items():
         world, task, robot, adapters, predicts = key.split()
-        success, *within = (f"{100 * row[name]:.1f} %" for name in COLUMNS[:3])
-        errors = [f"{1000 * row[name]:.1f} mm" for name in COLUMNS[3:]]
+        fractions = [f"{100 * row[name]:.1f}" for name in COLUMNS[:3]]
+        errors = [f"{1000 * row[name]:.1f}" for name in COLUMNS[3:]]
+        done = "-" if task == "ggr" else f"{100 * row['task_success']:.1f}"
         predicts = "-" if adapters == "ideal" else predicts
-        done = "-" if task == "ggr" else f"{100 * row['task_success']:.1f} %"
-        where = [f"{world}, {task}", robot, adapters, predicts]
-        lines.append([*where, success, *within, *errors, done])
+        lines.append([world, task, robot, adapters, predicts, *fractions, *errors, done])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
