@@ -71,7 +71,8 @@ def evaluate(  # noqa: PLR0913 - options of the command
 
     Returns:
         Metrics by key: `success`, the fraction of episodes that reach the goal without an IK
-        failure; `within_5cm`, the fraction that reach it with the EE never more than 5 cm off;
+        failure; `within_5cm`, the fraction in which the EE is always within 5 cm of its path, and
+        in the end of the goal; `failed`, the numbers of episodes without success by the reason;
         `ceiling`, the fraction of reachable goals; each with its 95 % interval, `_low` and `_high`.
         `Metrics` of `kinfeas.core.metrics` has the others, in metres and seconds.
 

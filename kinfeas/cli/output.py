@@ -136,7 +136,7 @@ def moving() -> Iterator[Callable[["Moment"], None]]:
 
     def show(moment: "Moment") -> None:
         nonlocal printed
-        if printed <= moment.time < printed + (1.0 if console.is_terminal else LINE_SECONDS):
+        if moment.time < printed + (1.0 if console.is_terminal else LINE_SECONDS):
             return
         printed = moment.time
         away = math.dist(moment.goal[:3], moment.desired[:3])

@@ -194,8 +194,7 @@ def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = 
     keys = _keys(first["loc"], data)
     # A union has a message for each of its types, a short list one for each missing entry.
     same = (each for each in problems if _keys(each["loc"], data) == keys)
-    rules = {each["msg"]: _rule(each) for each in same}
-    text = " or ".join(dict.fromkeys(rules.values())).replace(" or must be", " or")
+    text = " or ".join(dict.fromkeys(map(_rule, same)))
     if first["type"] == _UNKNOWN:
         text = f"unknown key{no_such(keys[-1], _fields(kind, keys[:-1]))}"
     elif first["type"] == "missing" and isinstance(first["loc"][-1], str):
@@ -209,11 +208,6 @@ def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = 
 
 
 _UNKNOWN = "unexpected_keyword_argument"
-_WORDS = {
-    "Value error, ": "", "Input should be": "must be", "a valid array": "a list",
-    "a valid integer": "an integer", "a valid ": "a ", "Field required": "is missing",
-}  # fmt: skip
-"""Words of pydantic, and those for the author of a YAML file."""
 
 
 def _rule(problem: "ErrorDetails") -> str:
@@ -222,10 +216,7 @@ def _rule(problem: "ErrorDetails") -> str:
         return f"must be a list of {index + 1} entries"
     if problem["type"] == "too_long":
         return f"must be a list of at most {problem['ctx']['max_length']} entries"
-    text = problem["msg"]
-    for word, plain in _WORDS.items():
-        text = text.replace(word, plain)
-    return text
+    return problem["msg"].removeprefix("Value error, ")
 
 
 def _of_numpy(value: Any) -> object:

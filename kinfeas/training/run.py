@@ -101,7 +101,7 @@ class _Saved:
     analytic: bool = False
 
 
-def check_new(out: Path) -> None:
+def check_run_folder(out: Path) -> None:
     """Check that a run can begin in a folder."""
     with writing(out):
         # Hidden files may be left by a run that was killed while it wrote its first file.

@@ -41,7 +41,7 @@ from kinfeas.training.run import (
     SETTINGS,
     Progress,
     check_begun,
-    check_new,
+    check_run_folder,
     evaluation_seconds,
     evaluations_due,
     fraction_done,
@@ -78,7 +78,7 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     Raises:
         KinfeasError: If the folder exists with something in it, or cannot be written.
     """
-    check_new(out)
+    check_run_folder(out)
     # Errors of the configuration are raised here, before anything is written.
     config = with_initial_policy(config)
     run = _Run(config, out)
@@ -86,7 +86,7 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     with alone(out):
-        check_new(out)  # another run may have begun there since
+        check_run_folder(out)  # another run may have begun there since
         configuration.dump(config, out / SETTINGS)
         return run.go(report)
 

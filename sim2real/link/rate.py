@@ -1,4 +1,4 @@
-"""A fixed control rate: absolute deadlines, and statistics of times and memory."""
+"""A fixed control rate: absolute deadlines, and statistics of times."""
 
 import math
 import time

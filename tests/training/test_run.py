@@ -13,7 +13,7 @@ from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import (
     Progress,
     check_begun,
-    check_new,
+    check_run_folder,
     finished,
     fraction_done,
     read_progress,
@@ -24,7 +24,7 @@ from kinfeas.training.run import (
 def test_a_run_begins_in_an_empty_folder(tmp_path, name):
     (tmp_path / "empty").mkdir()
     (tmp_path / "half" / ".half").mkdir(parents=True)
-    check_new(tmp_path / name)
+    check_run_folder(tmp_path / name)
     assert not (tmp_path / "new").exists()
 
 
@@ -33,11 +33,11 @@ def test_a_run_is_not_written_over_and_suggests_to_resume_it(tmp_path):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / file).touch()
     with pytest.raises(KinfeasError, match="resume it"):
-        check_new(tmp_path / "my run")
+        check_run_folder(tmp_path / "my run")
     (tmp_path / "file").touch()
     for name in ("others", "file", "file/run", "n" * 300):
         with pytest.raises(KinfeasError, match=name):
-            check_new(tmp_path / name)
+            check_run_folder(tmp_path / name)
     check_begun(tmp_path / "my run")
     for name in ("others", "nothing", "n" * 300):
         with pytest.raises(KinfeasError, match=name):

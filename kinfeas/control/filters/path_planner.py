@@ -210,7 +210,7 @@ class PlanFollower:
             row = np.zeros(1, dtype=np.intp)
             start = robots_on(paths, row, elapsed)
             base, arm = off_path(self._robot, period, row, start)
-            turn = np.abs(wrap(start[:, 2] - yaw(period.base_pose[row])))
+            turn = _beside(period.base_pose[row], start)[1]
             if max(base[0], turn[0], arm[0]) > _OFF_START:
                 raise KinfeasError(
                     f"the robot is not at the start of the plan: the base is {base[0]:.2f} m and "
@@ -230,18 +230,26 @@ def off_path(robot: Robot, period: Period, rows: Rows, robots: Array) -> tuple[A
     `robots` have x, y and yaw of the base and arm joints, shape (m, 3 + j).
     """
     arm = np.abs(joint_displacement(robot, period.joints[rows], robots[:, 3:])).max(axis=1)
-    base: Array = np.linalg.norm(robots[:, :2] - period.base_pose[rows, :2], axis=1)
-    return base, arm
+    return _beside(period.base_pose[rows], robots)[0], arm
 
 
-def _patience(base_pose: Array, now: Array) -> Array:
+def _beside(base_pose: Array, robots: Array) -> tuple[Array, Array]:
+    """Return how far m bases are from others, metres and radians, shape (m,) each.
+
+    One of each two has a world pose, shape (m, 7), the other x, y and yaw, shape (m, 3 + j).
+    """
+    metres: Array = np.linalg.norm(robots[:, :2] - base_pose[:, :2], axis=1)
+    return metres, np.abs(wrap(robots[:, 2] - yaw(base_pose)))
+
+
+def _patience(base_pose: Array, robots: Array) -> Array:
     """Return the fractions of their speeds with which EEs wait for bases beside their paths, (m,).
 
-    Bases have world poses (m, 7), and on the path x, y and yaw, shape (m, 3 + j).
+    Shapes are those of `_beside`.
     """
-    away = np.linalg.norm(now[:, :2] - base_pose[:, :2], axis=1) / _WAITS_METRES
-    turned = np.abs(wrap(now[:, 2] - yaw(base_pose))) / _WAITS_RADIANS
-    return np.clip(1.0 / np.maximum(np.maximum(away, turned), 1.0), _LEAST, 1.0)
+    metres, radians = _beside(base_pose, robots)
+    late = np.maximum(metres / _WAITS_METRES, radians / _WAITS_RADIANS)
+    return np.clip(1.0 / np.maximum(late, 1.0), _LEAST, 1.0)
 
 
 def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float) -> Array:
