@@ -1,6 +1,7 @@
 """Plans of base and arm along EE paths, and their files."""
 
 import csv
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,6 +63,11 @@ class Plan(Moments):
         """Names of the arm joints."""
         return tuple(joint.name for joint in self.robot.arm)
 
+    @property
+    def reached(self) -> Array:
+        """World poses of the EE, shape (t, 7): the desired ones within the pose tolerance."""
+        return compose(self.base_pose, forward(IkSolver(self.robot).chain, self.joint_positions))
+
     def save(self, path: Name) -> None:
         """Write a new CSV file: time, base x y yaw, arm joints by name, and the EE pose.
 
@@ -119,12 +125,10 @@ class Plan(Moments):
         return f"{self.robot.name}, plan of {self.time[-1]:.0f} s"
 
     def _recording(self) -> Recording:
-        base, joints = self.base_pose, self.joint_positions
-        ee = compose(base, forward(IkSolver(self.robot).chain, joints))
         feasible = np.ones(len(self.time), dtype=np.bool_)
         return Recording(
-            0, self.time, base, joints, self.ee_pose, ee, feasible, self.ee_pose[-1:],
-            reached=True, solids=self.solids,
+            0, self.time, self.base_pose, self.joint_positions, self.ee_pose, self.reached,
+            feasible, self.ee_pose[-1:], reached=True, solids=self.solids,
         )  # fmt: skip
 
 
@@ -180,7 +184,7 @@ def plan(  # noqa: PLR0913 - options of the command
             raise KinfeasError("'path' must have at least 2 poses")
         if state is not None:
             _check_start(placer.solver, *state, ee[0])
-        ee = _divided(ee, step, placer.solver.robot.base)
+        ee, step = _divided(ee, step, placer.solver.robot.base)
     moments = plan_along(placer, ee, step, state, around, names)
     return Plan(**vars(moments), robot=placer.solver.robot, solids=around)
 
@@ -221,9 +225,8 @@ def _check_plan(file: Path, plan: Plan) -> None:
         if not holds.all():
             row, column = np.argwhere(~holds)[0].tolist()
             raise KinfeasError(f"{file}, row {row + 1}: {names[column]!r} {rule}")
-    ee = compose(plan.base_pose, forward(IkSolver(robot).chain, arm))
     tolerance = 0.0 if robot.pose_tolerance is None else robot.pose_tolerance.position
-    far = distance(ee, plan.ee_pose)[0] > _AT_START + tolerance
+    far = distance(plan.reached, plan.ee_pose)[0] > _AT_START + tolerance
     if far.any():
         row = int(far.argmax()) + 1
         raise KinfeasError(f"{file}, row {row}: base and arm do not reach the EE pose")
@@ -245,19 +248,21 @@ def _check_start(solver: IkSolver, base: Array, joints: Array, first: Array) -> 
         )
 
 
-def _divided(ee: Array, step: float, base: Base) -> Array:
-    """Return the poses with more between them where the EE would be faster than the base."""
+def _divided(ee: Array, step: float, base: Base) -> tuple[Array, float]:
+    """Return poses at most `HORIZON` seconds apart, and the time from one to the next.
+
+    There are more of them where the EE would be faster than the base.
+    """
     metres, radians = distance(ee[:-1], ee[1:])
     speed = np.maximum(metres / base.max_velocity, radians / base.max_rotation) / step
-    faster = speed > 1.0 + _ROUNDING
-    if not faster.any():
-        return ee
-    pieces = np.ceil(np.where(faster, speed / _SLOWER, 1.0))
-    if pieces.sum() * step >= LONGEST:
+    parts = math.ceil(step / HORIZON - _ROUNDING)
+    pieces = parts * np.ceil(np.where(speed > 1.0 + _ROUNDING, speed / _SLOWER, 1.0))
+    if pieces.sum() * step / parts >= LONGEST:
         raise KinfeasError(f"'path': the EE motion takes longer than {LONGEST:g} s")
     times = [k + np.arange(n) / n for k, n in enumerate(pieces.tolist())]
     samples = np.arange(float(len(ee)))
-    return interpolated(np.append(np.concatenate(times), samples[-1]), samples, ee)
+    times = np.append(np.concatenate(times), samples[-1])
+    return interpolated(times, samples, ee), step / parts
 
 
 def _rolled_out(
@@ -276,10 +281,12 @@ def _rolled_out(
         motion = MotionSpec("waypoints", {**parameters, **nested(settings)})
         first, goal = poses[0], poses[-1]
     else:
+        motion = MotionSpec(str(path), nested(settings))
         if target is None or state is None:
-            build_subgoals([Subgoal(MotionSpec(str(path), nested(settings)))])  # is there one?
-            raise KinfeasError(f"motion generator {str(path)!r} needs 'target' and 'start'")
-        motion, goal = MotionSpec(str(path), nested(settings)), ee_poses(target, "target")[0]
+            build_subgoals([Subgoal(motion)])  # is there one?
+            missing = "start" if target is not None else "target"
+            raise KinfeasError(f"motion generator {str(path)!r} needs {missing!r}")
+        goal = ee_poses(target, "target")[0]
     if state is None:  # any robot with its EE there
         home = solver.robot.home["home"]
         ee = forward(solver.chain, home[np.newaxis])[0]
@@ -290,7 +297,7 @@ def _rolled_out(
     )
     if solids is not None:
         sequence.avoid(solids, None, (start.base_pose, start.joint_positions))
-    (ee,) = sequence.to_the_end(np.arange(1))
+    (ee,) = sequence.to_the_end(np.arange(1), to_rest=True)
     if len(ee) * HORIZON >= LONGEST:
         raise KinfeasError(f"{path}: the EE motion takes longer than {LONGEST:g} s")
     return ee

@@ -32,6 +32,7 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas plan --robot pr2 --path ee.csv --scene room --out plan.csv --html plan.html
     """
     from kinfeas.api.plan import plan as api
+    from kinfeas.core.spatial import distance
 
     check_new(out)
     settings = options.read_settings(overrides)
@@ -40,7 +41,9 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     planned.save(out)
     base, joints = planned.base[0], planned.joint_positions[0]
     facts = {
-        "seconds": float(planned.time[-1]), "moments": len(planned.time), "start": base.tolist(),
+        "seconds": float(planned.time[-1]), "moments": len(planned.time),
+        "ee_error_m": float(distance(planned.reached, planned.ee_pose)[0].max()),
+        "start": base.tolist(),
         "start_joints": dict(zip(planned.joint_names, joints.tolist(), strict=True)),
     }  # fmt: skip
     write_json(

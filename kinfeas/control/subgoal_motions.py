@@ -23,6 +23,10 @@ from kinfeas.kinematics.ik import IkSolver
 
 LONGEST = 300.0  # seconds after which a motion counts as ended where it is looked at in advance
 
+_END_SECONDS, _REST = 1.0, 1e-5
+"""How long before their end motions may count as ended, and the displacement in `HORIZON` seconds,
+metres or radians, below which an EE is at rest."""
+
 _PATHS = "waypoints"
 
 _T = TypeVar("_T")
@@ -178,20 +182,27 @@ class SubgoalMotions:
         twin._motions, twin._kept = self._motions.at(self._motions.states), dict(self._kept)
         return twin
 
-    def to_the_end(self, rows: Rows) -> list[Array]:
+    def to_the_end(self, rows: Rows, *, to_rest: bool = False) -> list[Array]:
         """Return the desired poses every `HORIZON` seconds until each row's sub-goal, (k, 7).
 
-        There is one array for each of the rows; nothing moves.
+        There is one array for each of the rows; nothing moves. With `to_rest` they go on until the
+        EE no longer moves, and a path of its own is over.
         """
         desired, motions = self.desired, self._motions
-        steps = np.zeros(len(rows), dtype=np.intp)
+        steps, ends = np.zeros((2, len(rows)), dtype=np.intp)
         poses, goal = [desired[rows]], self.goal[rows]
         while not steps.all() and len(poses) * HORIZON < LONGEST:
             step = self._step(motions, desired, HORIZON)
             desired, motions = step.desired, motions.at(step.states)
             poses.append(desired[rows])
             metres, radians = spatial.distance(poses[-1], goal)
-            there = self._ended(motions, (metres <= GRASP_METRES) & (radians <= GOAL_RADIANS))
+            near = np.zeros(len(desired), dtype=np.bool_)
+            near[rows] = (metres <= GRASP_METRES) & (radians <= GOAL_RADIANS)
+            there = self._ended(motions, near)[rows]
+            if to_rest:
+                ends = np.where(there, ends + 1, 0)
+                moved = np.maximum(*spatial.distance(poses[-2], poses[-1]))
+                there = (ends * HORIZON > _END_SECONDS) & (moved < _REST)
             steps = np.where((steps == 0) & there, len(poses), steps)
         steps[steps == 0] = len(poses)
         return [np.stack([pose[i] for pose in poses[:k]]) for i, k in enumerate(steps.tolist())]

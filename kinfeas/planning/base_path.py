@@ -12,6 +12,7 @@ from kinfeas.core.spatial import Array, distance, yaw
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.beam import Beam, BeamExpander
 
+_STRAIGHT = 1e-6  # angle of an arc, radians, that counts as none
 _ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
 
 
@@ -50,9 +51,19 @@ class BasePath:
         pose: Array = self.ee[min(round((seconds - self.begin) / self.step), len(self.ee) - 1)]
         return pose
 
-    def robot_at(self, seconds: float) -> Array:
-        """Return base and arm at a motion time, shape (3 + j,)."""
-        return np.array([np.interp(seconds, self.seconds, column) for column in self.robot.T])
+    def robots_at(self, seconds: Array) -> Array:
+        """Return bases on arcs, and arms, at motion times (t,), shape (t, 3 + j)."""
+        if len(self.seconds) == 1:
+            return self.robot.repeat(len(seconds), axis=0)
+        last = np.searchsorted(self.seconds, seconds, "right").clip(1, len(self.seconds) - 1)
+        begin, end = self.seconds[last - 1], self.seconds[last]
+        fraction = np.ones(len(seconds))  # where an arm jumps, no time passes
+        np.divide(seconds - begin, end - begin, out=fraction, where=end > begin)
+        fraction = fraction.clip(0.0, 1.0)[:, np.newaxis]
+        before, displacement = self.robot[last - 1], self.robot[last] - self.robot[last - 1]
+        robots: Array = before + fraction * displacement
+        robots[:, :2] = before[:, :2] + _along_arc(displacement[:, :3], fraction[:, 0])
+        return robots
 
     def time_scale_at(self, seconds: float) -> float:
         """Return the fraction of its speed at which the EE moves at a motion time."""
@@ -171,6 +182,18 @@ class _Search:
 
     def _solids_at(self, seconds: float) -> Solids | None:
         return None if self._solids is None else self._solids.at(np.array([seconds]))
+
+
+def _along_arc(whole: Array, fraction: Array) -> Array:
+    """Return the displacements of bases with a constant twist after fractions (t,) of their ways.
+
+    `whole` are x, y and yaw of the whole ways, shape (t, 3), the results x and y, shape (t, 2).
+    """
+    angle = np.where(np.abs(whole[:, 2]) < _STRAIGHT, _STRAIGHT, whole[:, 2]) / 2.0
+    turn, size = (fraction - 1.0) * angle, np.sin(fraction * angle) / np.sin(angle)
+    cosine, sine = size * np.cos(turn), size * np.sin(turn)
+    x, y = whole[:, 0], whole[:, 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
 
 
 def _near(solids: Solids, ee: Array, reach: float) -> Solids | None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, planar_pose, relative
+from kinfeas.core.spatial import Array, interpolated, planar_pose, relative
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides
 from kinfeas.planning.base_path import BasePath, BasePathPlanner
@@ -25,6 +25,7 @@ class WholeBodySettings:
     starts: int = 4  # base poses at the beginning that are tried
     examined: int = 24  # poses of a path without a plan that are tried alone
     slowest: float = 8.0  # factor by which arms may need longer than the path; more is a jump
+    apart: float = 0.1  # time from a moment to the next, up to a half more, seconds
 
 
 _SETTINGS = WholeBodySettings()
@@ -82,33 +83,45 @@ def _starts(placer: BasePlacer, ee: Array, solids: Solids | None) -> Iterator[St
 
 
 def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments | None:
-    """Return base and arm at each EE pose of a path, slower where they need time.
+    """Return base and arm at each EE pose of a path, and between those where the EE is slow.
 
-    The path has arms at some EE poses only. None if one of the others has no arm near those, or
+    None if one of them has no arm near those of the path, which has arms at some EE poses only, or
     base or arm touches a solid.
     """
-    robot = solver.robot
     motion_time = path.begin + path.step * np.arange(len(path.ee))
-    rows = np.stack([path.robot_at(seconds) for seconds in motion_time.tolist()])
-    base = planar_pose(*rows[:, :3].T)
+    moments = _moments(solver, path, motion_time)
+    if moments is None:
+        return None
+    pieces = np.ceil(np.diff(moments.time) / _SETTINGS.apart - 0.5).clip(1.0)
+    if (pieces > 1.0).any():
+        index = np.append(0.0, np.cumsum(pieces))
+        motion_time = np.interp(np.arange(index[-1] + 1.0), index, motion_time)
+        moments = _moments(solver, path, motion_time)
+    if moments is not None and solids is not None:
+        base, around = moments.base_pose, solids.repeated(len(moments.time)).at(moments.time)
+        if collides(solver.collision, moments.joint_positions, base, around).any():
+            return None
+    return moments
+
+
+def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | None:
+    """Return base and arm at some motion times, slower where they need time, or None."""
+    robot, rows = solver.robot, path.robots_at(motion_time)
+    ee = interpolated(motion_time, path.begin + path.step * np.arange(len(path.ee)), path.ee)
     options = replace(solver.options, restarts=0, library=1)
-    arm = IkSolver(robot, options).solve(relative(path.ee, base), rows[:, 3:])
+    arm = IkSolver(robot, options).solve(relative(ee, planar_pose(*rows[:, :3].T)), rows[:, 3:])
     joints = arm.joint_positions
-    scale = np.array([path.time_scale_at(seconds) for seconds in motion_time[1:].tolist()])
+    scale = np.array([path.time_scale_at(seconds) for seconds in motion_time[:-1].tolist()])
     turned = np.abs(joint_displacement(robot, joints[:-1], joints[1:])) / robot.max_joint_velocity
     driven = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1) / robot.base.max_velocity
     rotated = np.abs(np.diff(rows[:, 2])) / robot.base.max_rotation
     least = np.max([turned.max(axis=1), driven, rotated], axis=0)
-    seconds = np.maximum(path.step / scale, least)
-    if not arm.feasible.all() or (least > _SETTINGS.slowest * path.step / scale).any():
+    planned = np.diff(motion_time) / scale
+    if not arm.feasible.all() or (least > _SETTINGS.slowest * planned).any():
         return None
     joints[:, robot.continuous] = np.unwrap(joints[:, robot.continuous], axis=0)
-    time = np.concatenate([[0.0], np.cumsum(seconds)])
-    if solids is not None:
-        around = solids.repeated(len(base)).at(time)
-        if collides(solver.collision, joints, base, around).any():
-            return None
-    return Moments(time, rows[:, :3], joints, path.ee)
+    time = np.append(0.0, np.cumsum(np.maximum(planned, least)))
+    return Moments(time, rows[:, :3], joints, ee)
 
 
 def _reason(

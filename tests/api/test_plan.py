@@ -100,8 +100,27 @@ def test_plans_begin_where_the_robot_is(hsr):
     at_home = kinfeas.plan("hsr", "linear", target=FIRST, start=(0.0, 0.0, 0.0))
     np.testing.assert_allclose(at_home.base[0], 0.0, atol=1e-9)
     np.testing.assert_allclose(at_home.joint_positions[0], hsr.home["home"], atol=1e-3)
+    np.testing.assert_allclose(at_home.ee_pose[-1], FIRST, atol=1e-4)
     with pytest.raises(KinfeasError, match=r"begin where the EE is, at \[4\."):
         kinfeas.plan("hsr", line(0.1, 0, 0, 0, 0, 0), start=(4.0, 0.0, 0.0))
+
+
+def test_turns_take_their_time_and_end_at_their_end(tmp_path):
+    path = tmp_path / "ee.csv"
+    path.write_text("time,x,y,z,qx,qy,qz,qw\n0,1,0,0.9,0,0,0,1\n20,1,0,0.9,0,0,0.6,0.8\n")
+    plan = kinfeas.plan("pr2", path)
+    np.testing.assert_allclose(plan.ee_pose[-1], [1, 0, 0.9, 0, 0, 0.6, 0.8], atol=1e-6)
+    assert plan.time[-1] == pytest.approx(20.0, abs=0.3)
+
+
+def test_poses_far_apart_have_moments_between_them():
+    path = line(0.1, 0.0, 0.0, 0.0, 0.0, 0.05)[::50]
+    plan = kinfeas.plan("tiago", path, step=5.0)
+    assert np.diff(plan.time).max() < 0.3
+    np.testing.assert_allclose(np.cross(plan.ee_pose[:, :3] - FIRST[:3], [1, 0, 0]), 0, atol=1e-6)
+    turn = plan.base[:-1, 2] + np.diff(plan.base[:, 2]) / 2.0
+    aside = np.cos(turn) * np.diff(plan.base[:, 1]) - np.sin(turn) * np.diff(plan.base[:, 0])
+    assert np.abs(aside).sum() < 0.02
 
 
 def test_poses_faster_than_the_base_take_longer(hsr):

@@ -36,6 +36,20 @@ class Counting:
         return {**state, "goal": goal}
 
 
+class Lingering(Linear):
+    """Ends 900 steps later in each row than in the one before."""
+
+    def start(self, ee_pose, target_pose, rngs):
+        return {"left": 900.0 * np.arange(1.0, len(rngs) + 1.0)}
+
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, _ = super().twist(state, ee_pose, target_pose, dt)
+        return twist, {"left": state["left"] - 1.0}
+
+    def finished(self, state, target_pose):
+        return state["left"] <= 0.0
+
+
 LINEAR = Linear()
 
 
@@ -105,3 +119,12 @@ def test_poses_ahead_lie_between_the_desired_pose_and_the_goal(robot, begin):
     tool = np.broadcast_to(tool_pose(robot), (6, 7))
     tips = [spatial.compose(pose, tool) for pose in (ahead[:, 1], sequence.desired)]
     np.testing.assert_allclose(spatial.distance(*tips)[0], 0.1, atol=1e-9)
+
+
+def test_motions_end_in_some_rows_as_in_all(begin):
+    sequence = begin(3, [SubgoalMotion(Lingering())])
+    every = sequence.to_the_end(np.arange(3))
+    assert [len(poses) for poses in every] == [901, 1801, 2701]
+    np.testing.assert_array_equal(sequence.to_the_end(np.array([1]))[0], every[1])
+    (to_rest,) = sequence.to_the_end(np.array([0]), to_rest=True)
+    assert len(to_rest) == 911

@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import compose, integrate, planar_pose, rotation
+from kinfeas.core.spatial import compose, integrate, planar_pose, relative, rotation
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides
@@ -38,13 +38,17 @@ def planned(solver):
     return plan
 
 
-def test_between_its_times_a_path_is_straight(planned):
-    path, _ = planned([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
-    halfway = path.robot_at((path.seconds[1] + path.seconds[2]) / 2.0)
-    np.testing.assert_allclose(halfway, (path.robot[1] + path.robot[2]) / 2.0)
-    np.testing.assert_allclose(path.robot_at(1e3), path.robot[-1])
-    shares = [path.time_scale_at(path.seconds[i] - 0.5 * HORIZON) for i in (1, 2)]
-    assert shares == path.time_scale[1:3].tolist()
+def test_between_its_times_a_base_moves_on_an_arc(planned):
+    path, _ = planned([0.05, 0.0, 0.0, 0.0, 0.0, 0.2])
+    middle, last = path.robots_at(np.array([path.seconds[1:3].mean(), 1e3]))
+    np.testing.assert_allclose(middle[3:], path.robot[1:3, 3:].mean(axis=0))
+    np.testing.assert_allclose(last, path.robot[-1])
+    before, halfway, after = planar_pose(*np.stack([path.robot[1], middle, path.robot[2]])[:, :3].T)
+    turned = path.robot[2, 2] - path.robot[1, 2]
+    assert abs(turned) > 1e-2
+    np.testing.assert_allclose(relative(after, halfway), relative(halfway, before), atol=1e-9)
+    scales = [path.time_scale_at(path.seconds[i] - 0.5 * HORIZON) for i in (1, 2)]
+    assert scales == path.time_scale[1:3].tolist()
 
 
 def test_a_partial_path_ends_where_no_robot_goes_on(planned, solver):
@@ -76,7 +80,7 @@ def test_arms_jump_only_where_a_partial_path_would_end(rate):
     )
     before, after = path.robot[jump : jump + 2]
     np.testing.assert_array_equal(before[:3], after[:3])
-    np.testing.assert_array_equal(path.robot_at(path.seconds[jump]), after)
+    np.testing.assert_array_equal(path.robots_at(path.seconds[[jump]])[0], after)
 
 
 def test_a_slow_motion_gives_the_base_more_time(planned):

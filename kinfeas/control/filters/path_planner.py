@@ -221,7 +221,7 @@ class PlanFollower:
 
 def robots_on(paths: Mapping[int, BasePath], rows: Rows, seconds: Array) -> Array:
     """Return base and arm on the paths of m of n rows at motion times (n,), shape (m, 3 + j)."""
-    return np.stack([paths[row].robot_at(float(seconds[row])) for row in rows.tolist()])
+    return np.concatenate([paths[row].robots_at(seconds[[row]]) for row in rows.tolist()])
 
 
 def off_path(robot: Robot, period: Period, rows: Rows, robots: Array) -> tuple[Array, Array]:
