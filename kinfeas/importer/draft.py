@@ -24,6 +24,7 @@ from kinfeas.robots.elements import Element, parse_xml
 from kinfeas.robots.loading import build_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.spec import (
+    GUESSED_VELOCITY,
     MAX_JOINT_VELOCITY,
     ArmJointSpec,
     BaseSpec,
@@ -42,7 +43,6 @@ _BOXING, _TOUCHING, _REACHING = 0.3, 0.1, 0.6  # fractions of the work
 
 _MAX_TURNS = 4.0 * math.pi + 0.01  # rad; a wider range stands for no limit
 _HALF_TURN = 3.1416
-_VELOCITY = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.1}  # rad/s or m/s, if none is given
 
 _BASE_LIMITS = (0.2, 1.0, 1.0, 2.0)  # of the shipped robots' bases
 _ROTATION_TOLERANCE = 0.2094  # rad, of HSR
@@ -115,9 +115,10 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         max_gravity_load=robot.max_gravity_load,
     )  # fmt: skip
     names = [joint.name for joint in arm.joints]
+    moved = [*names, *(spec.gripper.fingers if spec.gripper else ())]
     guesses = Guesses(
         lifted=boxed.lifted,
-        speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
+        speeds=tuple(name for name in moved if _guessed_velocity(urdf.joints[name])),
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
         stuck=tuple(joint.name for joint in arm.stuck),
         touching=contacts.ignored,
@@ -237,9 +238,11 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
     x, y, z = (round(float(number), 4) + 0.0 for number in hand.tip)
     joints = {}
     for joint in arm.joints:
-        valid = 0.0 < joint.velocity <= MAX_JOINT_VELOCITY
-        velocity = None if valid else _VELOCITY[joint.kind]
-        joints[joint.name] = ArmJointSpec(soft_limits=_one_turn(joint), velocity=velocity)
+        joints[joint.name] = ArmJointSpec(_one_turn(joint), _guessed_velocity(joint))
+    gripper = hand.gripper
+    if gripper is not None:
+        speeds = filter(None, (_guessed_velocity(urdf.joints[name]) for name in gripper.fingers))
+        gripper = replace(gripper, velocity=next(speeds, None))
     return RobotSpec(
         name=name,
         ee_frame=arm.hand,
@@ -250,8 +253,14 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
         home={"home": tuple(_middle(joint, joints[joint.name]) for joint in arm.joints)},
         reach=Reach(0.2, 1.4),
         fixed_joints=_fixed(urdf, arm) | _half_open(urdf, hand),
-        gripper=hand.gripper,
+        gripper=gripper,
     )
+
+
+def _guessed_velocity(joint: Joint) -> float | None:
+    """Return a velocity limit for a joint that has none, else None."""
+    valid = 0.0 < joint.velocity <= MAX_JOINT_VELOCITY
+    return None if valid else GUESSED_VELOCITY[joint.kind]
 
 
 def _one_turn(joint: Joint) -> tuple[float, float] | None:

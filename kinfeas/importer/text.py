@@ -34,7 +34,7 @@ class Guesses:
 
     Attributes:
         lifted: Height of the URDF's root above the floor, metres.
-        speeds: Arm joints without a velocity limit.
+        speeds: Joints of arm and fingers without a velocity limit.
         limits: Arm joints of more than two turns that are not continuous.
         stuck: Joints on the way to the hand whose limits leave no range of motion.
         touching: Fraction of configurations in which the ignored pairs of links touch, 0-1.
@@ -116,8 +116,9 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
     if spec.gripper is not None:
         unit = guesses.unit(spec.gripper.fingers[0])
         effort = f"{'N' if unit == 'm' else 'N m'}, the URDF's limit"
-        units = {"closed": unit, "open": unit, "effort": effort}
-        blocks.append(_block("gripper", vars(spec.gripper), units))
+        units = {"closed": unit, "open": unit, "effort": effort, "velocity": f"{unit}/s, guess"}
+        gripper = {key: value for key, value in vars(spec.gripper).items() if value is not None}
+        blocks.append(_block("gripper", gripper, units))
     if spec.fixed_joints:
         title = [] if spec.gripper is None else ["# The gripper is half open."]
         why = {name: _fixed(name, spec, guesses) for name in spec.fixed_joints}

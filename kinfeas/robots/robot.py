@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core import pose_kernels
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
-from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance, Reach
+from kinfeas.robots.spec import GUESSED_VELOCITY, BaseSpec, Gripper, PoseTolerance, Reach
 from kinfeas.robots.urdf import Joint, Urdf
 
 _ROUNDING = 1.001  # factor on the velocity limits, so that a motion at the limit is no joint jump
@@ -99,6 +99,12 @@ class Robot:
             _read_only(np.maximum(lower, middle - half)),
             _read_only(np.minimum(upper, middle + half)),
         )
+
+    def finger_velocity(self, finger: str) -> float:
+        """Return the velocity limit of a finger joint, rad/s or m/s."""
+        joint, gripper = self.urdf.joints[finger], self.gripper
+        own = None if gripper is None else gripper.velocity
+        return own or joint.velocity or GUESSED_VELOCITY[joint.kind]
 
 
 def _read_only(values: ArrayLike) -> NDArray[Any]:

@@ -15,6 +15,7 @@ from kinfeas.core.response import ResponseModel
 Drive = Literal["omnidirectional", "differential"]
 
 MAX_JOINT_VELOCITY = 1000.0  # rad/s or m/s; larger numbers in a URDF stand for no limit
+GUESSED_VELOCITY = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.1}  # if none is given
 
 Velocity = Annotated[float, Interval(gt=0.0, le=100.0)]
 JointVelocity = Annotated[float, Interval(gt=0.0, le=MAX_JOINT_VELOCITY)]
@@ -60,6 +61,8 @@ class Gripper:
     closed: float | tuple[float, float]
     open: float | tuple[float, float]  # their position when open, likewise
     effort: Effort  # effort limit of each, N m or N
+    # velocity limit of each, rad/s or m/s; the URDF's if null, 1 rad/s or 0.1 m/s if it has none
+    velocity: JointVelocity | None = None
 
     def __post_init__(self) -> None:
         if self.fingers[0] == self.fingers[1]:

@@ -115,8 +115,11 @@ def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, opened):
 
 
 @pytest.mark.parametrize("right", [0.05, -0.05, -0.025])
-def test_each_finger_goes_to_its_own_position(opened, scout, right):
+@pytest.mark.parametrize("velocity", [0.05, 0.0])  # 0 stands for none
+def test_each_finger_goes_to_its_own_position(opened, scout, right, velocity):
     def mirrored(urdf):
+        if right > 0.0:
+            return urdf
         old = '<axis xyz="0 -1 0"/>\n    <limit lower="0" upper="0.05"'
         assert old in urdf
         return urdf.replace(old, f'<axis xyz="0 1 0"/>\n    <limit lower="{right}" upper="0"')
@@ -125,7 +128,8 @@ def test_each_finger_goes_to_its_own_position(opened, scout, right):
         "gripper": {"closed": [0.0, 0.0], "open": [0.05, right]},
         "fixed_joints": {"right_finger_joint": right / 2.0},
     }
-    world = opened(scout(mirrored if right < 0.0 else str, **settings))
+    limits = 'velocity="0.05" effort', f'velocity="{velocity}" effort'
+    world = opened(scout(lambda urdf: mirrored(urdf).replace(*limits), **settings))
     place(world)
     links = [(ROBOT, name) for name in ("wrist_roll_link", "left_finger_link", "right_finger_link")]
     for grip, opening in (("open", 1.0), ("close", 0.0)):

@@ -74,6 +74,14 @@ def test_joints_of_more_than_two_turns_get_one(changed, limits, turn):
     assert turn is None or lower <= found[0] < found[1] <= upper
 
 
+def test_joints_of_arm_and_fingers_without_a_velocity_limit_get_one(changed, few):
+    draft = draft_robot(changed(('velocity="0.1"', 'velocity="0"'), ('velocity="2"', "")), "dolly")
+    assert draft.guesses.speeds == ("pan", "elbow", "l", "r")
+    assert draft.robot.arm[2].velocity == 1.0
+    assert [draft.robot.finger_velocity(finger) for finger in "lr"] == [0.1, 0.1]
+    assert "velocity: 0.1  # m/s, guess" in draft.yaml
+
+
 @pytest.mark.parametrize(("effort", "load"), [(20.0, True), (500.0, False), (0.01, False)])
 def test_drafts_leave_out_postures_that_motors_cannot_hold(changed, few, effort, load):
     inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'

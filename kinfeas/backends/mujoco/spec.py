@@ -60,7 +60,7 @@ def servos_of(robot: Robot, arm: ArmSetpoints) -> list[Servo]:
     servos = [Servo(*limit) for limit, _ in zip(limits, robot.arm, strict=False)]
     if robot.gripper is not None:
         for name in robot.gripper.fingers:
-            servos.append(Servo(name, robot.gripper.effort, robot.urdf.joints[name].velocity))
+            servos.append(Servo(name, robot.gripper.effort, robot.finger_velocity(name)))
     return servos
 
 

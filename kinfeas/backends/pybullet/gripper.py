@@ -94,7 +94,7 @@ class GripperDrive:
         client.setJointMotorControl2(
             self._body.body, self._body.joints[name], client.POSITION_CONTROL,
             targetPosition=position, positionGain=1.0, force=self._effort,
-            maxVelocity=self._body.robot.urdf.joints[name].velocity,
+            maxVelocity=self._body.robot.finger_velocity(name),
         )  # fmt: skip
 
 
