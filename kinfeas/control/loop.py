@@ -28,7 +28,7 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.robot import exceeds_joint_velocity
+from kinfeas.robots.robot import Robot, check_same_robot, exceeds_joint_velocity, fingerprint
 
 _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 
@@ -109,12 +109,16 @@ class Loop:
         """Use a policy: its terms, its filters, and its `reset` at each start if it has one.
 
         Raises:
-            KinfeasError: If a term is unknown or there twice, or a filter is unknown.
+            KinfeasError: If the policy is for another robot, a term is unknown or there twice, or a
+                filter is unknown.
         """
+        name, own_robot = f"policy {type(policy).__name__}", getattr(policy, "robot", None)
+        if isinstance(own_robot, Robot) and own_robot is not self.robot:
+            check_same_robot(self.robot, own_robot.name, fingerprint(own_robot), name)
         terms = getattr(policy, "observation_terms", OBSERVATION)
-        check_terms(terms, f"policy {type(policy).__name__}: 'observation'")
+        check_terms(terms, f"{name}: 'observation'")
         self.policy, self.observer.terms = policy, tuple(terms)
-        self._policy_note = plugin_note(f"policy {type(policy).__name__}")
+        self._policy_note = plugin_note(name)
         names = getattr(policy, "filters", ()) if self.stream is None else ()
         own = [self._build_filter(name) for name in names]
         kinds = [type(command_filter) for command_filter in self._loop_filters]

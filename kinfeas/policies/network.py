@@ -24,7 +24,7 @@ from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import write_folder
 from kinfeas.io.policy_metadata import WEIGHTS, Trained, read_policy, write_trained
-from kinfeas.robots.robot import Robot, fingerprint
+from kinfeas.robots.robot import Robot, check_same_robot, fingerprint
 
 
 @dataclass(frozen=True)
@@ -144,13 +144,7 @@ def check_robot(
 
     `kinematics` is the fingerprint of the robot of the training, None if unknown.
     """
-    if name != robot.name:
-        raise KinfeasError(f"{source}: a policy for robot {name!r}, not for {robot.name!r}")
-    if kinematics not in {None, fingerprint(robot)}:
-        raise KinfeasError(
-            f"{source}: trained with other kinematics of {name!r}: joints, limits, EE frame, or "
-            "the base's drive or speed"
-        )
+    check_same_robot(robot, name, kinematics, source)
     described, names = (*observation, *action), [t.name for t in observation if t.name in TERMS]
     expected = (*describe_observation(robot, names), describe_action(robot))
     own, ours = ([(t.name, t.size, t.scale) for t in terms] for terms in (described, expected))

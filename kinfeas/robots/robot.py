@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core import pose_kernels
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.robots.spec import GUESSED_VELOCITY, BaseSpec, Gripper, PoseTolerance, Reach
@@ -142,6 +143,20 @@ def fingerprint(robot: Robot) -> str:
     }
     text = json.dumps(facts, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def check_same_robot(robot: Robot, name: str, kinematics: str | None, source: str) -> None:
+    """Raise KinfeasError unless a policy for the robot `name` is for `robot`.
+
+    `kinematics` is the fingerprint of the policy's robot, None if unknown.
+    """
+    if name != robot.name:
+        raise KinfeasError(f"{source}: a policy for robot {name!r}, not for {robot.name!r}")
+    if kinematics not in {None, fingerprint(robot)}:
+        raise KinfeasError(
+            f"{source}: trained with other kinematics of {name!r}: joints, limits, EE frame, or "
+            "the base's drive or speed"
+        )
 
 
 def _joint(robot: Robot, joint: Joint) -> list[object]:

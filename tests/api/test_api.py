@@ -48,6 +48,10 @@ def test_policies_are_names_or_objects():
     for wrong, named in ((policy, "robot"), (object(), "policy")):
         with pytest.raises(KinfeasError, match=named):
             kinfeas.evaluate(wrong, **options)
+    for source in ("pretrained", "whole_body_qp"):
+        with pytest.raises(KinfeasError, match="'fetch', not for 'tiago'"):
+            other = kinfeas.load_policy(source, robot="fetch")
+            kinfeas.evaluate(other, robot="tiago", **options)
 
 
 def test_adapters_are_entries_of_a_list():
