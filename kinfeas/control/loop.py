@@ -92,7 +92,7 @@ class Loop:
     ) -> None:
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
         self.execution, self.robot, self._build_filter = execution, solver.robot, build_filter
-        self._note, self._unchecked = plugin_note(f"backend {type(backend).__name__}"), True
+        self._note, self._unchecked = plugin_note(f"backend {backend.name}"), True
         self._loop_filters = tuple(filters)
         self._use_filters(filters)
         self.policy: Policy | None = None
@@ -184,7 +184,8 @@ class Loop:
             if not isinstance(changed, Period):
                 kind = type(changed).__name__
                 raise KinfeasError(f"{note.plugin} must return a Period, not a {kind}")
-            check_array(changed.command, self.previous_command.shape, note.plugin)
+            shape = self.previous_command.shape
+            check_array(changed.command, shape, f"{note.plugin}: the command")
             period = changed.commanded(changed.command)
         self.previous_command = period.command
         sequence.move(period.step, period.paused)

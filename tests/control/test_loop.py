@@ -326,7 +326,7 @@ def test_a_motion_that_slows_down_gets_arms_of_its_own(solver):
 
 @pytest.mark.parametrize(("command_filter", "word"), [
     (Filter(lambda command: command[:, :1]), "Filter.*shape"),
-    (Filter(lambda command: np.full_like(command, np.nan)), "Filter.*finite"),
+    (Filter(lambda command: np.full_like(command, np.nan)), "Filter: the command is not finite"),
     (Filter(lambda command: None), "Filter.*NoneType"),
     (lambda period: period.command, "function.*Period.*ndarray"),
 ])  # fmt: skip

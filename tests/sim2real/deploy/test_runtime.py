@@ -212,8 +212,8 @@ def test_a_simulated_world_waits_for_the_clock_or_has_none(run, time):
     (nan, "base_pose is not finite"),
     (NOTHING, "RobotState"),
     (Mock(side_effect=ConnectionError("the bus is gone")), "the bus is gone"),
-    (Mock(side_effect=KeyError("boom")), "KeyError: 'boom'"),
-    (Mock(side_effect=SystemExit(5)), "SystemExit: 5"),
+    (Mock(side_effect=KeyError("boom")), "backend RealTimeRobot raised KeyError: 'boom'"),
+    (Mock(side_effect=SystemExit(5)), "backend RealTimeRobot raised SystemExit: 5"),
 ])  # fmt: skip
 def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reason):
     robot = RealTimeRobot(time, trouble)
@@ -227,7 +227,7 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reaso
     assert record.event[-1] == outcome.reason
     assert not record.base_twist[-1].any()
     # A mistake in the code of a plugin needs its traceback.
-    assert ("Traceback" in caplog.text) is reason.startswith(("KeyError", "SystemExit"))
+    assert ("Traceback" in caplog.text) is ("raised" in reason)
 
 
 @pytest.mark.parametrize(("driver", "named", "filters"), [
