@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kinfeas.core.errors import KinfeasError
 
@@ -61,18 +61,16 @@ def read_csv(
     The `optional` ones may be missing, others are ignored.
 
     Raises:
-        KinfeasError: If the file cannot be read, a column is missing or an entry is no number.
+        KinfeasError: If the file cannot be read, a column is missing or there twice, a row is
+            longer than the header, or an entry is no number.
     """
     import numpy as np
 
-    try:
-        with reading(path), path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, skipinitialspace=True, strict=True)
-            rows, names = list(table), table.fieldnames or ()
-    except csv.Error as error:
-        raise KinfeasError(f"{path}: is no CSV file: {error}") from error
+    names, rows = _read_rows(path)
     table_columns = {}
     for name in columns:
+        if names.count(name) > 1:
+            raise KinfeasError(f"{path}: column {name!r} is there {names.count(name)} times")
         if name in names:
             table_columns[name] = np.empty(len(rows))
             for i, row in enumerate(rows):
@@ -83,6 +81,22 @@ def read_csv(
         elif name not in optional:
             raise KinfeasError(f"{path}: column {name!r} is missing")
     return table_columns
+
+
+def _read_rows(path: Path) -> tuple[Sequence[str], list[dict[Any, Any]]]:
+    """Return the names and the rows of a CSV file."""
+    try:
+        with reading(path), path.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, skipinitialspace=True, strict=True)
+            rows, names = list(table), table.fieldnames
+    except csv.Error as error:
+        raise KinfeasError(f"{path}: is no CSV file: {error}") from error
+    if not names:
+        raise KinfeasError(f"{path}: has no header; the file or its first line is empty")
+    for i, row in enumerate(rows):
+        if any(row.get(None, ())):  # entries beyond the header
+            raise KinfeasError(f"{path}, row {i + 1}: has more entries than the header")
+    return names, rows
 
 
 def read_json(path: Path) -> dict[str, object]:

@@ -127,9 +127,16 @@ def test_csv_columns_are_read_by_name(tmp_path):
     values = {name: column.tolist() for name, column in table_columns.items()}
     assert values == {"b": [2.0, 4.5], "a": [1.0, 3.0]}
     assert files.read_csv(table(tmp_path, "a,b\n"), ["a"])["a"].shape == (0,)
+    assert files.read_csv(table(tmp_path, "b,a,b\n1,2,3,\n"), ["a"])["a"].tolist() == [2.0]
 
 
-@pytest.mark.parametrize(("text", "place"), [("", ": column 'a'"), ("a\n1\nx", ", row 2, a: ")])
+@pytest.mark.parametrize(("text", "place"), [
+    ("", ": has no header"),
+    ("b\n1", ": column 'a'"),
+    ("a,b,a\n1,2,3", ": .*'a'"),
+    ("a\n1\nx", ", row 2, a: "),
+    ("a,b\n1,2\n3,4,5", ", row 2: "),
+])  # fmt: skip
 def test_csv_errors_name_row_and_column(tmp_path, text, place):
     path = table(tmp_path, text)
     with pytest.raises(KinfeasError, match=f"^{path}{place}"):
