@@ -53,6 +53,9 @@ def main() -> None:
         sys.exit(code if isinstance(code, int) else 0)
     except TyperException as error:
         message = error.format_message()
+        if type(error).__name__ == "NoArgsIsHelpError":  # typer does not export the class
+            typer.echo(message)
+            sys.exit(2)
         option = getattr(error, "param", None)
         if option is not None and option.nargs > 1:
             message = f"{option.get_error_hint()} needs {option.nargs} numbers"

@@ -84,6 +84,12 @@ def test_help_and_version_succeed(kinfeas, words):
     assert "kinfeas" in done.out
 
 
+@pytest.mark.parametrize("group", ["plugins", "robot"])
+def test_a_group_without_a_command_prints_its_help(kinfeas, group):
+    done = kinfeas(group, code=2)
+    assert (done.out, done.err) == (kinfeas(group, "--help", code=0).out, "")
+
+
 @pytest.mark.parametrize("terminal", [True, False])
 @pytest.mark.parametrize("shown", [progress, lambda: status("searching")])
 def test_commands_say_once_that_kernels_are_compiled(monkeypatch, capfd, shown, terminal):
