@@ -66,7 +66,11 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         return options.run_jobs(jobs, kind, engine, processes, address)
 
     settings = options.read_settings(overrides, own)
-    study, trained, cases = run_benchmark(name, settings, worlds, runs or [], out, run_jobs)
+    try:
+        study, trained, cases = run_benchmark(name, settings, worlds, runs or [], out, run_jobs)
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted; the same command continues\n")
+        raise typer.Exit(130) from None
     cells = tabulate(cases, *worlds)
     with status("drawing"):
         command = shlex.join(["kinfeas", *sys.argv[1:]])

@@ -5,9 +5,10 @@ Modules that are slow to import are imported within the commands, so that help a
 
 import sys
 import traceback
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from kinfeas import __version__
@@ -31,7 +32,18 @@ from kinfeas.cli.view import view
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, raised_by
 from kinfeas.core.extras import missing_extra
 
+
+class _Commands(TyperGroup):
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            sys.stderr.write("interrupted\n")
+            raise
+
+
 app = typer.Typer(
+    cls=_Commands,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"max_content_width": 100},

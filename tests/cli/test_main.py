@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from unittest.mock import Mock
 
 import numba
 import pytest
@@ -63,6 +64,15 @@ def test_programming_errors_keep_their_traceback(monkeypatch):
     monkeypatch.setattr(module, "app", raising(ZeroDivisionError))
     with pytest.raises(ZeroDivisionError):
         module.main()
+
+
+@pytest.mark.parametrize(("command", "called"), [
+    ("ceiling", "kinfeas.api.evaluate.ceiling"),
+    ("benchmark", "kinfeas.benchmark.evaluations.run_benchmark"),
+])  # fmt: skip
+def test_an_interrupted_command_says_so(kinfeas, monkeypatch, command, called):
+    monkeypatch.setattr(called, Mock(side_effect=KeyboardInterrupt))
+    assert kinfeas(command, code=130).err.startswith("interrupted")
 
 
 @pytest.mark.parametrize("error", [KeyError("x"), SystemExit(0)])
