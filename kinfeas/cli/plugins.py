@@ -117,6 +117,10 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     kinds = ("kinfeas.motion_generators", "kinfeas.policies", "kinfeas.adapters")
     known = [each for kind in kinds for each in registry.names(kind)]
     if ":" not in name and name not in known:
+        for group, kind in GROUPS.items():
+            if name in registry.names(group):
+                covered = "check covers motion generators, policies and adapters"
+                raise KinfeasError(f"{name!r} is a {kind}; {covered}")
         raise KinfeasError(f"no generator, policy or adapter {name!r}{no_such(name, known)}")
     if name in registry.names("kinfeas.policies") or ":" in name:
         if overrides or picture is not None:

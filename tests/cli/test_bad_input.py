@@ -88,6 +88,7 @@ INPUT = {
     "plugins": [
         ("info lienar", "'linear'"), ("info adapters.yaml", "adapters.yaml"),
         ("check linear --set gian=1", "'gian'"), ("new linear", "'linear'"),
+        ("check pr2", "'pr2' is a robot"), ("check ggr", "'ggr' is a task"),
     ],
     "fit --out door.yaml": [
         ("--demonstrations .", "demonstrations"), ("--demonstrations shown", "shown/0-still.csv"),
