@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from kinfeas.api import Name
+from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.api.load import (
     Adapters,
     checked,
@@ -128,7 +128,7 @@ def deploy(  # noqa: PLR0913 - options of the command
     """
     if policy is None and plan is None:
         raise KinfeasError("give a policy or a 'plan'")
-    robot = robot or robot_of(policy)
+    given, robot = robot, robot or robot_of(policy)
     model = load_robot(robot)
     late = respond_late(read_adapters(adapters)) or not model.response.immediate
     config = _read_config(DeployConfig, "deploy", model, guards, filters, settings, late=late)
@@ -138,7 +138,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         if any(each is not None for each in excluded) or config.generator or config.task:
             raise KinfeasError("'plan' excludes a policy, a goal, 'generator' and 'task'")
         policy, dt = "stationary", 1.0 / checked(Rate, rate, "rate")
-        motion_task, follower = _plan_task(plan, robot, dt)
+        motion_task, follower = _plan_task(plan, given, dt)
         # It would plan anew.
         others = tuple(each for each in config.filters if each.name != "path_planner")
         config = replace(config, filters=others)
@@ -324,9 +324,15 @@ def _listed(kind: Any, numbers: object, name: str) -> Sequence[float]:
     return cast("Sequence[float]", checked(kind, numbers, name))
 
 
-def _plan_task(file: Name, robot: Name, dt: float) -> tuple[Task, tuple[CommandFilter, ...]]:
+def _plan_task(file: Name, robot: Name | None, dt: float) -> tuple[Task, tuple[CommandFilter, ...]]:
     """Return the EE motion of a plan as a task that begins at its start, and what follows it."""
-    plan = load_plan(file, robot)
+    try:
+        plan = load_plan(file, robot or DEFAULT_ROBOT)
+    except KinfeasError as error:
+        if robot is not None:
+            raise
+        hint = f"give the plan's 'robot', {DEFAULT_ROBOT} by default"
+        raise KinfeasError(f"{error}; {hint}") from error
     parameters: Settings = {"file": str(file), "frame": "world", "waits": False}
     seconds = np.diff(plan.time)
     apart = distance(plan.ee_pose[:-1], plan.ee_pose[1:])

@@ -56,6 +56,7 @@ def test_a_plan_is_carried_out_by_base_and_arm(kinfeas, run, tmp_path, robot):
     elsewhere = (tmp_path / "plan.csv").read_text().replace(joint, "joint")
     (tmp_path / "plan.csv").write_text(elsewhere)
     assert joint in kinfeas("deploy", "--plan", "plan.csv", *own, code=2).err
+    assert "'robot'" in kinfeas("deploy", "--plan", "plan.csv", code=2).err
     words = ("--plan", "plan.csv", *own, "--set", "generator.gain=2")
     assert "generator" in kinfeas("deploy", *words, code=2).err
     assert "policy" in kinfeas("deploy", "pretrained", "--plan", "plan.csv", *own, code=2).err
