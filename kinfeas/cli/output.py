@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 LINE_SECONDS = 15.0
 """Time between lines on progress where standard error is no terminal."""
 
-COMPILING = "compiling kernels (once, about 30 s)"
+COMPILING = "compiling kernels (kept for next time)"
 
 
 def check_file_path(path: Path | None) -> Path | None:
