@@ -23,9 +23,10 @@ class Browser:
 
     def __init__(self, folder: Path, size: tuple[int, int], idle: Callable[[], None]) -> None:
         """Start with a new profile in `folder`; `idle` is called while it waits."""
+        if BINARY is None:
+            raise SystemExit("neither chromium nor google-chrome is installed")
         from websockets.sync.client import connect
 
-        assert BINARY is not None
         self._idle, self._numbers = idle, count(1)
         self._process = subprocess.Popen(
             [
