@@ -61,9 +61,17 @@ def read_description(
                 link.remove(shape)
     if unused:
         raise KinfeasError(f"{path}: no address of a mesh begins with {min(unused)!r}")
+    _rename_world(robot)
     _remove_zero_efforts(robot)
     _couple_telescopes(robot)
     return robot
+
+
+def _rename_world(robot: Element) -> None:
+    """Rename a link `world`: in MuJoCo that is the floor."""
+    for tag, key in (("link", "name"), ("joint/parent", "link"), ("joint/child", "link")):
+        for element in robot.xml.iterfind(f"{tag}[@{key}='world']"):
+            element.set(key, "world_link")
 
 
 def _remove_zero_efforts(robot: Element) -> None:

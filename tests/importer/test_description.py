@@ -196,6 +196,14 @@ def test_an_mjcf_becomes_a_robot_of_primitives(cart, tmp_path):
     assert urdf.links["hand"].mass == pytest.approx(1.0)
 
 
+def test_no_link_has_the_name_of_the_floor(tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text("""<robot name="r"><link name="world"/><link name="base"/>
+        <joint name="fixed" type="fixed"><parent link="world"/><child link="base"/></joint></robot>
+    """)
+    assert urdf_of(read_description(path, tmp_path)).root == "world_link"
+
+
 def test_a_xacro_is_expanded_with_its_arguments_and_packages(tmp_path):
     pytest.importorskip("xacro")
     parts = tmp_path / "clone"
