@@ -52,13 +52,20 @@ class BeamSettings:
     clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
     margin_cost: float = 5.0  # one of these
     error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
-    off_metres: float = 0.08  # largest displacement of a base that arms should make up for, metres
-    off_radians: float = 0.1  # the same rotation, radians
-    off_cost: float = 15.0  # cost of an arm that cannot
+    off_metres: float = 0.03  # displacement of a base along x and y that arms should make up for
+    off_radians: float = 0.04  # the same rotation, radians
+    off_seconds: float = 1.0  # time that they have for it
+    off_cost: float = 60.0  # cost of an arm that cannot in any direction
     memory: float = 0.8  # fraction of the costs that counts at the next pose
 
 
 SETTINGS = BeamSettings()
+
+
+_SIDES = np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, 1, -1, -1]])
+_AWAY = np.array([[SETTINGS.off_metres], [SETTINGS.off_metres], [SETTINGS.off_radians]])
+_OFF = planar_pose(*(_SIDES * _AWAY))
+"""Poses of bases a little elsewhere, in their frames, shape (4, 7)."""
 
 
 @dataclass(frozen=True)
@@ -132,11 +139,7 @@ class BeamExpander:
         reached = reached.of(np.flatnonzero(arm.feasible))
         best = self._best(reached, target)
         best = best.of(np.flatnonzero(self._passable(beam, best, target, seconds, solids)))
-        away = rng.uniform(-1.0, 1.0, (3, len(best.cost)))
-        away *= np.array([[SETTINGS.off_metres], [SETTINGS.off_metres], [SETTINGS.off_radians]])
-        base = compose(best.base, planar_pose(*away))
-        arm = self._reached(self.solver, best.joints, target, base, seconds, solids)
-        return replace(best, cost=best.cost + SETTINGS.off_cost * ~arm.feasible)
+        return replace(best, cost=best.cost + self._off_cost(best, target, solids))
 
     def reconfigured(self, beam: Beam, target: Array, solids: Solids | None) -> Beam:
         """Return robots at the target of a beam whose arms have other configurations there."""
@@ -171,6 +174,14 @@ class BeamExpander:
         expected = cost + self._limit_cost(proposal.joints[parent, tried])
         rows = _cheapest(self._cells(proposed, target), expected, SETTINGS.cell_robots)
         return proposed.of(rows[np.argsort(expected[rows], kind="stable")[: SETTINGS.tried]])
+
+    def _off_cost(self, beam: Beam, target: Array, solids: Solids | None) -> Array:
+        """Return the cost of arms that do not make up for a base a little elsewhere."""
+        base = compose(beam.base, _OFF[:, np.newaxis]).reshape(-1, 7)
+        joints = np.tile(beam.joints, (len(_OFF), 1))
+        arm = self._reached(self.solver, joints, target, base, SETTINGS.off_seconds, solids)
+        failed: Array = np.mean(~arm.feasible.reshape(len(_OFF), -1), axis=0)
+        return SETTINGS.off_cost * failed
 
     def _limit_cost(self, joints: Array) -> Array:
         """Return the cost of arms near their joint limits."""
