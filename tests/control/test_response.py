@@ -48,11 +48,13 @@ class Drive:
     The robots advance in parts of a control period; `change` changes measurements.
     """
 
-    def __init__(self, solver, adapters, dt, parts=1, rows=(0, 1, 2), change=lambda state: state):
+    def __init__(
+        self, solver, adapters, dt, parts=1, rows=(0, 1, 2), change=lambda state: state, **response
+    ):
         self.robot, self.dt, self.parts, n = solver.robot, dt, parts, len(rows)
         self.change = change
         self.backend = with_adapters(AnalyticBackend(), adapters, self.robot)
-        self.predictor = Predictor(self.backend.response, solver, dt)
+        self.predictor = Predictor(replace(self.backend.response, **response), solver, dt)
         self.rngs = [np.random.default_rng(row) for row in rows]
         self.targets = np.where(self.robot.continuous, 3.1, self.robot.home["home"])
         self.targets = np.tile(self.targets, (n, 1))
@@ -107,6 +109,12 @@ def test_states_are_those_at_which_the_next_command_takes_effect(solver, adapter
     drive.step(60)
     assert drive.errors.max() < 1e-9
     assert lateness(drive.predictor.sums) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_measured_ages_count_before_the_latency_of_the_model(solver):
+    drive = Drive(solver, [LAG, *WHOLE], 0.02, sensor_latency=0.02)
+    drive.step(60)
+    assert drive.errors.max() < 1e-9
 
 
 def test_arms_reach_far_targets_at_their_velocity_limits(solver):

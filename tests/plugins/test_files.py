@@ -34,6 +34,15 @@ def test_passes_every_waypoint_smoothly(files):
     assert np.abs(np.diff(twists, axis=0)).max() < 0.05
 
 
+@pytest.mark.parametrize("gain", [0.5, 2.0])
+def test_errors_decay_at_the_gain(files, gain):
+    generator = Waypoints(file=files["waypoints"], gain=gain)
+    ee, end = generator.goal_pose({}, IDENTITY[np.newaxis]), {"phase": np.ones(1)}
+    ee[:, 0] += 0.01
+    twist, _ = generator.twist(end, ee, IDENTITY[np.newaxis], np.array([DT]))
+    np.testing.assert_allclose(twist, [[-0.01 * gain, 0.0, 0.0, 0.0, 0.0, 0.0]], atol=1e-9)
+
+
 def test_meets_the_times_of_the_file_and_rests_at_repeated_waypoints(tmp_path):
     file = write_waypoints(tmp_path / "timed.csv", time=TIME)
     poses, _ = from_the_first(Waypoints(file=file, max_angular_velocity=10.0), 50.0)
