@@ -259,9 +259,8 @@ def _divided(ee: Array, step: float, base: Base) -> tuple[Array, float]:
     pieces = parts * np.ceil(np.where(speed > 1.0 + _ROUNDING, speed / _SLOWER, 1.0))
     if pieces.sum() * step / parts >= LONGEST:
         raise KinfeasError(f"'path': the EE motion takes longer than {LONGEST:g} s")
-    times = [k + np.arange(n) / n for k, n in enumerate(pieces.tolist())]
-    samples = np.arange(float(len(ee)))
-    times = np.append(np.concatenate(times), samples[-1])
+    index, samples = np.append(0.0, np.cumsum(pieces)), np.arange(float(len(ee)))
+    times = np.interp(np.arange(index[-1] + 1.0), index, samples)
     return interpolated(times, samples, ee), step / parts
 
 

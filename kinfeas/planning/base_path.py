@@ -42,6 +42,12 @@ class BasePath:
     time_scale: Array  # fraction of its speed at which the EE moves until each of these times, (m,)
 
     @property
+    def motion_time(self) -> Array:
+        """Motion times of the EE poses, shape (k,), seconds."""
+        time: Array = self.begin + self.step * np.arange(float(len(self.ee)))
+        return time
+
+    @property
     def complete(self) -> bool:
         """Whether the path has a robot at the end of the EE path."""
         return round((self.seconds[-1] - self.begin) / self.step) == len(self.ee) - 1
@@ -203,10 +209,17 @@ def _near(solids: Solids, ee: Array, reach: float) -> Solids | None:
     return solids.only(np.flatnonzero(near)) if near.any() else None
 
 
+def path_length(ee: Array) -> Array:
+    """Return the length of an EE path until each pose, shape (k,), in distances of its beams."""
+    metres, radians = distance(ee[:-1], ee[1:])
+    parts = np.maximum(metres / SETTINGS.metres, radians / SETTINGS.radians)
+    length: Array = np.append(0.0, np.cumsum(parts))
+    return length
+
+
 def _nodes(ee: Array) -> NDArray[np.intp]:
     """Return the numbers of poses at about even distances, the first and the last among them."""
-    metres, radians = distance(ee[:-1], ee[1:])
-    length = np.cumsum(np.maximum(metres / SETTINGS.metres, radians / SETTINGS.radians))
+    length = path_length(ee)[1:]
     even = np.linspace(0.0, length[-1], max(math.ceil(length[-1]), 1) + 1)[1:-1]
     return np.unique([0, *np.searchsorted(length, even) + 1, len(ee) - 1])
 

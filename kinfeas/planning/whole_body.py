@@ -10,7 +10,7 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, interpolated, planar_pose, relative
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides
-from kinfeas.planning.base_path import BasePath, BasePathPlanner
+from kinfeas.planning.base_path import BasePath, BasePathPlanner, path_length
 from kinfeas.planning.reach import BasePlacer
 from kinfeas.robots.robot import joint_displacement
 
@@ -88,14 +88,13 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
     None if one of them has no arm near those of the path, which has arms at some EE poses only, or
     base or arm touches a solid.
     """
-    motion_time = path.begin + path.step * np.arange(len(path.ee))
-    moments = _moments(solver, path, motion_time)
+    moments = _moments(solver, path, path.motion_time)
     if moments is None:
         return None
     pieces = np.ceil(np.diff(moments.time) / _SETTINGS.apart - 0.5).clip(1.0)
     if (pieces > 1.0).any():
         index = np.append(0.0, np.cumsum(pieces))
-        motion_time = np.interp(np.arange(index[-1] + 1.0), index, motion_time)
+        motion_time = np.interp(np.arange(index[-1] + 1.0), index, path.motion_time)
         moments = _moments(solver, path, motion_time)
     if moments is not None and solids is not None:
         base, around = moments.base_pose, solids.repeated(len(moments.time)).at(moments.time)
@@ -106,8 +105,11 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
 
 def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | None:
     """Return base and arm at some motion times, slower where they need time, or None."""
-    robot, rows = solver.robot, path.robots_at(motion_time)
-    ee = interpolated(motion_time, path.begin + path.step * np.arange(len(path.ee)), path.ee)
+    robot, every, length = solver.robot, path.motion_time, path_length(path.ee)
+    ee = interpolated(motion_time, every, path.ee)
+    # From one to the next, robots of the path move as the EE does, which may rest.
+    along, nodes = (np.interp(times, every, length) for times in (motion_time, path.seconds))
+    rows = path.robots_at(np.interp(along, nodes, path.seconds))
     options = replace(solver.options, restarts=0, library=1)
     arm = IkSolver(robot, options).solve(relative(ee, planar_pose(*rows[:, :3].T)), rows[:, 3:])
     joints = arm.joint_positions
