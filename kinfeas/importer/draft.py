@@ -1,7 +1,7 @@
 """Drafts of a robot's YAML and URDF from a vendor's URDF, xacro or MJCF."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -104,14 +104,23 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     found_drive, why = find_drive(urdf, arm, urdf_of(description))
     given = stated(name, urdf, arm, fingers, drive or found_drive)
     bare = build_robot(given, urdf, path, path)
-    contacts = _contacts(bare, boxed.originals)
-    limited = _limited(bare, contacts)
-    robot, home = limited.robot, reach.comfortable(limited.robot)
+    touching = reach.touching(bare)
+    ignored = reach.built_to_touch(bare, touching)
+    checked = {pair: fraction for pair, fraction in touching.items() if pair not in ignored}
+    ignored |= reach.only_fitted(bare, boxed.originals, checked)
+    robot = replace(
+        bare, pose_tolerance=pose_tolerance(bare),
+        ignored_collisions=frozenset(map(frozenset, ignored)),
+    )  # fmt: skip
+    overloads = reach.overload_fractions(robot)
+    if overloads:
+        robot = reach.limited(robot)
+    home = reach.comfortable(robot)
     report(_TOUCHING)
     heights = reach.useful_heights(robot, lambda fraction: report(_REACHING * fraction))
     spec = replace(
         given, home={"home": tuple(home.tolist())}, reach=reach_of(heights, source),
-        pose_tolerance=robot.pose_tolerance, ignored_collisions=tuple(contacts.ignored),
+        pose_tolerance=robot.pose_tolerance, ignored_collisions=tuple(ignored),
         max_gravity_load=robot.max_gravity_load,
     )  # fmt: skip
     names = [joint.name for joint in arm.joints]
@@ -121,9 +130,9 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         speeds=tuple(name for name in moved if _guessed_velocity(urdf.joints[name])),
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
         stuck=tuple(joint.name for joint in arm.stuck),
-        touching=contacts.ignored,
-        contacts=contacts.checked,
-        overloads=limited.overloads,
+        touching=ignored,
+        contacts={pair: share for pair, share in checked.items() if pair not in ignored},
+        overloads=overloads,
         overloaded_at_home=reach.overloads_at(robot, home),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
         drive="" if drive else why,
@@ -163,39 +172,6 @@ def _boxed(
     arm = find_arm(_parsed(whole, source), hand, source)
     text, lifted = on_the_floor(whole, arm, source)
     return _Boxed(text, _parsed(text, source), arm, lifted, originals)
-
-
-class _Contacts(NamedTuple):
-    """Pairs of links that touch, and the fraction of configurations in which they do."""
-
-    ignored: dict[tuple[str, str], float]  # by design, or only by their primitives
-    checked: dict[tuple[str, str], float]  # others
-
-
-def _contacts(robot: Robot, originals: Mapping[str, Sequence[Part]]) -> _Contacts:
-    fractions = reach.touching(robot)
-    designed = reach.built_to_touch(robot, fractions)
-    others = {pair: fraction for pair, fraction in fractions.items() if pair not in designed}
-    fitted = reach.only_fitted(robot, originals, others)
-    checked = {pair: fraction for pair, fraction in others.items() if pair not in fitted}
-    return _Contacts(designed | fitted, checked)
-
-
-class _Limited(NamedTuple):
-    """A robot with its pose tolerance, ignored contacts and `max_gravity_load`, if it needs them.
-
-    `overloads` are as of `overload_fractions`, without a `max_gravity_load`.
-    """
-
-    robot: Robot
-    overloads: dict[str, float]
-
-
-def _limited(bare: Robot, contacts: _Contacts) -> _Limited:
-    robot = reach.with_pairs(bare, contacts.ignored)
-    robot = replace(robot, pose_tolerance=pose_tolerance(bare))
-    overloads = reach.overload_fractions(robot)
-    return _Limited(reach.limited(robot) if overloads else robot, overloads)
 
 
 def _parsed(text: str, source: str) -> Urdf:

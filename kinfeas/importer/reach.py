@@ -198,12 +198,6 @@ def _solid(part: Part) -> tuple[Any, Array]:
     return fcl.CollisionObject(mesh), IDENTITY
 
 
-def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
-    """Return the robot with more pairs of links that may touch."""
-    more = frozenset(map(frozenset, pairs))
-    return replace(robot, ignored_collisions=robot.ignored_collisions | more)
-
-
 def free_fraction(robot: Robot) -> float:
     """Return the fraction of configurations without self-collision, 0-1."""
     return float(1.0 - self_collides(build_collision_model(robot), sampled(robot)).mean())
