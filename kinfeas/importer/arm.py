@@ -62,7 +62,12 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     branches last, into fingers, or the link with a fixed jaw on which a single finger closes.
     """
     if hand is None:
-        hand = _find_hand(urdf, source)
+        hand, *others = dict.fromkeys(_hands(urdf, source).values())
+        if others:
+            raise KinfeasError(
+                f"{source}: there are several arms: choose the link that IK places, such as "
+                f"--ee {' or '.join([hand, *others])}"
+            )
     if hand not in urdf.links:
         raise KinfeasError(f"{source}: there is no link {hand!r}{no_such(hand, urdf.links)}")
     own = [joint for joint in urdf.path_to(hand) if joint.moves and joint.mimic is None]
@@ -94,16 +99,6 @@ def ends_of_arms(urdf: Urdf, source: str) -> frozenset[str]:
     return frozenset[str]().union(
         *(urdf.below(last.name) | urdf.rigid[last.parent] for last in lasts)
     )
-
-
-def _find_hand(urdf: Urdf, source: str) -> str:
-    hands = list(dict.fromkeys(_hands(urdf, source).values()))
-    if len(hands) > 1:
-        raise KinfeasError(
-            f"{source}: there are several arms: choose the link that IK places, such as "
-            f"--ee {' or '.join(hands)}"
-        )
-    return hands[0]
 
 
 def _hands(urdf: Urdf, source: str) -> dict[str, str]:

@@ -72,7 +72,10 @@ def boxed_urdf(
     robot = read_robot_xml(path) if robot is None else robot
     urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
-    kept = carried(urdf, _first_body(urdf, links) if base is None else base, str(path))
+    root = _first_body(urdf, links) if base is None else base
+    if root not in urdf.links:
+        raise KinfeasError(f"{path}: there is no link {root!r}{no_such(root, urdf.links)}")
+    kept = {root}.union(*(urdf.below(joint.name) for joint in urdf.on[root]))
     colliding = {name for name, link in links.items() if link.child("collision")}
     out = ElementTree.Element("robot", name=urdf.name)
     for name in filter(kept.__contains__, links):
@@ -121,13 +124,6 @@ def _is_planar(urdf: Urdf, joint: Joint) -> bool:
     """Return whether a joint slides along the floor or turns about the vertical."""
     upright = abs(float(rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)[2]))
     return upright < _SLANT if joint.kind == "prismatic" else upright > 1.0 - _SLANT
-
-
-def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
-    """Return a link and all links that it carries."""
-    if link not in urdf.links:
-        raise KinfeasError(f"{source}: there is no link {link!r}{no_such(link, urdf.links)}")
-    return frozenset({link}).union(*(urdf.below(joint.name) for joint in urdf.on[link]))
 
 
 def _parts(link: Element, tag: str, folder: Path) -> Iterable[tuple[Part, list[Shape]]]:

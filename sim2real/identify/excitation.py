@@ -66,9 +66,8 @@ def base_pattern(robot: Robot, dt: float) -> Array:
                 pieces.append(piece)
         first[axis] *= -1.0
         pieces.append(np.zeros((round(_PAUSE / dt), 3)))
-    pattern = np.concatenate(pieces)[: round(SECONDS / dt)] * scale
-    rest = np.zeros((max(0, round(SECONDS / dt) - len(pattern)), 3))
-    pattern = np.concatenate([pattern, rest])
+    steps = round(SECONDS / dt)
+    pattern = np.concatenate([*pieces, np.zeros((steps, 3))])[:steps] * scale
     return pattern if size == 3 else pattern[:, [0, 2]]
 
 

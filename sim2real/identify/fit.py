@@ -25,7 +25,7 @@ from kinfeas.sim2real.identify.base import (
 )
 from kinfeas.sim2real.identify.chain import arm_delay
 from kinfeas.sim2real.identify.log import Log
-from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
+from kinfeas.sim2real.identify.model import Delays, Track
 from kinfeas.sim2real.identify.noise import Walk, base_noise, sensor_ages
 from kinfeas.sim2real.identify.statistics import (
     DRIVE,
@@ -111,7 +111,15 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
         missing.append(f"the arm is never at rest: joint noise unknown; {DRIVE}")
     estimates |= base_noise(tracks, velocities, walk, missing)
     estimates |= sensor_ages(logs, missing)
-    return _result(tracks, model, estimates, missing, delays.mean(dt))
+    seconds = [track.seconds[:, np.newaxis] for track in tracks]
+    return Fit(
+        estimates, _response(estimates, delays.mean(dt)), tuple(missing),
+        tuple(track.times for track in tracks),
+        tuple(track.moved / s for track, s in zip(tracks, seconds, strict=True)),
+        tuple(
+            track.predicted(v) / s for track, v, s in zip(tracks, velocities, seconds, strict=True)
+        ),
+    )  # fmt: skip
 
 
 def _delays(
@@ -164,10 +172,7 @@ def _fastest(velocities: Sequence[Array], dt: float) -> Array:
     return np.array([rates[:, :2].max(), rates[:, 2].max()])
 
 
-def _result(
-    tracks: Sequence[Track], model: BaseModel, estimates: dict[str, Estimate],
-    missing: Sequence[str], latency: float,
-) -> Fit:  # fmt: skip
+def _response(estimates: Mapping[str, Estimate], latency: float) -> ResponseModel:
     names = {
         "base_lag": "actuator_lag.base", "arm_lag": "actuator_lag.arm",
         "acceleration": "acceleration_limit.linear", "jerk": "acceleration_limit.linear_jerk",
@@ -178,13 +183,7 @@ def _result(
     if "sensor_latency.seconds" in estimates:
         jitter = estimates["sensor_latency.jitter"].value
         values["sensor_latency"] = estimates["sensor_latency.seconds"].value + jitter / 2.0
-    response = ResponseModel(command_latency=max(0.0, latency), **values)
-    predicted = [track.predicted(model.velocities(track.log, BASE_DRAWS)) for track in tracks]
-    return Fit(
-        estimates, response, tuple(missing), tuple(track.times for track in tracks),
-        tuple(track.moved / track.seconds[:, np.newaxis] for track in tracks),
-        tuple(p / t.seconds[:, np.newaxis] for p, t in zip(predicted, tracks, strict=True)),
-    )  # fmt: skip
+    return ResponseModel(command_latency=max(0.0, latency), **values)
 
 
 def adapter_list(estimates: Mapping[str, Estimate]) -> tuple[PluginSpec, ...]:
