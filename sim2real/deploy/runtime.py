@@ -274,12 +274,10 @@ class _Run:
                 end = reason if raised is None else f"{type(raised).__name__}: {raised}"
                 self.record(end + TASK_DONE[done] + self.doubt())
                 self.write()
-        scale, timing = self.scales / max(self.steps, 1), self.rate.timing()
-        reason, unstopped = " ".join(reason.split()) + TASK_DONE[done], self.guarded.unstopped
-        seconds = self.seconds()
         return Outcome(
-            code, reason, unstopped, seconds, self.failures, timing, scale, "", done,
-            self.lateness(),
+            code, " ".join(reason.split()) + TASK_DONE[done], self.guarded.unstopped,
+            self.seconds(), self.failures, self.rate.timing(), self.scales / max(self.steps, 1),
+            task_done=done, lateness_s=self.lateness(),
         )  # fmt: skip
 
     def lateness(self) -> float | None:

@@ -73,6 +73,7 @@ class ArmProblem:
             return overlap(at, lag) if interpolated else np.full(len(at) - lag, float(lag == 0))
 
         lags = range(_LAGS + 1)
+        # Of positions, and of pairs of them 1, 2, ... apart.
         self._variances = [[variance * correlation(at, lag) for lag in lags] for at in self._at]
         self._spread = 0.0  # s, of the delays
         self._blocks = time_blocks([log.joint_times for log in logs])
@@ -139,11 +140,17 @@ class ArmProblem:
 
     def _time_errors(self, delays: Delays) -> list[TimeErrors]:
         """Return the time errors of each log."""
-        positions = self._positions(delays, self.lag)
-        return [
-            _time_errors(each, variances)
-            for each, variances in zip(positions, self._variances, strict=True)
-        ]
+        positions, errors = self._positions(delays, self.lag), []
+        for (predicted, measured, speed), variances in zip(positions, self._variances, strict=True):
+            squared = _moving_square(speed)
+            late = np.sum((predicted - measured) * speed, axis=1) / squared
+            shared = [
+                variances[lag] * np.sum(speed[lag:] * speed[:-lag], axis=1)
+                / (squared[lag:] * squared[:-lag])
+                for lag in range(1, len(variances))
+            ]  # fmt: skip
+            errors.append(TimeErrors(late, variances[0] / squared, shared))
+        return errors
 
     def spread(self, delays: Delays) -> tuple[Estimate, Estimate, float]:
         """Return the jitter, the probability of a loss, and an error of the latency from both.
@@ -182,19 +189,6 @@ class ArmProblem:
                 late.append(-np.sum(positions * speed, axis=1) / squared)
             errors.append(np.array(late))
         return errors
-
-
-def _time_errors(positions: Positions, variances: Sequence[Array]) -> TimeErrors:
-    """Return the time errors of a log; variances of positions are of pairs 0, 1, ... apart."""
-    predicted, measured, speed = positions
-    squared = _moving_square(speed)
-    shared = [
-        variances[lag] * np.sum(speed[lag:] * speed[:-lag], axis=1)
-        / (squared[lag:] * squared[:-lag])
-        for lag in range(1, len(variances))
-    ]  # fmt: skip
-    late = np.sum((predicted - measured) * speed, axis=1) / squared
-    return TimeErrors(late, variances[0] / squared, shared)
 
 
 def _moving_square(speed: Array) -> Array:

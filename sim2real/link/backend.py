@@ -29,8 +29,6 @@ class LinkBackend(RealTimeBackend):
     age.
 
     Attributes:
-        robot: Robot model.
-        link: Transport.
         rate: Ends the control periods; None before the first step.
     """
 

@@ -29,12 +29,7 @@ FramePose = Callable[[str], Array | None]
 
 
 class RosBackend(LinkBackend):
-    """A robot behind the topics of ROS.
-
-    Attributes:
-        version: Version of ROS.
-        topics: Names of the robot.
-    """
+    """A robot behind the topics of ROS."""
 
     version: ClassVar[Version]
 
@@ -87,13 +82,7 @@ class Ros2Backend(RosBackend):
 
 
 class RosLink:
-    """The deployment's end: commands base, arm and gripper, reads joint states and odometry or TF.
-
-    Attributes:
-        base_source: Topic or transform of the base pose.
-        joint_source: Topic of the joint positions.
-        scan_sources: Topics of laser and costmap, where the file names them.
-    """
+    """The deployment's end: commands base, arm and gripper, reads joints and odometry or TF."""
 
     def __init__(self, topics: Topics, bus: RosBus, drift: float = DRIFT) -> None:
         base = topics.base

@@ -36,15 +36,10 @@ _lock = threading.Lock()
 
 
 class Ros1Bus:
-    """Topics of ROS 1.
-
-    Attributes:
-        messages: Message classes, after `open`.
-    """
-
-    messages: Any
+    """Topics of ROS 1."""
 
     def __init__(self) -> None:
+        self.messages: Any = None
         self._master: MasterWatch | None = None
         self._topics: list[Any] = []
 

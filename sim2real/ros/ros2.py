@@ -78,15 +78,10 @@ class Ros2Bus:
 
     `ROS_DOMAIN_ID` and `CYCLONEDDS_URI` apply as to any node. `ROS_LOCALHOST_ONLY=1` or
     `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` keeps messages on this machine.
-
-    Attributes:
-        messages: Message classes.
     """
 
-    messages: Any
-
     def __init__(self) -> None:
-        self.messages = MESSAGES
+        self.messages: Any = MESSAGES
         self._participant: Any = None
         self._publishers: list[_Ros2Publisher] = []
         self._readers: list[tuple[Any, Any, Callable[[Any], None]]] = []

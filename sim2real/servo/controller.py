@@ -131,7 +131,7 @@ class TargetController:
         with self._lock:
             self._queue.clear()
         self._kept.clear()
-        self._frames.clear()
+        self._frames = Frames(self.robot)
         self._inbox.start(desired)
 
     def targets(self, progress: Progress) -> Array:

@@ -50,10 +50,6 @@ class Frames:
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and name.lstrip("/") in (*WORLD, *self._names)
 
-    def clear(self) -> None:
-        """Forget all poses."""
-        self._history.clear()
-
     def append(self, time: float, base_pose: Array, ee_pose: Array) -> None:
         """Take the poses (7,) at a time in seconds."""
         self._history.append((time, base_pose, ee_pose))

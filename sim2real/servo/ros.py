@@ -17,9 +17,6 @@ class RosSource:
     the policy's observation in its header, and the times of its poses in theirs, by a clock that
     agrees with that of this computer. In the EE frame, it is relative to the pose that was desired
     at the observation.
-
-    Attributes:
-        version: Version of ROS.
     """
 
     version: ClassVar[Version]
