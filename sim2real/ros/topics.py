@@ -18,74 +18,47 @@ from kinfeas.sim2real.ros.bus import Version
 
 @dataclass(frozen=True)
 class BaseTopics:
-    """Topics and frames of the base.
+    """Topics and frames of the base."""
 
-    Attributes:
-        command: Topic of geometry_msgs/Twist in the base frame.
-        stamped: Whether it is of TwistStamped, as for controllers of newer ROS 2.
-        measured_by: Source of the base pose.
-        odometry: Topic of nav_msgs/Odometry.
-        world_frame: World frame for `tf`.
-        frame: Base frame: the root of the URDF.
-    """
-
-    command: str
-    stamped: bool = False
-    measured_by: Literal["odometry", "tf"] = "odometry"
-    odometry: str = "/odom"
-    world_frame: str = "map"
-    frame: str = "base_footprint"
+    command: str  # topic of geometry_msgs/Twist in the base frame
+    stamped: bool = False  # whether it is of TwistStamped, as for controllers of newer ROS 2
+    measured_by: Literal["odometry", "tf"] = "odometry"  # source of the base pose
+    odometry: str = "/odom"  # topic of nav_msgs/Odometry
+    world_frame: str = "map"  # world frame for `tf`
+    frame: str = "base_footprint"  # base frame: the root of the URDF
 
 
 @dataclass(frozen=True)
 class Controller:
-    """A trajectory controller.
+    """A trajectory controller."""
 
-    Attributes:
-        command: Topic of trajectory_msgs/JointTrajectory.
-        joints: Its joints by the robot's names; each message has all of them.
-    """
-
-    command: str
-    joints: tuple[str, ...]
+    command: str  # topic of trajectory_msgs/JointTrajectory
+    joints: tuple[str, ...]  # its joints by the robot's names; each message has all of them
 
 
 @dataclass(frozen=True)
 class JointTopics:
-    """Topics of the arm.
+    """Topics of the arm."""
 
-    Attributes:
-        measured: Topic of sensor_msgs/JointState.
-        controllers: Controllers that have each joint of the arm once.
-        names: The robot's names of joints, where the URDF has others.
-    """
-
-    measured: str
-    controllers: tuple[Controller, ...]
+    measured: str  # topic of sensor_msgs/JointState
+    controllers: tuple[Controller, ...]  # controllers that have each joint of the arm once
+    # the robot's names of joints, where the URDF has others
     names: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class GripperTopics:
-    """Topic of the gripper.
+    """Topic of the gripper."""
 
-    Attributes:
-        command: Topic.
-        kind: Message: trajectory_msgs/JointTrajectory or, in ROS 1, PR2's Pr2GripperCommand.
-        open: Open position, radians or metres; one number, or one for each joint.
-        closed: Closed position, likewise.
-        joints: Joints of the trajectory.
-        seconds: Duration of a trajectory.
-        max_effort: Force of PR2's command, N; below 0 for no limit.
-    """
-
-    command: str
+    command: str  # topic
+    # message: trajectory_msgs/JointTrajectory or, in ROS 1, PR2's Pr2GripperCommand
     kind: Literal["trajectory", "pr2"]
+    # open position, radians or metres; one number, or one for each joint
     open: float | tuple[float, ...]
-    closed: float | tuple[float, ...] = 0.0
-    joints: tuple[str, ...] = ()
-    seconds: Positive = 1.0
-    max_effort: float = -1.0
+    closed: float | tuple[float, ...] = 0.0  # closed position, likewise
+    joints: tuple[str, ...] = ()  # joints of the trajectory
+    seconds: Positive = 1.0  # duration of a trajectory
+    max_effort: float = -1.0  # force of PR2's command, N; below 0 for no limit
 
     def __post_init__(self) -> None:
         """Check that a trajectory has joints, and each joint a position."""
@@ -105,53 +78,33 @@ class GripperTopics:
 
 @dataclass(frozen=True)
 class ScanTopic:
-    """Topic of a laser.
+    """Topic of a laser."""
 
-    Attributes:
-        topic: Topic of sensor_msgs/LaserScan.
-        x: x of the laser in the base frame, metres; 0 for messages in the base frame.
-        y: The same of y.
-        yaw: Its heading, radians.
-        upside_down: Whether it hangs, so that its angles count clockwise.
-    """
-
-    topic: str
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
-    upside_down: bool = False
+    topic: str  # topic of sensor_msgs/LaserScan
+    x: float = 0.0  # its x in the base frame, metres; 0 for messages in the base frame
+    y: float = 0.0  # the same of y
+    yaw: float = 0.0  # its heading, radians
+    upside_down: bool = False  # whether it hangs, so that its angles count clockwise
 
 
 @dataclass(frozen=True)
 class CostmapTopic:
-    """Topic of a costmap.
+    """Topic of a costmap."""
 
-    Attributes:
-        topic: Topic of nav_msgs/OccupancyGrid.
-        occupied: Lowest value of an obstacle. Costmaps with an inflation layer need 100.
-    """
-
-    topic: str
+    topic: str  # topic of nav_msgs/OccupancyGrid
+    # lowest value of an obstacle; costmaps with an inflation layer need 100
     occupied: Annotated[int, Interval(ge=1, le=100)] = OCCUPIED
 
 
 @dataclass(frozen=True)
 class Topics:
-    """All names of a robot.
+    """All names of a robot."""
 
-    Attributes:
-        base: Command and pose of the base.
-        joints: Commands and positions of the arm.
-        gripper: Command of the gripper, if it has one.
-        scan: Laser scanner, if it has one.
-        costmap: Costmap, if it has one.
-    """
-
-    base: BaseTopics
-    joints: JointTopics
-    gripper: GripperTopics | None = None
-    scan: ScanTopic | None = None
-    costmap: CostmapTopic | None = None
+    base: BaseTopics  # command and pose of the base
+    joints: JointTopics  # commands and positions of the arm
+    gripper: GripperTopics | None = None  # command of the gripper, if it has one
+    scan: ScanTopic | None = None  # laser scanner, if it has one
+    costmap: CostmapTopic | None = None  # costmap, if it has one
 
 
 def read_topics(robot: Robot, version: Version, file: str | None = None) -> Topics:
