@@ -134,12 +134,8 @@ def only_fitted(
 ) -> dict[tuple[str, str], float]:
     """Return the pairs of links that touch in relevant fractions only by their primitives.
 
-    Their original parts touch in none of the configurations compared.
-
-    Args:
-        robot: Robot of primitives.
-        originals: Parts that primitives replace, by link, as of `boxed_urdf`.
-        touching: Checked pairs of links, and the fraction of configurations in which they touch.
+    Their `originals`, as of `boxed_urdf`, touch in none of the configurations compared. `touching`
+    has all checked pairs, and the fraction of configurations in which they touch.
     """
     suspected = {
         pair: fraction

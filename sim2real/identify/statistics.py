@@ -74,10 +74,7 @@ def time_blocks(times: Sequence[Array]) -> NDArray[np.intp]:
 def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.intp]) -> Array:
     """Return standard errors of parameters, shape (p,), for residuals that depend within blocks.
 
-    Args:
-        residuals: Normalised residuals, shape (r,).
-        derivatives: Their derivatives, shape (r, p).
-        blocks: Number of the block of each residual, shape (r,).
+    These are normalised residuals, their derivatives, (r, p), and the block of each, (r,).
     """
     inverse = np.linalg.pinv(derivatives.T @ derivatives)
     scores = np.zeros((int(blocks.max()) + 1, derivatives.shape[1]))

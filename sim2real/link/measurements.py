@@ -54,9 +54,7 @@ class TransportDelay:
     def sent(self, stamp: float, arrival: float) -> float:
         """Return when a measurement was sent, seconds of our clock and at most `arrival`.
 
-        Args:
-            stamp: By the robot's clock, seconds.
-            arrival: By our clock, seconds.
+        Its `stamp` is of the robot's clock.
         """
         slower = self._lag * (stamp - self.last)
         self.last, self._offset = stamp, min(arrival - stamp, self._offset + slower)

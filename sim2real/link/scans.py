@@ -137,13 +137,9 @@ def costmap_of(
 ) -> CostmapReading:
     """Return a square costmap around a base with the first obstacle of each beam.
 
-    Obstacles are two cells deep, and cells behind them unknown.
-
-    Args:
-        ranges: Ranges of the beams, shape (b,), metres.
-        base: x, y and yaw of the base in the world, metres and radians.
-        edge: Edge of the map, metres, along the axes of the world.
-        resolution: Edge of a cell, metres.
+    Obstacles are two cells deep, and cells behind them unknown. `base` is x, y and yaw in the
+    world, `edge` that of the map along the axes of the world, `resolution` that of a cell; metres
+    and radians.
     """
     x, y, yaw = base
     count = round(edge / resolution)

@@ -72,13 +72,9 @@ def stop_base(
 ) -> Callable[[], None]:
     """Return a function that commands zero velocity, or raises Fault, over its own connection.
 
-    The connection is from process to process and does not need the master of ROS 1.
-
-    Args:
-        version: Version of ROS.
-        topic: Topic of geometry_msgs/Twist, or TwistStamped if `stamped`.
-        stamped: Whether commands have a stamp.
-        timeout: Seconds to wait for a subscriber, before a KinfeasError.
+    The connection is from process to process and does not need the master of ROS 1. The topic is of
+    geometry_msgs/Twist, or TwistStamped if `stamped`. Raises KinfeasError if it has no subscriber
+    within `timeout` seconds.
     """
     bus = make_bus(version)
     bus.open("kinfeas_watchdog")

@@ -130,10 +130,7 @@ class Ros2Bus:
     def serve(self, service: str, kinds: tuple[Any, Any], answer: Callable[[Any], Any]) -> None:
         """Answer requests of nodes with `rmw_cyclonedds_cpp`, one at a time, from a thread.
 
-        Args:
-            service: Name.
-            kinds: Classes of request and reply.
-            answer: Returns the reply to a request.
+        `kinds` are the classes of request and reply.
         """
         name, reliable = service.lstrip("/"), Policy.Reliability.Reliable(duration(seconds=1))
         qos = _qos(service, reliable, Policy.History.KeepLast(_QUEUE))

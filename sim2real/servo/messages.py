@@ -107,11 +107,8 @@ class SenderClock:
     def sent(self, stamp: float, arrival: float) -> float | None:
         """Return when a message was sent, seconds of our clock and at most `arrival`.
 
-        None if that is later than `arrival` by more than half of the tolerance.
-
-        Args:
-            stamp: By the sender's clock, seconds.
-            arrival: By our clock, seconds.
+        Its `stamp` is of the sender's clock. Returns None if the message is later than `arrival`
+        by more than half of the tolerance.
         """
         delay = arrival - stamp
         if self._newest == -math.inf:
