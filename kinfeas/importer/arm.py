@@ -39,19 +39,12 @@ def place(urdf: Urdf, links: Iterable[str], frame: str, poses: Mapping[str, Arra
 
 @dataclass(frozen=True)
 class Arm:
-    """The arm of a robot.
+    """The arm of a robot."""
 
-    Attributes:
-        hand: Link that carries the fingers; without fingers the last link.
-        joints: Joints from the root to the hand, without fixed and mimic joints.
-        stuck: Joints on the way whose limits leave no range of motion.
-        fingers: Joints on the hand whose links have collision shapes; if none have, those that
-            slide.
-    """
-
-    hand: str
-    joints: tuple[Joint, ...]
-    stuck: tuple[Joint, ...]
+    hand: str  # link that carries the fingers; without fingers the last link
+    joints: tuple[Joint, ...]  # from the root to the hand, without fixed and mimic joints
+    stuck: tuple[Joint, ...]  # joints on the way whose limits leave no range of motion
+    # joints on the hand whose links have collision shapes; if none have, those that slide
     fingers: tuple[Joint, ...]
 
 

@@ -30,35 +30,22 @@ _BASE_UNITS = {
 
 @dataclass(frozen=True)
 class Guesses:
-    """Values of a draft that are not in its URDF.
+    """Values of a draft that are not in its URDF."""
 
-    Attributes:
-        lifted: Height of the URDF's root above the floor, metres.
-        speeds: Joints of arm and fingers without a velocity limit.
-        limits: Arm joints of more than two turns that are not continuous.
-        stuck: Joints on the way to the hand whose limits leave no range of motion.
-        touching: Fraction of configurations in which the ignored pairs of links touch, 0-1.
-        contacts: The same of the pairs that are checked.
-        overloads: Fraction of configurations in which gravity exceeds a joint's effort limit, 0-1.
-        overloaded_at_home: Joints whose effort limit gravity exceeds at home.
-        slides: Prismatic joints; their positions are metres.
-        drive: What the drive of the base was read from.
-        no_gripper: Why there is no gripper.
-        doubts: Warnings about the URDF.
-    """
-
-    lifted: float = 0.0
-    speeds: tuple[str, ...] = ()
-    limits: tuple[str, ...] = ()
-    stuck: tuple[str, ...] = ()
+    lifted: float = 0.0  # height of the URDF's root above the floor, metres
+    speeds: tuple[str, ...] = ()  # joints of arm and fingers without a velocity limit
+    limits: tuple[str, ...] = ()  # arm joints of more than two turns that are not continuous
+    stuck: tuple[str, ...] = ()  # joints on the way to the hand without a range of motion
+    # fraction of configurations in which ignored, and in which checked pairs of links touch, 0-1
     touching: Mapping[tuple[str, str], float] = field(default_factory=dict)
     contacts: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    # fraction of configurations in which gravity exceeds a joint's effort limit, 0-1
     overloads: Mapping[str, float] = field(default_factory=dict)
-    overloaded_at_home: tuple[str, ...] = ()
-    slides: frozenset[str] = frozenset()
-    drive: str = ""
-    no_gripper: str = ""
-    doubts: tuple[str, ...] = ()
+    overloaded_at_home: tuple[str, ...] = ()  # joints whose effort limit gravity exceeds at home
+    slides: frozenset[str] = frozenset()  # prismatic joints; their positions are metres
+    drive: str = ""  # what the drive of the base was read from
+    no_gripper: str = ""  # why there is no gripper
+    doubts: tuple[str, ...] = ()  # warnings about the URDF
 
     def unit(self, joint: str) -> str:
         """Return the unit of a joint's position."""

@@ -67,17 +67,12 @@ LATENCY, LAG = Parameter("latency"), Parameter("lag")
 
 @dataclass(frozen=True)
 class BaseFit:
-    """A fitted base.
-
-    Attributes:
-        model: Its response.
-        errors: Standard errors of the parameters that the logs show, relative but for times.
-        agrees: Whether base and arm show the same latency.
-    """
+    """A fitted base."""
 
     model: BaseModel
+    # standard errors of the parameters that the logs show, relative but for times
     errors: dict[Parameter, float] = field(default_factory=dict)
-    agrees: bool = False
+    agrees: bool = False  # whether base and arm show the same latency
 
 
 @dataclass(frozen=True)
@@ -90,17 +85,11 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """How models are compared with measured tracks.
+    """How models are compared with measured tracks."""
 
-    Attributes:
-        draws: Of delays; 0 for the mean active commands.
-        deviation: Noise of each axis, shape (3,), m/s and rad/s.
-        kept: Displacements of each track without jumps, shape (k,).
-    """
-
-    draws: int
-    deviation: Array
-    kept: Sequence[NDArray[np.bool_]]
+    draws: int  # of delays; 0 for the mean active commands
+    deviation: Array  # noise of each axis, shape (3,), m/s and rad/s
+    kept: Sequence[NDArray[np.bool_]]  # displacements of each track without jumps, shape (k,)
 
 
 class BaseProblem:
@@ -115,12 +104,7 @@ class BaseProblem:
         self._blocks = np.repeat(time_blocks([track.times for track in tracks]), 3)
 
     def fit(self, arm: Delays | None, error: float) -> BaseFit:
-        """Return the fitted base.
-
-        Args:
-            arm: Delays that the arm shows.
-            error: Standard error of their latency, seconds.
-        """
+        """Return the base for the delays that the arm shows; `error` is that of the latency, s."""
         none = np.full(2, np.inf)
         model = BaseModel(arm or Delays(0.0), 0.0, none, none)
         if not self.moves:

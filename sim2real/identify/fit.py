@@ -50,23 +50,14 @@ _OF_ROBOT = ("velocity_clamp", "joint_limit_clamp")
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted robot.
+    """A fitted robot."""
 
-    Attributes:
-        estimates: By adapter and parameter, such as `actuator_lag.base`; those that are known.
-        response: Response of the robot; without what the logs do not show.
-        missing: What they do not show, in sentences.
-        times: Times of measured velocities, seconds, shape (k,) for each log.
-        measured: Measured velocities of the base in world axes, shape (k, 3), m/s and rad/s.
-        predicted: Velocities that the fitted robot has.
-    """
-
-    estimates: dict[str, Estimate]
-    response: ResponseModel
-    missing: tuple[str, ...]
-    times: tuple[Array, ...]
-    measured: tuple[Array, ...]
-    predicted: tuple[Array, ...]
+    estimates: dict[str, Estimate]  # those that are known, by names as `actuator_lag.base`
+    response: ResponseModel  # without what the logs do not show
+    missing: tuple[str, ...]  # what they do not show, in sentences
+    times: tuple[Array, ...]  # of measured velocities, seconds, shape (k,) for each log
+    measured: tuple[Array, ...]  # velocities of the base in world axes, (k, 3), m/s and rad/s
+    predicted: tuple[Array, ...]  # velocities that the fitted robot has
 
 
 def fit(logs: Sequence[Log], walk: Walk) -> Fit:

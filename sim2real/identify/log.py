@@ -18,31 +18,18 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """Commands in equal control periods from time zero, and measurements with their times.
+    """Commands in equal control periods from time zero, and measurements with their times."""
 
-    Attributes:
-        source: File, for errors.
-        dt: Control period, seconds.
-        twists: Commanded planar velocity in world axes by period, shape (n, 3), m/s and rad/s.
-        targets: Commanded joint positions by period, shape (n, j), continuous joints unwrapped.
-        base_times: Times of the base poses, ascending, shape (b,), seconds.
-        base: Position and unwrapped heading, shape (b, 3), metres and radians.
-        joint_times: Times of the joint positions, ascending, shape (m,), seconds.
-        joints: Joint positions, shape (m, j), continuous joints unwrapped.
-        ages: Ages on arrival, shape (a,), seconds; empty if unknown.
-        arm_seconds: Duration of the cubic to each target, as in `kinfeas.core.backend.Backend`.
-    """
-
-    source: str
-    dt: float
-    twists: Array
-    targets: Array
-    base_times: Array
-    base: Array
-    joint_times: Array
-    joints: Array
-    ages: Array
-    arm_seconds: float
+    source: str  # file, for errors
+    dt: float  # control period, seconds
+    twists: Array  # commanded planar velocity in world axes by period, (n, 3), m/s and rad/s
+    targets: Array  # commanded joint positions by period, (n, j), continuous joints unwrapped
+    base_times: Array  # times of the base poses, ascending, shape (b,), seconds
+    base: Array  # position and unwrapped heading, shape (b, 3), metres and radians
+    joint_times: Array  # times of the joint positions, ascending, shape (m,), seconds
+    joints: Array  # joint positions, shape (m, j), continuous joints unwrapped
+    ages: Array  # ages on arrival, shape (a,), seconds; empty if unknown
+    arm_seconds: float  # duration of the cubic to each target, as of a `Backend`
 
     @property
     def seconds(self) -> float:
@@ -93,8 +80,7 @@ def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
 ) -> Log:  # fmt: skip
     """Return a log of commands, which hold from their times on until `end`, and measurements.
 
-    Raises:
-        KinfeasError: If it is shorter than a few seconds.
+    Raises KinfeasError if it is shorter than a few seconds.
     """
     begin = min(float(twists[0][0]), float(targets[0][0])) if len(twists[0]) else end
     count = int(np.floor((end - begin) / dt + 0.5))

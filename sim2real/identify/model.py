@@ -11,7 +11,6 @@ from kinfeas.sim2real.identify.statistics import interpolated
 
 _SHORTEST = 0.6  # periods between measured poses
 
-
 _OFFSETS = (np.arange(32) + 0.5) / 32.0
 """Fractions of a period at which the active command is looked up."""
 
@@ -21,17 +20,11 @@ _LOST = 16  # commands lost in a row that are counted
 
 @dataclass(frozen=True)
 class Delays:
-    """Delays of commands.
+    """Delays of commands."""
 
-    Attributes:
-        latency: Minimum delay, seconds.
-        jitter: Width of the uniform distribution of additional delays, seconds.
-        lost: Probability that a command is lost.
-    """
-
-    latency: float
-    jitter: float = 0.0
-    lost: float = 0.0
+    latency: float  # minimum delay, seconds
+    jitter: float = 0.0  # width of the uniform distribution of additional delays, seconds
+    lost: float = 0.0  # probability that a command is lost
 
     def weights(self, dt: float) -> Array:
         """Return the mean weight of each command in a period, shape (k,), the newest first."""

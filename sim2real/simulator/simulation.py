@@ -41,23 +41,14 @@ _LINGER = 2.0  # s that a robot continues without its bus
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """Statistics of a simulated robot.
+    """Statistics of a simulated robot."""
 
-    Attributes:
-        seconds: Duration.
-        base_commands: Number of commands to the base.
-        joint_commands: Number of trajectories for the arm.
-        timeouts: How often the base stopped for lack of commands.
-        period_p99: 99th percentile of the period of a simulation step, seconds.
-        longest: Longest period, seconds.
-    """
-
-    seconds: float
-    base_commands: int
-    joint_commands: int
-    timeouts: int
-    period_p99: float
-    longest: float
+    seconds: float  # duration
+    base_commands: int  # number of commands to the base
+    joint_commands: int  # number of trajectories for the arm
+    timeouts: int  # how often the base stopped for lack of commands
+    period_p99: float  # 99th percentile of the period of a simulation step, seconds
+    longest: float  # longest period, seconds
 
 
 class JointSetpoints:
