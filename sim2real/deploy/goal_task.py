@@ -21,21 +21,13 @@ from kinfeas.tasks.task import MotionSpec, Subgoal, Task, sample_start
 
 @dataclass(frozen=True, eq=False)
 class GoalTask:
-    """One motion of the EE to a given pose, by default from the origin with the arm at home.
+    """One motion of the EE to a given pose, by default from the origin with the arm at home."""
 
-    Attributes:
-        goal: World position, shape (3,), metres.
-        orientation: Unit quaternion xyzw, shape (4,); that of the start if None.
-        motion: Motion generator.
-        name: Task name.
-        origin: World pose of the base, shape (7,), and arm joints, shape (j,), of the start.
-    """
-
-    goal: Array
-    orientation: Array | None = None
+    goal: Array  # world position, shape (3,), metres
+    orientation: Array | None = None  # unit quaternion xyzw, shape (4,); that of the start if None
     motion: MotionSpec = field(default_factory=MotionSpec)
     name: str = "goal"
-    origin: tuple[Array, Array] | None = None
+    origin: tuple[Array, Array] | None = None  # base pose (7,) and arm joints (j,) of the start
 
     @property
     def subgoals(self) -> tuple[Subgoal, ...]:

@@ -51,22 +51,16 @@ class TimeErrors(NamedTuple):
 
 
 class ArmProblem:
-    """The fit of an arm's lag and delays to its positions.
-
-    Attributes:
-        moves: Whether it moves at all.
-        lag: Time constant, seconds.
-        error: Its standard error.
-        noise: Noise of its measured positions, if it is ever at rest.
-    """
+    """The fit of an arm's lag and delays to its positions."""
 
     def __init__(self, logs: Sequence[Log]) -> None:
         self._logs, self._dt = logs, logs[0].dt
         ranges = np.max([np.ptp(log.targets, axis=0) for log in logs], axis=0)
         self._joints = ranges > MOVES
         self.moves = bool(self._joints.any())
-        self.lag, self.error = 0.02, np.inf
+        self.lag, self.error = 0.02, np.inf  # time constant and its standard error, seconds
         self._at = [np.clip(log.joint_times / log.dt, 0, len(log.targets)) for log in logs]
+        # The noise of its measured positions is None if it is never at rest.
         self.noise, variance, interpolated = joint_noise(logs, self._at)
 
         def correlation(at: Array, lag: int) -> Array:

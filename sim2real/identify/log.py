@@ -50,9 +50,8 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
     commanded = np.concatenate([record.base_twist[kept], record.joint_targets[kept]], axis=1)
     if not np.isfinite(np.concatenate([poses, joints, commanded], axis=1)).all():
         raise KinfeasError(f"{source}: has numbers that are not finite")
-    age = np.where(np.isfinite(record.age[kept]), record.age[kept], 0.0)
-    measured_age = np.isfinite(record.age[kept]) & (np.arange(len(time)) > 0)
-    measured = time - age
+    ages, known = record.age[kept], np.isfinite(record.age[kept])
+    measured = time - np.where(known, ages, 0.0)
     done = (len(time) - 1) * record.about.dt / max(time[-1] - time[0], record.about.dt)
     if done < _ON_TIME:
         _log.warning(
@@ -65,7 +64,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
         source, robot, record.about.dt,
         (time[:-1], record.base_twist[kept][1:][:, [0, 1, 5]]),
         (time[:-1], record.joint_targets[kept][1:]),
-        (measured, base), (measured, joints), record.age[kept][measured_age], end=float(time[-1]),
+        (measured, base), (measured, joints), ages[1:][known[1:]], end=float(time[-1]),
         arm_seconds=record.about.arm_seconds,
     )  # fmt: skip
 

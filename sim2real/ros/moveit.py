@@ -165,8 +165,8 @@ class MoveItServices:
 
     def _ee(self, start: Sequence[float], joints: Sequence[float] | None) -> Array:
         arm = self._solver.robot.home["home"] if joints is None else np.array(joints)
-        x, y, yaw = (np.array([value]) for value in start)
-        return compose(planar_pose(x, y, yaw), forward(self._solver.chain, arm[np.newaxis]))
+        base = planar_pose(*np.array(start)[:, np.newaxis])
+        return compose(base, forward(self._solver.chain, arm[np.newaxis]))
 
     def _fill_state(self, state: Any, base: Array, joints: Array) -> None:
         state.joint_state.name, state.joint_state.position = self._joints, joints.tolist()
@@ -184,8 +184,7 @@ class MoveItServices:
         for seconds, pose, joints in moments:
             stamp = MOVEIT.Duration.from_sec(seconds)
             arm.points.append(MOVEIT.JointTrajectoryPoint(joints, time_from_start=stamp))
-            transforms = [_transform(pose)]
-            point = MOVEIT.MultiDOFJointTrajectoryPoint(transforms, time_from_start=stamp)
+            point = MOVEIT.MultiDOFJointTrajectoryPoint([_transform(pose)], time_from_start=stamp)
             base.points.append(point)
 
 
