@@ -13,55 +13,39 @@ from kinfeas.kinematics.ik import IkOptions
 
 @dataclass(frozen=True)
 class Guards:
-    """Limits of measurements and commands.
+    """Limits of measurements and commands."""
 
-    Attributes:
-        reach: Start only if a base pose is found from which the arm reaches the end of each
-            sub-goal.
-        max_age: Age of a measurement, and of the one behind a command, that stops the run, seconds.
-        max_scan_age: Age of a scan that stops the run of a policy that uses it, seconds.
-        max_period: Length of a control period that stops it, seconds.
-        max_clock_skew: Change of the system's clock, or stamp in the future, that stops it,
-            seconds.
-        max_distance: Distance of the base from its start that stops it, metres.
-        max_tilt: Tilt of the base that stops it, radians.
-        pose_jump: Change of the measured base position, beyond what it can have driven, that stops
-            it, metres.
-        heading_jump: The same of its heading, radians.
-        joint_tolerance: Excess of a measured joint beyond its limits that stops it, radians or
-            metres.
-        max_linear_velocity: Limit of the base command, m/s; the robot's own if null.
-        max_angular_velocity: The same, rad/s.
-        acceleration: Limit of its change, m/s^2; the robot's own if null.
-        rotation_acceleration: The same, rad/s^2.
-        joint_speed: Fraction of their velocity limits that arm joints may use.
-        joint_jump: Distance of a joint target beyond which the arm holds, radians or metres.
-        max_tracking_delay: Seconds that a joint may need to its last target; beyond, the arm holds
-            until it has caught up.
-        max_consecutive_ik_failures: Control periods in a row without an IK solution, or with the
-            arm on hold, after which the run stops.
-        watchdog: Seconds without a heartbeat after which another process stops the base; null for
-            no such process.
-    """
-
+    # start only if a base pose is found from which the arm reaches the end of each sub-goal
     reach: bool = True
+    # age of a measurement, and of the one behind a command, that stops the run, seconds
     max_age: PositiveSeconds = 0.2
+    # age of a scan that stops the run of a policy that uses it, seconds
     max_scan_age: PositiveSeconds = 0.5
-    max_period: PositiveSeconds = 0.2
+    max_period: PositiveSeconds = 0.2  # length of a control period that stops it, seconds
+    # change of the system's clock, or stamp in the future, that stops it, seconds
     max_clock_skew: PositiveSeconds = 0.1
-    max_distance: Positive = 20.0
-    max_tilt: Positive = 0.15
+    max_distance: Positive = 20.0  # distance of the base from its start that stops it, metres
+    max_tilt: Positive = 0.15  # tilt of the base that stops it, radians
+    # change of the measured base position, beyond what it can have driven, that stops it, metres
     pose_jump: Positive = 0.3
-    heading_jump: Positive = 0.5
+    heading_jump: Positive = 0.5  # the same of its heading, radians
+    # excess of a measured joint beyond its limits that stops it, radians or metres
     joint_tolerance: Positive = 0.1
+    # limit of the base command, m/s; the robot's own if null
     max_linear_velocity: Positive | None = None
-    max_angular_velocity: Positive | None = None
-    acceleration: Positive | None = None
-    rotation_acceleration: Positive | None = None
-    joint_speed: PositiveShare = 1.0
+    max_angular_velocity: Positive | None = None  # the same, rad/s
+    acceleration: Positive | None = None  # limit of its change, m/s^2; the robot's own if null
+    rotation_acceleration: Positive | None = None  # the same, rad/s^2
+    joint_speed: PositiveShare = 1.0  # fraction of their velocity limits that arm joints may use
+    # distance of a joint target beyond which the arm holds, radians or metres
     joint_jump: Positive = 3.2
+    # seconds that a joint may need to its last target; beyond, the arm holds until it has caught up
     max_tracking_delay: PositiveSeconds = 0.5
+    # control periods in a row without an IK solution, or with the arm on hold, after which the run
+    # stops
     max_consecutive_ik_failures: Count = 50
+    # seconds without a heartbeat after which another process stops the base; null for no such
+    # process
     watchdog: PositiveSeconds | None = 0.2
 
     def timeless(self) -> "Guards":
@@ -83,35 +67,24 @@ class Guards:
 
 @dataclass(frozen=True)
 class DeployConfig(ExecutionConfig):
-    """Settings of a deployment; see `ExecutionConfig` for those of motions.
+    """Settings of a deployment; see `ExecutionConfig` for those of motions."""
 
-    Attributes:
-        guards: Limits of measurements and commands.
-        generator: Parameters of the motion generator of a goal.
-        task: Parameters of the task.
-        backend: Parameters of the backend.
-        ik: Settings of the IK solver.
-        scene: Scene around the robot, by name or YAML file, whose furniture motions and IK avoid.
-        filters: Command filters, in this order.
-    """
-
-    guards: Guards = field(default_factory=Guards)
+    guards: Guards = field(default_factory=Guards)  # limits of measurements and commands
+    # parameters of the motion generator of a goal
     generator: dict[str, object] = field(default_factory=dict)
-    task: dict[str, object] = field(default_factory=dict)
-    backend: dict[str, object] = field(default_factory=dict)
-    ik: IkOptions = field(default_factory=IkOptions)
+    task: dict[str, object] = field(default_factory=dict)  # parameters of the task
+    backend: dict[str, object] = field(default_factory=dict)  # parameters of the backend
+    ik: IkOptions = field(default_factory=IkOptions)  # settings of the IK solver
+    # scene around the robot, by name or YAML file, whose furniture motions and IK avoid
     scene: str | None = None
-    filters: tuple[PluginSpec, ...] = ()
+    filters: tuple[PluginSpec, ...] = ()  # command filters, in this order
 
 
 @dataclass(frozen=True)
 class ServoConfig(DeployConfig):
-    """Settings of a deployment whose targets move.
+    """Settings of a deployment whose targets move."""
 
-    Attributes:
-        rules: Limits of targets, and rules for their messages.
-        source: Parameters of the source of targets.
-    """
-
+    # limits of targets, and rules for their messages
     rules: TargetRules = field(default_factory=TargetRules)
+    # parameters of the source of targets
     source: dict[str, object] = field(default_factory=dict)
