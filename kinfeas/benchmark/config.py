@@ -22,40 +22,27 @@ Label = Annotated[str, MinLen(1)]
 
 @dataclass(frozen=True)
 class Training:
-    """Training of one robot's policies, one for each training seed.
+    """Training of one robot's policies, one for each training seed."""
 
-    Attributes:
-        robot: Name or folder.
-        recipe: Name or file; the section `train` of the robot by default.
-        settings: Values by key of the recipe.
-        steps: Environment steps in all; the recipe's schedule if neither is set.
-        minutes: Wall-clock time in all.
-    """
-
-    robot: str
-    recipe: str | None = None
-    settings: dict[str, object] = field(default_factory=dict)
-    steps: Count | None = None
-    minutes: Positive | None = None
+    robot: str  # name or folder
+    recipe: str | None = None  # name or file; the section `train` of the robot by default
+    settings: dict[str, object] = field(default_factory=dict)  # values by key of the recipe
+    steps: Count | None = None  # environment steps in all; the recipe's schedule if neither is set
+    minutes: Positive | None = None  # wall-clock time in all
 
 
 @dataclass(frozen=True)
 class Row:
-    """A further row of the learned policies.
+    """A further row of the learned policies."""
 
-    Attributes:
-        label: Name of the row; the paper's `head_start` and `no_objects` have its figures beside.
-        filters: Command filters of this row; those of the world by default.
-        settings: Values by key of the evaluation, such as `world.head_start`.
-        robots: Robots that have it; all by default.
-        tasks: Tasks that have it; all by default.
-    """
-
+    # name of the row; the paper's `head_start` and `no_objects` have its figures beside
     label: Label
+    # command filters of this row; those of the world by default
     filters: tuple[PluginSpec, ...] | None = None
+    # values by key of the evaluation, such as `world.head_start`
     settings: dict[str, object] = field(default_factory=dict)
-    robots: tuple[str, ...] | None = None
-    tasks: tuple[str, ...] | None = None
+    robots: tuple[str, ...] | None = None  # robots that have it; all by default
+    tasks: tuple[str, ...] | None = None  # tasks that have it; all by default
 
     def has(self, robot: str, task: str) -> bool:
         """Return whether a robot has the row on a task."""
@@ -65,19 +52,12 @@ class Row:
 
 @dataclass(frozen=True)
 class Variant:
-    """A task with other parameters, in a table of its own.
+    """A task with other parameters, in a table of its own."""
 
-    Attributes:
-        label: Title of the table, such as `goals up to 1.4 m`.
-        task: Name or YAML file.
-        parameters: Its keyword parameters.
-        robots: Robots that have it.
-    """
-
-    label: Label
-    task: str
-    parameters: dict[str, object]
-    robots: tuple[str, ...]
+    label: Label  # title of the table, such as `goals up to 1.4 m`
+    task: str  # name or YAML file
+    parameters: dict[str, object]  # its keyword parameters
+    robots: tuple[str, ...]  # robots that have it
 
 
 @dataclass(frozen=True)
@@ -86,37 +66,25 @@ class BenchmarkConfig:
 
     Rows, variants, trainings and baselines of other robots and tasks are left out, so that `robots`
     and `tasks` can be shortened.
-
-    Attributes:
-        note: A sentence above the tables.
-        robots: Names or folders.
-        tasks: Names or YAML files.
-        baselines: Tasks of each baseline.
-        rows: Further rows of the learned policies.
-        policies: Whether to `train` the learned policies, to take the shipped ones (`pretrained`),
-            or to train only robots without a shipped one (`either`).
-        trainings: Training of the policies.
-        seeds: Training seeds of each.
-        episodes: Episodes of each policy on each task.
-        evaluation_seed: Seed of these episodes, the same for all.
-        variants: Further tables, in the analytic world only.
-        backend: Entry point in the group kinfeas.backends. Beside any but `analytic` the tables
-            have the same policies in the analytic world.
-        settings: Values by key of the evaluations, such as `world.time_scale`.
     """
 
-    note: str = ""
-    robots: tuple[str, ...] = ("pr2", "tiago", "hsr")
-    tasks: tuple[str, ...] = ("ggr", "ggr_restricted")
-    baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    rows: tuple[Row, ...] = ()
+    note: str = ""  # a sentence above the tables
+    robots: tuple[str, ...] = ("pr2", "tiago", "hsr")  # names or folders
+    tasks: tuple[str, ...] = ("ggr", "ggr_restricted")  # names or YAML files
+    baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)  # tasks of each baseline
+    rows: tuple[Row, ...] = ()  # further rows of the learned policies
+    # whether to `train` the learned policies, to take the shipped ones (`pretrained`), or to train
+    # only robots without a shipped one (`either`)
     policies: Literal["train", "pretrained", "either"] = "train"
-    trainings: tuple[Training, ...] = ()
-    seeds: tuple[Seed, ...] = (0,)
-    episodes: Episodes = 500
-    evaluation_seed: Seed = 1
-    variants: tuple[Variant, ...] = ()
+    trainings: tuple[Training, ...] = ()  # training of the policies
+    seeds: tuple[Seed, ...] = (0,)  # training seeds of each
+    episodes: Episodes = 500  # episodes of each policy on each task
+    evaluation_seed: Seed = 1  # seed of these episodes, the same for all
+    variants: tuple[Variant, ...] = ()  # further tables, in the analytic world only
+    # entry point in the group kinfeas.backends. Beside any but `analytic` the tables have the same
+    # policies in the analytic world
     backend: str = "analytic"
+    # values by key of the evaluations, such as `world.time_scale`
     settings: dict[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -34,34 +34,22 @@ PART = 20
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """One evaluation of a policy on a task, or the ceiling of the task.
+    """One evaluation of a policy on a task, or the ceiling of the task."""
 
-    Attributes:
-        robot: Name or YAML file, as of the task.
-        policy: Name in the table: `sac`, `pretrained`, a baseline or `ceiling`.
-        source: Name for `load_policy`.
-        seed: Seed of the episodes.
-        first: Number of the first episode.
-        settings: Values by key of the evaluation.
-        row: Label of the further row that it belongs to.
-        variant: Label of the further table that it belongs to.
-        parameters: Keyword parameters of the task.
-    """
-
-    robot: str
+    robot: str  # name or YAML file, as of the task
     robot_name: str
     task: str
-    policy: str
-    source: str
+    policy: str  # name in the table: `sac`, `pretrained`, a baseline or `ceiling`
+    source: str  # name for `load_policy`
     episodes: int
-    seed: int
+    seed: int  # seed of the episodes
     training_seed: int | None = None
-    first: int = 0
+    first: int = 0  # number of the first episode
     backend: str = "analytic"
-    settings: dict[str, object] = field(default_factory=dict)
-    row: str = ""
-    variant: str = ""
-    parameters: dict[str, object] = field(default_factory=dict)
+    settings: dict[str, object] = field(default_factory=dict)  # values by key of the evaluation
+    row: str = ""  # label of the further row that it belongs to
+    variant: str = ""  # label of the further table that it belongs to
+    parameters: dict[str, object] = field(default_factory=dict)  # keyword parameters of the task
 
     @property
     def task_name(self) -> str:

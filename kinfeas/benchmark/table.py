@@ -25,42 +25,30 @@ _MEANS = (
 
 @dataclass(frozen=True)
 class Cell:
-    """Results of one policy of one robot on one task; fractions in 0-1, distances in metres.
-
-    Attributes:
-        variant: Label of a further table; else empty.
-        row: Label of a further row of the policy; else empty.
-        seeds: Number of policies, each from another training seed.
-        success: Fraction of episodes that reach the goal without an IK failure.
-        success_std: Standard deviation over the training seeds; null for one.
-        success_low: Lower end of the 95 % interval; see `interval`.
-        within_5cm: Fraction of episodes with an EE deviation below 5 cm throughout.
-        ceiling: Fraction of the goals that some base pose reaches.
-        analytic_success: Success in the analytic world beside physics; null without physics.
-    """
+    """Results of one policy of one robot on one task; fractions in 0-1, distances in metres."""
 
     robot: str
-    variant: str
+    variant: str  # label of a further table; else empty
     task: str
     policy: str
-    row: str
+    row: str  # label of a further row of the policy; else empty
     world: str
     filters: tuple[str, ...]
     time_scale: float
     head_start: float
-    seeds: int
+    seeds: int  # number of policies, each from another training seed
     training_seeds: tuple[int, ...]
     episodes_per_seed: int
-    success: float
-    success_std: float | None
-    success_low: float
+    success: float  # fraction of episodes that reach the goal without an IK failure
+    success_std: float | None  # standard deviation over the training seeds; null for one
+    success_low: float  # lower end of the 95 % interval; see `interval`
     success_high: float
-    within_5cm: float
+    within_5cm: float  # fraction of episodes with an EE deviation below 5 cm throughout
     within_5cm_std: float | None
     ik_failures_per_episode: float | None
     mean_deviation_m: float | None
     joint_jumps_per_episode: float
-    ceiling: float
+    ceiling: float  # fraction of the goals that some base pose reaches
     ceiling_low: float
     ceiling_high: float
     paper_success: float | None = None
@@ -71,6 +59,7 @@ class Cell:
     base_collisions: float | None = None
     arm_collisions: float | None = None
     collision_free_rate: float | None = None
+    # success in the analytic world beside physics; null without physics
     analytic_success: float | None = None
     analytic_within_5cm: float | None = None
 

@@ -36,17 +36,12 @@ Result = dict[str, Any]
 
 @dataclass(frozen=True)
 class Job:
-    """A call whose result is kept in a file.
+    """A call whose result is kept in a file."""
 
-    Attributes:
-        call: Function at the top level of a module; its answer is plain data.
-        description: Argument of the call, which can be pickled. It determines the result.
-        path: JSON file of the result.
-    """
-
+    # function at the top level of a module; its answer is plain data
     call: Callable[[Any], Mapping[str, Any]]
-    description: Any
-    path: Path
+    description: Any  # argument of the call, which can be pickled. It determines the result
+    path: Path  # JSON file of the result
 
     def run(self) -> None:
         """Write the result, unless it is there."""

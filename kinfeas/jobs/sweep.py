@@ -34,20 +34,13 @@ SETTINGS, BEST = "sweep.yaml", "best.yaml"
 
 @dataclass(frozen=True)
 class Dimension:
-    """Values of one key: choices, or the numbers of a range.
+    """Values of one key: choices, or the numbers of a range."""
 
-    Attributes:
-        choices: Values to choose from.
-        low: Lowest number of a range; integers only if both ends are.
-        high: Highest number.
-        log: Draw the logarithm of the number evenly.
-        when: Choices of other keys, above this one, on which it depends.
-    """
-
-    choices: tuple[object, ...] = ()
-    low: int | float | None = None
-    high: int | float | None = None
-    log: bool = False
+    choices: tuple[object, ...] = ()  # values to choose from
+    low: int | float | None = None  # lowest number of a range; integers only if both ends are
+    high: int | float | None = None  # highest number
+    log: bool = False  # draw the logarithm of the number evenly
+    # choices of other keys, above this one, on which it depends
     when: dict[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -72,27 +65,21 @@ class Dimension:
 
 @dataclass(frozen=True)
 class SweepConfig:
-    """The schema of `configs/sweep`.
+    """The schema of `configs/sweep`."""
 
-    Attributes:
-        robot: Name or YAML file; its section `train` is the recipe by default.
-        recipe: Name or file of another recipe; its robot, if it has one, takes the place of this.
-        settings: Values by key of the recipe, for all trials.
-        space: Keys of the recipe and their values.
-        trials: Number of trials. The first one is the recipe itself, as far as it is in the space.
-        sampler: `tpe` learns from finished trials; `random` depends on the seed alone.
-        pruner: Ends trials by their evaluations: below the `median` of the others, or by `asha`.
-        seed: Of the sampler.
-    """
-
-    space: dict[str, Dimension]
-    robot: str = "pr2"
+    space: dict[str, Dimension]  # keys of the recipe and their values
+    robot: str = "pr2"  # name or YAML file; its section `train` is the recipe by default
+    # name or file of another recipe; its robot, if it has one, takes the place of this
     recipe: str | None = None
+    # values by key of the recipe, for all trials
     settings: dict[str, object] = field(default_factory=dict)
+    # number of trials. The first one is the recipe itself, as far as it is in the space
     trials: Count = 20
+    # `tpe` learns from finished trials; `random` depends on the seed alone
     sampler: Literal["tpe", "random"] = "tpe"
+    # ends trials by their evaluations: below the `median` of the others, or by `asha`
     pruner: Literal["median", "asha", "none"] = "median"
-    seed: Seed = 0
+    seed: Seed = 0  # of the sampler
 
 
 def read_sweep(name: str, settings: Settings | None = None) -> SweepConfig:

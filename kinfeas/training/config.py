@@ -23,67 +23,53 @@ from kinfeas.envs.world import WorldConfig
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """Hyperparameters of SAC.
+    """Hyperparameters of SAC."""
 
-    Attributes:
-        learning_rate: Of actor and critics.
-        schedule: Constant learning rate, or one that falls linearly to 0 over the run.
-        batch_size: Transitions in a gradient step.
-        gradient_steps: Gradient steps for each action of all environments.
-        policy_delay: Gradient steps of the critics for each one of the actor.
-        gamma: Discount of a reward one step later.
-        tau: Share of the critics that the target networks take over in a gradient step.
-        buffer_size: Transitions in the replay buffer.
-        learning_starts: Steps of random actions, over all environments, before learning begins;
-            with `init` these actions are the policy's, with noise.
-        critic_steps: With `init`, steps after these in which only the critics learn.
-        net_arch: Units of each hidden layer.
-        anchor: With `init`, factor on the squared difference between the actions of the actor
-            and of the initial policy, in the actor's loss. Of a policy without the terms of the
-            surroundings, it counts where these are 0: no base is planned, nothing in range.
-        ent_coef: Fixed entropy coefficient, or `learned`.
-    """
-
-    learning_rate: PositiveShare = 6e-4
+    learning_rate: PositiveShare = 6e-4  # of actor and critics
+    # constant learning rate, or one that falls linearly to 0 over the run
     schedule: Literal["constant", "linear"] = "linear"
-    batch_size: Annotated[int, Interval(ge=1, le=65_536)] = 256
+    batch_size: Annotated[int, Interval(ge=1, le=65_536)] = 256  # transitions in a gradient step
+    # gradient steps for each action of all environments
     gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] = 1
+    # gradient steps of the critics for each one of the actor
     policy_delay: Annotated[int, Interval(ge=1, le=100)] = 1
-    gamma: Share = 0.99
-    tau: Share = 0.005
+    gamma: Share = 0.99  # discount of a reward one step later
+    tau: Share = 0.005  # share of the critics that the target networks take over in a gradient step
+    # transitions in the replay buffer
     buffer_size: Annotated[int, Interval(ge=1, le=10_000_000)] = 1_000_000
+    # steps of random actions, over all environments, before learning begins; with `init` these
+    # actions are the policy's, with noise
     learning_starts: Annotated[int, Interval(ge=0)] = 3_000
+    # with `init`, steps after these in which only the critics learn
     critic_steps: Annotated[int, Interval(ge=0)] = 0
+    # units of each hidden layer
     net_arch: tuple[Annotated[int, Interval(ge=1, le=2048)], ...] = (256, 256)
-    ent_coef: NotNegative | Literal["learned"] = 0.01
+    ent_coef: NotNegative | Literal["learned"] = 0.01  # fixed entropy coefficient, or `learned`
+    # with `init`, factor on the squared difference between the actions of the actor and of the
+    # initial policy, in the actor's loss. Of a policy without the terms of the surroundings, it
+    # counts where these are 0: no base is planned, nothing in range
     anchor: NotNegative = 0.0
 
 
 @dataclass(frozen=True)
 class ScheduleConfig:
-    """Length of a run, its evaluations and its checkpoints.
+    """Length of a run, its evaluations and its checkpoints."""
 
-    Attributes:
-        steps: Environment steps in all; null for no limit.
-        minutes: Wall-clock time of training; null for no limit. With physics it includes start and
-            evaluations, in the analytic world it does not. At least one of the two is set, and the
-            run ends at whichever comes first.
-        evaluations: Number of evaluations, spread evenly over the run; the last one ends it.
-        evaluation_episodes: Episodes of each evaluation. With physics and `minutes`, evaluations
-            have fewer episodes, or are left out, where they would take more than a quarter of it.
-        final_episodes: Fresh episodes on which the best policy is evaluated at the end; fewer, as
-            above.
-        checkpoint_seconds: Time between checkpoints to resume from.
-        analytic: Share of the run at its beginning in the analytic world, with robots that respond
-            at once; for runs without `init`, with physics or with adapters that make robots late.
-    """
-
-    steps: Count | None = None
+    steps: Count | None = None  # environment steps in all; null for no limit
+    # wall-clock time of training; null for no limit. With physics it includes start and
+    # evaluations, in the analytic world it does not. At least one of the two is set, and the run
+    # ends at whichever comes first
     minutes: Positive | None = 3.0
+    # number of evaluations, spread evenly over the run; the last one ends it
     evaluations: Annotated[int, Interval(ge=1, le=10_000)] = 3
+    # episodes of each evaluation. With physics and `minutes`, evaluations have fewer episodes, or
+    # are left out, where they would take more than a quarter of it
     evaluation_episodes: Episodes = 256
+    # fresh episodes on which the best policy is evaluated at the end; fewer, as above
     final_episodes: Episodes = 256
-    checkpoint_seconds: Positive = 30.0
+    checkpoint_seconds: Positive = 30.0  # time between checkpoints to resume from
+    # share of the run at its beginning in the analytic world, with robots that respond at once; for
+    # runs without `init`, with physics or with adapters that make robots late
     analytic: Share = 0.8
 
     def __post_init__(self) -> None:
@@ -94,42 +80,32 @@ class ScheduleConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """A training run.
+    """A training run."""
 
-    Attributes:
-        robot: Name or folder of the robot.
-        task: Entry-point name or YAML file of the task to learn.
-        task_parameters: Keyword parameters of the task.
-        seed: Of all randomness.
-        num_envs: Episodes side by side.
-        processes: With physics, processes that share the environments; the analytic world has one.
-        action_repeat: Control periods of an action while learning, for exploration over longer
-            times and a longer horizon. In an evaluation and on a robot each period has its own
-            action.
-        observation: Observation terms of the policy, in order.
-        world: Control period, limits of an episode, adapters, reward and IK.
-        evaluation_adapters: Adapters of the evaluations, which select and measure the best policy,
-            in place of those of `world`, which may be there for exploration only.
-        trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` is an extra.
-        init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
-            `learner.net_arch` and the first terms of `observation`; others have no effect at first.
-        learner: Hyperparameters.
-        schedule: Length, evaluations and checkpoints.
-    """
-
-    robot: str = "pr2"
-    task: str = "ggr"
+    robot: str = "pr2"  # name or folder of the robot
+    task: str = "ggr"  # entry-point name or YAML file of the task to learn
+    # keyword parameters of the task
     task_parameters: dict[str, object] = field(default_factory=dict)
-    seed: Seed = 0
-    num_envs: Annotated[int, Interval(ge=1, le=65_536)] = 256
+    seed: Seed = 0  # of all randomness
+    num_envs: Annotated[int, Interval(ge=1, le=65_536)] = 256  # episodes side by side
+    # with physics, processes that share the environments; the analytic world has one
     processes: Processes = 1
+    # control periods of an action while learning, for exploration over longer times and a longer
+    # horizon. In an evaluation and on a robot each period has its own action
     action_repeat: Annotated[int, Interval(ge=1, le=1000)] = 1
-    observation: tuple[str, ...] = OBSERVATION
+    observation: tuple[str, ...] = OBSERVATION  # observation terms of the policy, in order
+    # control period, limits of an episode, adapters, reward and IK
     world: WorldConfig = field(default_factory=WorldConfig)
+    # adapters of the evaluations, which select and measure the best policy, in place of those of
+    # `world`, which may be there for exploration only
     evaluation_adapters: tuple[PluginSpec, ...] = ()
+    # where the curves of a run are shown, beside `metrics.csv`; `wandb` is an extra
     trackers: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
+    # policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
+    # `learner.net_arch` and the first terms of `observation`; others have no effect at first
     init: str | None = None
-    learner: LearnerConfig = field(default_factory=LearnerConfig)
+    learner: LearnerConfig = field(default_factory=LearnerConfig)  # hyperparameters
+    # length, evaluations and checkpoints
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
 
     def __post_init__(self) -> None:

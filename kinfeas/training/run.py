@@ -43,39 +43,30 @@ _BROKEN = (
 
 @dataclass
 class Progress:
-    """Progress of a run.
+    """Progress of a run."""
 
-    Attributes:
-        steps: Environment steps so far.
-        seconds: Wall-clock time of training so far, over all parts of the run.
-        other_seconds: Wall-clock time of start and evaluations, where `schedule.minutes` has it.
-        fraction: Fraction of the run that is done, 0-1.
-        best: Score of the best checkpoint, the mean of success and of the share of episodes with
-            tracking errors below 5 cm, 0-1; -1 before the first one.
-        evaluations: Number of evaluations.
-        recent: Whether each of the last training episodes was without a failure.
-        analytic: Whether the run is in its part in the analytic world; see `ScheduleConfig`.
-        left_seconds: Wall-clock time to the end of the run, as far as its speed stays.
-        evaluating: Episodes done and episodes in all of the evaluation that runs now.
-        updates: Gradient steps in this process.
-        parts: Wall-clock seconds of parts in this process: `step`, of which `update` of the
-            networks and `waiting` for the environments; `evaluation` and `checkpoint`.
-        cpu: CPU seconds of the steps: `learner` and, in the analytic world, `environment`.
-    """
-
-    steps: int = 0
-    seconds: float = 0.0
-    fraction: float = 0.0
+    steps: int = 0  # environment steps so far
+    seconds: float = 0.0  # wall-clock time of training so far, over all parts of the run
+    fraction: float = 0.0  # fraction of the run that is done, 0-1
+    # score of the best checkpoint, the mean of success and of the share of episodes with tracking
+    # errors below 5 cm, 0-1; -1 before the first one
     best: float = -1.0
-    evaluations: int = 0
+    evaluations: int = 0  # number of evaluations
+    # whether each of the last training episodes was without a failure
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    # episodes done and episodes in all of the evaluation that runs now
     evaluating: tuple[int, int] | None = None
-    updates: int = 0
+    updates: int = 0  # gradient steps in this process
+    # wall-clock seconds of parts in this process: `step`, of which `update` of the networks and
+    # `waiting` for the environments; `evaluation` and `checkpoint`
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    # CPU seconds of the steps: `learner` and, in the analytic world, `environment`
     cpu: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    # wall-clock time of start and evaluations, where `schedule.minutes` has it
     other_seconds: float = 0.0
+    # whether the run is in its part in the analytic world; see `ScheduleConfig`
     analytic: bool = False
-    left_seconds: float = 0.0
+    left_seconds: float = 0.0  # wall-clock time to the end of the run, as far as its speed stays
 
     @property
     def success(self) -> float:

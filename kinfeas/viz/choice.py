@@ -11,22 +11,13 @@ NONE = "none"
 
 @dataclass(frozen=True)
 class Choice:
-    """What the page shows.
+    """What the page shows."""
 
-    Attributes:
-        robot: Robot by name or path.
-        policy: Policy by name or path.
-        second_policy: Policy of a second robot with the same target, or `none`.
-        generator: Motion generator; `servo` follows the handle, others start at its release.
-        filters: Names of the command filters, in order.
-        backend: Backend by name.
-        scene: Scene by name or path, or `none`.
-    """
-
-    robot: str
-    policy: str = "pretrained"
-    second_policy: str = NONE
+    robot: str  # robot by name or path
+    policy: str = "pretrained"  # policy by name or path
+    second_policy: str = NONE  # policy of a second robot with the same target, or `none`
+    # motion generator; `servo` follows the handle, others start at its release
     generator: str = "servo"
-    filters: tuple[str, ...] = ("time_scaling",)
-    backend: str = "analytic"
-    scene: str = "room"
+    filters: tuple[str, ...] = ("time_scaling",)  # names of the command filters, in order
+    backend: str = "analytic"  # backend by name
+    scene: str = "room"  # scene by name or path, or `none`

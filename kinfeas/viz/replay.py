@@ -35,19 +35,12 @@ LinkPoses = Callable[[int], Mapping[LinkName, Array]]
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A recorded episode and what is visible in it.
+    """A recorded episode and what is visible in it."""
 
-    Attributes:
-        recording: The episode.
-        title: Robot and task.
-        shapes: Visible shapes in the frames of their links.
-        links: Function that returns the world poses of the links at a moment.
-    """
-
-    recording: Recording
-    title: str
-    shapes: Sequence[VisualShape]
-    links: LinkPoses
+    recording: Recording  # the episode
+    title: str  # robot and task
+    shapes: Sequence[VisualShape]  # visible shapes in the frames of their links
+    links: LinkPoses  # function that returns the world poses of the links at a moment
 
 
 def replay_of(recording: Recording, robot: Robot, title: str) -> Replay:
