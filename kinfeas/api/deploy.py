@@ -205,14 +205,17 @@ def servo(  # noqa: PLR0913 - options of the command
     controller = TargetController(model, config.rules)
     limits = {**config.rules.generator_limits, **config.generator}
     task = ServoTask(controller, MotionSpec("servo", limits))
-    if not isinstance(source, str):
+    if isinstance(source, str):
+        if ":" in source:  # `module:Class`, also of the working directory
+            sys.path.append(str(Path.cwd()))
+        name, targets = f"target source {source!r}", registry.build(GROUP, source, config.source)
+    else:
+        name, targets = f"target source {type(source).__name__!r}", source
         ends = (getattr(source, end, None) for end in ("start", "close"))
         if isinstance(source, type) or not all(map(callable, ends)):
             raise KinfeasError(
                 f"'source' must be a name or an object with start and close, not {source!r}"
             )
-    name = f"target source {source if isinstance(source, str) else type(source).__name__!r}"
-    targets = _build_source(source, config.source) if isinstance(source, str) else source
     backend = backend or default_engine()
     setup = _make_setup(
         policy, model, backend, task, config, record, adapters=read_adapters(adapters),
@@ -424,10 +427,3 @@ def _watched(name: str, controller: TargetController) -> Iterator[None]:
         yield
     finally:
         threading.excepthook = hook
-
-
-def _build_source(name: str, parameters: dict[str, object]) -> TargetSource:
-    """Return a source by its entry point or as `module:Class`, also of the working directory."""
-    if ":" in name:
-        sys.path.append(str(Path.cwd()))
-    return registry.build(GROUP, name, parameters)

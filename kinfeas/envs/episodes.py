@@ -81,17 +81,16 @@ def evaluate_episodes(
     episodes: range,
     processes: int = 1,
     on_done: OnDone | None = None,
-    watch: Watch | None = None,
 ) -> EpisodeRecords:
     """Return the records of a range of episodes, in worlds built for them.
 
-    Several processes need a picklable `build` and do not call `watch`. No result depends on them.
+    Several processes need a picklable `build`. No result depends on them.
 
     Raises:
         KinfeasError: If a world cannot be built, or a worker process dies.
     """
     if processes == 1:
-        return _run_part(build, policy, episodes, on_done, watch)
+        return _run_part(build, policy, episodes, on_done)
     with closing(build()) as world:
         world.loop.set_policy(policy)
         rounds = math.ceil(len(episodes) / (processes * _BATCHES * _batch(world)))
@@ -198,13 +197,9 @@ def _run_part(
     policy: Policy,
     episodes: range,
     on_done: OnDone | None = None,
-    watch: Watch | None = None,
 ) -> EpisodeRecords:
-    world = build()
-    try:
-        return run_episodes(world, policy, len(episodes), on_done, watch, episodes.start)
-    finally:
-        world.close()
+    with closing(build()) as world:
+        return run_episodes(world, policy, len(episodes), on_done, first=episodes.start)
 
 
 def _batch(world: World) -> int:
@@ -234,8 +229,8 @@ class _Tally:
         self.joint_jumps[episodes] += outcome.joint_jump[rows]
         self.steps[episodes] += 1
         self.deviation_sum[episodes] += outcome.deviation[rows]
-        self.tracking_sum[episodes] += outcome.tracking_error[rows]
         tracking_error = outcome.tracking_error[rows]
+        self.tracking_sum[episodes] += tracking_error
         self.tracking_max[episodes] = np.maximum(self.tracking_max[episodes], tracking_error)
         if (sums := self.world.loop.response_sums) is not None:
             self.response_sums[episodes] = sums[rows]

@@ -14,7 +14,7 @@ from kinfeas.control.assemble import respond_late
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, summarize
 from kinfeas.core.policy import Policy
-from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes, run_episodes
+from kinfeas.envs.episodes import OnDone, evaluate_episodes, run_episodes
 from kinfeas.envs.world import World, WorldConfig, evaluation_section, evaluation_world
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.robots.robot import Robot
@@ -119,13 +119,12 @@ def evaluate(
     name: str = "",
     processes: int = 1,
     on_done: OnDone | None = None,
-    watch: Watch | None = None,
 ) -> Summary:
     """Return the metrics of a policy: fractions in 0-1, distances in metres.
 
     The ceiling is null, see `add_ceiling`; further arguments as in `evaluate_episodes`.
     """
-    records, execution = _run(config, policy, processes, on_done, watch)
+    records, execution = _run(config, policy, processes, on_done)
     settings = config.world
     own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
@@ -143,25 +142,21 @@ def evaluate(
 
 
 def run(
-    config: EvalConfig,
-    policy: Policy,
-    processes: int = 1,
-    on_done: OnDone | None = None,
-    watch: Watch | None = None,
+    config: EvalConfig, policy: Policy, processes: int = 1, on_done: OnDone | None = None
 ) -> EpisodeRecords:
     """Return the record of each episode; further arguments as in `evaluate_episodes`."""
-    return _run(config, policy, processes, on_done, watch)[0]
+    return _run(config, policy, processes, on_done)[0]
 
 
 def _run(
-    config: EvalConfig, policy: Policy, processes: int, on_done: OnDone | None, watch: Watch | None
+    config: EvalConfig, policy: Policy, processes: int, on_done: OnDone | None
 ) -> tuple[EpisodeRecords, ExecutionConfig]:
     """Return the record of each episode, and the execution of motions within the adapters."""
     build = partial(World, config.robot, config.task, config.world, config.seed)
     episodes = range(config.first, config.first + config.episodes)
     with closing(build()) as world:
         if processes == 1:
-            records = run_episodes(world, policy, config.episodes, on_done, watch, config.first)
+            records = run_episodes(world, policy, config.episodes, on_done, first=config.first)
         else:
             records = evaluate_episodes(build, policy, episodes, processes, on_done)
         return records, world.loop.execution

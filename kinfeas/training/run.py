@@ -56,12 +56,9 @@ class Progress:
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
     # episodes done and episodes in all of the evaluation that runs now
     evaluating: tuple[int, int] | None = None
-    updates: int = 0  # gradient steps in this process
     # wall-clock seconds of parts in this process: `step`, of which `update` of the networks and
     # `waiting` for the environments; `evaluation` and `checkpoint`
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    # CPU seconds of the steps: `learner` and, in the analytic world, `environment`
-    cpu: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     # wall-clock time of start and evaluations, where `schedule.minutes` has it
     other_seconds: float = 0.0
     # whether the run is in its part in the analytic world; see `ScheduleConfig`

@@ -70,10 +70,7 @@ Report = Callable[[Progress], None]
 def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progress:
     """Train from the beginning and return the progress.
 
-    Args:
-        config: Settings of the run.
-        out: New folder of the run.
-        report: Called every few seconds.
+    `out` is the new folder of the run; `report` is called every few seconds.
 
     Raises:
         KinfeasError: If the folder exists with something in it, or cannot be written.
@@ -81,23 +78,21 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     check_run_folder(out)
     # Errors of the configuration are raised here, before anything is written.
     config = with_initial_policy(config)
-    run = _Run(config, out)
+    run = _Run(config, out, report)
     run.begin()
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     with alone(out):
         check_run_folder(out)  # another run may have begun there since
         configuration.dump(config, out / SETTINGS)
-        return run.go(report)
+        return run.go()
 
 
 def resume(out: Path, report: Report | None = None, settings: Settings | None = None) -> Progress:
     """Resume a run from its last checkpoint and return the progress.
 
-    Args:
-        out: Folder of the run.
-        report: Called every few seconds.
-        settings: Values by key such as `schedule.steps`, kept in the run's configuration.
+    `report` is called every few seconds. `settings` are values by key such as `schedule.steps`,
+    kept in the run's configuration.
 
     Raises:
         KinfeasError: If the folder is no run, its checkpoint is broken, its robot has other
@@ -105,18 +100,18 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
     """
     check_begun(out)
     with alone(out):
-        run = _Run(read_settings(out, settings), out)
+        run = _Run(read_settings(out, settings), out, report)
         run.load()
         if settings:
             configuration.dump(run.config, out / SETTINGS)
-        return run.go(report)
+        return run.go()
 
 
 class _Run:
-    def __init__(self, config: TrainConfig, out: Path) -> None:
+    def __init__(self, config: TrainConfig, out: Path, report: Report | None) -> None:
         self.begun = time.monotonic()
         check_trackers(config)
-        self.config, self.out = config, out
+        self.config, self.out, self.report = config, out, report or (lambda _: None)
         self.limited = evaluation_seconds(config, 1) < math.inf
         analytic = has_first_part(config)
         self.progress = Progress(analytic=analytic)
@@ -155,7 +150,7 @@ class _Run:
             snapshot = load_learner(last, self.learner, self.env.snapshot())
             self.observation = self.env.restore(snapshot)
 
-    def go(self, report: Report | None) -> Progress:
+    def go(self) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""
         self.begun -= self.progress.seconds + self.progress.other_seconds
         with (
@@ -164,8 +159,8 @@ class _Run:
             worker_pool(self.config.processes) if self.limited else nullcontext() as pool,
         ):
             try:
-                self._loop(logs, pool, report)
-                self._evaluate_best(logs, pool, report)
+                self._loop(logs, pool)
+                self._evaluate_best(logs, pool)
             except KeyboardInterrupt:
                 if self.observation is not None:
                     self._save()
@@ -174,7 +169,7 @@ class _Run:
                 self.env.close()
         return self.progress
 
-    def _loop(self, logs: Logs, pool: Executor | None, report: Report | None) -> None:
+    def _loop(self, logs: Logs, pool: Executor | None) -> None:
         if self.observation is None:
             self._first()
         evaluator = partial(periodic_evaluator(self.config), pool=pool)
@@ -184,7 +179,7 @@ class _Run:
             # First, so that an interrupted evaluation is repeated.
             if evaluations_due(self.config, self.progress) > self.progress.evaluations:
                 with self._timed("evaluation"):
-                    self._evaluate(evaluator, logs, report)
+                    self._evaluate(evaluator, logs)
                 self._clock()
                 self._save()
                 # Evaluations do not count as training time.
@@ -202,12 +197,8 @@ class _Run:
                     self._save()
                 start = time.monotonic() - self.progress.seconds
             with uninterrupted():
-                own, all_threads = time.thread_time(), time.process_time()
                 with self._timed("step"):
                     self._step()
-                own, all_threads = time.thread_time() - own, time.process_time() - all_threads
-                self.progress.cpu["learner"] += own
-                self.progress.cpu["environment"] += all_threads - own
                 self.progress.seconds = now = time.monotonic() - start
                 self._clock()
             if now - saved >= self.config.schedule.checkpoint_seconds:
@@ -216,10 +207,8 @@ class _Run:
             if now - logged >= LOG_SECONDS:
                 logs.write(self._row())
                 logged = now
-                if report is not None:
-                    report(self.progress)
-        if report is not None:
-            report(self.progress)
+                self.report(self.progress)
+        self.report(self.progress)
 
     def _clock(self) -> None:
         """Bring the share up to date, with start and evaluations where they count."""
@@ -262,7 +251,6 @@ class _Run:
         # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:
-            progress.updates += config.gradient_steps
             first = config.learning_starts + config.critic_steps  # of the actor
             frozen = self.config.init is not None and progress.steps < first
             learner.actor.requires_grad_(not frozen)
@@ -279,7 +267,7 @@ class _Run:
         progress.steps += self.part.num_envs * self.part.action_repeat
         progress.recent.extend(infos[row]["is_success"] for row in ended)
 
-    def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs, report: Report | None) -> None:
+    def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs) -> None:
         """Evaluate the policy on fixed episodes; keep it as `best` if none was better."""
         self._losses()
         schedule, due = self.config.schedule, evaluations_due(self.config, self.progress)
@@ -293,7 +281,7 @@ class _Run:
             return
         if self.limited and self.progress.fraction >= 1.0:
             left = self._left() - evaluation_seconds(self.config, schedule.final_episodes)
-        figures = self._measure(evaluator, network, schedule.evaluation_episodes, left, report)
+        figures = self._measure(evaluator, network, schedule.evaluation_episodes, left)
         self.evaluated_at = self.progress.steps
         with uninterrupted():
             self.progress.evaluations = due
@@ -322,17 +310,16 @@ class _Run:
         return 60.0 * self.config.schedule.minutes - (time.monotonic() - self.begun)
 
     def _measure(
-        self, evaluator: PeriodicEvaluator, network: Network, episodes: int, seconds: float,
-        report: Report | None,
-    ) -> dict[str, int | float]:  # fmt: skip
+        self, evaluator: PeriodicEvaluator, network: Network, episodes: int, seconds: float
+    ) -> dict[str, int | float]:
         """Return the metrics of episodes, and report how many have ended about once a second."""
         done, reported = 0, -math.inf
 
         def count(ended: int) -> None:
             nonlocal done, reported
             done += ended
-            if report is not None and time.monotonic() - reported >= 1.0:
-                report(replace(self.progress, evaluating=(done, episodes)))
+            if time.monotonic() - reported >= 1.0:
+                self.report(replace(self.progress, evaluating=(done, episodes)))
                 reported = time.monotonic()
 
         count(0)
@@ -340,7 +327,7 @@ class _Run:
         # Not all backends measure all of them.
         return {key: value for key, value in metrics.items() if value is not None}
 
-    def _evaluate_best(self, logs: Logs, pool: Executor | None, report: Report | None) -> None:
+    def _evaluate_best(self, logs: Logs, pool: Executor | None) -> None:
         """Evaluate the best policy on episodes that did not select it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
@@ -349,7 +336,7 @@ class _Run:
         evaluator = partial(periodic_evaluator(self.config, FRESH_SEED), pool=pool)
         left = self._left() if self.limited else math.inf
         episodes = self.config.schedule.final_episodes
-        figures = self._measure(evaluator, network, episodes, left, report)
+        figures = self._measure(evaluator, network, episodes, left)
         self._clock()
         updated = replace(trained, fresh_evaluation=figures)
         copy_network(best, updated, self.out / "checkpoints" / "best")
