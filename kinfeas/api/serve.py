@@ -76,11 +76,8 @@ class PlanningServer(ThreadingHTTPServer):
     ) -> None:
         """Listen on the loopback interface, and with `ros2` in the domain of `ROS_DOMAIN_ID`.
 
-        Args:
-            robot: Name or folder.
-            scene: Scene by name or YAML file, whose furniture is avoided.
-            port: Port of HTTP; 0 for a free one.
-            ros2: Whether to answer the services of `kinfeas.sim2real.ros.moveit`, too.
+        The furniture of the scene is avoided. Port 0 is a free one. The services of ROS 2 are those
+        of `kinfeas.sim2real.ros.moveit`.
 
         Raises:
             KinfeasError: If there is no such robot, scene or domain, or the port is in use.

@@ -12,7 +12,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
 from kinfeas.io.files import write_json
 from kinfeas.training import run as training
-from kinfeas.training.config import TrainConfig, load_recipe
+from kinfeas.training.config import TrainConfig, duration, load_recipe
 from kinfeas.training.run import Progress
 
 _WORLD = "analytic"
@@ -129,13 +129,6 @@ def resume(
 
         progress = run(path, on_progress, longer)
     return _ended(path, progress)
-
-
-def duration(minutes: float | None, steps: int | None) -> dict[str, object]:
-    """Return settings of the duration; one limit lifts the other one of the recipe."""
-    if minutes is None and steps is None:
-        return {}
-    return {"schedule.minutes": minutes, "schedule.steps": steps}
 
 
 def default_folder(config: TrainConfig) -> Path:

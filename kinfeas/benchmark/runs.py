@@ -13,7 +13,7 @@ from kinfeas.policies.loading import PRETRAINED, trained_policies
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
-from kinfeas.training.config import TrainConfig, load_recipe
+from kinfeas.training.config import TrainConfig, duration, load_recipe
 from kinfeas.training.run import read_settings, with_initial_policy
 
 
@@ -93,9 +93,7 @@ def publish(runs: Sequence[Run], folder: Path) -> list[Path]:
 
 
 def _settings(training: Training, seed: int) -> TrainConfig:
-    values: dict[str, object] = {"robot": training.robot, "seed": seed}
-    if training.steps is not None or training.minutes is not None:
-        values |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
-    return with_initial_policy(
-        load_recipe(training.recipe, config.nested(values, training.settings))
-    )
+    values = {"robot": training.robot, "seed": seed}
+    limits = duration(training.minutes, training.steps)
+    settings = config.nested(values, limits, training.settings)
+    return with_initial_policy(load_recipe(training.recipe, settings))

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -36,8 +36,8 @@ def argument(default: object, text: str, **more: Any) -> Any:
     return typer.Argument(default, help=text, **more)
 
 
-def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
-    """Return a callback that checks that a file of one of the suffixes can be written."""
+def file_option(default: object, text: str, *suffixes: str) -> Any:
+    """Return an option for a file to write that ends in one of the suffixes."""
 
     def check(path: Path | None) -> Path | None:
         if path is not None:
@@ -46,7 +46,7 @@ def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
             require(*_WRITERS.get(path.suffix.lower(), ()))
         return check_file_path(path)
 
-    return check
+    return option(default, text, metavar=f"FILE{suffixes[0]}", callback=check)
 
 
 def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
@@ -55,11 +55,6 @@ def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
         return check_file_path(path)
     context.with_resource(redirect_stdout(sys.stderr))
     return STDOUT
-
-
-def file_option(default: object, text: str, *suffixes: str) -> Any:
-    """Return an option for a file to write that ends in one of the suffixes."""
-    return option(default, text, metavar=f"FILE{suffixes[0]}", callback=output_file(*suffixes))
 
 
 ROBOT = "Robot: pr2, tiago, another of `plugins list`, or a folder."

@@ -71,11 +71,7 @@ def load(cls: type[T], path: Path, settings: Settings | None = None) -> T:
 def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None = None) -> T:
     """Return plain data as an instance of the dataclass `cls`.
 
-    Args:
-        cls: Frozen dataclass.
-        data: Mapping of field names to plain values.
-        source: File name for errors.
-        settings: Values by key, which change the data.
+    Settings, values by key, change the data. Errors name its `source`, such as a file.
 
     Raises:
         KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.

@@ -58,7 +58,8 @@ def read_recipe(
     Raises:
         KinfeasError: If there is no such recipe, or it extends itself.
     """
-    if name in (trainings := _trainings()):
+    trainings = [key for key in strict_yaml.read(_DEFAULT) if "train" in key or "tune" in key]
+    if name in trainings:
         return {}, name
     try:
         path = find_recipe(name, ".", within)
@@ -85,11 +86,8 @@ def section(name: str, robot: str | Path | None = None) -> tuple[dict[str, Any],
     The sections of `configs/default.yaml` are `train`, `train_rooms`, `train_physics`,
     `finetune_physics`, `deploy`, `servo`, `baselines`, and the settings of evaluations: `analytic`,
     `physics` of all engines, and `sim2real` with adapters. The `recipes.yaml` in the robot's folder
-    changes their keys.
-
-    Args:
-        name: Section or backend; one that is in neither file has no settings.
-        robot: Name or folder of the robot; None for settings of any robot.
+    changes their keys. The name may be a backend, which has no settings if it is in neither file.
+    Without a robot the settings are those of any robot.
     """
     name = "physics" if name in ENGINES else name
     default, path = strict_yaml.read(_DEFAULT), _DEFAULT
@@ -125,10 +123,6 @@ def robot_file(robot: str | Path) -> Path:
     if not isinstance(path, str | Path):
         raise KinfeasError(f"robot {robot!r} must return the Path of its folder, not {path!r}")
     return Path(path) / "robot.yaml" if Path(path).is_dir() else Path(path)
-
-
-def _trainings() -> list[str]:
-    return [name for name in strict_yaml.read(_DEFAULT) if "train" in name or "tune" in name]
 
 
 def default_engine() -> str:

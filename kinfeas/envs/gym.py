@@ -96,11 +96,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Move the base by a command in [-1, 1], shape (3,) or (2,).
-
-        Returns:
-            Observation, reward, terminated, truncated and info.
-        """
+        """Move the base by a command in [-1, 1], shape (3,) or (2,); return as `gymnasium.Env`."""
         check_reset(self.world)
         transition = self.world.step(np.asarray(action, dtype=np.float64)[np.newaxis])
         info = {key: values[0].item() for key, values in step_info(self.world, transition).items()}
@@ -170,11 +166,7 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Move all bases by commands in [-1, 1], shape (n, 3) or (n, 2).
-
-        Returns:
-            Observations, rewards, terminated, truncated and infos.
-        """
+        """Move all bases by commands in [-1, 1], shape (n, 3) or (n, 2); return as `VectorEnv`."""
         check_reset(self.world)
         step = self._batch.step(np.asarray(actions, dtype=np.float64))
         done, truncated = np.zeros((2, self.num_envs), dtype=np.bool_)
@@ -218,8 +210,7 @@ def learning_world(backend: str, robot: str) -> WorldConfig:
     """
     if backend == "analytic":
         return WorldConfig()
-    config = evaluation_world(backend, robot)
-    return replace(config, filters=())
+    return replace(evaluation_world(backend, robot), filters=())
 
 
 def make_world(

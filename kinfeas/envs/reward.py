@@ -51,13 +51,8 @@ def reward(
 ) -> Array:
     """Return the reward of a step, shape (n,).
 
-    Args:
-        config: Weights.
-        robot: Robot with its joint limits and pose tolerance.
-        outcome: Result of the loop's step.
-        action: Base commands in [-1, 1], shape (n, a).
-        joint_positions: Arm joints after the step, shape (n, j).
-        base_error: Distance from the planned base, metres, shape (n,); as `Observer.base_error`.
+    The action is in [-1, 1], shape (n, a), arm joints, shape (n, j), are those after the step, and
+    `base_error` is the distance from the planned base, metres, shape (n,).
     """
     lower, upper = robot.joint_limits
     tolerance = robot.pose_tolerance

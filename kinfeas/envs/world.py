@@ -138,11 +138,9 @@ class World:
         return episode_rng(self.seed, episode, self.stream)
 
     def start(self, episodes: Sequence[int], rows: Rows | None = None) -> Array:
-        """Begin episodes and return the observation of all n, shape (n, d).
+        """Begin episodes by number and return the observation of all n, shape (n, d).
 
-        Args:
-            episodes: Numbers of the m episodes.
-            rows: Rows in which they begin; all by default, which also sets n.
+        They begin in `rows`; by default in all, which also sets n.
         """
         rngs = [self.rng(episode) for episode in episodes]
         places = range(len(episodes)) if rows is None else rows.tolist()
@@ -168,8 +166,7 @@ class World:
     def step(self, action: Array | None = None) -> Transition:
         """Advance all n episodes by one control period.
 
-        Args:
-            action: Base commands, clipped to [-1, 1], shape (n, a); those of the policy by default.
+        The action, shape (n, a), is clipped to [-1, 1]; by default it is the policy's.
 
         Raises:
             KinfeasError: If the action has another shape or is not finite.

@@ -98,12 +98,10 @@ def run_jobs(
 
 
 def build_engine(name: str, processes: int = 1, address: str | None = None) -> Engine:
-    """Return an engine of `ENGINES`.
+    """Return an engine of `ENGINES`: `local` for processes of this machine, or `ray`.
 
-    Args:
-        name: `local` for processes of this machine, or `ray`.
-        processes: Jobs at a time; a running cluster has as many as cores.
-        address: Of a running Ray cluster; by default one begins and ends with the jobs.
+    There are `processes` jobs at a time; a running Ray cluster, at `address`, has as many as cores.
+    Without an address one begins and ends with the jobs.
     """
     if name not in ENGINES:
         raise KinfeasError(f"unknown engine {name!r}{no_such(name, ENGINES)}")

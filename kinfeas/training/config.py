@@ -117,6 +117,13 @@ class TrainConfig:
         check_terms(self.observation, "'observation'")
 
 
+def duration(minutes: float | None, steps: int | None) -> dict[str, object]:
+    """Return settings of the duration; one limit lifts the other one of the recipe."""
+    if minutes is None and steps is None:
+        return {}
+    return {"schedule.minutes": minutes, "schedule.steps": steps}
+
+
 def load_recipe(
     name: str | None,
     settings: Settings | None = None,

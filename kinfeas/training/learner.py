@@ -109,10 +109,8 @@ def network_of(learner: SAC, env: EpisodesVecEnv) -> Network:
 def save_policy(model: SAC, env: EpisodesVecEnv, folder: Path) -> None:
     """Write the policy of a Stable-Baselines3 model for `evaluate`, `export` and `deploy`.
 
-    Args:
-        model: SAC with `MlpPolicy` and ReLU layers.
-        env: Environment of its training, which determines robot and observation scale.
-        folder: Existing folder for `policy.json` and `policy.safetensors`.
+    The model has `MlpPolicy` and ReLU layers; `env`, that of its training, determines robot and
+    observation scale. `policy.json` and `policy.safetensors` are written into the existing folder.
 
     Raises:
         KinfeasError: If the actor has other layers.

@@ -11,7 +11,7 @@ from kinfeas import __version__, config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
-from kinfeas.io.files import reading, writing
+from kinfeas.io.files import reading, replacing, writing
 from kinfeas.training.config import TrainConfig
 
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
@@ -103,12 +103,10 @@ class Logs:
         with writing(self.path):
             rows = _rows_up_to(steps, self.path)
             # Replaced rather than overwritten, so that a kill here loses nothing.
-            fresh = out / ".metrics.csv.new"
-            with fresh.open("w", newline="", encoding="utf-8") as file:
+            with replacing(self.path) as fresh, fresh.open("w", newline="") as file:
                 table = _table(file)
                 table.writeheader()
                 table.writerows(rows)
-            fresh.replace(self.path)
             self._file = self.path.open("a", newline="", encoding="utf-8")
         self._table = _table(self._file)
         self.trackers = [TRACKERS[name](out, settings, steps) for name in settings.trackers]

@@ -63,8 +63,10 @@ def episodes_figure(
         columns = {1: 3, 2: 4}.get(count, 7)
         handles: list[Artist] = [*_legend()]
         if any(recording.solids is not None for recording in recordings):
-            handles.append(Patch(color=shapes.LOW, label="solid"))
-            handles.append(Patch(color=shapes.HIGH, label="wall"))
+            handles += [
+                Patch(color=shapes.LOW, label="solid"),
+                Patch(color=shapes.HIGH, label="wall"),
+            ]
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
     return figure
 
@@ -72,14 +74,9 @@ def episodes_figure(
 def reach_figure(
     robot: Robot, goal: Array, best: Placement, placement: Placement, solids: Solids | None
 ) -> Figure:
-    """Return a picture from above of base poses, coloured by margin, and of a robot.
+    """Return a picture from above of all base poses that reach an EE pose (7,), and of a robot.
 
-    Args:
-        robot: The robot.
-        goal: World pose of the EE, shape (7,).
-        best: Base poses that reach it; the robot is at the first.
-        placement: All base poses that reach it.
-        solids: In the world, one row.
+    Colours show their margins. The robot is at the first of the `best`. Solids are one row.
     """
     with rc_context(STYLE):
         figure = Figure(figsize=(7.0, 6.0), layout="constrained")
@@ -117,13 +114,7 @@ def record_figure(record: Record, robot: Robot) -> Figure:
 
 
 def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArray[np.intp]:
-    """Return the indices of moments at even distances of the base's path, with start and end.
-
-    Args:
-        recording: The episode.
-        spacing: Metres of the base's path between two moments.
-        most: Largest number of moments.
-    """
+    """Return indices of up to `most` moments, `spacing` m of base path apart, with both ends."""
     base = recording.base_pose[:, :2]
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
     count = int(np.clip(1 + round(travelled[-1] / spacing), 2, most))

@@ -30,8 +30,6 @@ from kinfeas.viz.shapes import (
 
 _WALL = 4.0  # m; longer boxes hide the room
 
-LinkPoses = Callable[[int], Mapping[LinkName, Array]]
-
 
 @dataclass(frozen=True, eq=False)
 class Replay:
@@ -40,7 +38,7 @@ class Replay:
     recording: Recording  # the episode
     title: str  # robot and task
     shapes: Sequence[VisualShape]  # visible shapes in the frames of their links
-    links: LinkPoses  # function that returns the world poses of the links at a moment
+    links: Callable[[int], Mapping[LinkName, Array]]  # returns their world poses at a moment
 
 
 def replay_of(recording: Recording, robot: Robot, title: str) -> Replay:

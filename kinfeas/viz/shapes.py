@@ -43,11 +43,10 @@ def robot_solids(
 
 def placed(shapes: Iterable[VisualShape], poses: Mapping[LinkName, Array]) -> list[VisualShape]:
     """Return shapes in the world from those in the frames of their links, by the links' poses."""
-    solids = []
-    for link, shape, colour in shapes:
-        pose = compose(poses[link], shape.pose)
-        solids.append(VisualShape(link, replace(shape, pose=pose), colour))
-    return solids
+    return [
+        VisualShape(link, replace(shape, pose=compose(poses[link], shape.pose)), colour)
+        for link, shape, colour in shapes
+    ]
 
 
 @lru_cache(maxsize=8)
