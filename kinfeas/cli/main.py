@@ -19,16 +19,13 @@ from kinfeas.cli.deploy import deploy, servo
 from kinfeas.cli.evaluate import ceiling, evaluate
 from kinfeas.cli.export import export
 from kinfeas.cli.identify import identify
-from kinfeas.cli.plan import plan
-from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
-from kinfeas.cli.reach import reach
+from kinfeas.cli.reach import plan, reach, serve
 from kinfeas.cli.robot import app as robot
-from kinfeas.cli.serve import serve
 from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
-from kinfeas.cli.view import view
+from kinfeas.cli.view import play, view
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, raised_by
 from kinfeas.core.extras import missing_extra
 

@@ -1,13 +1,21 @@
-"""`kinfeas reach`: base poses from which a robot reaches EE poses, or the reason for none."""
+"""`kinfeas reach`, `plan` and `serve`: base poses and motions that reach EE poses, and a server."""
 
 from pathlib import Path
 
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.options import option
-from kinfeas.cli.output import print_table, status, write_drawing, write_json
+from kinfeas.cli.options import file_option, option
+from kinfeas.cli.output import (
+    print_facts,
+    print_paths,
+    print_table,
+    status,
+    write_drawing,
+    write_json,
+)
 from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import check_new
 
 Pose = tuple[float, float, float, float, float, float]
 Planar = tuple[float, float, float]
@@ -71,3 +79,72 @@ def pose_of(pose: Pose | None) -> list[list[float]]:
 
     numbers = list(pose or ())
     return [[*numbers[:3], *Rotation.from_euler("xyz", numbers[3:]).as_quat().tolist()]]
+
+
+def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
+    robot: options.RobotName = "pr2",
+    path: Path = option(..., "EE poses, as of the generator waypoints.", metavar="FILE"),
+    out: Path = file_option(..., "New file of the plan.", ".csv"),
+    scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
+    start: Planar | None = option(
+        None,
+        f"{START} The arm is at home.  [default: a base pose near the path]",
+        metavar="X Y YAW",
+    ),
+    overrides: options.Overrides = None,
+    json: options.JsonPath = None,
+    picture: options.Picture = None,
+    html: Path | None = file_option(None, "Write an interactive page.", ".html", ".htm"),
+) -> None:
+    """Plan base and arm along an EE path, within velocity limits and free of furniture.
+
+    kinfeas deploy --plan carries it out. Settings: parameters of the generator waypoints, such as
+    max_velocity. Without a plan the error names the EE pose that is out of reach, with the reason.
+
+    Example: kinfeas plan --robot pr2 --path ee.csv --scene room --out plan.csv --html plan.html
+    """
+    from kinfeas.api.plan import plan as api
+    from kinfeas.core.spatial import distance
+
+    check_new(out)
+    settings = options.read_settings(overrides)
+    with status("planning"):
+        planned = api(robot, path, start=start, scene=scene, settings=settings)
+    planned.save(out)
+    base, joints = planned.base[0], planned.joint_positions[0]
+    facts = {
+        "seconds": float(planned.time[-1]), "moments": len(planned.time),
+        "ee_error_m": float(distance(planned.reached, planned.ee_pose)[0].max()),
+        "start": base.tolist(),
+        "start_joints": dict(zip(planned.joint_names, joints.tolist(), strict=True)),
+    }  # fmt: skip
+    write_json(
+        {**facts, "joint_trajectory": planned.joint_trajectory(), "base_path": planned.base_path()},
+        json,
+    )
+    print_facts(f"plan of {robot} along {path}", facts)
+    with status("drawing"):
+        if picture is not None:
+            planned.picture(picture)
+        if html is not None:
+            planned.html(html)
+    print_paths(out, picture, html)
+
+
+def serve(
+    robot: options.RobotName = "pr2",
+    scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
+    port: int = option(8081, "Port; 0 for a free one.", min=0, max=65535),
+    ros2: bool = option(False, "Also answer ROS 2 nodes on the network.", "--ros2"),
+) -> None:
+    """Answer POST /reach and POST /plan with JSON, for programs on this computer, until Ctrl-C.
+
+    Example: kinfeas serve --robot pr2 --scene room
+    """
+    from kinfeas.api.serve import PlanningServer
+
+    with status("preparing"):
+        server = PlanningServer(robot, scene, port, ros2=ros2)
+    typer.echo(server.url)
+    with server:
+        server.serve_forever()

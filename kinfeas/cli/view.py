@@ -1,10 +1,13 @@
-"""`kinfeas view`: a scene or a recorded run as a table, a picture or an interactive page."""
+"""`kinfeas view` and `kinfeas play`: scenes, recorded runs and simulated robots to look at."""
 
 from pathlib import Path
+
+import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
 from kinfeas.cli.output import print_facts, print_paths, progress, write_json
+from kinfeas.core.extras import require
 
 
 def view(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -32,3 +35,44 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     write_json(facts, json)
     print_facts(f"record {record}" if record else f"scene {facts['scene']}", facts)
     print_paths(picture, video, html)
+
+
+def play(  # noqa: PLR0913, PLR0917 - each option is an argument
+    policy: options.PolicyArgument = "pretrained",
+    robot: options.PolicyRobotName = None,
+    second_policy: str = option("none", "Policy of a second robot."),
+    generator: str = option("servo", "Motion generator."),
+    filters: str = option("time_scaling", "Command filters with commas, or none."),
+    backend: str = option("analytic", "analytic, pybullet or mujoco."),
+    scene: str = option("room", "Scene by name or YAML file, or none."),
+    demonstrations: Path = option(Path("demonstrations"), "Folder of recorded motions."),
+    host: str = option("127.0.0.1", "Address; 0.0.0.0 for other computers."),
+    port: int = option(8080, "Port; 0 for a free one.", min=0, max=65535),
+) -> None:
+    """Drag the target of a simulated robot in the browser; base and arm follow.
+
+    Example: kinfeas play --robot pr2 --backend mujoco
+    """
+    require("viser", "fcl")
+    from kinfeas.api.load import filter_names, load_policy, robot_of
+    from kinfeas.core import registry
+    from kinfeas.scenes.scene import read_scene
+    from kinfeas.viz.choice import NONE, Choice
+    from kinfeas.viz.server import serving
+
+    names, robot = filter_names(filters), robot or robot_of(policy)
+    # So that errors come before the address.
+    for each in {policy, second_policy} - {NONE}:
+        load_policy(each, robot=robot)
+    registry.load("kinfeas.motion_generators", generator)
+    registry.load("kinfeas.backends", backend)
+    for name in names:
+        registry.load("kinfeas.filters", name)
+    if scene != NONE:
+        read_scene(scene)
+    with serving("kinfeas play", host, port) as server:
+        typer.echo(server.url)  # browsers load while the rest is imported
+        from kinfeas.viz.play import play as run
+
+        choice = Choice(robot, policy, second_policy, generator, names, backend, scene)
+        run(server, choice, demonstrations)
