@@ -122,14 +122,6 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
     return np.unique(indices.clip(0, len(travelled) - 1))
 
 
-def robot_at(
-    robot: Robot, recording: Recording, moment: int, colours: tuple[str, str] = (BODY, ARM)
-) -> list[VisualShape]:
-    """Return the solids of a robot at a moment of an episode; colours of body and arm."""
-    pose, joints = recording.base_pose[moment], recording.joint_positions[moment]
-    return shapes.robot_solids(robot, pose, joints, colours)
-
-
 def _furniture_near(recording: Recording) -> list[list[VisualShape]]:
     scene = recording.scene
     if scene is None:
@@ -166,8 +158,8 @@ def _draw_side(
     axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[VisualShape]
 ) -> None:
     solids = [*furniture, *_solids_near(recording, -1, _AROUND)]
-    for moment, body, arm in _fading(recording):
-        solids += robot_at(robot, recording, moment, (body, arm))
+    for *_, own in _fading(robot, recording):
+        solids += own
     ends = recording.desired[:, :3], recording.goals[:, :3]
     points = np.concatenate([shapes.corners(solids), *ends])
     floor = drawing.draw_floor(axes, points)
@@ -181,8 +173,7 @@ def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
         for solid in _solids_near(recording, moment):
             colour = (*to_rgb(solid.colour[:7]), opacity)
             draw_outline(axes, shapes.corners([solid]), colour, 1.8)
-    for moment, body, arm in _fading(recording):
-        solids = robot_at(robot, recording, moment, (body, arm))
+    for moment, (body, arm), solids in _fading(robot, recording):
         carried = [solid for solid in solids if solid.colour == body]
         if carried:
             draw_outline(axes, shapes.corners(carried), (*to_rgb(body), 0.55), 2.0)
@@ -225,15 +216,18 @@ def _draw_paths(axes: Axes, recording: Recording) -> None:
     draw(recording.goals, "*", color=GOAL, mec=INK, mew=0.7, ms=16.0, zorder=11)
 
 
-def _fading(recording: Recording) -> Iterator[tuple[int, str, str]]:
-    """Yield the drawn moments with colours of body and arm, the paler the earlier."""
+def _fading(
+    robot: Robot, recording: Recording
+) -> Iterator[tuple[int, tuple[str, str], list[VisualShape]]]:
+    """Yield the drawn moments, colours of body and arm, the paler the earlier, and the solids."""
     drawn = moments(recording)
     for paleness, moment in zip(np.linspace(_PALEST, 0.0, len(drawn)), drawn.tolist(), strict=True):
         body, arm = (
             to_hex(tuple((1.0 - paleness) * np.array(to_rgb(colour)) + paleness))
             for colour in (BODY, ARM)
         )
-        yield moment, body, arm
+        pose, joints = recording.base_pose[moment], recording.joint_positions[moment]
+        yield moment, (body, arm), shapes.robot_solids(robot, pose, joints, (body, arm))
 
 
 def _legend() -> list[Line2D]:
