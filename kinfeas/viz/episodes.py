@@ -63,10 +63,8 @@ def episodes_figure(
         columns = {1: 3, 2: 4}.get(count, 7)
         handles: list[Artist] = [*_legend()]
         if any(recording.solids is not None for recording in recordings):
-            handles += [
-                Patch(color=shapes.LOW, label="solid"),
-                Patch(color=shapes.HIGH, label="wall"),
-            ]
+            handles.append(Patch(color=shapes.LOW, label="solid"))
+            handles.append(Patch(color=shapes.HIGH, label="wall"))
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
     return figure
 
