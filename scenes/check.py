@@ -62,22 +62,14 @@ def check_places(
 ) -> None:
     """Raise an error unless objects are on a floor of some size, metres, and do not overlap."""
     for name, scene_object in objects.items():
-        _check_floor(f"{source}: object {name!r}", size, scene_object)
-    _check_overlaps(source, objects)
-
-
-def _check_floor(where: str, size: tuple[float, float], scene_object: SceneObject) -> None:
-    if np.any(np.abs(scene_object.pose[:2]) > np.array(size) / 2.0):
-        x, y = scene_object.pose[:2]
-        raise KinfeasError(
-            f"{where} is at ({x:g}, {y:g}), off the floor of {size[0]:g} x {size[1]:g} m"
-        )
-    sunk = max((shape.reach(_DOWN) for _, shape in scene_object.shapes()), default=0.0)
-    if sunk > OVERLAP:
-        raise KinfeasError(f"{where} is {sunk:.3g} m below the floor")
-
-
-def _check_overlaps(source: str, objects: Mapping[str, SceneObject]) -> None:
+        where, (x, y) = f"{source}: object {name!r}", scene_object.pose[:2]
+        if abs(x) > size[0] / 2.0 or abs(y) > size[1] / 2.0:
+            raise KinfeasError(
+                f"{where} is at ({x:g}, {y:g}), off the floor of {size[0]:g} x {size[1]:g} m"
+            )
+        sunk = max((shape.reach(_DOWN) for _, shape in scene_object.shapes()), default=0.0)
+        if sunk > OVERLAP:
+            raise KinfeasError(f"{where} is {sunk:.3g} m below the floor")
     solids = {
         name: ShapeGroup((shape for _, shape in scene_object.shapes()), OVERLAP)
         for name, scene_object in objects.items()
