@@ -75,7 +75,7 @@ def run_episode(world: World, policy: Policy, episode: int) -> Replay:
     (recording,) = record_episodes(world, policy, 1, episode, watch)
     if not isinstance(backend, PhysicsBackend) or not isinstance(stage, Stage):
         return replay_of(recording, world.robot, title)
-    if not stage.has_success_condition:
+    if stage.success is None:
         recording = replace(recording, task_done=None)
     if recording.solids is not None:  # furniture is visible already
         recording = replace(recording, solids=recording.solids.beyond(backend.furniture))

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinfeas.backends.physics.config import PhysicsConfig
-from kinfeas.backends.physics.robot import robot_state
-from kinfeas.backends.physics.stage import Stage, StreamStage, task_scene
+from kinfeas.backends.physics.stage import Stage, StreamStage
 from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Backend, Contacts, Grip, ObstacleDistances, RobotState, Scan
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.solids import MovingSolids, Solids
-from kinfeas.core.spatial import Array, compose, planar_pose
+from kinfeas.core.spatial import Array, compose, planar_pose, wrap
 from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.sensing import base_obstacles, fine_base_prisms, scan
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import Scene, solids_around
+from kinfeas.scenes.scene import Scene, read_scene, solids_around
+from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import StreamTask, Task
 
 _FLAT = 1e-6
@@ -72,7 +72,8 @@ class PhysicsBackend(Backend):
     def stage(self, task: Task) -> Stage:
         """Return a task whose episodes also place its objects; call it before any other method."""
         if self._objects:
-            self.scene = task_scene(task)
+            scene = task.scene if isinstance(task, ChainTask) else None
+            self.scene = read_scene(scene.name) if scene else None
         stage = StreamStage(task, task, self) if isinstance(task, StreamTask) else Stage(task, self)
         self.open()  # shows errors early
         return stage
@@ -176,11 +177,15 @@ class PhysicsBackend(Backend):
         return solids_around(shapes, compose(frames[:, owner], local))
 
     def _measure(self, rows: Rows) -> RobotState:
-        """Return the state of all robots with new measurements of `rows`."""
+        """Return the state of all robots, `rows` measured anew; continuous joints in (-pi, pi]."""
         # Earlier states keep their arrays.
         self._positions, self._velocities = self._positions.copy(), self._velocities.copy()
         self._positions[rows], self._velocities[rows] = self._read(rows)
-        return robot_state(self.robot, self._positions, self._velocities)
+        twist = np.zeros((len(self._positions), 6))
+        twist[:, [0, 1, 5]] = self._velocities[:, :3]
+        base, joints = planar_pose(*self._positions[:, :3].T), self._positions[:, 3:]
+        joints = np.where(self.robot.continuous, wrap(joints), joints)
+        return RobotState(base, joints, base_twist=twist, joint_velocities=self._velocities[:, 3:])
 
     def _check(self, planar: Array, joints: Array, count: int) -> None:
         if len(planar) != count or joints.shape != (count, len(self.robot.arm)):

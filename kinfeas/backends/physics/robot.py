@@ -7,9 +7,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, compose, planar_pose, rotation, wrap
+from kinfeas.core.spatial import Array, compose, rotation
 from kinfeas.robots.elements import Element, find_mesh, numbers_text, set_origin
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Urdf
@@ -22,19 +21,6 @@ _MESH_FORMATS = (".stl", ".obj", ".dae")
 _WORLD, _CARRIERS = "planar_world_link", ("planar_x_link", "planar_y_link")
 _AXES = ("1 0 0", "0 1 0", "0 0 1")
 _SMALLEST = 0.01  # m, radius of gyration of links with zero moments
-
-
-def robot_state(robot: Robot, positions: Array, velocities: Array) -> RobotState:
-    """Return the state of n robots; continuous joints are wrapped to (-pi, pi].
-
-    Positions and velocities are of x, y, yaw and the arm's joints, (n, 3 + j).
-    """
-    twist = np.zeros((len(positions), 6))
-    twist[:, [0, 1, 5]] = velocities[:, :3]
-    joints = positions[:, 3:]
-    joints = np.where(robot.continuous, wrap(joints), joints)
-    base = planar_pose(*positions[:, :3].T)
-    return RobotState(base, joints, base_twist=twist, joint_velocities=velocities[:, 3:])
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.tasks.chain import ChainTask, SuccessCondition
+from kinfeas.scenes.scene import Scene
+from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import StreamTask, Task
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ class Stage:
         name: Its name.
         subgoals: Its sub-goals.
         scene: Scene before an episode moves objects; None for a floor only.
+        success: Condition on objects of the scene; None without one.
         backend: Backend that simulates them.
     """
 
@@ -42,6 +43,7 @@ class Stage:
         self._placed: dict[int, Scene] = {}
         self._chain = task if isinstance(task, ChainTask) else None
         self._task_scene = self._chain.scene if self._chain and self.scene else None
+        self.success = self._task_scene.success if self._task_scene else None
         backend.furniture = 0
         if self._chain and self.scene and self._chain.clutter is not None:
             backend.furniture = self._chain.solids_of(self.scene).places
@@ -61,7 +63,10 @@ class Stage:
         """Return one random episode; place robot and objects of a row."""
         first, scene = self.task.sample(solver, rng), self.scene
         if scene is not None:
-            scene = self._placed[row] = self._moved(scene, first)
+            if self._chain and (poses := self._chain.object_poses(first.target_poses)):
+                scene = scene.with_poses(poses)
+                scene.check_places(f"task {self.name!r}")
+            self._placed[row] = scene
         start = first
         for _ in range(_DRAWS):
             if self.backend.place(row, scene, start.base_pose, start.joint_positions):
@@ -83,17 +88,8 @@ class Stage:
 
     def settle(self, joint_positions: Array, dt: float, row: int = 0) -> None:
         """Hold the robot of a row still while objects come to rest; joints of all, (n, j)."""
-        if self.has_success_condition:
+        if self.success is not None:
             self.backend.hold(row, joint_positions[row], dt, round(_SETTLE_SECONDS / dt))
-
-    @property
-    def has_success_condition(self) -> bool:
-        """Whether the task has a success condition on objects of the scene."""
-        return self._success is not None
-
-    @property
-    def _success(self) -> SuccessCondition | None:
-        return self._task_scene.success if self._task_scene else None
 
     def task_done(
         self, row: int, joint_positions: Array, dt: float, *, reached: bool
@@ -102,7 +98,7 @@ class Stage:
 
         A task without a condition is done if the goal is reached. None if the objects are left out.
         """
-        if (success := self._success) is None:
+        if (success := self.success) is None:
             objects_left_out = self._chain and self._chain.scene and self.scene is None
             return None if objects_left_out else reached
         self.settle(joint_positions, dt, row)
@@ -110,7 +106,7 @@ class Stage:
 
     def done(self, row: int = 0) -> bool | None:
         """Return whether the objects of a row meet the success condition; None without one."""
-        if (success := self._success) is None:
+        if (success := self.success) is None:
             return None
         if success.joint is not None:
             position = self.backend.object_joint(row, success.object, success.joint)
@@ -132,15 +128,6 @@ class Stage:
         assert self.scene is not None
         return self._placed.get(row, self.scene)
 
-    def _moved(self, scene: Scene, start: Start) -> Scene:
-        """Return a scene with the objects where an episode places them."""
-        poses = self._chain.object_poses(start.target_poses) if self._chain else {}
-        if not poses:
-            return scene
-        moved = scene.with_poses(poses)
-        moved.check_places(f"task {self.name!r}")
-        return moved
-
 
 class StreamStage(Stage):
     """A task whose targets move, in a physics backend; attributes as in `StreamTask`."""
@@ -149,10 +136,3 @@ class StreamStage(Stage):
         """Connect a task, which is also `stream`, to a backend."""
         super().__init__(task, backend)
         self.seconds, self.target_stream = stream.seconds, stream.target_stream
-
-
-def task_scene(task: Task) -> Scene | None:
-    """Return the scene of a task; None for a floor only."""
-    if isinstance(task, ChainTask) and task.scene is not None:
-        return read_scene(task.scene.name)
-    return None
