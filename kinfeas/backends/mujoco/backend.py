@@ -111,18 +111,15 @@ class MuJoCoBackend(PhysicsBackend):
 
     def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:
         """Return the world poses of links of a row, shape (k, 7)."""
-        bodies, data = [self.model.body(*link) for link in links], self.sims.data(row)
-        return np.hstack([data.xpos[bodies], data.xquat[bodies][:, [1, 2, 3, 0]]])
+        return self.sims.poses(row, [self.model.body(*link) for link in links])
 
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""
-        data, body = self.sims.data(row), self.model.root(name)
-        pose = np.concatenate([data.xpos[body], np.roll(data.xquat[body], -1)])
-        speed = 0.0
-        if not self.model.objects[name].fixed:
-            at = int(self.model.engine.joint(f"{name}:free").dofadr[0])
-            speed = float(np.linalg.norm(data.qvel[at : at + 3]))
-        return pose, speed
+        pose = self.sims.poses(row, [self.model.root(name)])[0]
+        if self.model.objects[name].fixed:
+            return pose, 0.0
+        at = int(self.model.engine.joint(f"{name}:free").dofadr[0])
+        return pose, float(np.linalg.norm(self.sims.qvel[row, at : at + 3]))
 
     def object_joint(self, row: int, name: str, joint: str) -> float:
         """Return the position of an object's joint, rad or m."""

@@ -203,7 +203,7 @@ class Simulations:
         touching = bodies[(bodies == link).any(axis=1)]
         if not all(np.isin(touching, finger).any() for finger in model.fingers):
             return False
-        hand_pose, link_pose = (self._pose(body) for body in (hand, link))
+        hand_pose, link_pose = self.poses(row, [hand, link])
         tip = compose(hand_pose, self._tip)
         in_hand, in_link = self._tip[:3], relative(tip, link_pose)[:3]
         rotation = np.roll(relative(link_pose, hand_pose)[3:], 1)
@@ -224,9 +224,10 @@ class Simulations:
         equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
         return float(np.linalg.norm(data.efc_force[equality & (data.efc_id == grasp)][:3]))
 
-    def _pose(self, body: int) -> Array:
-        data = self._scratch
-        return np.concatenate([data.xpos[body], np.roll(data.xquat[body], -1)])
+    def poses(self, row: int, bodies: list[int]) -> Array:
+        """Return the world poses of bodies of a simulation, shape (k, 7)."""
+        data = self.data(row)
+        return np.hstack([data.xpos[bodies], np.roll(data.xquat[bodies], -1, axis=1)])
 
     def contacts(self, row: int) -> tuple[NDArray[np.int32], Array]:
         """Return the bodies that touch, shape (c, 2), and the normals from first to second."""

@@ -105,7 +105,10 @@ def room_spec(
     for name, item in objects.items():
         spec.attach(_object_spec(item), prefix=f"{name}:", frame=spec.worldbody.add_frame())
     for place in range(places):
-        _add_solid(spec, place)
+        # Its shape and its pose are those of a simulation.
+        body = spec.worldbody.add_body(name=f"{SOLID}{place}", mocap=True)
+        box = mujoco.mjtGeom.mjGEOM_BOX
+        _collide([body.add_geom(type=box, size=[0.1] * 3, friction=_FRICTION)], _FIXED)
     return spec
 
 
@@ -171,13 +174,6 @@ def _object_spec(item: SceneObject) -> Any:
     else:
         root.add_freejoint(name="free")
     return spec
-
-
-def _add_solid(spec: Any, place: int) -> None:
-    """Add a body for a solid; its shape and its pose are those of a simulation."""
-    body = spec.worldbody.add_body(name=f"{SOLID}{place}", mocap=True)
-    geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, friction=_FRICTION)
-    _collide([geom], _FIXED)
 
 
 def _read(urdf: str, path: str) -> Any:
