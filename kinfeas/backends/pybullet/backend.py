@@ -73,7 +73,7 @@ class PyBulletBackend(PhysicsBackend):
     def close(self) -> None:
         """End the simulations; a second call does nothing."""
         for simulation in self._sims:
-            simulation.close()
+            simulation.physics.close()
 
     def place(
         self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
@@ -83,7 +83,9 @@ class PyBulletBackend(PhysicsBackend):
         if scene is not None and simulation.furniture is not None:
             simulation.furniture.scene = scene
         simulation.reset(base_pose, joint_positions)
-        return simulation.free()
+        simulation.physics.client.performCollisionDetection()
+        contacts = simulation.contacts()
+        return not (contacts.base or contacts.arm)
 
     def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:
         """Return the world poses of links of a row, shape (k, 7)."""

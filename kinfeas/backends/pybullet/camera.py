@@ -84,7 +84,8 @@ class Camera:
                 kind = client.GEOM_CYLINDER
             else:
                 geometry, kind = {"radius": shape.size[0]}, client.GEOM_SPHERE
-            visual = client.createVisualShape(kind, rgbaColor=_rgba(colour), **geometry)
+            rgba = [byte / 255.0 for byte in bytes.fromhex(colour[1:].ljust(8, "f"))]
+            visual = client.createVisualShape(kind, rgbaColor=rgba, **geometry)
             self._bodies.append(client.createMultiBody(0.0, -1, visual))
 
     def picture(self, poses: Sequence[Array], view: View) -> NDArray[np.uint8]:
@@ -104,8 +105,3 @@ class Camera:
     def close(self) -> None:
         """End the world."""
         self._client.leave()
-
-
-def _rgba(colour: str) -> list[float]:
-    """Return a colour, `#rrggbb` or `#rrggbbaa`, as four fractions."""
-    return [byte / 255.0 for byte in bytes.fromhex(colour[1:].ljust(8, "f"))]

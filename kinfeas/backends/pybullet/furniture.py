@@ -52,10 +52,6 @@ class Furniture:
         """Return PyBullet's numbers of an object and of one of its links."""
         return self.bodies[name], self._links[name][link]
 
-    def link_pose(self, name: str, link: str) -> Array:
-        """Return the world pose of a link of an object, shape (7,)."""
-        return self._physics.link_pose(*self.link(name, link))
-
     def joint_position(self, name: str, joint: str) -> float:
         """Return the position of an object's joint, rad or m."""
         number = self._joints[name][joint]
@@ -64,7 +60,7 @@ class Furniture:
     def motion(self, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""
         velocity, _ = self._physics.client.getBaseVelocity(self.bodies[name])
-        pose = self.link_pose(name, self.scene.objects[name].urdf.root)
+        pose = self._physics.link_pose(*self.link(name, self.scene.objects[name].urdf.root))
         return pose, float(np.linalg.norm(velocity))
 
     def is_on(self, name: str, below: str, steepest: float) -> bool:

@@ -148,11 +148,6 @@ class Grasp:
             for end, at, pull in ((self._hand, point_in_hand, -force), (self.held, point, force)):
                 client.applyExternalForce(*end, pull.tolist(), at.tolist(), client.WORLD_FRAME)
 
-    def update(self) -> None:
-        """Release at the end of a control period if the force is above the limit."""
-        if self.force > self._physics.config.grasp_limit:
-            self.release()
-
     def release(self) -> None:
         """Hold nothing."""
         self._ends, self.held, self.force = [], None, 0.0

@@ -56,7 +56,8 @@ class RobotBody:
         self.yaw_inertia = float(client.calculateMassMatrix(self.body, self.positions())[2][2])
 
     def reset(self, base_pose: Array, joint_positions: Array) -> None:
-        """Place the robot at rest: base pose (7,), arm joints (j,)."""
+        """Place the robot and its setpoints at rest: base pose (7,), arm joints (j,)."""
+        self.setpoints.reset(joint_positions)
         planar = (*base_pose[:2].tolist(), float(yaw(base_pose)))
         arm = (self.joints[name] for name in self.setpoints.names)
         positions = dict(zip(self.base, planar, strict=True)) | self._rest
@@ -131,7 +132,7 @@ class BaseDrive:
         """
         x, y, self._target_rotation = float(twist[0]), float(twist[1]), float(twist[5])
         if not self._omnidirectional:
-            heading = self._heading() + self._target_rotation * dt
+            heading = self._body.planar()[2] + self._target_rotation * dt
             x, y = math.cos(heading) * x + math.sin(heading) * y, 0.0
         self._target = (x, y)
 
@@ -143,7 +144,7 @@ class BaseDrive:
         self._velocity = self._accelerated(self._limits.max_acceleration * time)
         x, y = self._velocity
         if not self._omnidirectional:
-            heading = self._heading() + self._rotation * time
+            heading = self._body.planar()[2] + self._rotation * time
             x, y = math.cos(heading) * x, math.sin(heading) * x
         client.setJointMotorControlArray(
             self._body.body, self._body.base, client.VELOCITY_CONTROL,
@@ -159,9 +160,6 @@ class BaseDrive:
         fraction = largest / change
         return self._velocity[0] + fraction * x, self._velocity[1] + fraction * y
 
-    def _heading(self) -> float:
-        return self._body.planar()[2]
-
 
 class ArmDrive:
     """Position control of the arm's joints, and of those that mimic them, along `ArmSetpoints`.
@@ -175,7 +173,6 @@ class ArmDrive:
     gain = 1.0
 
     def __init__(self, body: RobotBody) -> None:
-        """Connect to the arm of a robot; call `reset` next."""
         robot = body.robot
         self._body = body
         self._setpoints = moved = body.setpoints
@@ -186,16 +183,16 @@ class ArmDrive:
         self._sprung = [(body.joints[name], order.index(name)) for name in sprung]
         self._zeros = [0.0] * len(order)
 
-    def reset(self, joint_positions: Array) -> None:
-        """Start at rest at joint positions, shape (j,)."""
-        self._setpoints.reset(joint_positions)
-
     def command(self, targets: Array, steps: int) -> None:
         """Plan a path toward joint positions, shape (j,), for `steps` physics steps."""
         time: Array = self._body.physics.step_time * np.arange(1.0, steps + 1.0)
         path, _ = self._setpoints.plan(targets[np.newaxis], time)
         self._path = path[0].tolist()
-        self._load = self._spring_torques()
+        if self._sprung:
+            load = self._body.physics.client.calculateInverseDynamics(
+                self._body.body, self._body.positions(), self._zeros, self._zeros
+            )
+            self._load = [load[number] for _, number in self._sprung]
 
     def drive(self, step: int) -> None:
         """Command the motors for physics step number `step` since `command`."""
@@ -209,12 +206,3 @@ class ArmDrive:
         if self._sprung:
             joints = [joint for joint, _ in self._sprung]
             client.setJointMotorControlArray(body, joints, client.TORQUE_CONTROL, forces=self._load)
-
-    def _spring_torques(self) -> list[float]:
-        """Return the gravity load of the counterbalanced joints, N m or N."""
-        if not self._sprung:
-            return []
-        load = self._body.physics.client.calculateInverseDynamics(
-            self._body.body, self._body.positions(), self._zeros, self._zeros
-        )
-        return [load[number] for _, number in self._sprung]

@@ -27,7 +27,6 @@ class Simulation:
     def __init__(
         self, robot: Robot, scene: Scene | None, physics: PhysicsConfig, *, gui: bool
     ) -> None:
-        """Build the world; arguments as in `PyBulletBackend`."""
         self.physics = Physics(physics, gui=gui)
         self.furniture = Furniture(self.physics, scene) if scene else None
         self.solids = SolidBodies(self.physics)
@@ -61,7 +60,6 @@ class Simulation:
             self.body.reset(base_pose, joint_positions)
             self.physics.look_at(base_pose)
             self._base.reset()
-            self._arm.reset(joint_positions)
             self._closing = False
             if self.gripper is not None:
                 self.gripper.reset()
@@ -105,7 +103,8 @@ class Simulation:
                     self.grasp.drive()
                 self.physics.client.stepSimulation()
             if self.grasp is not None:
-                self.grasp.update()
+                if self.grasp.force > self.physics.config.grasp_limit:
+                    self.grasp.release()
                 if self._closing and self._handled is not None and self.grasp.held is None:
                     # A link that has slipped out is not grasped again.
                     self._closing = not self.grasp.hold(*self._handled, rigid=self._rigid)
@@ -120,24 +119,11 @@ class Simulation:
 
         The robot's own links, and the floor below its base, do not count.
         """
-        body, spared = self.body, self._spared()
+        body = self.body
         touching = frozenset(
             (point[3], point[2], point[4])
             for point in self.physics.client.getContactPoints(bodyA=body.body)
-            if point[8] <= 0.0 and point[2] != body.body and (point[2], point[4]) not in spared
+            if point[8] <= 0.0 and point[2] != body.body and (point[2], point[4]) != self._handled
         )
         arm = frozenset(contact for contact in touching if contact[0] in body.arm_links)
         return Contacts(touching - arm, arm)
-
-    def free(self) -> bool:
-        """Return whether the robot has no contact at its present pose."""
-        self.physics.client.performCollisionDetection()
-        touching = self.contacts()
-        return not (touching.base or touching.arm)
-
-    def close(self) -> None:
-        """End the world; a second call does nothing."""
-        self.physics.close()
-
-    def _spared(self) -> tuple[tuple[int, int], ...]:
-        return () if self._handled is None else (self._handled,)
