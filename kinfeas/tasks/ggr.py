@@ -6,13 +6,12 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas import config
 from kinfeas.config.quantities import Distance, Metres
 from kinfeas.core.errors import check_ascending, check_name
 from kinfeas.core.spatial import Array, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
+from kinfeas.tasks.task import MotionSpec, Subgoal, named, random_arm
 
 
 @dataclass(frozen=True)
@@ -71,16 +70,15 @@ class GoalReaching:
 
 def ggr(**parameters: object) -> GoalReaching:
     """Goal reaching at all heights of the robot's reach."""
-    return config.from_mapping(GoalReaching, parameters, "ggr")
+    return named(GoalReaching, "ggr", {}, parameters)
 
 
 def ggr_restricted(**parameters: object) -> GoalReaching:
     """Goal reaching with start and goal at comfortable heights."""
-    defaults = {"name": "ggr_restricted", "restrict_start": True}
-    return config.from_mapping(GoalReaching, {**defaults, **parameters}, "ggr_restricted")
+    return named(GoalReaching, "ggr_restricted", {"restrict_start": True}, parameters)
 
 
 def spline(**parameters: object) -> GoalReaching:
     """Goal reaching at comfortable heights, along smooth random curves."""
-    defaults = {"name": "spline", "motion": {"generator": "spline"}, "restrict_start": True}
-    return config.from_mapping(GoalReaching, {**defaults, **parameters}, "spline")
+    defaults = {"motion": {"generator": "spline"}, "restrict_start": True}
+    return named(GoalReaching, "spline", defaults, parameters)

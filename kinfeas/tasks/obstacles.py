@@ -1,11 +1,9 @@
 """Goal reaching among random solids that stand or move."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kinfeas import config
 from kinfeas.config.quantities import Count, Distance, NotNegative, Share
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
@@ -15,7 +13,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.clutter import SMALLEST, Clutter, free_places, touches_robot
 from kinfeas.tasks.ggr import GoalReaching
-from kinfeas.tasks.task import MotionSpec
+from kinfeas.tasks.task import MotionSpec, named
 
 _ROUNDS = 200
 _MOMENTS = 16
@@ -94,7 +92,7 @@ def _moments(solids: Solids) -> Solids:
 
 def ggr_obstacles(**parameters: object) -> ReachingAmongSolids:
     """Goal reaching among up to 64 solids that stand."""
-    return _reaching("ggr_obstacles", {}, parameters)
+    return named(ReachingAmongSolids, "ggr_obstacles", {}, parameters)
 
 
 def ggr_dynamic(**parameters: object) -> ReachingAmongSolids:
@@ -106,11 +104,5 @@ def ggr_dynamic(**parameters: object) -> ReachingAmongSolids:
     lower = {"walls": 0.0, "footprint": (0.8, 0.8)}
     fast = {"ramp": 1.0, "max_velocity": 0.2, "max_angular_velocity": 0.5}
     motion = {"generator": "whole_body", "parameters": fast}
-    return _reaching("ggr_dynamic", {**moving, **lower, "motion": motion}, parameters)
-
-
-def _reaching(
-    name: str, defaults: Mapping[str, object], parameters: Mapping[str, object]
-) -> ReachingAmongSolids:
-    values = {"name": name, **defaults, **parameters}
-    return config.from_mapping(ReachingAmongSolids, values, name)
+    defaults = {**moving, **lower, "motion": motion}
+    return named(ReachingAmongSolids, "ggr_dynamic", defaults, parameters)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from kinfeas import config
 from kinfeas.config.quantities import Positive, PositiveSeconds, Seconds, Share
 from kinfeas.control.targets import Progress, TargetInbox, TargetRules
 from kinfeas.core import spatial
@@ -17,7 +16,7 @@ from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
+from kinfeas.tasks.task import MotionSpec, Subgoal, named, random_arm
 
 _GRID = 0.1  # seconds between the poses of a path
 _MARGIN = 0.1  # distance in metres from the limits of height at which targets slow down toward them
@@ -231,20 +230,15 @@ class SimulatedStream:
 
 def joystick(**parameters: object) -> Stream:
     """A person leads the EE by a joystick."""
-    return _stream("joystick", {}, parameters)
+    return named(Stream, "joystick", {"kind": "joystick"}, parameters)
 
 
 def chunks(**parameters: object) -> Stream:
     """A model sends poses ahead, which jump between its messages."""
-    defaults = {"rate": (0.8, 2.5), "delay": (0.1, 0.3), "loss": 0.1}
-    return _stream("chunks", defaults, parameters)
+    defaults = {"kind": "chunks", "rate": (0.8, 2.5), "delay": (0.1, 0.3), "loss": 0.1}
+    return named(Stream, "chunks", defaults, parameters)
 
 
 def carried(**parameters: object) -> Stream:
     """The EE follows an object that is carried along a curve."""
-    return _stream("carried", {"speed": 0.2}, parameters)
-
-
-def _stream(kind: str, defaults: Mapping[str, object], parameters: Mapping[str, object]) -> Stream:
-    values = {"name": kind, "kind": kind, **defaults, **parameters}
-    return config.from_mapping(Stream, values, kind)
+    return named(Stream, "carried", {"kind": "carried", "speed": 0.2}, parameters)

@@ -1,12 +1,13 @@
 """The task protocol, sub-goals, and random starts of episodes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas import config
 from kinfeas.config.quantities import Seconds
 from kinfeas.control.execution import Frame, SubgoalMotion
 from kinfeas.control.targets import TargetStream
@@ -20,6 +21,8 @@ from kinfeas.core.spatial import Array, compose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+
+T = TypeVar("T")
 
 _DRAWS, _ROUNDS = 16, 100
 
@@ -148,6 +151,13 @@ def _check_solids(solids: Solids, what: str) -> None:
         raise KinfeasError(f"{what}.size has a negative extent")
 
 
+def named(
+    kind: type[T], name: str, defaults: Mapping[str, object], parameters: Mapping[str, object]
+) -> T:
+    """Return a task of a class by its name; `parameters` replace the `defaults`."""
+    return config.from_mapping(kind, {"name": name, **defaults, **parameters}, name)
+
+
 def target_stream(task: Task, solver: IkSolver) -> TargetStream | None:
     """Return the targets of a task that move; None for others."""
     return task.target_stream(solver) if isinstance(task, StreamTask) else None
@@ -157,27 +167,20 @@ def build_subgoals(subgoals: Sequence[Subgoal]) -> tuple[SubgoalMotion, ...]:
     """Return sub-goals with their generators; those of equal motions share one."""
     built: list[SubgoalMotion] = []
     for number, subgoal in enumerate(subgoals):
-        equal = next(
-            (b for a, b in zip(subgoals, built, strict=False) if a.motion == subgoal.motion), None
-        )
+        motion = subgoal.motion
+        equal = [b for a, b in zip(subgoals, built, strict=False) if a.motion == motion]
         where = f"subgoals.{number}.motion" if len(subgoals) > 1 else "motion"
-        generator = equal.generator if equal else _build(subgoal.motion, where)
-        built.append(
-            SubgoalMotion(
-                generator, subgoal.frame, subgoal.dwell, subgoal.grip, subgoal.motion.generator
-            )
-        )
+        generator = equal[0].generator if equal else _build(motion, where)
+        rest = subgoal.frame, subgoal.dwell, subgoal.grip, motion.generator
+        built.append(SubgoalMotion(generator, *rest))
     return tuple(built)
 
 
 def _build(motion: MotionSpec, where: str) -> MotionGenerator:
     try:
-        generator: MotionGenerator = registry.build(
-            "kinfeas.motion_generators", motion.generator, motion.parameters
-        )
+        return registry.build("kinfeas.motion_generators", motion.generator, motion.parameters)
     except KinfeasError as error:
         raise KinfeasError(f"'{where}': {error}") from error
-    return generator
 
 
 def random_arm(
