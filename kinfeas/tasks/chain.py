@@ -26,6 +26,7 @@ Length = Metres | tuple[Metres, Metres]  # metres, or the ends of a range to dra
 Angle = Radians | tuple[Radians, Radians]  # radians, or the ends of a range to draw from uniformly
 
 _ROUNDS = 200
+_scene = lru_cache(maxsize=16)(read_scene)
 
 
 @dataclass(frozen=True)
@@ -270,11 +271,6 @@ def check_scene(task_scene: TaskScene, scene: Scene) -> None:
                 f"'scene.success.threshold' must be between the limits of joint "
                 f"{success.joint!r}, {low:g} and {high:g}, not {at:g}"
             )
-
-
-@lru_cache(maxsize=16)
-def _scene(name: str) -> Scene:
-    return read_scene(name)
 
 
 def _draw(number: float | tuple[float, float], rng: np.random.Generator) -> float:

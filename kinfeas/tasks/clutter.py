@@ -73,27 +73,21 @@ def with_clutter(
     goal to goal are taken.
     """
     ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
-    goals = start.target_poses[:, :2]
-    route = np.vstack([start.base_pose[:2], goals])
+    ends = np.vstack([start.base_pose[:3], start.target_poses[:, :3], ee[:3]])
+    route = ends[:-1, :2]
     drawn = Clutter().draw_solids(rng, (route.min(axis=0) + route.max(axis=0)) / 2.0)
-    ends = np.vstack([route, ee[:2]])
-    ends = np.column_stack([ends, np.zeros(len(ends))])[np.newaxis]
-    near = drawn.gaps(ends)[0][0].min(axis=0) < _CLEARANCE
-    centres = drawn.centre[0, :, :2]
-    around = np.column_stack([centres, np.zeros(len(centres))])[np.newaxis]
-    gaps = furniture.gaps(around)[0][0].min(axis=1, initial=np.inf)
+    near = drawn.gaps(ends[np.newaxis])[0][0].min(axis=0) < _CLEARANCE
+    centres = drawn.centre[..., :3]
+    gaps = furniture.gaps(centres)[0][0].min(axis=1, initial=np.inf)
     overlaps = gaps < np.linalg.norm(drawn.size[0, :, :2], axis=1)
-    away = np.linalg.norm(centres - route[:, np.newaxis], axis=2)
+    away = np.linalg.norm(centres[..., :2] - route[:, np.newaxis], axis=2)
     legs = np.linalg.norm(np.diff(route, axis=0), axis=1)[:, np.newaxis]
     detour = (away[1:] + away[:-1] - legs).min(axis=0)
     left_out = near | overlaps | touches_robot(solver, start, drawn)
     order = np.argsort(np.where(left_out, np.inf, detour), kind="stable")
     order = order[: min(places, int(np.sum(~left_out)))]
-    joined = Solids.empty(1, furniture.places + places)
-    for name, values in vars(joined).items():
-        values[:, : furniture.places] = getattr(furniture, name)
-        values[:, furniture.places : furniture.places + len(order)] = getattr(drawn, name)[:, order]
-    return joined
+    taken = furniture.joined(drawn.only(order))
+    return Solids.empty(1, furniture.places + places).put(np.arange(1), taken)
 
 
 def touches_robot(solver: IkSolver, start: Start, solids: Solids) -> NDArray[np.bool_]:
