@@ -223,7 +223,6 @@ class Loop:
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as arrays by name."""
         return {
-            **self.surroundings.snapshot(),
             "joint_command": self._arm.joint_command,
             "previous_command": self.previous_command,
             "waited": self._arm.waited.copy(),
@@ -317,12 +316,15 @@ class Loop:
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         near = (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         arrived = sequence.ended(arm.feasible & near)
-        deviation, localised = self._deviation(self.true_state[1]), self._localised_ee
+        deviation, localised = self._deviation(self.true_state[1]), self.robots.localised
+        tracking = deviation
+        if localised is not None:
+            ee_in_base = self._ee_of(self.robots.true_state or self.robots)
+            tracking = self._deviation(spatial.compose(localised, ee_in_base))
         outcome = Outcome(
             feasible=arm.feasible,
             position_error=arm.position_error, rotation_error=arm.rotation_error,
-            deviation=deviation,
-            tracking_error=deviation if localised is None else self._deviation(localised),
+            deviation=deviation, tracking_error=tracking,
             subgoal=sequence.subgoal, goal_distance=goal_distance, goal_angle=goal_angle,
             finished=arrived & sequence.last,
             joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
@@ -336,12 +338,6 @@ class Loop:
         if self._predictor is not None and self.stream is None:
             desired = self._predictor.due
         return np.linalg.norm(ee_pose[:, :3] - desired, axis=1)
-
-    @property
-    def _localised_ee(self) -> Array | None:
-        if (localised := self.robots.localised) is None:
-            return None
-        return spatial.compose(localised, self._ee_of(self.robots.true_state or self.robots))
 
     def _use_filters(self, filters: Sequence[CommandFilter]) -> None:
         self.filters = tuple(filters)

@@ -64,8 +64,11 @@ class MotionSequence(SubgoalMotions):
     def start(self, ee_pose: Array, targets: Array, rngs: Rngs, rows: Rows | None = None) -> None:
         """Begin the first sub-goal, as `SubgoalMotions.start` does, after the head start."""
         super().start(ee_pose, targets, rngs, rows)
+        first, jitter = self._execution.head_start, self._execution.head_start_jitter
+        more = [jitter * rng.random() if jitter else 0.0 for rng in rngs]  # nothing drawn in vain
+        head_start = np.array([_periods(first + each, self.dt) for each in more], dtype=np.intp)
         none = np.zeros(len(rngs), dtype=np.intp)
-        times = self._head_starts(rngs), none, none, none, np.ones(len(rngs))
+        times = head_start, none, none, none, np.ones(len(rngs))
         self._put(dict(zip(self.TIMES, times, strict=True)), rows)
 
     def start_stream(self, rngs: Rngs, rows: Rows, base: Array) -> None:
@@ -196,12 +199,6 @@ class MotionSequence(SubgoalMotions):
             rows = np.flatnonzero(stops & (subgoal == number))
             if ended.grip is not None and rows.size:
                 self._gripper.grip(ended.grip, rows)
-
-    def _head_starts(self, rngs: Rngs) -> NDArray[np.intp]:
-        """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
-        first, jitter = self._execution.head_start, self._execution.head_start_jitter
-        drawn = [jitter * rng.random() if jitter else 0.0 for rng in rngs]
-        return np.array([_periods(first + more, self.dt) for more in drawn], dtype=np.intp)
 
 
 def _periods(seconds: float, dt: float) -> int:

@@ -124,7 +124,7 @@ class SubgoalMotions:
     @property
     def planned(self) -> PlannedRobots:
         """Bases and arms on whole-body paths soon."""
-        return self._until_changed("planned", self._planned)
+        return self._until_changed("planned", lambda: self.whole_body.soon(self._motions))
 
     def aim(self, target_poses: Array) -> None:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
@@ -300,18 +300,13 @@ class SubgoalMotions:
         """Return a value that is kept by its name until something changes."""
         if name not in self._kept:
             self._kept[name] = compute()
-        value: _T = self._kept[name]
-        return value
+        return self._kept[name]
 
     def _goal(self) -> Array:
         targets, ask = self._target, self._motions.ask
         return self._to_ee(
             ask(lambda group: group.generator.goal_pose(group.state, targets[group.rows]))
         )
-
-    def _planned(self) -> PlannedRobots:
-        motions = [group for group in self._motions.of() if group.generator.follows_whole_body]
-        return self.whole_body.soon(motions)
 
     def _step(self, motions: EeMotions, desired: Array, seconds: float | Array) -> MotionStep:
         frame, targets = self._to_frame(desired), self._target

@@ -1,7 +1,6 @@
 """Solids around the robots of a loop, and scans of them, where the backend has them."""
 
 import logging
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +62,3 @@ class Surroundings:
             _log.warning("%s has no scan: the policy observes no obstacles", self._note.plugin)
             self._warned = True
         return np.full((n, 2, SCAN_BEAMS), SCAN_RANGE)
-
-    def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return the solids as arrays by name."""
-        return {} if self._solids is None else self._solids.snapshot()

@@ -1,12 +1,12 @@
 """Whole-body motions that n EEs follow among solids, each row with its own."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from kinfeas.control.ee_motions import Motions
+from kinfeas.control.ee_motions import EeMotions, Motions
 from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.motion import WAYPOINTS, Rows, State, WholeBodyPath, merged, of_rows, with_rows
@@ -54,14 +54,15 @@ class WholeBodyMotions:
         """Forget the paths of rows."""
         self.waypoints = with_rows(self.waypoints, rows, np.array(np.nan))
 
-    def soon(self, motions: Sequence[Motions]) -> PlannedRobots:
+    def soon(self, motions: EeMotions) -> PlannedRobots:
         """Return where n robots are soon."""
         n, points, size = self.waypoints.shape
         if not points:
             return PlannedRobots(np.full((n, 7), np.nan), None)
         robot = np.full((n, len(self._soon), size), np.nan)
-        for group in motions:
-            robot[group.rows] = self._ahead(group, self._soon)
+        for group in motions.of():
+            if group.generator.follows_whole_body:
+                robot[group.rows] = self._ahead(group, self._soon)
         return PlannedRobots(spatial.planar_pose(*robot[:, 0, :3].T), robot[:, 1, 3:])
 
     def follow(

@@ -176,7 +176,7 @@ class MovingSolids:
         """Return the solids as they will stand in some seconds, or None without any."""
         if not self.start.places:
             return None
-        return self.start.at(self.seconds + seconds) if self._any_moves else self.start
+        return self.start.at(self.seconds + seconds) if self.moving.any() else self.start
 
     def step(self, dt: float) -> None:
         """Let time pass."""
@@ -199,7 +199,6 @@ class MovingSolids:
 
     def _find_moving(self) -> None:
         self.moving = np.any(self.start.velocity != 0.0, axis=(1, 2))
-        self._any_moves = bool(self.moving.any())
 
 
 def stacked_solids(solids: Sequence[Solids]) -> Solids:

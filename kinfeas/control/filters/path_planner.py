@@ -172,7 +172,9 @@ class PathFollower:
         scale[rows] *= [path.time_scale_at(elapsed[row]) for row, path in paths.items()]
         now, base_pose = robots_on(paths, rows, elapsed), period.base_pose[rows]
         if period.motion is not None:
-            scale[rows] *= _patience(base_pose, now)
+            metres, radians = _beside(base_pose, now)
+            late = np.maximum(metres / _WAITS_METRES, radians / _WAITS_RADIANS)
+            scale[rows] *= np.clip(1.0 / np.maximum(late, 1.0), _LEAST, 1.0)
         if (scale != period.time_scale).any():
             period = period.slowed(scale)
         then = robots_on(paths, rows, elapsed + period.motion_seconds)
@@ -240,16 +242,6 @@ def _beside(base_pose: Array, robots: Array) -> tuple[Array, Array]:
     """
     metres: Array = np.linalg.norm(robots[:, :2] - base_pose[:, :2], axis=1)
     return metres, np.abs(wrap(robots[:, 2] - yaw(base_pose)))
-
-
-def _patience(base_pose: Array, robots: Array) -> Array:
-    """Return the fractions of their speeds with which EEs wait for bases beside their paths, (m,).
-
-    Shapes are those of `_beside`.
-    """
-    metres, radians = _beside(base_pose, robots)
-    late = np.maximum(metres / _WAITS_METRES, radians / _WAITS_RADIANS)
-    return np.clip(1.0 / np.maximum(late, 1.0), _LEAST, 1.0)
 
 
 def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float) -> Array:
