@@ -86,10 +86,6 @@ class Imitation(PathMotion):
             max_angular_velocity=max_angular_velocity,
         )
 
-    def base_pose(self, state: State, target_pose: Array) -> Array:
-        """Return the demonstrated base poses, shape (n, 7), in the world; NaN without a base."""
-        return self.path.base_at(state["phase"], target_pose)
-
 
 class GaussianMixture(PathMotion):
     """A time-indexed mixture of EE and base poses, in the frame of the grasped object.
@@ -121,10 +117,6 @@ class GaussianMixture(PathMotion):
         twist = twist_between(ee_pose, compose(target_pose, self.path.at(phase)), dt)
         scale = slowed(twist, self.max_velocity, self.max_angular_velocity)
         return twist * scale[:, np.newaxis], {"phase": phase}
-
-    def base_pose(self, state: State, target_pose: Array) -> Array:
-        """Return the demonstrated base poses, shape (n, 7), in the world; NaN without a base."""
-        return self.path.base_at(state["phase"], target_pose)
 
 
 @dataclass(frozen=True)

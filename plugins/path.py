@@ -139,6 +139,10 @@ class PathMotion:
         """Return whether the motions are at the end of the path, shape (n,)."""
         return state["phase"] >= self._end
 
+    def base_pose(self, state: State, target_pose: Array) -> Array:
+        """Return the demonstrated base poses, shape (n, 7), in the world; NaN without a base."""
+        return self.path.base_at(state["phase"], target_pose)
+
     def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         frame, phase = self._frame(target_pose), state["phase"]
