@@ -214,7 +214,10 @@ class Planned(SmoothPath):
         orientations = _slerped(ee_pose, target_pose)[..., 3:]
         points = np.concatenate([points, orientations], axis=2)
         begun = self._begin(state, (ee_pose, target_pose), points, velocity)
-        return _selected(new, begun, state)
+        return {
+            key: np.where(new.reshape(-1, *[1] * (old.ndim - 1)), begun[key], old)
+            for key, old in state.items()
+        }
 
 
 class WholeBody(Planned):
@@ -317,10 +320,3 @@ def _slerped(begin: Array, end: Array) -> Array:
     poses = integrate(begin[:, np.newaxis], twist * fraction, 1.0)
     poses[..., 3:] = continuous(poses[..., 3:])
     return poses
-
-
-def _selected(rows: NDArray[np.bool_], new: State, old: State) -> State:
-    return {
-        key: np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), new[key], values)
-        for key, values in old.items()
-    }

@@ -117,10 +117,8 @@ class Postures:
         base, joints = self._around(goal, *numbers)
         among = None
         if solids is not None:
-            rows = np.flatnonzero(
-                ~base_collides(self.solver.collision, base, solids.repeated(len(base)))
-            )
-            base, joints = base[rows], joints[rows]
+            free = ~base_collides(self.solver.collision, base, solids.repeated(len(base)))
+            base, joints = base[free], joints[free]
             among = in_base(solids.repeated(len(base)), base)
         targets = relative(np.broadcast_to(goal, base.shape), base)
         solver = self.solver if restarts else self._local_solver

@@ -33,6 +33,8 @@ def export(folder: Path, robot: Robot, out: Path) -> tuple[onnx_policy.OnnxPolic
             difference exceeds `TOLERANCE`.
     """
     network, trained = read_network(folder, robot), read_trained(folder)
+    names = ("config", "steps", "seed", "version", "command")
+    training = {name: getattr(trained, name) for name in names}
     golden = np.round(_observations(network, GOLDEN_PAIRS, seed=0), 4)
     metadata = onnx_policy.PolicyMetadata(
         version=__version__,
@@ -40,7 +42,7 @@ def export(folder: Path, robot: Robot, out: Path) -> tuple[onnx_policy.OnnxPolic
         observation=describe_observation(robot, network.observation_terms),
         action=(describe_action(robot),),
         control=onnx_policy.Control(trained.period, HORIZON),
-        training=_training(trained),
+        training={name: value for name, value in training.items() if value not in (None, {})},
         success=_success(trained, folder),
         golden=onnx_policy.GoldenPairs(
             *(tuple(map(tuple, rows.tolist())) for rows in (golden, np.round(network(golden), 7)))
@@ -110,12 +112,6 @@ def _observations(network: Network, rows: int, seed: int) -> Array:
     """Return observations whose scaled entries are normal draws, of which 1 in 370 is clipped."""
     draws = np.random.default_rng(seed).normal(size=(rows, len(network.scale)))
     return draws / network.scale
-
-
-def _training(trained: Trained) -> dict[str, object]:
-    names = ("config", "steps", "seed", "version", "command")
-    entries = {name: getattr(trained, name) for name in names}
-    return {name: value for name, value in entries.items() if value not in (None, {})}
 
 
 def _success(trained: Trained, folder: Path) -> dict[str, object]:

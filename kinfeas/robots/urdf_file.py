@@ -124,17 +124,12 @@ def _link(name: str, element: Element) -> Link:
     for visual in element.children("visual"):
         read_shapes(visual)
     shapes = [read_shapes(collision) for collision in element.children("collision")]
-    mass, centre = _mass(element)
+    mass, centre = 0.0, np.zeros(3)
+    if (inertial := element.child("inertial")) is not None:
+        read_moments(inertial.need("inertia"))
+        mass = inertial.need("mass").number("value", limit=_MAX_MASS, minimum=0.0)
+        centre = inertial.origin()[:3]
     return Link(name, mass, tuple(chain(*shapes)), not all(shapes), centre)
-
-
-def _mass(link: Element) -> tuple[float, Array]:
-    inertial = link.child("inertial")
-    if inertial is None:
-        return 0.0, np.zeros(3)
-    read_moments(inertial.need("inertia"))
-    mass = inertial.need("mass").number("value", limit=_MAX_MASS, minimum=0.0)
-    return mass, inertial.origin()[:3]
 
 
 def read_moments(inertia: Element) -> Array:
@@ -197,7 +192,10 @@ def _joint(name: str, element: Element) -> Joint:
         lower=lower, upper=upper, soft_lower=soft_lower, soft_upper=soft_upper,
         velocity=0.0 if fixed else velocity, effort=0.0 if fixed else effort,
         damping=damping, friction=friction,
-        mimic=None if fixed or mimic is None else _mimic(mimic),
+        mimic=None if fixed or mimic is None else Mimic(
+            multiplier=mimic.number("multiplier", 1.0, FARTHEST),
+            offset=mimic.number("offset", 0.0, FARTHEST), joint=mimic.text("joint"),
+        ),
     )  # fmt: skip
 
 
@@ -234,8 +232,3 @@ def _axis(joint: Element) -> tuple[float, float, float]:
         raise joint.error("the axis must not be zero")
     x, y, z = (axis / length).tolist()
     return x, y, z
-
-
-def _mimic(element: Element) -> Mimic:
-    numbers = element.number("multiplier", 1.0, FARTHEST), element.number("offset", 0.0, FARTHEST)
-    return Mimic(element.text("joint"), *numbers)

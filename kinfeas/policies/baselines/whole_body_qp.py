@@ -77,7 +77,6 @@ class Barriers:
     """Velocity constraints on a base as a limit of Pink."""
 
     def __init__(self, constraints: VelocityConstraints, row: int) -> None:
-        """Take the constraints of one row."""
         limited = np.isfinite(constraints.limit[row])
         self.normal, self.limit = constraints.normal[row, limited], constraints.limit[row, limited]
         self.full_velocity = constraints.full
@@ -169,7 +168,10 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array |
     coupled = LinearHolonomicTask(coupling, np.zeros(len(coupling)), start)
     constraints = [coupled] if len(coupling) else None
     ee = FrameTask("ee", _POSITION_COST, _ROTATION_COST)
-    posture = PostureTask(_posture_costs(lower, upper, carried), gain=_POSTURE_GAIN)
+    costs = np.zeros(len(upper))
+    costs[bounded] = _POSTURE_COST / (upper[bounded] - lower[bounded])
+    costs[: carried - 1], costs[carried - 1] = _BASE_COST, _TURN_COST
+    posture = PostureTask(costs, gain=_POSTURE_GAIN)
     limits = (ConfigurationLimit(model), VelocityLimit(model))
     rest, q = np.zeros(model.nq), np.zeros(model.nq)
 
@@ -192,12 +194,3 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array |
         return np.clip(velocity[:carried] / speeds[:carried], -1.0, 1.0)
 
     return step
-
-
-def _posture_costs(lower: Array, upper: Array, carried: int) -> Array:
-    """Return the weights of base motion and of joint positions off the middle of their ranges."""
-    bounded = np.isfinite(upper)
-    costs = np.zeros(len(upper))
-    costs[bounded] = _POSTURE_COST / (upper[bounded] - lower[bounded])
-    costs[: carried - 1], costs[carried - 1] = _BASE_COST, _TURN_COST
-    return costs
