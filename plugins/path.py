@@ -168,7 +168,7 @@ def in_frame(poses: Array, frame: Frame, object_pose: Array) -> Array:
     `object_pose` is the grasped object in the same frame as `poses`, shape (7,).
     """
     origins = {"object": object_pose, "goal": poses[-1], "world": IDENTITY}
-    return relative(poses, np.broadcast_to(origins[frame], poses.shape))
+    return relative(poses, origins[frame])
 
 
 def even_fractions(duration: float) -> Array:

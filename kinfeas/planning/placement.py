@@ -120,9 +120,8 @@ class Postures:
             free = ~base_collides(self.solver.collision, base, solids.repeated(len(base)))
             base, joints = base[free], joints[free]
             among = in_base(solids.repeated(len(base)), base)
-        targets = relative(np.broadcast_to(goal, base.shape), base)
         solver = self.solver if restarts else self._local_solver
-        arm = solver.solve(targets, joints, solids=among)
+        arm = solver.solve(relative(goal, base), joints, solids=among)
         base, joints = base[arm.feasible], arm.joint_positions[arm.feasible]
         if start is None or solids is None or not len(base):
             return base, joints

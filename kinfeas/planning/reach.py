@@ -149,8 +149,7 @@ class BasePlacer:
         seed = np.tile(self.solver.robot.home["home"], (len(base), 1))
         for goal in goals:
             among = None if solids is None else in_base(solids.repeated(len(base)), base)
-            target = relative(np.broadcast_to(goal, base.shape), base)
-            arm = self.solver.solve(target, seed, solids=among)
+            arm = self.solver.solve(relative(goal, base), seed, solids=among)
             seed = arm.joint_positions[arm.feasible]
             base = base[arm.feasible]
             joints = np.concatenate([joints[arm.feasible], seed[:, np.newaxis]], axis=1)

@@ -201,7 +201,7 @@ def random_arm(
     for _ in range(_ROUNDS):
         joints = rng.uniform(lower, upper, (_DRAWS, len(lower)))
         ee = forward(solver.chain, joints)
-        good = compose(ee, np.broadcast_to(tip, ee.shape))[:, 2] > 0.0
+        good = compose(ee, tip)[:, 2] > 0.0
         accepted = np.ones(_DRAWS, dtype=np.bool_) if accept is None else accept(ee)
         for row in np.flatnonzero(good if either else good & accepted):
             if (either and accepted[row]) or solver.admissible(joints[row]):

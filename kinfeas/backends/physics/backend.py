@@ -121,8 +121,13 @@ class PhysicsBackend(Backend):
 
         These are the objects of the scene where they are now, except grasped links, and solids.
         """
+        if self._standing is None:
+            self._standing = self._links_as_solids(moving=False)
+        solids = self._standing.joined(self._links_as_solids(moving=True))
+        if (beside := self.solid_bodies()) is not None:
+            solids = solids.joined(beside)
         base = planar_pose(*self._positions[:, :3].T)
-        return base_obstacles(self._prisms, base, self._surroundings(), within)
+        return base_obstacles(self._prisms, base, solids, within)
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
@@ -148,14 +153,6 @@ class PhysicsBackend(Backend):
     @cached_property
     def _prisms(self) -> Array:
         return fine_base_prisms(build_collision_model(self.robot), self._base_meshes())
-
-    def _surroundings(self) -> Solids:
-        """Return the objects of the scene except grasped links, then the solids beside them."""
-        if self._standing is None:
-            self._standing = self._links_as_solids(moving=False)
-        solids = self._standing.joined(self._links_as_solids(moving=True))
-        beside = self.solid_bodies()
-        return solids if beside is None else solids.joined(beside)
 
     def _links_as_solids(self, *, moving: bool) -> Solids:
         """Return links of the scene, except a grasped one, that can move or that cannot."""
