@@ -120,18 +120,6 @@ class Model:
         """Return the address in `qpos` of a joint of an object."""
         return int(self.engine.joint(f"{name}:{joint}").qposadr[0])
 
-    def write(self, scene: Scene, qpos: Array, mocap: Array) -> None:
-        """Write loose objects into `qpos`, and fixed objects into `mocap`, quaternions w first."""
-        for name, item in scene.objects.items():
-            pose = [*item.pose[:3], item.pose[6], *item.pose[3:6]]
-            if item.fixed:
-                mocap[self.engine.body_mocapid[self.root(name)]] = pose
-            else:
-                at = self.address(name, "free")
-                qpos[at : at + 7] = pose
-            for joint, position in item.joint_positions.items():
-                qpos[self.address(name, joint)] = position
-
     def shapes(self, solids: Solids) -> dict[str, Array]:
         """Return the fields of the model that hold the shapes of solids, (n, k, ...), by name."""
         # MuJoCo would test shapes without a size against everything.

@@ -130,7 +130,16 @@ class Simulations:
 
     def arrange(self, row: int, scene: Scene) -> None:
         """Set the objects of a simulation as in a scene, from the next reset on."""
-        self.model.write(scene, self._qpos[row], self._mocap[row])
+        model, qpos, mocap = self.model, self._qpos[row], self._mocap[row]
+        for name, item in scene.objects.items():
+            pose = [*item.pose[:3], item.pose[6], *item.pose[3:6]]  # quaternion w first
+            if item.fixed:
+                mocap[model.engine.body_mocapid[model.root(name)]] = pose
+            else:
+                at = model.address(name, "free")
+                qpos[at : at + 7] = pose
+            for joint, position in item.joint_positions.items():
+                qpos[model.address(name, joint)] = position
 
     def reset(self, rows: Rows, base_pose: Array, joint_positions: Array) -> None:
         """Place robots and objects at rest: base poses (m, 7), arm joints (m, j)."""
