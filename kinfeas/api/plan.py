@@ -5,12 +5,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike
 
 from kinfeas.api import Name
-from kinfeas.api.load import load_robot, text_of
+from kinfeas.api.load import checked, load_robot, text_of
 from kinfeas.api.reach import base_pose, surroundings
 from kinfeas.config import Settings, nested
 from kinfeas.config.quantities import FARTHEST
@@ -169,8 +171,7 @@ def plan(  # noqa: PLR0913 - options of the command
     placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
     state = None if start is None else _state(placer.solver.robot, start, joints)
     around, names = surroundings(scene, solids)
-    if not 1e-3 <= step <= 10.0:
-        raise KinfeasError(f"'step' must be 0.001 to 10 s, not {step}")
+    step = checked(Annotated[float, Interval(ge=1e-3, le=10.0)], step, "step")
     if joints is not None and start is None:
         raise KinfeasError("'joints' needs 'start'")
     if isinstance(path, str | Path):

@@ -23,7 +23,7 @@ from kinfeas.kinematics.ik import IkSolver
 
 LONGEST = 300.0  # seconds after which a motion counts as ended where it is looked at in advance
 
-_END_SECONDS, _REST = 1.0, 1e-5
+_END_SECONDS, _REST = 1.0, 1e-6
 """How long before their end motions may count as ended, and the displacement in `HORIZON` seconds,
 metres or radians, below which an EE is at rest."""
 

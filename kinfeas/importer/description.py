@@ -69,9 +69,12 @@ def read_description(
 
 def _rename_world(robot: Element) -> None:
     """Rename a link `world`: in MuJoCo that is the floor."""
+    names, name = {link.get("name") for link in robot.xml.iterfind("link")}, "world_link"
+    while name in names:
+        name += "_"
     for tag, key in (("link", "name"), ("joint/parent", "link"), ("joint/child", "link")):
         for element in robot.xml.iterfind(f"{tag}[@{key}='world']"):
-            element.set(key, "world_link")
+            element.set(key, name)
 
 
 def _remove_zero_efforts(robot: Element) -> None:
