@@ -22,9 +22,12 @@ OTHER_EPISODES = 0.25
 """Share of HSR's episodes whose deviations may differ: without vector instructions a fifth does,
 and none of the other robots. Counts and ends differ in one episode at most."""
 
-OTHER_CONTACTS = {"physics-pr2": 0.01, "physics-tiago": 0.25, "physics-hsr": 0.01}
-"""Share by which values of episodes in physics may differ: contacts amplify the last bits. On other
-processors TIAGo's first grasp ends 9 % earlier, with 18 % less deviation."""
+OTHER_VALUES = {
+    "physics-pr2": 0.01, "physics-tiago": 0.25, "physics-hsr": 0.01, "path_planner-hsr": 0.25,
+}  # fmt: skip
+"""Share by which values of episodes may differ: contacts, and searches among arms with a pose
+tolerance, amplify the last bits. On other processors TIAGo's first grasp ends 9 % earlier, with
+18 % less deviation, and a path of HSR has 15 % less."""
 
 
 OTHER_WEIGHTS = 2e-4
@@ -61,7 +64,7 @@ def test_a_figure_is_what_it_was(name):
         if kind(name) == "training":
             assert np.sqrt(np.mean((found[key] - values) ** 2)) <= OTHER_WEIGHTS, key
             continue
-        share = OTHER_CONTACTS.get(name, 0.0)
+        share = OTHER_VALUES.get(name, 0.0)
         other = ~np.isclose(found[key], values, rtol=share, atol=CLOSE)
         rows = other.reshape(len(values), -1).any(axis=1)
         assert rows.sum() <= other_rows(name, values), f"{key}: other rows: {rows.nonzero()}"
