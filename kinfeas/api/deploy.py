@@ -332,7 +332,7 @@ def _plan_task(file: Name, robot: Name | None, dt: float) -> tuple[Task, tuple[C
     try:
         plan = load_plan(file, robot or DEFAULT_ROBOT)
     except KinfeasError as error:
-        if robot is not None:
+        if robot is not None or not Path(file).is_file():
             raise
         hint = f"give the plan's 'robot', {DEFAULT_ROBOT} by default"
         raise KinfeasError(f"{error}; {hint}") from error
