@@ -35,7 +35,7 @@ from kinfeas.core.start import Start
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.demonstrations import check_samples, columns
 from kinfeas.io.files import check_new, read_csv, replacing, write_file
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.reach import BasePlacer
 from kinfeas.planning.whole_body import Moments, State, plan_along
@@ -68,7 +68,7 @@ class Plan(Moments):
     @property
     def reached(self) -> Array:
         """World poses of the EE, shape (t, 7): the desired ones within the pose tolerance."""
-        return compose(self.base_pose, forward(IkSolver(self.robot).chain, self.joint_positions))
+        return compose(self.base_pose, forward(build_chain(self.robot), self.joint_positions))
 
     def save(self, path: Name) -> None:
         """Write a new CSV file: time, base x y yaw, arm joints by name, and the EE pose.

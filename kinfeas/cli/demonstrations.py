@@ -111,8 +111,7 @@ def _read(path: Path) -> "Demonstration":
     from kinfeas.io.demonstrations import Demonstration, check_samples, read_demonstration
     from kinfeas.io.files import reading
     from kinfeas.io.run_log import is_record, read_record
-    from kinfeas.kinematics.forward import forward
-    from kinfeas.kinematics.ik import IkSolver
+    from kinfeas.kinematics.forward import build_chain, forward
     from kinfeas.robots.loading import load_robot
 
     with reading(path):
@@ -121,7 +120,7 @@ def _read(path: Path) -> "Demonstration":
     run = read_record(path)
     robot = load_robot(run.about.robot)
     base, joints = run.base_pose[run.later], run.joint_positions[run.later]
-    ee = spatial.compose(base, forward(IkSolver(robot).chain, joints))
+    ee = spatial.compose(base, forward(build_chain(robot), joints))
     tool = spatial.compose(ee, tool_pose(robot))
     time, goal = run.time[run.later], np.repeat(tool[-1:], len(tool), axis=0)
     check_samples(path, time, {"ee_pose": tool, "base_pose": base})

@@ -52,9 +52,9 @@ class BeamSettings:
     clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
     margin_cost: float = 5.0  # one of these
     error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
-    off_metres: float = 0.03  # displacement of a base along x and y that arms should make up for
-    off_radians: float = 0.04  # the same rotation, radians
-    off_seconds: float = 1.0  # time that they have for it
+    off_metres: float = 0.03  # displacement of a base along x and y, metres, and
+    off_radians: float = 0.04  # its rotation, radians, that arms should make up for
+    off_seconds: float = 1.0  # time that they have for it, seconds
     off_cost: float = 60.0  # cost of an arm that cannot in any direction
     memory: float = 0.8  # fraction of the costs that counts at the next pose
 
@@ -62,9 +62,8 @@ class BeamSettings:
 SETTINGS = BeamSettings()
 
 
-_SIDES = np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, 1, -1, -1]])
-_AWAY = np.array([[SETTINGS.off_metres], [SETTINGS.off_metres], [SETTINGS.off_radians]])
-_OFF = planar_pose(*(_SIDES * _AWAY))
+_AHEAD, _ASIDE = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]]) * SETTINGS.off_metres
+_OFF = planar_pose(_AHEAD, _ASIDE, np.sign(_AHEAD) * SETTINGS.off_radians)
 """Poses of bases a little elsewhere, in their frames, shape (4, 7)."""
 
 

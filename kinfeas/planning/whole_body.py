@@ -88,14 +88,15 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
     None if one of them has no arm near those of the path, which has arms at some EE poses only, or
     base or arm touches a solid.
     """
-    moments = _moments(solver, path, path.motion_time)
+    near = IkSolver(solver.robot, replace(solver.options, restarts=0, library=1))
+    moments = _moments(near, path, path.motion_time)
     if moments is None:
         return None
     pieces = np.ceil(np.diff(moments.time) / _SETTINGS.apart - 0.5).clip(1.0)
     if (pieces > 1.0).any():
         index = np.append(0.0, np.cumsum(pieces))
         motion_time = np.interp(np.arange(index[-1] + 1.0), index, path.motion_time)
-        moments = _moments(solver, path, motion_time)
+        moments = _moments(near, path, motion_time)
     if moments is not None and solids is not None:
         base, around = moments.base_pose, solids.repeated(len(moments.time)).at(moments.time)
         if collides(solver.collision, moments.joint_positions, base, around).any():
@@ -110,8 +111,7 @@ def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | 
     # From one to the next, robots of the path move as the EE does, which may rest.
     along, nodes = (np.interp(times, every, length) for times in (motion_time, path.seconds))
     rows = path.robots_at(np.interp(along, nodes, path.seconds))
-    options = replace(solver.options, restarts=0, library=1)
-    arm = IkSolver(robot, options).solve(relative(ee, planar_pose(*rows[:, :3].T)), rows[:, 3:])
+    arm = solver.solve(relative(ee, planar_pose(*rows[:, :3].T)), rows[:, 3:])
     joints = arm.joint_positions
     scale = np.array([path.time_scale_at(seconds) for seconds in motion_time[:-1].tolist()])
     turned = np.abs(joint_displacement(robot, joints[:-1], joints[1:])) / robot.max_joint_velocity
