@@ -23,7 +23,7 @@ from kinfeas.evaluation.recording import Recording, record_episodes
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.servo.controller import ServoTask, TargetController
+from kinfeas.sim2real.servo.controller import TargetController
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import build_subgoals
 
@@ -77,7 +77,7 @@ def replay(
     rules = TargetRules(timeout=0.5)
     controller = TargetController(solver.robot, rules, clock=lambda: now)
     loop = assemble(
-        solver, build_subgoals(ServoTask(controller).subgoals),
+        solver, build_subgoals(controller.subgoals),
         registry.build("kinfeas.backends", "analytic", {}), dt=DT,
         filters=(controller, *filters), stream=controller,
         policy=load_policy(policy, solver.robot),

@@ -30,7 +30,7 @@ from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, s
 from kinfeas.config import load as load_config
 from kinfeas.config.quantities import NotNegative, Quaternion, Rate, Seed, Vector
 from kinfeas.config.recipes import default_engine, section
-from kinfeas.control.assemble import respond_late
+from kinfeas.control.assemble import respond_late, with_adapters
 from kinfeas.control.filters.path_planner import PlanFollower
 from kinfeas.control.period import CommandFilter
 from kinfeas.core import registry
@@ -51,7 +51,7 @@ from kinfeas.sim2real.deploy.goal_task import GoalTask, make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Code, Outcome, Setup, TaskWithObjects
 from kinfeas.sim2real.deploy.runtime import deploy as run
-from kinfeas.sim2real.servo.controller import ServoTask, TargetController, TargetSource
+from kinfeas.sim2real.servo.controller import TargetController, TargetSource
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, Task
 
@@ -151,11 +151,11 @@ def deploy(  # noqa: PLR0913 - options of the command
     else:
         motion_task = load_task(str(task), config.task)
     backend = backend or default_engine()
-    setup = _make_setup(
+    setup = make_setup(
         policy or "", model, backend, motion_task, config, record, adapters=read_adapters(adapters),
         rate=rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
+        leading=follower,
     )  # fmt: skip
-    setup = replace(setup, filters=(*follower, *setup.filters))
     return recorded(setup, str(robot), str(policy), backend, record, on_moment)
 
 
@@ -202,14 +202,15 @@ def servo(  # noqa: PLR0913 - options of the command
     robot = robot or robot_of(policy)
     model = load_robot(robot)
     config = _read_config(ServoConfig, "servo", model, guards, filters, settings)
-    controller = TargetController(model, config.rules)
     limits = {**config.rules.generator_limits, **config.generator}
-    task = ServoTask(controller, MotionSpec("servo", limits))
+    controller = TargetController(model, config.rules, motion=MotionSpec("servo", limits))
     if isinstance(source, str):
         if ":" in source:  # `module:Class`, also of the working directory
             sys.path.append(str(Path.cwd()))
         name, targets = f"target source {source!r}", registry.build(GROUP, source, config.source)
     else:
+        if config.source:
+            raise KinfeasError("'source' is an object, which takes no settings source.KEY")
         name, targets = f"target source {type(source).__name__!r}", source
         ends = (getattr(source, end, None) for end in ("start", "close"))
         if isinstance(source, type) or not all(map(callable, ends)):
@@ -217,15 +218,14 @@ def servo(  # noqa: PLR0913 - options of the command
                 f"'source' must be a name or an object with start and close, not {source!r}"
             )
     backend = backend or default_engine()
-    setup = _make_setup(
-        policy, model, backend, task, config, record, adapters=read_adapters(adapters),
-        rate=rate, seconds=seconds, seed=0, real_time=True,
+    setup = make_setup(
+        policy, model, backend, controller, config, record, adapters=read_adapters(adapters),
+        rate=rate, seconds=seconds, leading=(controller,),
     )  # fmt: skip
-    setup = replace(setup, filters=(controller, *setup.filters))
     unclosed = ""
     with _watched(name, controller):
         try:
-            with plugin_note(name):
+            with plugin_note(name), closed_on_error(setup.backend):
                 targets.start(controller)
             done = recorded(setup, str(robot), str(policy), backend, record, on_moment)
         finally:
@@ -270,7 +270,7 @@ def _about(
     return About(
         from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
         seed=setup.seed, adapters=(*adapters, *setup.adapters),
-        filters=getattr(setup.execution, "filters", ()),
+        filters=setup.config.filters,
         generators=tuple(PluginSpec(motion.generator, motion.parameters) for motion in motions),
         guards={k: None if v == inf else v for k, v in asdict(setup.guards).items()},
         arm_seconds=setup.backend.arm_seconds,
@@ -349,7 +349,7 @@ def _plan_task(file: Name, robot: Name | None, dt: float) -> tuple[Task, tuple[C
     return GoalTask(goal[:3], goal[3:], motion, "plan", start), (follower,)
 
 
-def _make_setup(  # noqa: PLR0913 - the parts of a run
+def make_setup(  # noqa: PLR0913 - the parts of a run
     policy_name: Name,
     robot: Robot,
     backend_name: str,
@@ -357,12 +357,13 @@ def _make_setup(  # noqa: PLR0913 - the parts of a run
     config: DeployConfig,
     record: Name | None,
     *,
-    adapters: tuple[PluginSpec, ...],
     rate: float,
     seconds: float,
+    adapters: tuple[PluginSpec, ...] = (),
+    inner: tuple[PluginSpec, ...] = (),
     **options: Any,
 ) -> Setup:
-    """Return the parts of a run, compiled and connected."""
+    """Return the parts of a run, compiled and connected; `inner` adapters are part of the robot."""
     check_new(record)
     dt = 1.0 / checked(Rate, rate, "rate")
     if seconds != inf:
@@ -373,12 +374,13 @@ def _make_setup(  # noqa: PLR0913 - the parts of a run
     warm_up(solver, policy, task, dt, adapters, config.filters)
     backend = build_backend(backend_name, config.backend, robot=robot)
     with closed_on_error(backend):
+        if inner and backend.real_time is not None:
+            raise KinfeasError(f"adapters are for simulated worlds, not for {backend_name!r}")
         if backend.staging is not None:
             task = backend.staging.stage(task)
         return Setup(
-            solver=solver, policy=policy, task=task, backend=backend, execution=config,
-            filters=config.filters, guards=config.guards, adapters=adapters, dt=dt, solids=solids,
-            seconds=seconds, **options,
+            solver=solver, policy=policy, task=task, config=config, adapters=adapters, dt=dt,
+            backend=with_adapters(backend, inner, robot), solids=solids, seconds=seconds, **options,
         )  # fmt: skip
 
 

@@ -5,24 +5,21 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from kinfeas.api import DEFAULT_ROBOT, Name
-from kinfeas.api.deploy import Deployment, recorded
+from kinfeas.api.deploy import Deployment, make_setup, recorded
 from kinfeas.api.load import checked, load_robot, read_adapters, text_of
 from kinfeas.config import PluginSpec, Settings, strict_yaml
 from kinfeas.config.quantities import Rate, Seed
 from kinfeas.config.recipes import default_engine, load_section
 from kinfeas.control.assemble import with_adapters
-from kinfeas.core.backend import build_backend, closed_on_error
+from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.io.files import check_new, write_file
 from kinfeas.io.run_log import Moment, read_record
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters.noise import Localisation
 from kinfeas.sim2real.deploy.config import DeployConfig
-from kinfeas.sim2real.deploy.preflight import warm_up
-from kinfeas.sim2real.deploy.runtime import Setup
 from kinfeas.sim2real.identify.bags import is_bag, read_bag
 from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
 from kinfeas.sim2real.identify.fit import Fit, adapter_list, fit
@@ -182,21 +179,12 @@ def drive(  # noqa: PLR0913 - options of the command
     dt = 1.0 / checked(Rate, rate, "rate")
     model, backend = load_robot(robot), backend or default_engine()
     config = load_section(DeployConfig, "deploy", model.folder, settings)
-    check_new(record)
+    config = replace(config, filters=(), arm_settle_timeout=0.0)
     around = read_adapters(adapters)
-    solver, policy = IkSolver(model, config.ik), load_policy("stationary", model)
-    excitation = Excitation(solver, dt)
-    warm_up(solver, policy, excitation, dt, filters=[excitation])
-    inner = build_backend(backend, config.backend, robot=model)
-    if around and inner.real_time is not None:
-        inner.close()
-        raise KinfeasError(f"adapters are for simulated worlds, not for backend {backend!r}")
-    execution = replace(config, filters=(), arm_settle_timeout=0.0)
-    with closed_on_error(inner):
-        setup = Setup(
-            solver=solver, policy=policy, task=excitation,
-            backend=with_adapters(inner, around, model), dt=dt, seconds=SECONDS,
-            seed=checked(Seed, seed, "seed"), execution=execution, filters=(excitation,),
-            guards=config.guards, real_time=real_time,
-        )  # fmt: skip
+    excitation = Excitation(IkSolver(model, config.ik), dt)
+    setup = make_setup(
+        "stationary", model, backend, excitation, config, record, rate=rate, seconds=SECONDS,
+        seed=checked(Seed, seed, "seed"), real_time=real_time, inner=around,
+        leading=(excitation,),
+    )  # fmt: skip
     return recorded(setup, str(robot), "stationary", backend, record, on_moment, adapters=around)

@@ -17,10 +17,11 @@ from kinfeas.core.checks import are_unit, check_array
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.solids import MOST_SOLIDS, Solids
-from kinfeas.core.spatial import Array, compose
+from kinfeas.core.spatial import IDENTITY, Array, compose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.robot import Robot
 
 T = TypeVar("T")
 
@@ -69,6 +70,11 @@ class Task(Protocol):
             solver: The robot's kinematics.
             rng: The only source of randomness, so that an episode is a function of its seed.
         """
+
+
+def start_at_home(robot: Robot) -> Start:
+    """Return the start at the origin with the arm at home, without leading axes or a target."""
+    return Start(IDENTITY, robot.home["home"], IDENTITY[np.newaxis])
 
 
 @runtime_checkable

@@ -16,8 +16,8 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim2real.deploy.config import ServoConfig
-from kinfeas.sim2real.servo.controller import ServoTask, TargetController
-from kinfeas.tasks.task import MotionSpec, build_subgoals
+from kinfeas.sim2real.servo.controller import TargetController
+from kinfeas.tasks.task import MotionSpec, build_subgoals, start_at_home
 from kinfeas.viz.choice import DT, Choice
 
 _NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
@@ -49,14 +49,13 @@ class Episode:
         if not self.follows:
             rules = replace(rules, max_velocity=_UNLIMITED, max_angular_velocity=_UNLIMITED)
         self._steps = 0
-        self.controller = TargetController(robot, rules, clock=lambda: self.seconds)
         spec = MotionSpec(choice.generator, limits if self.follows else {})
-        self._task = ServoTask(self.controller, spec)
+        self.controller = TargetController(robot, rules, lambda: self.seconds, spec)
         self._solver = IkSolver(robot, config.ik)
         self.backend = build_simulator(choice.backend, config.backend, robot=robot, scene=scene)
         with closed_on_error(self.backend):
             self.loop = assemble(
-                self._solver, build_subgoals(self._task.subgoals), self.backend, dt=DT,
+                self._solver, build_subgoals(self.controller.subgoals), self.backend, dt=DT,
                 execution=config, stream=self.controller, policy=load_policy(policy, robot),
                 filters=(self.controller, *(PluginSpec(name) for name in choice.filters)),
             )  # fmt: skip
@@ -85,7 +84,7 @@ class Episode:
     def restart(self) -> None:
         """Put the robot at the origin, with the arm at home."""
         rng = np.random.default_rng(0)
-        start: Start = stacked([self._task.sample(self._solver, rng)])
+        start: Start = stacked([start_at_home(self._solver.robot)])
         self.loop.start(start, [rng])
         self._goal = self.ee_pose
         self.feasible, self.deviation = True, 0.0

@@ -3,7 +3,7 @@
 import logging
 import math
 import signal
-import sys
+import threading
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,6 @@ import numpy as np
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
-from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import SCAN_TERMS
 from kinfeas.control.period import CommandFilter
 from kinfeas.core.backend import Backend
@@ -28,7 +27,7 @@ from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.core.start import episode_rng
 from kinfeas.io.run_log import REACHED, TASK_DONE, Moment, Recorder
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.sim2real.deploy.config import Guards
+from kinfeas.sim2real.deploy.config import DeployConfig, Guards
 from kinfeas.sim2real.deploy.goal_task import begin
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.preflight import preflight
@@ -58,31 +57,19 @@ class Code(IntEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a run.
+    """Result of a run."""
 
-    Attributes:
-        code: Exit code.
-        reason: Reason of the end in one line.
-        unstopped: Why the base could not be commanded to zero; empty if it could.
-        seconds: Duration.
-        failures: Control periods without an IK solution.
-        timing: Statistics of the control periods.
-        time_scale: Mean speed of the EE motion, relative to the plan.
-        unclosed: Why the backend could not be closed; empty if it could.
-        task_done: Whether the task's objects are at their goal; None if there are none.
-        lateness_s: Seconds by which the base follows its commands later than the response model of
-            the robot says; None without a model.
-    """
-
-    code: Code
-    reason: str
-    unstopped: str
-    seconds: float
-    failures: int
-    timing: Timing
-    time_scale: float = 1.0
-    unclosed: str = ""
-    task_done: bool | None = None
+    code: Code  # exit code
+    reason: str  # reason of the end in one line
+    unstopped: str  # why the base could not be commanded to zero; empty if it could
+    seconds: float  # duration
+    failures: int  # control periods without an IK solution
+    timing: Timing  # statistics of the control periods
+    time_scale: float = 1.0  # mean speed of the EE motion, relative to the plan
+    unclosed: str = ""  # why the backend could not be closed; empty if it could
+    task_done: bool | None = None  # whether the task's objects are at their goal, if it has some
+    # seconds by which the base follows its commands later than the response model of the robot
+    # says; None without a model
     lateness_s: float | None = None
 
 
@@ -102,45 +89,31 @@ class TaskWithObjects(Task, Protocol):
 
 @dataclass(frozen=True)
 class Setup:
-    """Parts and settings of a run.
+    """Parts and settings of a run."""
 
-    Attributes:
-        solver: IK solver of the robot.
-        policy: Policy of the base.
-        task: Motion and targets.
-        backend: Robot or simulated world.
-        dt: Control period in seconds.
-        adapters: Adapters around the backend, the first one innermost.
-        seconds: Longest duration.
-        seed: Seed of all random numbers.
-        solids: Solids around the robot, one row; None for those of the task.
-        execution: Execution of EE motions, before adapters change it.
-        filters: Command filters in order.
-        guards: Limits; those of time do not apply to a world without a clock.
-        real_time: Whether a simulated world waits for the clock.
-        clock: Clocks.
-    """
-
-    solver: IkSolver
-    policy: Policy
-    task: Task
-    backend: Backend
-    dt: float
-    adapters: tuple[PluginSpec, ...] = ()
-    seconds: float = math.inf
-    seed: int = 0
-    solids: Solids | None = None
-    execution: ExecutionConfig = field(default_factory=ExecutionConfig)
-    filters: tuple[PluginSpec | CommandFilter, ...] = ()
-    guards: Guards = field(default_factory=Guards)
-    real_time: bool = True
-    clock: Clock = field(default_factory=Clock)
+    solver: IkSolver  # IK solver of the robot
+    policy: Policy  # policy of the base
+    task: Task  # motion and targets
+    backend: Backend  # robot or simulated world
+    dt: float  # control period in seconds
+    config: DeployConfig = field(default_factory=DeployConfig)  # execution, filters and guards
+    leading: tuple[CommandFilter, ...] = ()  # filters before those of the configuration
+    adapters: tuple[PluginSpec, ...] = ()  # adapters around the backend, the first one innermost
+    seconds: float = math.inf  # longest duration
+    seed: int = 0  # seed of all random numbers
+    solids: Solids | None = None  # solids around the robot, one row; None for those of the task
+    real_time: bool = True  # whether a simulated world waits for the clock
+    clock: Clock = field(default_factory=Clock)  # clocks
 
     def __post_init__(self) -> None:
-        """Remove the guards of time where they do not apply; check the others against `dt`."""
-        if not (self.real_time or self.live):
-            object.__setattr__(self, "guards", self.guards.timeless())
+        """Check the guards against `dt`."""
         self.guards.check_rate(self.dt)
+
+    @cached_property
+    def guards(self) -> Guards:
+        """The limits; those of time do not apply to a world without a clock."""
+        guards = self.config.guards
+        return guards if self.real_time or self.live else guards.timeless()
 
     @cached_property
     def live(self) -> bool:
@@ -151,7 +124,8 @@ class Setup:
 class Signals:
     """A context that notes SIGINT, SIGQUIT, SIGTERM and SIGHUP for a loop, in the main thread.
 
-    SIGHUP is left alone if it is ignored, as by nohup. A second signal raises KeyboardInterrupt.
+    SIGHUP is left alone if it is ignored, as by nohup, and all are in other threads, which get
+    none. A second signal raises KeyboardInterrupt.
 
     Attributes:
         caught: First signal, or None.
@@ -162,6 +136,8 @@ class Signals:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
+        if threading.current_thread() is not threading.main_thread():
+            return self
         noted = [signal.SIGINT, signal.SIGQUIT, signal.SIGTERM]
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             noted.append(signal.SIGHUP)
@@ -211,8 +187,9 @@ class _Run:
         executor = executor if setup.real_time or setup.live else None
         self.loop = assemble(
             setup.solver, build_subgoals(setup.task.subgoals), self.guarded, dt=setup.dt,
-            execution=setup.execution, filters=setup.filters, policy=setup.policy,
-            stream=target_stream(setup.task, setup.solver), executor=executor,
+            execution=setup.config, filters=(*setup.leading, *setup.config.filters),
+            policy=setup.policy, stream=target_stream(setup.task, setup.solver),
+            executor=executor,
         )  # fmt: skip
         self.loop.finds_collisions = False  # nothing here asks for them
         self.rate.prepare = self.prepare
@@ -252,7 +229,7 @@ class _Run:
         self.record("start")
 
     def drive(self, watchdog: Watchdog | None, signals: Signals) -> Outcome:
-        reason, done = "stopped by an error", None
+        done: bool | None = None
         try:
             code, reason = self.run(watchdog, signals)
             if isinstance(self.setup.task, TaskWithObjects):
@@ -265,14 +242,15 @@ class _Run:
             self.guarded.stop()
             _log.exception("the run ends")
             code, reason = Code.FAULT, describe(error)
+        except BaseException as error:
+            reason = describe(error)
+            raise
         finally:
             self.guarded.stop()
             if watchdog is not None and self.guarded.unstopped:
                 watchdog.abandon()
-            raised = sys.exception()
-            with suppress(KinfeasError):
-                end = reason if raised is None else f"{type(raised).__name__}: {raised}"
-                self.record(end + TASK_DONE[done] + self.doubt())
+            with suppress(*PLUGIN_ERRORS):  # who hears of the moments may have raised already
+                self.record(reason + TASK_DONE[done] + self.doubt())
                 self.write()
         return Outcome(
             code, " ".join(reason.split()) + TASK_DONE[done], self.guarded.unstopped,

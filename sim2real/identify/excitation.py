@@ -6,7 +6,7 @@ base and the targets of the arm, and a deployment limits, sends and records them
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.robot import Robot
-from kinfeas.tasks.task import MotionSpec, Subgoal
+from kinfeas.tasks.task import MotionSpec, Subgoal, start_at_home
 
 SECONDS = 60.0
 """Duration of the pattern."""
@@ -124,8 +124,8 @@ class Excitation:
         self._base, self._arm = base_pattern(solver.robot, dt), arm_pattern(dt)
         changes = np.abs(np.diff(self._base, axis=0, append=0.0)).max(axis=1) > 0.0
         self._stops: NDArray[np.bool_] = changes & (np.abs(self._base).max(axis=1) > 0.0)
-        self._home = solver.robot.home["home"]
-        self._start, self._amplitude = self._home, arm_amplitude(solver, self._home, dt)
+        self._start = solver.robot.home["home"]
+        self._amplitude = arm_amplitude(solver, self._start, dt)
         self._desired = np.empty((1, 7))
         self.live = np.ones(1, dtype=np.bool_)
 
@@ -135,10 +135,10 @@ class Excitation:
         return (Subgoal(MotionSpec("servo")),)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return the start at the origin, without leading axes."""
-        return Start(spatial.IDENTITY, self._home, spatial.IDENTITY[np.newaxis])
+        """Return the start at the origin with the arm at home."""
+        return start_at_home(solver.robot)
 
-    def target_stream(self, solver: IkSolver) -> "Excitation":
+    def target_stream(self, solver: IkSolver) -> Self:
         """Return this object."""
         return self
 

@@ -6,8 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +21,7 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.servo.messages import Frames, Message, SenderClock, chunk_in_world
-from kinfeas.tasks.task import MotionSpec, Subgoal
+from kinfeas.tasks.task import MotionSpec, Subgoal, start_at_home
 
 _MOST_POSES = 64  # of a chunk
 _QUEUE = 256  # messages in a control period; older ones are dropped
@@ -33,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 class TargetController:
-    """Targets of one EE: a `TargetStream` of the loop, and a filter that stops the base.
+    """Targets of one EE: the task of a run, its target stream, and a filter that stops the base.
 
     Messages may come from any thread, at any rate and with any content: those that `TargetRules`
     exclude are counted and have no other effect; if all are for `_LONG` seconds, a warning says so.
@@ -41,20 +40,27 @@ class TargetController:
     sent when it arrives.
 
     Attributes:
+        name: Task name.
+        seconds: Motion time; the run has its own limit.
         robot: Robot model.
+        subgoals: The sub-goal of the EE frame.
         rules: Limits of targets.
         pose: World pose of the EE that is desired now, shape (7,), once `running`.
         base_pose: World pose of the base, shape (7,), likewise.
         running: Whether the loop reads the messages.
     """
 
+    name, seconds = "servo", math.inf
+
     def __init__(
         self,
         robot: Robot,
         rules: TargetRules | None = None,
         clock: Callable[[], float] = time.monotonic,
+        motion: MotionSpec | None = None,
     ) -> None:
-        """Take chunks of at most 64 poses, at the seconds of a `clock`."""
+        """Take chunks of at most 64 poses, at the seconds of a `clock`; `servo` moves the EE."""
+        self.subgoals = (Subgoal(motion or MotionSpec("servo")),)
         self.robot, self.rules, self._clock = robot, rules or TargetRules(), clock
         self.pose = self.base_pose = spatial.IDENTITY
         self.running = False
@@ -67,6 +73,14 @@ class TargetController:
         self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
         self._ignored: tuple[float, float, dict[str, int]] | None = None  # since, until, before
         self._failure = self._invalid = ""
+
+    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return the start at the origin with the arm at home."""
+        return start_at_home(solver.robot)
+
+    def target_stream(self, solver: IkSolver) -> Self:
+        """Return the controller."""
+        return self
 
     def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
         """Send the EE to a pose (7,) in the world, base or EE frame, by its name.
@@ -274,34 +288,3 @@ class TargetSource(Protocol):
 
     def close(self) -> None:
         """End; it may be called twice."""
-
-
-@dataclass(frozen=True, eq=False)
-class ServoTask:
-    """Follow the targets of a controller until the run ends, from the origin with the arm at home.
-
-    Attributes:
-        controller: Takes the targets.
-        motion: Motion generator.
-        name: Task name.
-        seconds: Motion time; the run has its own limit.
-    """
-
-    controller: TargetController
-    motion: MotionSpec = field(default_factory=lambda: MotionSpec("servo"))
-    name: str = "servo"
-    seconds: float = math.inf
-
-    @property
-    def subgoals(self) -> tuple[Subgoal, ...]:
-        """The sub-goal of the EE frame."""
-        return (Subgoal(self.motion),)
-
-    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return the start at the origin, without leading axes."""
-        home = solver.robot.home["home"]
-        return Start(spatial.IDENTITY, home, spatial.IDENTITY[np.newaxis])
-
-    def target_stream(self, solver: IkSolver) -> TargetController:
-        """Return the controller."""
-        return self.controller

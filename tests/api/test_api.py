@@ -1,10 +1,12 @@
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 import kinfeas
+from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.errors import KinfeasError
 from tests.builders import TRAINING
 
@@ -109,6 +111,24 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
     )  # fmt: skip
     assert (run.outcome.code, run.about.robot, len(moments)) == (4, "hsr", 17)
     assert kinfeas.view(record=run.record)["steps"] == 15
+    run = kinfeas.deploy(
+        "pretrained", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "c.csv",
+        on_moment=Mock(side_effect=RuntimeError("no ear")), **options,
+    )  # fmt: skip
+    assert (run.outcome.code, "no ear" in run.outcome.reason) == (3, True)
+    assert kinfeas.view(record=run.record)["events"][-1]["event"] == run.outcome.reason
+
+
+def test_a_servo_without_a_source_closes_its_backend(tmp_path, monkeypatch):
+    closed, broken = Mock(), Mock(start=Mock(side_effect=KeyError("no sight")))
+    monkeypatch.setattr(AnalyticBackend, "close", closed)
+    options = {"backend": "analytic", "record": tmp_path / "a.csv"}
+    with pytest.raises(KinfeasError, match=r"source\.KEY"):
+        kinfeas.servo(source=Targets(), settings={"source.port": 3}, **options)
+    with pytest.raises(KeyError):
+        kinfeas.servo(source=broken, **options)
+    assert closed.called
+    assert broken.close.called
 
 
 @pytest.mark.parametrize("arguments", [

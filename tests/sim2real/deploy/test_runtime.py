@@ -2,6 +2,7 @@ import math
 import os
 import signal
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import chain, repeat
 from types import SimpleNamespace
@@ -24,7 +25,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy import runtime
-from kinfeas.sim2real.deploy.config import Guards
+from kinfeas.sim2real.deploy.config import DeployConfig, Guards
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
@@ -102,8 +103,9 @@ def goal(*position):
 
 @pytest.fixture
 def run(tmp_path, time):
-    def start(backend, driver, task=None, **changes):
-        settings = {"dt": DT, "seconds": 2.0, "clock": time.clock, **changes}
+    def start(backend, driver, task=None, guards=None, filters=(), **changes):
+        config = DeployConfig(guards=guards or Guards(), filters=filters)
+        settings = {"dt": DT, "seconds": 2.0, "clock": time.clock, "config": config, **changes}
         setup = Setup(PR2, driver, task or goal(3.0, 0.0, 0.8), backend, **settings)
         joints = tuple(joint.name for joint in PR2.robot.arm)
         about = About("pr2", setup.task.name, "?", "?", DT, joints, "now")
@@ -160,7 +162,7 @@ def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, filters, drive):
     (recording,) = record_episodes(world, driver, 1)
     setup = Setup(
         world.solver, driver, config.task, AnalyticBackend(robot), config.world.dt,
-        real_time=False, seed=3, filters=config.world.filters,
+        real_time=False, seed=3, config=DeployConfig(filters=config.world.filters),
     )  # fmt: skip
     assert deploy(setup, Mock(write=moments.append)).code == Code.REACHED
     moments = moments[: len(recording.base_pose)]  # the last one is the stop
@@ -287,6 +289,19 @@ def test_signals_end_a_run_cleanly(run, time, number):
     assert not robot.commands[-1][1].any()
     assert record.event[-1] == outcome.reason
     assert signal.getsignal(number) is before
+
+
+def test_a_run_in_a_thread_and_after_a_handled_error_has_its_own_end(run, time):
+    def start():
+        try:
+            raise ValueError("earlier")
+        except ValueError:
+            return run(RealTimeRobot(time), Drive(), seconds=0.2)
+
+    with ThreadPoolExecutor(1) as pool:
+        outcome, record = pool.submit(start).result()
+    assert outcome.code is Code.TIME_OVER
+    assert record.event[-1] == outcome.reason
 
 
 def test_a_second_signal_does_not_wait_for_the_loop_and_nohup_outlives_its_terminal():

@@ -15,7 +15,7 @@ from kinfeas.core.errors import Fault
 from kinfeas.core.start import stacked
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.servo.controller import ServoTask, TargetController
+from kinfeas.sim2real.servo.controller import TargetController
 from kinfeas.sim2real.servo.messages import SenderClock
 from kinfeas.tasks.task import build_subgoals
 from tests.builders import assert_near, rngs
@@ -28,12 +28,12 @@ SOLVER = IkSolver(load_robot("pr2"))
 def begin(**rules):
     clock = Time()
     controller = TargetController(SOLVER.robot, TargetRules(**rules), clock=clock.clock.monotonic)
-    task, filters = ServoTask(controller), [controller, PluginSpec("time_scaling")]
+    filters = [controller, PluginSpec("time_scaling")]
     loop = assemble(
-        SOLVER, build_subgoals(task.subgoals), AnalyticBackend(), dt=DT, filters=filters,
+        SOLVER, build_subgoals(controller.subgoals), AnalyticBackend(), dt=DT, filters=filters,
         stream=controller,
     )  # fmt: skip
-    loop.start(stacked([task.sample(SOLVER, np.random.default_rng(0))]), rngs(1))
+    loop.start(stacked([controller.sample(SOLVER, np.random.default_rng(0))]), rngs(1))
     return controller, clock, loop
 
 
