@@ -96,7 +96,7 @@ def section(name: str, robot: str | Path | None = None) -> tuple[dict[str, Any],
         own = strict_yaml.read(path)
         for unknown in own.keys() - default.keys():
             raise KinfeasError(f"{path}: unknown key {unknown!r}{no_such(unknown, default)}")
-    return merged(default.get(name, {}), own.get(name, {})), f"{path}: {name}"
+    return merged(default.get(name, {}), own.get(name) or {}), f"{path}: {name}"
 
 
 def load_section(cls: type[T], name: str, robot: str | Path, settings: Settings | None = None) -> T:

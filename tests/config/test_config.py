@@ -187,6 +187,8 @@ def test_only_the_folder_of_a_robot_has_its_recipes(tmp_path):
     (tmp_path / "recipes.yaml").write_text("physics: {world: {time_scale: 0.25}}")
     for path in (tmp_path, tmp_path / "robot.yaml"):
         assert section("physics", path)[0]["world"]["time_scale"] == 0.25
+    (tmp_path / "recipes.yaml").write_text("deploy:\n")
+    assert section("deploy", tmp_path)[0] == section("deploy")[0]
     (tmp_path / "recipes.yaml").write_text("phisics: {}")
     with pytest.raises(KinfeasError, match=rf"{tmp_path}.*'phisics'.*'physics'"):
         section("physics", tmp_path)
