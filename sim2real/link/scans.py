@@ -60,8 +60,8 @@ class CostmapReading:
 def laser_ranges(laser: LaserReading) -> Array:
     """Return the range of the nearest measured point in the sector of each beam, shape (b,).
 
-    It is `SCAN_RANGE` without a point, and NaN in sectors that no ray enters. A laser without any
-    valid reading is NaN everywhere.
+    It is `SCAN_RANGE` without a point, and NaN in sectors where all rays are NaN, or none is. A
+    laser without any valid reading is NaN everywhere.
     """
     ranges = laser.ranges.copy()
     ranges[ranges == -np.inf] = laser.range_min
@@ -70,7 +70,8 @@ def laser_ranges(laser: LaserReading) -> Array:
     if not np.any(ranges >= laser.range_min):  # also if they are not numbers
         return np.full(SCAN_BEAMS, np.nan)
     nearest = np.full(SCAN_BEAMS, np.nan)
-    nearest[_sectors(laser, heading, np.full(len(ranges), SCAN_RANGE))[0]] = SCAN_RANGE
+    measured = heading[~np.isnan(ranges)]
+    nearest[_sectors(laser, measured, np.full(len(measured), SCAN_RANGE))[0]] = SCAN_RANGE
     valid = (ranges >= laser.range_min) & (ranges < laser.range_max) & np.isfinite(ranges)
     beams, distances = _sectors(laser, heading[valid], ranges[valid])
     np.fmin.at(nearest, beams, np.minimum(distances, SCAN_RANGE))

@@ -85,9 +85,13 @@ def test_readings_without_return_and_sectors_without_rays():
     nearest = laser_ranges(LaserReading(ranges, **angles, **limits))
     middle = SCAN_BEAMS // 2
     np.testing.assert_allclose(
-        nearest[middle - 4 : middle + 4], [*[SCAN_RANGE] * 4, 1.0, 0.1, SCAN_RANGE, SCAN_RANGE]
+        nearest[middle - 3 : middle + 4], [*[SCAN_RANGE] * 3, 1.0, 0.1, SCAN_RANGE, SCAN_RANGE]
     )
-    assert np.isnan(np.delete(nearest, range(middle - 4, middle + 4))).all()
+    assert np.isnan(np.delete(nearest, range(middle - 3, middle + 4))).all()
+    half = np.where(np.arange(360) < 180, np.nan, 2.0)  # of rays that are denser than the beams
+    right = laser_ranges(LaserReading(half, -np.pi, np.pi / 180.0))
+    assert np.isnan(right[1 : middle - 1]).all()
+    np.testing.assert_allclose(right[middle:], 2.0)
     for dead in (np.nan, 0.0):
         assert np.isnan(laser_ranges(LaserReading(np.full(8, dead), **angles, **limits))).all()
     assert not np.isnan(laser_ranges(LaserReading(np.full(8, np.inf), **angles))[middle])
