@@ -48,7 +48,7 @@ class LinkBackend(RealTimeBackend):
         Args:
             robot: Robot model.
             link: Transport.
-            names: The robot's own names of arm joints, where its URDF has others.
+            names: The robot's own names of joints, where its URDF has others.
             seconds: Duration of the motion to each arm target; longer if a joint needs longer.
             timeout: Seconds that `reset` waits for the first measurements.
             drift: Fraction by which the robot's clock may be slower than ours, 0 to 0.99.
@@ -58,8 +58,8 @@ class LinkBackend(RealTimeBackend):
         self.rate: Rate | None = None
         self.gripper, self.response = self, robot.response
         self._clock = clock or Clock()
-        aliases = names or {}
-        self._names = {joint.name: aliases.get(joint.name, joint.name) for joint in robot.arm}
+        self._aliases = names or {}
+        self._names = {joint.name: self._aliases.get(joint.name, joint.name) for joint in robot.arm}
         self._inbox = Inbox(robot, self._names, drift, self._clock.monotonic)
         self.arm_seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
@@ -202,7 +202,8 @@ class LinkBackend(RealTimeBackend):
         """Check the joints between base and EE that the kinematic model holds fixed."""
         positions = self._inbox.positions()
         for joint in self.robot.urdf.path_to(self.robot.ee_frame):
-            fixed, measured = self.robot.fixed_joints.get(joint.name), positions.get(joint.name)
+            fixed = self.robot.fixed_joints.get(joint.name)
+            measured = positions.get(self._aliases.get(joint.name, joint.name))
             if fixed is not None and measured is not None and not abs(measured - fixed) <= _OFFSET:
                 raise KinfeasError(
                     f"move joint {joint.name} from {measured:.3f} to {fixed:.3f}, as in the model"

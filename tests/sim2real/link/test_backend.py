@@ -80,6 +80,13 @@ def test_the_base_gets_the_action_of_the_policy_in_its_own_frame(name, time):
             assert left == 0.0
 
 
+def test_joints_outside_the_arm_are_checked_by_the_robots_own_names(time):
+    link = MemoryLink(present(PR2, joints=joints_at(PR2, torso=0.3)))
+    backend = LinkBackend(PR2, link, names={"torso_lift_joint": "torso"}, clock=time.clock)
+    with pytest.raises(KinfeasError, match="torso_lift_joint"):
+        backend.reset(None, None)
+
+
 def test_the_arm_is_sent_by_the_robots_own_names(time):
     positions = dict(joints_at(PR2).positions)
     positions["elbow"] = positions.pop(ARM[ELBOW])
