@@ -204,7 +204,8 @@ def solids_around(shapes: Sequence[Shape], pose: Array) -> Solids:
     solids = Solids.empty(*pose.shape[:2])
     matrix = rotation(pose.reshape(-1, 7)).as_matrix().reshape(*pose.shape[:2], 3, 3)
     half = np.array([shape.half for shape in shapes]).reshape(-1, 3)
-    box, sphere = (np.array([shape.kind == kind for shape in shapes]) for kind in ("box", "sphere"))
+    kinds = np.array([shape.kind for shape in shapes], dtype=np.str_)
+    box, sphere = kinds == "box", kinds == "sphere"
     along = np.abs(matrix)
     round_ = np.hypot(along[..., 0], along[..., 1]) * half[:, :1] + along[..., 2] * half[:, 2:]
     reach = np.where(box[:, np.newaxis], (along @ half[..., np.newaxis])[..., 0], round_)

@@ -84,6 +84,10 @@ def test_moving_links_need_a_possible_inertia(read, broken):
     read(broken, fixed=True)
 
 
+def test_scenes_without_fixed_objects_have_no_solids(read):
+    assert furniture_solids(read(inertial())).places == 0
+
+
 def test_possible_inertias_pass(read):
     read(inertial(ixx="2", iyy="1", izz="1"))  # a plate
     read(inertial(), inertial(mass="0"), kind="fixed")  # a frame on it
