@@ -76,7 +76,7 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     print_facts(f"robot {called}", summary)
     for warning in found:
         typer.echo(f"warning: {warning}", err=True)
-    quoted = shlex.quote(str(out if os.sep in str(out) else Path(out)))
+    quoted = shlex.quote(str(out) if os.sep in str(out) else f"./{out}")
     typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
     write_drawing(lambda: _drawing(draft), picture)
 

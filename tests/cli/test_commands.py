@@ -104,7 +104,9 @@ def test_other_commands_take_an_imported_robot(kinfeas, tmp_path, monkeypatch):
     monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)  # the full number takes a minute
     monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
     words = ("robot", "import", str(EXAMPLES / "own_robot" / "robot.urdf"), "--out", "new")
-    facts = kinfeas(*words, "--json", "out.json", "--picture", "new.png", code=0).facts
+    outcome = kinfeas(*words, "--json", "out.json", "--picture", "new.png", code=0)
+    facts = outcome.facts
+    assert "kinfeas ceiling --robot ./new\n" in outcome.out
     robot = load_robot(tmp_path / "new")
     assert list(facts["arm"]) == [joint.name for joint in robot.arm]
     assert len(facts["heights_m"]) == len(facts["reachable"])
