@@ -217,8 +217,8 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
         joints[joint.name] = ArmJointSpec(_one_turn(joint), _guessed_velocity(joint))
     gripper = hand.gripper
     if gripper is not None:
-        speeds = filter(None, (_guessed_velocity(urdf.joints[name]) for name in gripper.fingers))
-        gripper = replace(gripper, velocity=next(speeds, None))
+        speeds = [_guessed_velocity(urdf.joints[name]) for name in gripper.fingers]
+        gripper = replace(gripper, velocity=speeds[0] if all(speeds) else None)
     return RobotSpec(
         name=name,
         ee_frame=arm.hand,

@@ -16,7 +16,14 @@ from kinfeas.core import pose_kernels
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
-from kinfeas.robots.spec import GUESSED_VELOCITY, BaseSpec, Gripper, PoseTolerance, Reach
+from kinfeas.robots.spec import (
+    GUESSED_VELOCITY,
+    MAX_JOINT_VELOCITY,
+    BaseSpec,
+    Gripper,
+    PoseTolerance,
+    Reach,
+)
 from kinfeas.robots.urdf import Joint, Urdf
 
 _ROUNDING = 1.001  # factor on the velocity limits, so that a motion at the limit is no joint jump
@@ -105,7 +112,8 @@ class Robot:
         """Return the velocity limit of a finger joint, rad/s or m/s."""
         joint, gripper = self.urdf.joints[finger], self.gripper
         own = None if gripper is None else gripper.velocity
-        return own or joint.velocity or GUESSED_VELOCITY[joint.kind]
+        limit = joint.velocity if joint.velocity <= MAX_JOINT_VELOCITY else None
+        return own or limit or GUESSED_VELOCITY[joint.kind]
 
 
 def _read_only(values: ArrayLike) -> NDArray[Any]:

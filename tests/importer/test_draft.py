@@ -82,6 +82,14 @@ def test_joints_of_arm_and_fingers_without_a_velocity_limit_get_one(changed, few
     assert "velocity: 0.1  # m/s, guess" in draft.yaml
 
 
+@pytest.mark.parametrize("other", ["0", "1e9"])
+def test_the_guess_for_a_finger_leaves_the_limit_of_the_other(changed, few, other):
+    left, right = ('velocity="0.1" effort="30"', 'velocity="0.1" effort="20"')
+    path = changed((left, 'velocity="0.5"'), (right, f'velocity="{other}"'))
+    draft = draft_robot(path, "dolly", meshes=False)
+    assert [draft.robot.finger_velocity(finger) for finger in "lr"] == [0.5, 0.1]
+
+
 @pytest.mark.parametrize(("effort", "load"), [(20.0, True), (500.0, False), (0.01, False)])
 def test_drafts_leave_out_postures_that_motors_cannot_hold(changed, few, effort, load):
     inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
