@@ -36,6 +36,7 @@ from kinfeas.tasks.task import Task
 
 _CATCH_UP = 10  # simulation steps in one period at most, if the machine is late
 _SCAN_RATE = 10.0  # Hz
+_AT_ONCE = 1e-9  # s; times are relative, since floats of an uptime in seconds are coarser
 _LINGER = 2.0  # s that a robot continues without its bus
 
 
@@ -62,25 +63,33 @@ class JointSetpoints:
             name: CubicHermiteSpline([0.0, 1.0], np.array([at, at]), np.zeros(2))
             for name, at in positions.items()
         }
+        self._starts = dict.fromkeys(positions, 0.0)
 
     def follow(self, path: JointPath, time: float) -> None:
-        """Start a trajectory at a time in seconds; joints of others are ignored."""
-        times: Array = np.concatenate([[time], time + np.maximum(path.times, 1e-9)])
+        """Start a trajectory at a time in seconds; joints of others are ignored.
+
+        Points whose time has passed are left out; if it is the last one, it is reached at once.
+        """
+        left = path.times >= _AT_ONCE
+        left[-1] = True
+        times: Array = np.append(0.0, np.maximum(path.times[left], _AT_ONCE))
         for column, name in enumerate(path.joints):
             if name in self._paths:
-                before, now = self._paths[name], _within(self._paths[name], time)
-                values = np.concatenate([[before(now)], path.positions[:, column]])
+                before, now = self._paths[name], self._since_start(name, time)
+                values = np.append(before(now), path.positions[left, column])
                 slopes = np.gradient(values, times)
                 slopes[0], slopes[-1] = before(now, 1), 0.0
                 self._paths[name] = CubicHermiteSpline(times, values, slopes)
+                self._starts[name] = time
 
     def at(self, time: float) -> dict[str, float]:
         """Return the setpoints at a time in seconds, by joint."""
-        return {name: float(path(_within(path, time))) for name, path in self._paths.items()}
+        return {
+            name: float(path(self._since_start(name, time))) for name, path in self._paths.items()
+        }
 
-
-def _within(path: CubicHermiteSpline, time: float) -> float:
-    return float(np.clip(time, path.x[0], path.x[-1]))
+    def _since_start(self, name: str, time: float) -> float:
+        return float(np.clip(time - self._starts[name], 0.0, self._paths[name].x[-1]))
 
 
 class SimulatedRobot:

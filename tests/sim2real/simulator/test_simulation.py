@@ -35,6 +35,18 @@ def test_setpoints_pass_the_points_in_order_and_hold_the_last():
         assert setpoints.at(time) == pytest.approx({"a": a, "b": b, "c": 7.0})
 
 
+@pytest.mark.parametrize("start", [0.0, 2e7])  # seconds: 2e7 after 231 days of uptime
+@pytest.mark.parametrize("points", [
+    [(-1.0, [3]), (0.0, [1])], [(-2.0, [3]), (-1.0, [1])], [(0.0, [3]), (1.0, [1])],
+])  # fmt: skip
+def test_setpoints_leave_out_points_of_the_past(start, points):
+    setpoints = JointSetpoints({"a": 0.0})
+    setpoints.follow(path(("a",), *points), start)
+    assert setpoints.at(start)["a"] == 0.0
+    assert 0.0 < setpoints.at(start + 0.9)["a"] <= 1.0
+    assert setpoints.at(start + 1.0)["a"] == pytest.approx(1.0)
+
+
 def test_setpoints_go_on_at_their_velocity_and_come_to_rest():
     setpoints = JointSetpoints({"a": 0.0})
     setpoints.follow(path(("a",), (2.0, [3])), 10.0)
