@@ -103,7 +103,8 @@ class Ros2Bus:
         self._waits, self._end = WaitSet(self._participant), GuardCondition(self._participant)
         self._waits.attach(self._end)
         # Not in listeners: an object that Python deletes in a thread of DDS crashes the process.
-        self._thread = Thread(target=self._receive, name=name, daemon=True)
+        receive = partial(self._receive, self._waits, self._end)  # `close` may not wait for its end
+        self._thread = Thread(target=receive, name=name, daemon=True)
         self._thread.start()
 
     def publisher(self, topic: str, kind: Any) -> Publisher:
@@ -167,8 +168,8 @@ class Ros2Bus:
         self._readers, self._publishers = [], []
         self._thread = self._waits = self._end = self._participant = None
 
-    def _receive(self) -> None:
-        while not self._end.read():
+    def _receive(self, waits: Any, end: Any) -> None:
+        while not end.read():
             for reader, kind, take in tuple(self._readers):
                 try:
                     for message in reader.take(1):  # the others outlive an invalid one
@@ -176,7 +177,7 @@ class Ros2Bus:
                             take(message)
                 except Exception:  # noqa: BLE001 - the next message may be better
                     _log.exception("a message was dropped")
-            self._waits.wait(duration(infinite=True))
+            waits.wait(duration(infinite=True))
 
     def _topic(self, name: str, kind: Any) -> Any:
         return Topic(self._participant, f"rt/{name.lstrip('/')}", kind)

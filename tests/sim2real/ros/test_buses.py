@@ -141,6 +141,22 @@ def test_messages_are_handled_in_a_thread_of_the_bus_that_outlives_errors(caplog
     assert not {"sender", "receiver"} & {thread.name for thread in threading.enumerate()}
 
 
+def test_a_bus_closes_while_a_message_is_handled(monkeypatch):
+    monkeypatch.setattr("kinfeas.sim2real.ros.ros2._ENDING", 0.0)
+    bus, begun, closed = Ros2Bus(), threading.Event(), threading.Event()
+    errors = []
+    monkeypatch.setattr(threading, "excepthook", errors.append)
+    bus.open("slow")
+    bus.subscribe("/a", MESSAGES.Twist, lambda message: begun.set() or closed.wait())
+    publisher = bus.publisher("/a", MESSAGES.Twist)
+    wait(lambda: publisher.publish(MESSAGES.Twist()) or begun.is_set())
+    (thread,) = [each for each in threading.enumerate() if each.name == "slow"]
+    bus.close()
+    closed.set()
+    thread.join()
+    assert not errors
+
+
 @pytest.fixture
 def bus():
     """A bus that keeps its messages, with one subscriber."""
