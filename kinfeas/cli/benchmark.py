@@ -52,7 +52,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.benchmark.table import tabulate
     from kinfeas.config.recipes import ENGINES
 
-    worlds = world.split(",")
+    worlds = list(map(str.strip, world.split(",")))
     physics = worlds[0] in ENGINES
     shipped = ("physics", "physics_quick") if physics else ("study", "quick")
     name = config or f"benchmark/{shipped[quick]}"
@@ -76,6 +76,6 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         command = shlex.join(["kinfeas", *sys.argv[1:]])
         paths = write_results(out, study, trained, cases, cells, command)
     write_json([asdict(cell) for cell in cells], json)
-    paths += publish(trained if world == "analytic" else [], out / "pretrained")
+    paths += publish(trained if worlds == ["analytic"] else [], out / "pretrained")
     typer.echo("\n".join([*success_tables(cells), study.note]))
     print_paths(*paths)

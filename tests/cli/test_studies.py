@@ -63,7 +63,7 @@ def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, mo
 
 def test_physics_beside_the_analytic_world(run):
     engine = default_engine()
-    words = ("--config", "physics.yaml", "--world", engine, "--episodes", "1")
+    words = ("--config", "physics.yaml", "--world", f" {engine}", "--episodes", "1")
     entries = run(*words, "--json", "out.json", code=0).facts
     rows = [(entry["policy"], entry["row"]) for entry in entries]
     assert rows == [("pretrained", ""), ("pretrained", "late"), ("follow_ee", "")]
