@@ -156,7 +156,8 @@ def plan(  # noqa: PLR0913 - options of the command
             be faster than the base; a file of poses, as of the generator `waypoints`; or the name
             of a motion generator, which needs a `target`.
         target: World pose at which the motion of a generator ends, shape (7,).
-        step: Time from a pose to the next, seconds.
+        step: Time from a pose to the next, seconds. Only for arrays of poses; files and generators
+            have their own time.
         start: x, y and yaw of the base now. The EE moves from there to the first pose of a file. By
             default the robot begins at one of the best base poses for it.
         joints: Arm joints now, shape (j,), radians or metres; those of home by default.
@@ -175,10 +176,11 @@ def plan(  # noqa: PLR0913 - options of the command
     if joints is not None and start is None:
         raise KinfeasError("'joints' needs 'start'")
     if isinstance(path, str | Path):
+        if step != HORIZON:
+            raise KinfeasError("'step' is for poses, not for files and generators")
         ee = _rolled_out(placer.solver, path, target, state, around, settings)
-        step = HORIZON
     elif nested(settings) or target is not None:
-        raise KinfeasError("'settings' and 'target' are for files and generators, not for poses")
+        raise KinfeasError("'settings' are for files and generators, 'target' for generators")
     else:
         ee = ee_poses(path, "path")
         if len(ee) < 2:
@@ -275,6 +277,8 @@ def _rolled_out(
 ) -> Array:
     """Return the EE poses of a file or a generator every `HORIZON` seconds, shape (k, 7)."""
     if isinstance(path, Path) or Path(path).suffix:
+        if target is not None:
+            raise KinfeasError("'target' is for generators, not for files")
         poses, parameters = read_waypoints(Path(path))[0], {"file": str(path), "frame": "world"}
         if fixed := parameters.keys() & nested(settings).keys():
             raise KinfeasError(f"{min(fixed)!r} is no setting of a plan")

@@ -90,6 +90,9 @@ def test_long_motions_and_other_files_are_errors(tmp_path):
         kinfeas.plan("hsr", path)
     with pytest.raises(KinfeasError, match="'file'"):
         kinfeas.plan("hsr", path, settings={"file": "other.csv"})
+    for name, value in {"target": FIRST, "step": 0.2}.items():
+        with pytest.raises(KinfeasError, match=f"'{name}'"):
+            kinfeas.plan("hsr", path, **{name: value})
     with pytest.raises(KinfeasError, match="2 poses"):
         kinfeas.plan("hsr", [FIRST])
     with pytest.raises(KinfeasError, match="'start'"):
