@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name
-from kinfeas.config import PluginSpec, convert, to_mapping
+from kinfeas.config import PluginSpec, to_mapping, validated
 from kinfeas.control.assemble import read_sim2real
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
@@ -120,7 +120,7 @@ def read_adapters(adapters: Adapters | None) -> tuple[PluginSpec, ...]:
     """Return adapters by the name or path of their list, or each by itself; none for None."""
     if isinstance(adapters, Sequence) and not isinstance(adapters, str):
         kind = tuple[PluginSpec, ...]
-        return cast("tuple[PluginSpec, ...]", checked(kind, list(adapters), "adapters"))
+        return cast("tuple[PluginSpec, ...]", checked(kind, adapters, "adapters"))
     return () if adapters is None else read_sim2real(str(adapters)).adapters
 
 
@@ -143,8 +143,8 @@ def filter_names(filters: str) -> tuple[str, ...]:
 
 
 def checked(kind: Any, value: object, name: str) -> Any:
-    """Return an argument that is of a kind; raise KinfeasError if it is not."""
-    return convert(kind, value, "arguments", name)
+    """Return an argument, also of NumPy, as plain data of a kind; or raise KinfeasError."""
+    return validated(kind, value, "arguments", name)
 
 
 def text_of(value: object, name: str) -> str:

@@ -68,7 +68,7 @@ def facts(placement: Placement) -> dict[str, object]:
 
 def base_pose(planar: Sequence[float], name: str) -> Array:
     """Return the pose, shape (7,), of x, y and yaw, metres and radians; or raise an error."""
-    return planar_pose(*np.array(checked(Position, list(planar), name)))
+    return planar_pose(*np.array(checked(Position, planar, name)))
 
 
 def surroundings(

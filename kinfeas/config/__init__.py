@@ -77,7 +77,7 @@ def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None
         KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.
     """
     changes = nested(settings)
-    return _validated(cls, merged(data, changes), source, changes=changes)
+    return validated(cls, merged(data, changes), source, changes=changes)
 
 
 def convert(kind: Any, value: object, source: str, key: str) -> Any:
@@ -94,7 +94,7 @@ def convert(kind: Any, value: object, source: str, key: str) -> Any:
     if not isinstance(value, str | bool | int | float | list | dict | None):
         return value
     try:
-        return _validated(kind, value, source, key)
+        return validated(kind, value, source, key)
     except (PydanticUserError, PydanticUndefinedAnnotation):
         return value
 
@@ -173,7 +173,13 @@ def _adapter(kind: Any) -> "TypeAdapter[Any]":
     return TypeAdapter(tuple[kind], config=strict)
 
 
-def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = None) -> Any:
+def validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = None) -> Any:
+    """Return plain data, arrays and tuples too, as an instance of the type `kind`.
+
+    Raises:
+        KinfeasError: If it is not; the error names the key and the path below, and the source. It
+            is the settings if the error is in their `changes`.
+    """
     from pydantic import ValidationError
     from pydantic_core import PydanticSerializationError, to_json
 
@@ -184,7 +190,8 @@ def _validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = 
     except ValidationError as error:
         problems = error.errors(include_url=False)
     except PydanticSerializationError as error:  # text that is no valid UTF-8, or an object
-        raise KinfeasError(f"{source}: {error}") from error
+        named = f"{source}: {key!r}" if key else source
+        raise KinfeasError(f"{named}: {error}") from error
     # A misspelt key is often a missing one as well.
     first = next((each for each in problems if each["type"] == _UNKNOWN), problems[0])
     keys = _keys(first["loc"], data)

@@ -133,8 +133,8 @@ def test_a_servo_without_a_source_closes_its_backend(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("arguments", [
     {"policy": "folow_ee"}, {"policy": object()}, {"robot": object()}, {"world": "real"},
-    {"episodes": np.int64(0)}, {"seed": np.int64(-1)}, {"processes": 0}, {"filters": 3},
-    {"adapters": [3]},
+    {"episodes": np.int64(0)}, {"episodes": (3,)}, {"episodes": object()},
+    {"seed": np.int64(-1)}, {"processes": 0}, {"filters": 3}, {"adapters": [3]},
     {"settings": {"world.dtt": 1}}, {"settings": {"world.dt": object()}},
     {"settings": {"world.dt": np.zeros(2)}}, {"settings": {5: 1}}, {"settings": 5},
 ])  # fmt: skip
@@ -143,9 +143,16 @@ def test_bad_input_is_an_error(arguments):
         kinfeas.evaluate(**{"policy": "follow_ee", **arguments})
 
 
+@pytest.mark.parametrize("arguments", [{"k": (3,)}, {"start": 3.0}, {"start": (0.0, 0.0)}])
+def test_bad_arguments_of_reach_are_errors(arguments):
+    (name,) = arguments
+    with pytest.raises(KinfeasError, match=name):
+        kinfeas.reach("hsr", [[2.0, 1.0, 0.8, 0.0, 0.0, 0.0, 1.0]], **arguments)
+
+
 @pytest.mark.parametrize("arguments", [
     {"goal": (0.9, 0.1)}, {"goal": "abc"}, {"goal": 3}, {"quaternion": np.array([0.0, 0.0, 1.0])},
-    {"seconds": -1.0}, {"seconds": np.nan}, {"rate": 0.0}, {"task": "ggr"},
+    {"seconds": -1.0}, {"seconds": np.nan}, {"rate": 0.0}, {"rate": (50.0,)}, {"task": "ggr"},
 ])  # fmt: skip
 def test_bad_deployments_are_errors(tmp_path, arguments):
     options = {"policy": "follow_ee", "backend": "analytic", "goal": np.array([0.9, 0.1, 0.8])}
