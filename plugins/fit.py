@@ -152,7 +152,7 @@ def _sampled(demonstration: Demonstration, kind: Kind, name: str) -> _Path:
     index[-1] = 1.0
     sampled = resampled(index, ee_pose[moves], even)
     planar = _planar(demonstration.base_pose, frame)
-    base = np.stack([np.interp(even, index, column) for column in planar[moves].T], axis=-1)
+    base = spatial.interpolated_columns(even, index, planar[moves])
     if np.nanmax(np.abs([sampled[:, :3], base])) > _FARTHEST:
         raise KinfeasError(f"{name}: leads more than {_FARTHEST:g} m from the object")
     duration = float(demonstration.time[-1] - demonstration.time[0])

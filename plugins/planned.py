@@ -10,7 +10,14 @@ from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Posi
 from kinfeas.core.metrics import GOAL_METRES
 from kinfeas.core.motion import Rngs, State, WholeBodyPath, merged, of_rows
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, continuous, distance, integrate, twist_between
+from kinfeas.core.spatial import (
+    Array,
+    continuous,
+    distance,
+    integrate,
+    interpolated_columns,
+    twist_between,
+)
 from kinfeas.planning.ee_path import EePathSettings, plan_ee_paths
 from kinfeas.planning.spline import (
     POINTS,
@@ -264,7 +271,7 @@ class WholeBody(Planned):
         time = np.concatenate([[0.0], np.cumsum(seconds + 1e-6)])
         at = np.linspace(0.0, time[-1], POINTS)
         columns = np.concatenate([path.ee[:, :3], continuous(path.ee[:, 3:]), path.robot], axis=1)
-        even = np.stack([np.interp(at, time, column) for column in columns.T], axis=1)
+        even = interpolated_columns(at, time, columns)
         even[:, 3:7] /= np.linalg.norm(even[:, 3:7], axis=1, keepdims=True)
         return even[:, :7], even[:, 7:], time[-1]
 
@@ -311,7 +318,7 @@ def _even(curve: Array) -> Array:
     """Return points at even steps along a finely sampled curve, shape (m, 3) -> (64, 3)."""
     length = np.concatenate([[0.0], np.cumsum(norm(np.diff(curve, axis=0)))])
     at = np.linspace(0.0, length[-1], POINTS)
-    return np.stack([np.interp(at, length, axis) for axis in curve.T], axis=1)
+    return interpolated_columns(at, length, curve)
 
 
 def _slerped(begin: Array, end: Array) -> Array:

@@ -158,9 +158,14 @@ def _call(
         raise KinfeasError(f"the leading axes of {shapes} do not broadcast") from error
 
 
+def interpolated_columns(at: Array, knots: Array, values: Array) -> Array:
+    """Return rows (m, w) at `at` between those of `values`, (k, w), at ascending `knots`."""
+    return np.stack([np.interp(at, knots, column) for column in values.T], axis=1)
+
+
 def interpolated(times: Array, samples: Array, poses: Array) -> Array:
     """Return poses (m, 7) at `times` between those (t, 7) at ascending times `samples`."""
-    position = np.stack([np.interp(times, samples, column) for column in poses[:, :3].T], axis=1)
+    position = interpolated_columns(times, samples, poses[:, :3])
     return make_pose(position, Slerp(samples, rotation(poses))(times))
 
 

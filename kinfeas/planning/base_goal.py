@@ -12,7 +12,14 @@ from scipy.ndimage import gaussian_filter1d
 from kinfeas.core.kernels import kernel
 from kinfeas.core.motion import WholeBodyPath
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, compose, planar_pose, relative, yaw
+from kinfeas.core.spatial import (
+    Array,
+    compose,
+    interpolated_columns,
+    planar_pose,
+    relative,
+    yaw,
+)
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import make_collision_scratch, place_shapes
@@ -289,7 +296,7 @@ def _smooth(corners: Array, deviation: float, step: float) -> Array:
     s = _path_lengths(corners)
     count = max(int(s[-1] / step), 8) + 1
     even = np.linspace(0.0, s[-1], count)
-    path = np.stack([np.interp(even, s, column) for column in corners.T], axis=1)
+    path = interpolated_columns(even, s, corners)
     sigma = min(deviation, s[-1] / 6.0) / even[1]
     mirrored = [2.0 * path[0] - path[:0:-1], path, 2.0 * path[-1] - path[-2::-1]]
     smooth = gaussian_filter1d(np.concatenate(mirrored), sigma, axis=0)

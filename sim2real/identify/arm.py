@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import Bounds, least_squares
 
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, interpolated_columns
 from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.base import LATENCIES, LATENCY_UNIT, TIMES
 from kinfeas.sim2real.identify.log import Log
@@ -19,7 +19,6 @@ from kinfeas.sim2real.identify.statistics import (
     MOVES,
     Estimate,
     derivatives,
-    interpolated,
     posterior,
     standard_errors,
     time_blocks,
@@ -119,9 +118,10 @@ class ArmProblem:
             active = chain.delayed(targets, delays.weights(log.dt))
             ends = chain.moved_arm(active, log.dt, lag, log.arm_seconds)
             ends = np.concatenate([targets[:1], ends])
-            predicted, measured = interpolated(ends, at), log.joints[:, self._joints]
+            periods, measured = np.arange(float(len(ends))), log.joints[:, self._joints]
+            predicted = interpolated_columns(at, periods, ends)
             predicted += np.median(measured - predicted, axis=0)
-            speed = interpolated(np.gradient(ends, log.dt, axis=0), at)
+            speed = interpolated_columns(at, periods, np.gradient(ends, log.dt, axis=0))
             yield Positions(predicted, measured, speed)
 
     def _residuals(self, delays: Delays, lag: float) -> Array:
@@ -179,7 +179,8 @@ class ArmProblem:
                 drawn = chain.drawn_delays(numbers, log.dt, latency, delays.jitter, delays.lost)
                 active = chain.drawn_commands(targets, *drawn)
                 ends = chain.moved_arm(active, log.dt, self.lag, log.arm_seconds)
-                positions = interpolated(np.concatenate([targets[:1], ends]), at)
+                ends = np.concatenate([targets[:1], ends])
+                positions = interpolated_columns(at, np.arange(float(len(ends))), ends)
                 late.append(-np.sum(positions * speed, axis=1) / squared)
             errors.append(np.array(late))
         return errors

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, yaw
+from kinfeas.core.spatial import Array, interpolated_columns, yaw
 from kinfeas.io.run_log import Record
 from kinfeas.robots.robot import Robot
 
@@ -114,7 +114,7 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
     steps = np.diff(np.append(times, max(edges[-1], times[-1])))
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * steps[:, None], 0)])
     knots = np.append(times, max(edges[-1], times[-1]) + 1e-12)
-    at = np.stack([np.interp(edges, knots, column) for column in sums.T], axis=1)
+    at = interpolated_columns(edges, knots, sums)
     return np.diff(at, axis=0) / np.diff(edges)[:, np.newaxis]
 
 

@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, interpolated_columns
 from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.log import Log
-from kinfeas.sim2real.identify.statistics import interpolated
 
 _SHORTEST = 0.6  # periods between measured poses
 
@@ -106,5 +105,5 @@ class Track:
     def predicted(self, velocities: Array) -> Array:
         """Return the displacements at a velocity for each period, shape (n, 3)."""
         path = np.concatenate([np.zeros((1, 3)), np.cumsum(velocities, axis=0) * self.log.dt])
-        at = interpolated(path, self._at)
+        at = interpolated_columns(self._at, np.arange(float(len(path))), path)
         return np.diff(at, axis=0)

@@ -88,9 +88,3 @@ def derivatives(function: Callable[[Array], Array], z: Array) -> Array:
     steps = _STEP * np.eye(len(z))
     columns = [(function(z + step) - function(z - step)) / (2.0 * _STEP) for step in steps]
     return np.stack(columns, axis=1)
-
-
-def interpolated(values: Array, at: Array) -> Array:
-    """Return values, shape (n, w), between their rows, shape (k, w)."""
-    knots = np.arange(len(values))
-    return np.stack([np.interp(at, knots, column) for column in values.T], axis=1)

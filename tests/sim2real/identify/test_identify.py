@@ -14,6 +14,7 @@ from kinfeas.config.recipes import default_engine
 from kinfeas.control.assemble import with_adapters
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import interpolated_columns
 from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.sim2real.identify import chain
@@ -145,7 +146,7 @@ def test_noise_is_found_with_periods_of_its_own():
 
     def measured(values):
         own = np.arange(n) * DT + 0.4 * DT
-        return np.stack([np.interp(times, own, column) for column in values.T], axis=1)
+        return interpolated_columns(times, own, values)
 
     base, joints, rest = measured(np.cumsum(drawn * DT, axis=0)), measured(drawn), np.zeros((n, 3))
     log = Log("record", DT, rest, rest, times, base, times, joints, np.empty(0), 0.0)
