@@ -10,10 +10,10 @@ import numpy as np
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, interpolated_columns
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.identify.log import Log, Series, make_log
-from kinfeas.sim2real.link import BaseReading
+from kinfeas.sim2real.link import BaseReading, JointPath
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros.topics import Topics, read_topics
 
@@ -74,7 +74,7 @@ class _Bag:
         self._base = _Stream(pose_topic, "base pose")
         self._joints = _Stream(topics.joints.measured, "position of all arm joints")
         self._positions: dict[str, float] = {}
-        self._paths: list[tuple[float, Any]] = []
+        self._paths: list[tuple[float, JointPath]] = []
         self._now = 0.0
         self._tree = ros_messages.TfTree(base.world_frame, base.frame, now=lambda: self._now)
 
@@ -84,7 +84,7 @@ class _Bag:
             self._twists.topic: self._take_twist,
             self._joints.topic: self._take_joints,
             **{
-                controller.command: partial(self._take_path, controller.command)
+                controller.command: self._take_path
                 for controller in self._topics.joints.controllers
             },
             self._base.topic: self._take_odometry,
@@ -125,11 +125,9 @@ class _Bag:
             values = np.array([self._positions[name] for name in self._names])
             self._put(self._joints, values, message.header.stamp.to_sec())
 
-    def _take_path(self, topic: str, message: Any) -> None:
-        for point in message.points:
-            if not np.isfinite(point.positions).all():
-                raise KinfeasError(f"{self._path}: a number of {topic} is not finite")
-        self._paths.append((self._now, message))
+    def _take_path(self, message: Any) -> None:
+        if (path := ros_messages.path(message)) is not None:
+            self._paths.append((self._now, path))
 
     def _put_pose(self, reading: BaseReading) -> None:
         self._put(self._base, np.array([reading.x, reading.y, reading.yaw]), reading.stamp)
@@ -162,8 +160,8 @@ class _Bag:
 
     def _arm_seconds(self) -> float:
         """Return the usual duration of trajectories of one point; 0 without any."""
-        ends = [message.points[0] for _, message in self._paths if len(message.points) == 1]
-        return float(np.median([end.time_from_start.to_sec() for end in ends])) if ends else 0.0
+        ends = [path.times[0] for _, path in self._paths if len(path.times) == 1]
+        return float(np.median(ends)) if ends else 0.0
 
     def _commands(self, base: Series) -> Series:
         """Return the commands in world axes, with a zero where newer ones do not come."""
@@ -181,9 +179,9 @@ class _Bag:
         """Return the targets of the arm: those of a trajectory of one point at once."""
         times, values, aim = [begin], [start.copy()], dict(zip(self._names, start, strict=True))
         paths = self._paths
-        for number, (sent, message) in enumerate(paths):
+        for number, (sent, path) in enumerate(paths):
             until = paths[number + 1][0] if number + 1 < len(paths) else np.inf
-            for when, name_positions in _points(message, sent, aim):
+            for when, name_positions in _points(path, sent, aim):
                 if when < until or when == sent:
                     aim.update(name_positions)
                     times.append(max(when, times[-1]))
@@ -192,23 +190,22 @@ class _Bag:
 
 
 def _points(
-    message: Any, sent: float, aim: dict[str, float]
+    path: JointPath, sent: float, aim: dict[str, float]
 ) -> Iterator[tuple[float, dict[str, float]]]:
     """Yield the targets of a trajectory; between several points, each hundredth of a second."""
-    names, points = list(message.joint_names), message.points
-    in_arm = [name in aim for name in names]
-    if not points or not any(in_arm):
+    names = [name for name in path.joints if name in aim]
+    ends = path.positions[:, [path.joints.index(name) for name in names]]
+    if not names:
         return
-    ends = np.array([point.positions for point in points])
-    if len(points) == 1:
-        yield sent, {n: float(v) for n, v, k in zip(names, ends[0], in_arm, strict=True) if k}
+    if len(ends) == 1:
+        yield sent, dict(zip(names, ends[0].tolist(), strict=True))
         return
-    times = sent + np.array([point.time_from_start.to_sec() for point in points])
-    start = np.array([aim.get(name, 0.0) for name in names])
-    knots, values = np.append(sent, times), np.concatenate([start[np.newaxis], ends])
-    for when in np.arange(sent, times[-1] + 0.005, 0.01):
-        row = [float(np.interp(when, knots, column)) for column in values.T]
-        yield float(when), {n: v for n, v, k in zip(names, row, in_arm, strict=True) if k}
+    knots = np.append(sent, sent + path.times)
+    values = np.concatenate([[[aim[name] for name in names]], ends])
+    times = np.arange(sent, knots[-1] + 0.005, 0.01)
+    rows = interpolated_columns(times, knots, values)
+    for when, row in zip(times.tolist(), rows.tolist(), strict=True):
+        yield when, dict(zip(names, row, strict=True))
 
 
 def _measured(stream: _Stream) -> tuple[Series, Array]:

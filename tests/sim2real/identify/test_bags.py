@@ -113,6 +113,13 @@ def test_broken_bags_raise(bag, path, robot, spoil, named):
         read_bag(bag.write(path), robot)
 
 
+def test_invalid_trajectories_are_left_out(bag, path, robot):
+    topic, name, message, _ = next(each for each in bag.messages if "Trajectory" in each[1])
+    point = replace(message.points[0], positions=[*message.points[0].positions, 1.0])
+    bag.messages.append((topic, name, replace(message, points=[point]), bag.time))
+    assert read_bag(bag.write(path), robot).targets.max() < 0.1 * bag.time
+
+
 def test_other_files_are_no_bags(tmp_path, hsr):
     path = tmp_path / "run.bag"
     path.write_bytes(b"not a bag")
