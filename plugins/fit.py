@@ -113,7 +113,7 @@ def fit(
     mean_orientation = spatial.rotation(np.concatenate([path.ee_pose for path in paths])).mean()
     features = _features(paths, mean_orientation)
     model = Model(
-        format=1,
+        format=2,
         kind=kind,
         duration=_plain(duration if kind == "imitation" else _CLOCK),
         goal=_plain(spatial.make_pose(goals[:, :3].mean(axis=0), spatial.rotation(goals).mean())),
@@ -199,7 +199,9 @@ def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ..
         mixture = search.fit(features)
     return tuple(
         Component(
-            _plain(mixture.weights_[i]), _plain(mixture.means_[i]), _plain(mixture.covariances_[i])
+            _plain(mixture.weights_[i]),
+            _plain(mixture.means_[i]),
+            _plain(mixture.covariances_[i][:, 0]),
         )
         for i in np.argsort(mixture.means_[:, 0])
     )

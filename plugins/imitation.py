@@ -2,7 +2,7 @@
 
 A model is a Gaussian mixture over the pose of the EE, in plain YAML::
 
-    format: 1
+    format: 2
     kind: imitation                     # or gaussian_mixture: the meaning of the index
     duration: 3.1                       # seconds
     goal: [x, y, z, qx, qy, qz, qw]     # pose of the EE at the end, in the frame of the object
@@ -11,24 +11,25 @@ A model is a Gaussian mixture over the pose of the EE, in plain YAML::
     components:
     - weight: 0.125
       mean: [index, x, y, z, rx, ry, rz, base_x, base_y, base_yaw]
-      covariance:
-      - [...]                           # as many rows and columns
+      covariance: [...]                 # of the index with these; the first is its variance
 
 The index is a fraction of the path in [0, 1] (`imitation`: by length, `gaussian_mixture`: by
 time). Positions are metres in the frame of the object at the start; r is the rotation vector from
 the mean orientation, in its own axes. The base moves on the floor, in the frame below the object
-with its heading; a model without a base stops at rz. Only the first column of a covariance is used.
+with its heading; a model without a base stops at rz. Files of format 1, with all columns of a
+covariance, are read as well.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
+from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import Count, Positive, PositiveShare
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State, TwistAndState
@@ -126,16 +127,16 @@ class Component:
     weight: PositiveShare  # weight; those of all components add up to 1
     # index, EE x y z and EE rotation vector; with a base also its x, y and yaw. Metres and radians
     mean: tuple[Number, ...]
-    # rows and columns in the order of the mean; only the first column is used
-    covariance: tuple[tuple[Number, ...], ...]
+    # covariance of the index with each number of the mean; the first one is its variance
+    covariance: tuple[Number, ...]
 
     def __post_init__(self) -> None:
         size = len(self.mean)
         if size not in (_SIZE, _SIZE_WITH_BASE):
             raise ValueError(f"the mean must have {_SIZE} or {_SIZE_WITH_BASE} numbers, not {size}")
-        if len(self.covariance) != size or any(len(row) != size for row in self.covariance):
-            raise ValueError(f"the covariance must have {size} rows of {size} numbers")
-        if self.covariance[0][0] < _SMALLEST:
+        if len(self.covariance) != size:
+            raise ValueError(f"the covariance must have {size} numbers, as the mean")
+        if self.covariance[0] < _SMALLEST:
             raise ValueError(f"the variance of the index must be at least {_SMALLEST:g}")
 
 
@@ -151,7 +152,7 @@ class Source:
 class Model:
     """A learned motion in the frame of the grasped object; see the example of this module."""
 
-    format: Literal[1]  # version of the file format
+    format: Literal[2]  # version of the file format
     kind: Kind  # motion generator: whether the index is that of the length or of the time
     duration: Annotated[float, Interval(ge=SHORTEST, le=LONGEST)]  # duration of the motion, seconds
     # final EE pose in the frame of the object, metres, quaternion x y z w
@@ -186,10 +187,24 @@ def read_model(name_or_path: str, kind: Kind) -> Model:
             hint = no_such(name_or_path, shipped)
             raise KinfeasError(f"unknown model {name_or_path!r}{hint}, or the path of a .yaml file")
         path = _FOLDER / f"{name_or_path}.yaml"
-    model = config.load(Model, path)
+    model = config.from_mapping(Model, _read(path), str(path))
     if model.kind != kind:
         raise KinfeasError(f"{path}: 'kind' must be {kind!r} here, not {model.kind!r}")
     return model
+
+
+def _read(path: Path) -> Any:
+    """Return the content of a model file as that of format 2."""
+    data: Any = strict_yaml.read(path)
+    if data.get("format") == 1:
+        try:
+            for component in data["components"]:
+                component["covariance"] = [row[0] for row in component["covariance"]]
+        except (LookupError, TypeError) as error:
+            rule = "must be mappings with a 'covariance' of rows of numbers"
+            raise KinfeasError(f"{path}: 'components' {rule}") from error
+        data["format"] = 2
+    return data
 
 
 def learned_path(model: Model) -> PosePath:
@@ -217,10 +232,10 @@ def regress(model: Model, index: Array) -> Array:
     weight = np.array([component.weight for component in model.components])
     mean = np.array([component.mean for component in model.components])
     covariance = np.array([component.covariance for component in model.components])
-    away, variance = index[:, np.newaxis] - mean[:, 0], covariance[:, 0, 0]
+    away, variance = index[:, np.newaxis] - mean[:, 0], covariance[:, 0]
     log_likelihood = np.log(weight) - 0.5 * (away**2 / variance + np.log(variance))
     likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     likelihood /= likelihood.sum(axis=1, keepdims=True)
-    slope = covariance[:, 1:, 0] / variance[:, np.newaxis]
+    slope = covariance[:, 1:] / variance[:, np.newaxis]
     expected = mean[:, 1:] + slope * away[:, :, np.newaxis]
     return np.sum(likelihood[:, :, np.newaxis] * expected, axis=1)

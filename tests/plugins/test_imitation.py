@@ -50,8 +50,8 @@ def test_regression_is_the_mean_of_the_conditional_density(model):
         likely, expected = [], []
         for component in model.components:
             mean, covariance = np.array(component.mean), np.array(component.covariance)
-            likely.append(component.weight * multivariate_normal(mean[0], covariance[0, 0]).pdf(at))
-            expected.append(mean[1:] + covariance[1:, 0] / covariance[0, 0] * (at - mean[0]))
+            likely.append(component.weight * multivariate_normal(mean[0], covariance[0]).pdf(at))
+            expected.append(mean[1:] + covariance[1:] / covariance[0] * (at - mean[0]))
         assert np.allclose(row, np.average(expected, axis=0, weights=likely), atol=1e-12)
 
 
@@ -117,9 +117,20 @@ def test_models_are_found_by_name_and_path_and_have_a_kind(files):
         GaussianMixture(model=files["imitation"])
 
 
+def test_models_of_format_1_have_whole_covariances(files, tmp_path):
+    data, old = strict_yaml.read(Path(files["imitation"])), tmp_path / "old.yaml"
+    strict_yaml.write(data | {"format": 1}, old)
+    with pytest.raises(KinfeasError, match=f"^{old}: .*components"):
+        read_model(str(old), "imitation")
+    for component in data["components"]:
+        component["covariance"] = [[number, 9.0] for number in component["covariance"]]
+    strict_yaml.write(data | {"format": 1}, old)
+    assert read_model(str(old), "imitation") == read_model(files["imitation"], "imitation")
+
+
 @pytest.mark.parametrize(("key", "value"), [
-    ("format", 2), ("kind", "spline"), ("goal.6", 2.0), ("components", []),
-    ("components.0.covariance.0.0", 0.0), ("components.0.weight", 0.9),
+    ("format", 3), ("kind", "spline"), ("goal.6", 2.0), ("components", []),
+    ("components.0.covariance.0", 0.0), ("components.0.weight", 0.9),
     ("components.1.mean.2", math.inf), ("components.1.mean", [0.0] * 8),
 ])  # fmt: skip
 def test_wrong_models_raise(key, value, files, tmp_path):
