@@ -1,59 +1,20 @@
 """Checks of a scene: positions, overlaps by python-fcl, and inertias."""
 
-from collections.abc import Iterable, Mapping
-from itertools import combinations
+from collections.abc import Mapping
+from itertools import combinations, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, rotation
+from kinfeas.core.spatial import Array
 from kinfeas.robots.elements import Element, read_xml
-from kinfeas.robots.urdf import Shape, Urdf
+from kinfeas.robots.fcl_shapes import fcl_object, touch
+from kinfeas.robots.urdf import Urdf
 from kinfeas.robots.urdf_file import SLACK, read_moments
 from kinfeas.scenes.objects import SceneObject, moving_joint
 
 _DOWN = np.array([0.0, 0.0, -1.0])
-_THINNEST = 1e-4  # m, of a shrunk shape
-
-
-class ShapeGroup:
-    """A group of shapes for collision checks; not thread-safe.
-
-    Args:
-        shapes: Primitives with their poses in one frame.
-        less: Metres by which each shape is shrunk in total along each axis. Two groups that are
-            shrunk by `less` touch where their shapes overlap by more than that.
-    """
-
-    def __init__(self, shapes: Iterable[Shape], less: float = 0.0) -> None:
-        import fcl
-
-        self._fcl = fcl
-        self._objects = [_solid(fcl, shape, less) for shape in shapes]
-        self._group = fcl.DynamicAABBTreeCollisionManager()
-        self._group.registerObjects(self._objects)
-        self._group.setup()
-
-    def touches(self, other: "ShapeGroup") -> bool:
-        """Return whether any shape touches one of the `other` group."""
-        data = self._fcl.CollisionData()
-        self._group.collide(other._group, data, self._fcl.defaultCollisionCallback)
-        return bool(data.result.is_collision)
-
-
-def _solid(fcl: Any, shape: Shape, less: float) -> Any:
-    kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
-    thinner = {"box": (less,) * 3, "cylinder": (less / 2.0, less), "sphere": (less / 2.0,)}
-    size = [
-        max(full - part, _THINNEST)
-        for full, part in zip(shape.size, thinner[shape.kind], strict=True)
-    ]
-    placed = fcl.Transform(rotation(shape.pose).as_matrix(), shape.pose[:3])
-    return fcl.CollisionObject(kinds[shape.kind](*size), placed)
-
-
 OVERLAP = 1e-3  # metres by which two objects may overlap, as where one is on the other
 
 
@@ -71,11 +32,11 @@ def check_places(
         if sunk > OVERLAP:
             raise KinfeasError(f"{where} is {sunk:.3g} m below the floor")
     solids = {
-        name: ShapeGroup((shape for _, shape in scene_object.shapes()), OVERLAP)
+        name: [fcl_object(shape, OVERLAP) for _, shape in scene_object.shapes()]
         for name, scene_object in objects.items()
     }
     for a, b in combinations(objects, 2):
-        if solids[a].touches(solids[b]):
+        if any(touch(*pair) for pair in product(solids[a], solids[b])):
             raise KinfeasError(
                 f"{source}: objects {a!r} and {b!r} overlap by more than {1000.0 * OVERLAP:g} mm"
             )

@@ -24,6 +24,7 @@ from kinfeas.kinematics.self_collision import (
     self_collides,
 )
 from kinfeas.planning.placement import at_goals, reachable
+from kinfeas.robots.fcl_shapes import fcl_object, place, touch
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 
@@ -149,7 +150,9 @@ def only_fitted(
 
     @cache
     def solids(link: str) -> list[tuple[Any, Array]]:
-        return [_solid(part) for part in originals.get(link, robot.urdf.links[link].shapes)]
+        parts = originals.get(link, robot.urdf.links[link].shapes)
+        poses = (part.pose if isinstance(part, Shape) else IDENTITY for part in parts)
+        return list(zip(map(fcl_object, parts), poses, strict=True))
 
     def placed(link: str, joints: Array) -> list[tuple[Any, Array]]:
         poses = forward(build_chain(replace(robot, ee_frame=link)), joints)
@@ -158,40 +161,22 @@ def only_fitted(
             for solid, pose in solids(link)
         ]
 
-    def touch(pair: tuple[str, str], alone: CollisionModel) -> bool:
+    def touch_at(first: tuple[Any, Array], second: tuple[Any, Array], i: int) -> bool:
+        for solid, poses in (first, second):
+            place(solid, poses[i])
+        return touch(first[0], second[0])
+
+    def touch_somewhere(pair: tuple[str, str], alone: CollisionModel) -> bool:
         rows = np.flatnonzero(self_collides(alone, joints))
         some = joints[rows[:: -(-len(rows) // _COMPARED)]]
         parts = list(product(*(placed(link, some) for link in pair)))
-        return any(_touch(first, second, i) for i in range(len(some)) for first, second in parts)
+        return any(touch_at(first, second, i) for i in range(len(some)) for first, second in parts)
 
     return {
         pair: suspected[pair]
         for pair, alone in pair_models(robot)
-        if pair in suspected and not touch(pair, alone)
+        if pair in suspected and not touch_somewhere(pair, alone)
     }
-
-
-def _touch(first: tuple[Any, Array], second: tuple[Any, Array], i: int) -> bool:
-    """Return whether two solids for FCL touch at their poses number `i`."""
-    import fcl
-
-    for solid, poses in (first, second):
-        solid.setTransform(fcl.Transform(rotation(poses[i]).as_matrix(), poses[i, :3]))
-    return bool(fcl.collide(first[0], second[0], fcl.CollisionRequest(), fcl.CollisionResult()))
-
-
-def _solid(part: Part) -> tuple[Any, Array]:
-    """Return a part for FCL and its pose in the frame of its link, shape (7,)."""
-    import fcl
-
-    if isinstance(part, Shape):
-        kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
-        return fcl.CollisionObject(kinds[part.kind](*part.size)), part.pose
-    mesh = fcl.BVHModel()
-    mesh.beginModel(len(part), 3 * len(part))
-    mesh.addSubModel(part.reshape(-1, 3), np.arange(3 * len(part)).reshape(-1, 3))
-    mesh.endModel()
-    return fcl.CollisionObject(mesh), IDENTITY
 
 
 def free_fraction(robot: Robot) -> float:

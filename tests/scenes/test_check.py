@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -7,9 +8,9 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import compose, planar_pose
 from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.solids import collides
+from kinfeas.robots.fcl_shapes import fcl_object, touch
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
-from kinfeas.scenes.check import ShapeGroup
 from kinfeas.scenes.scene import furniture_solids, read_scene
 
 SIZES = {"box": (0.2, 0.2, 0.2), "cylinder": (0.1, 0.2), "sphere": (0.1,)}
@@ -28,8 +29,8 @@ def floor(x, y, yaw=0.0):
 @pytest.mark.parametrize("kind", SIZES)
 @pytest.mark.parametrize("other", SIZES)
 def test_shapes_touch_where_their_surfaces_meet(kind, other):
-    assert ShapeGroup([at(kind, 0.199)]).touches(ShapeGroup([at(other, 0.0)]))
-    assert not ShapeGroup([at(kind, 0.201)]).touches(ShapeGroup([at(other, 0.0)]))
+    for x, touching in ((0.199, True), (0.201, False)):
+        assert touch(fcl_object(at(kind, x)), fcl_object(at(other, 0.0))) == touching
 
 
 @pytest.mark.parametrize(("old", "new", "where"), [
@@ -108,14 +109,14 @@ def test_robots_touch_the_solids_that_they_touch_as_furniture(name):
     scene.objects.clear()
     scene.objects.update(fixed)
     solids = furniture_solids(scene)
-    furniture = ShapeGroup(shape for thing in fixed.values() for _, shape in thing.shapes())
+    furniture = [fcl_object(shape) for thing in fixed.values() for _, shape in thing.shapes()]
     lower, upper = robot.finite_joint_limits
     joints = rng.uniform(lower, upper, (400, len(lower)))
     base = planar_pose(*rng.uniform([-4.0, -4.0, -np.pi], [4.0, 4.0, np.pi], (400, 3)).T)
     rows = solids.of(np.zeros(400, dtype=np.intp))
     touching = collides(build_collision_model(robot), joints, base, rows).any(axis=1)
     expected = [
-        ShapeGroup(robot_shapes(robot, *row)).touches(furniture)
+        any(touch(*pair) for pair in product(map(fcl_object, robot_shapes(robot, *row)), furniture))
         for row in zip(base, joints, strict=True)
     ]
     assert touching[expected].all()

@@ -1,0 +1,46 @@
+"""Shapes as collision objects of python-fcl; not thread-safe."""
+
+from typing import Any
+
+import numpy as np
+
+from kinfeas.core.spatial import Array, rotation
+from kinfeas.robots.urdf import Shape
+
+_THINNEST = 1e-4  # m, of a shrunk shape
+
+
+def fcl_object(part: Shape | Array, less: float = 0.0) -> Any:
+    """Return a primitive at its pose, or the triangles of a mesh, shape (t, 3, 3), metres.
+
+    `less` shrinks a primitive in total along each axis, metres. Two that are shrunk by `less` touch
+    where they overlap by more than that.
+    """
+    import fcl
+
+    if isinstance(part, Shape):
+        kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
+        thinner = {"box": (less,) * 3, "cylinder": (less / 2.0, less), "sphere": (less / 2.0,)}
+        size = np.maximum(np.subtract(part.size, thinner[part.kind]), _THINNEST)
+        made = fcl.CollisionObject(kinds[part.kind](*size))
+        place(made, part.pose)
+        return made
+    mesh = fcl.BVHModel()
+    mesh.beginModel(len(part), 3 * len(part))
+    mesh.addSubModel(part.reshape(-1, 3), np.arange(3 * len(part)).reshape(-1, 3))
+    mesh.endModel()
+    return fcl.CollisionObject(mesh)
+
+
+def place(fcl_object: Any, pose: Array) -> None:
+    """Move a collision object to a pose, shape (7,)."""
+    import fcl
+
+    fcl_object.setTransform(fcl.Transform(rotation(pose).as_matrix(), pose[:3]))
+
+
+def touch(a: Any, b: Any) -> bool:
+    """Return whether two collision objects touch."""
+    import fcl
+
+    return bool(fcl.collide(a, b, fcl.CollisionRequest(), fcl.CollisionResult()))
