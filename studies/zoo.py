@@ -15,7 +15,6 @@ from typing import Any
 
 import kinfeas.robots
 from kinfeas.importer.draft import draft_robot
-from kinfeas.importer.text import RECIPES
 
 SHIPPED = Path(kinfeas.robots.__file__).parent
 HEAD = """# {title}
@@ -138,7 +137,6 @@ def main() -> None:
         text = HEAD.format(**vars(source)) + draft.yaml[draft.yaml.index("name: ") :]
         (folder / "robot.yaml").write_text(text.replace(GUESS, ""))
         (folder / "robot.urdf").write_text(draft.urdf)
-        (folder / "recipes.yaml").write_text(RECIPES)
         print(f"{name}: reach {draft.spec.reach.low:g} to {draft.spec.reach.high:g} m")
 
 

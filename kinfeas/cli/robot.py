@@ -39,14 +39,13 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Draft the folder of a robot from its URDF, xacro or MJCF.
 
     robot.yaml has arm, hand, home, reach and ignored collisions, and marks guesses: check them,
-    above all the speed of the base. In robot.urdf, primitives replace collision meshes. By
-    recipes.yaml, known motions are planned.
+    above all the speed of the base. In robot.urdf, primitives replace collision meshes.
 
     Example: kinfeas robot import fetch.urdf --out robots/fetch --picture fetch.png
     """
     from kinfeas.core.errors import check_name
     from kinfeas.importer.draft import draft_robot
-    from kinfeas.importer.text import RECIPES, warnings
+    from kinfeas.importer.text import warnings
     from kinfeas.io.files import write_file, writing
 
     called = out.resolve().name if name is None else name
@@ -54,8 +53,8 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         check_name(called)
     except ValueError as error:
         raise KinfeasError(f"--name: {error}") from error
-    yaml_path, urdf_path, recipes = (out / n for n in ("robot.yaml", "robot.urdf", "recipes.yaml"))
-    for path in (yaml_path, urdf_path, recipes):
+    yaml_path, urdf_path = out / "robot.yaml", out / "robot.urdf"
+    for path in (yaml_path, urdf_path):
         if path.exists():
             raise KinfeasError(f"{path}: exists; choose another --out")
     replacements = dict(_replacement(text) for text in mesh_path or ())
@@ -67,7 +66,7 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         )  # fmt: skip
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml), (recipes, RECIPES)):
+    for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml)):
         check_file_path(path)
         write_file(path, text.encode())
     summary = _summary(draft)

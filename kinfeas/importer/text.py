@@ -10,17 +10,6 @@ from kinfeas.robots.spec import Drive, RobotSpec
 _FREE = 0.5
 """Fraction of configurations free of self-collision below which a warning says so."""
 
-RECIPES = """\
-# Known motions are planned: the arm often has to change its configuration.
-analytic: {world: {filters: [obstacle_distance, path_planner, feasibility]}}
-physics:
-  world:
-    filters: [{name: obstacle_distance, min_distance: 0.01}, path_planner, feasibility]
-sim2real: {world: {filters: [path_planner, feasibility]}}
-deploy: {filters: [path_planner, feasibility]}
-"""
-"""Recipes of a drafted robot."""
-
 _DRIVES = f"--drive {' or '.join(get_args(Drive))} sets it"
 _BASE_UNITS = {
     "max_velocity": "m/s", "max_rotation": "rad/s",
