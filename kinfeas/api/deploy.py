@@ -374,8 +374,13 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     warm_up(solver, policy, task, dt, adapters, config.filters)
     backend = build_backend(backend_name, config.backend, robot=robot)
     with closed_on_error(backend):
-        if inner and backend.real_time is not None:
-            raise KinfeasError(f"adapters are for simulated worlds, not for {backend_name!r}")
+        if backend.real_time is not None:
+            if inner:
+                raise KinfeasError(f"adapters are for simulated worlds, not for {backend_name!r}")
+            if not options.get("real_time", True):
+                raise KinfeasError(f"backend {backend_name!r} is always in real time")
+            if adapters:
+                _log.warning("the adapters change what the robot measures and is commanded")
         if backend.staging is not None:
             task = backend.staging.stage(task)
         return Setup(

@@ -232,6 +232,8 @@ class _Run:
         done: bool | None = None
         try:
             code, reason = self.run(watchdog, signals)
+            if self.setup.live and code in (Code.REACHED, Code.TIME_OVER):
+                self.brake(watchdog)
             if isinstance(self.setup.task, TaskWithObjects):
                 state = self.guarded.state.true_state or self.guarded.state
                 self.setup.task.settle(state.joint_positions, self.setup.dt)
@@ -281,8 +283,8 @@ class _Run:
                 by_hand = caught is signal.SIGINT
                 by = "interrupted by Ctrl-C" if by_hand else f"ended by {caught.name}"
                 return Code(128 + caught), by
-            if watchdog is not None and not watchdog.beat():
-                raise Fault("the watchdog has stopped the base, or has died or stalled")
+            if watchdog is not None and (trouble := watchdog.beat()):
+                raise Fault(trouble)
             goal = loop.sequence.goal[0]
             if loop.stream is not None:
                 self.guarded.commands.brake = not loop.stream.live[0]
@@ -303,6 +305,15 @@ class _Run:
         if loop.stream is not None:
             return Code.REACHED, f"followed the targets for {setup.seconds:g} s"
         return Code.TIME_OVER, f"the goal was not reached within {setup.seconds:g} s"
+
+    def brake(self, watchdog: Watchdog | None) -> None:
+        """Bring the base to rest within its acceleration, in at most a second."""
+        commands, dt = self.guarded.commands, self.setup.dt
+        for _ in range(round(1.0 / dt)):
+            if (watchdog is not None and watchdog.beat()) or not commands.base_twist.any():
+                return
+            self.guarded.step(np.zeros((1, 6)), commands.joint_targets, dt)
+            self.record("")
 
     def seconds(self) -> float:
         if self.setup.real_time or self.setup.live:

@@ -40,8 +40,8 @@ class Watchdog:
     def __init__(self, stop: "StopCall", seconds: float) -> None:
         """Start the process and wait until it can stop the base; raise KinfeasError if it cannot.
 
-        After `seconds` without a heartbeat it stops the base; after as many without an answer
-        `beat` reports it as lost.
+        After `seconds` without a heartbeat it stops the base; after as many without an answer it
+        counts as lost.
         """
         order = json.dumps({"stop": asdict(stop), "seconds": seconds})
         # In a session of its own, since Ctrl-C is sent to all processes of a terminal's group.
@@ -70,23 +70,25 @@ class Watchdog:
             self.abandon()
         self.close()
 
-    def beat(self) -> bool:
-        """Send a heartbeat; return whether the watchdog answers and has not stopped the base."""
-        if self._in.closed:
-            return False
+    def beat(self) -> str:
+        """Send a heartbeat; return why the watchdog guards the base no more, empty if it does."""
         try:
             self._in.write(_BEAT)
-        except OSError:
-            return False
+        except (OSError, ValueError):  # ValueError: closed by `abandon`
+            return "the watchdog has died"
         now = time.monotonic()
         self._unanswered.append(now)
         if select.select([self._out], [], [], 0.0)[0]:
-            answers = self._out.read(_CHUNK)
-            self._fired |= _FIRED in answers or not answers
+            if not (answers := self._out.read(_CHUNK)):
+                return "the watchdog has died"
+            self._fired |= _FIRED in answers
             for _ in answers[: len(self._unanswered)]:
                 self._unanswered.popleft()
         self._stalled = bool(self._unanswered) and now - self._unanswered[0] > self._seconds
-        return not (self._fired or self._stalled)
+        late = f"for {self._seconds:g} s (guards.watchdog): is the computer busy?"
+        if self._fired:
+            return f"the watchdog has stopped the base: no heartbeat came {late}"
+        return f"the watchdog has not answered {late}" if self._stalled else ""
 
     def abandon(self) -> None:
         """Close the pipe as if the run had died: the process stops the base and ends."""

@@ -1,5 +1,6 @@
 """The backends `ros1` and `ros2`: both ends of the topics of a robot on ROS."""
 
+import logging
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -7,9 +8,10 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.config.quantities import PositiveSeconds
-from kinfeas.core.backend import SCAN_RANGE, Grip, StopCall
+from kinfeas.core.backend import SCAN_RANGE, Grip, RobotState, StopCall
 from kinfeas.core.errors import Fault
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.robots.robot import Robot
@@ -22,6 +24,7 @@ from kinfeas.sim2real.ros.bus import Publisher, RosBus, Version, make_bus
 from kinfeas.sim2real.ros.topics import Topics, read_topics
 
 _ODOM = "odom"
+_log = logging.getLogger(__name__)
 _CELL = 0.05  # m, of costmaps of simulated robots
 
 FramePose = Callable[[str], Array | None]
@@ -56,6 +59,18 @@ class RosBackend(LinkBackend):
         link = RosLink(self.topics, make_bus(self.version), drift)
         names = self.topics.joints.names
         super().__init__(robot, link, names=names, seconds=seconds, timeout=timeout, drift=drift)
+        self._shared = link.shared
+
+    def reset(
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Connect, as `LinkBackend` does, and warn of other nodes that publish what one should."""
+        opened = self._opened  # a watchdog that sends, too, begins after it
+        state = super().reset(base_pose, joint_positions, env_ids)
+        if not opened and (shared := self._shared()):
+            topics = ", ".join(shared)
+            _log.warning("other nodes publish on %s, too: their messages mix with ours", topics)
+        return state
 
     def stop_call(self) -> StopCall:
         """Return the call with which the watchdog stops the base."""
@@ -92,6 +107,7 @@ class RosLink:
         sources = ((LaserReading, topics.scan), (CostmapReading, topics.costmap))
         self.scan_sources = {kind: source.topic for kind, source in sources if source is not None}
         self._topics, self._bus, self._drift = topics, bus, drift
+        self._types: dict[str, Any] = {}
         self._publishers: dict[str, Publisher] = {}
         self._frame_fault: str | None = None
 
@@ -105,6 +121,7 @@ class RosLink:
         types = {topics.base.command: base, **dict.fromkeys(arm, messages.JointTrajectory)}
         if topics.gripper is not None:
             types[topics.gripper.command] = ros_messages.gripper_type(messages, topics.gripper)
+        self._types = types
         self._publishers = {topic: self._bus.publisher(topic, types[topic]) for topic in types}
         take_joints = _passing(ros_messages.from_joint_state, readings.joints)
         self._bus.subscribe(self.joint_source, messages.JointState, take_joints)
@@ -119,6 +136,14 @@ class RosLink:
         base, joints = self._topics.base, self._topics.joints
         topics = [base.command, *(controller.command for controller in joints.controllers)]
         return next((topic for topic in topics if not self._publishers[topic].listeners()), None)
+
+    def shared(self) -> list[str]:
+        """Return the command topics that others send, too, and an odometry of several robots."""
+        shared = [topic for topic, kind in self._types.items() if self._bus.senders(topic, kind)]
+        odometry, kind = self._topics.base.odometry, self._bus.messages.Odometry
+        if self.base_source == odometry and self._bus.senders(odometry, kind) > 1:
+            shared.append(odometry)
+        return shared
 
     def check(self) -> None:
         """Raise Fault if the connection is broken or the odometry is of another frame."""

@@ -46,6 +46,9 @@ class RosBus(Protocol):
     ) -> None:
         """Pass messages to `take`, from any thread: `every` one, or the newest."""
 
+    def senders(self, topic: str, kind: Any) -> int:
+        """Return the number of publishers of a topic in other nodes that are known so far."""
+
     def check(self) -> None:
         """Raise Fault if the connection is broken."""
 

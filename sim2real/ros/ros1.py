@@ -62,6 +62,13 @@ class Ros1Bus:
         subscriber = ros("rospy").Subscriber(topic, kind, take, queue_size=queue, tcp_nodelay=True)
         self._topics.append(subscriber)
 
+    def senders(self, topic: str, kind: Any) -> int:
+        """Return the number of other nodes that publish a topic."""
+        rospy = ros("rospy")
+        publishers, *_ = ros("rosgraph").Master(rospy.get_name()).getSystemState()
+        nodes = dict(publishers).get(rospy.resolve_name(topic), [])
+        return len(set(nodes) - {rospy.get_name()})
+
     def check(self) -> None:
         """Raise Fault if the node was shut down or the master has died."""
         self.check_sending()

@@ -152,6 +152,13 @@ class Ros2Bus:
         self._readers.append((reader, kinds[0], take))
         self._waits.attach(ReadCondition(reader, _UNREAD))
 
+    def senders(self, topic: str, kind: Any) -> int:
+        """Return the number of publishers of a topic in other nodes that are known so far."""
+        policies = Policy.Reliability.BestEffort, Policy.IgnoreLocal.Participant
+        qos = _qos(topic, Policy.History.KeepLast(1), *policies)
+        reader = DataReader(self._participant, self._topic(topic, kind), qos=qos)
+        return len(reader.get_matched_publications())
+
     def check(self) -> None:
         """Do nothing: DDS has no master, and silence shows as the age of measurements."""
 

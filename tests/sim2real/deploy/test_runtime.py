@@ -176,16 +176,19 @@ def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
     outcome, record = run(robot, Drive(), seconds=0.4)
     assert outcome.code is Code.TIME_OVER
     assert outcome.timing.p50 == pytest.approx(DT)
-    assert outcome.seconds == pytest.approx(0.4, abs=0.5 * DT)
+    speeds = np.array([twist[0, 0] for _, twist in robot.commands])
+    limit = PR2.robot.base.max_acceleration
+    assert outcome.seconds == pytest.approx(0.4 + speeds.max() / limit, abs=1.5 * DT)
+    assert np.abs(np.diff(speeds)).max() <= limit * DT + 1e-9
     # The first period is over at once: it starts the clock of the robot.
-    assert len(record.time) == 21 + 2
+    assert len(record.time) == 21 + 5 + 2
     assert robot.close.called
     # The same with a policy that misses four deadlines of five.
     slow = Drive()
     act, slow.act = slow.act, lambda observation: (time.passes(5 * DT), act(observation))[1]
     outcome, record = run(RealTimeRobot(time), slow, seconds=0.5)
     assert outcome.code is Code.TIME_OVER
-    assert outcome.seconds == pytest.approx(0.5, abs=0.1)
+    assert outcome.seconds == pytest.approx(0.6, abs=0.1)
 
 
 @pytest.mark.parametrize("real", [False, True])
@@ -195,7 +198,7 @@ def test_a_long_start_does_not_age_the_first_command(run, time, monkeypatch, rea
     backend = RealTimeRobot(time) if real else AnalyticBackend()
     outcome, record = run(backend, Drive(), seconds=0.4)
     assert (outcome.code, outcome.timing.misses) == (Code.TIME_OVER, 0)
-    assert record.time[-1] == pytest.approx(0.4, abs=0.03)
+    assert record.time[-1] == pytest.approx(0.5 if real else 0.4, abs=0.03)  # it brakes
 
 
 def test_a_simulated_world_waits_for_the_clock_or_has_none(run, time):
@@ -257,7 +260,7 @@ def test_a_watchdog_that_is_lost_ends_a_run_and_one_takes_over_where_stopping_fa
 ):
     dog = MagicMock()
     dog.__enter__.return_value, dog.__exit__.return_value = dog, None
-    dog.beat.side_effect = chain(repeat(True, 10), repeat(not lost))
+    dog.beat.side_effect = chain(repeat("", 10), repeat("lost" if lost else ""))
     watchdog = Mock(return_value=dog)
     monkeypatch.setattr(runtime, "Watchdog", watchdog)
     robot = RealTimeRobot(time)
@@ -268,7 +271,7 @@ def test_a_watchdog_that_is_lost_ends_a_run_and_one_takes_over_where_stopping_fa
     watchdog.assert_called_once_with(robot.stop_call(), Guards().watchdog)
     assert outcome.code is (Code.FAULT if lost else Code.TIME_OVER)
     assert (dog.abandon.called, outcome.unstopped) == (not lost, "" if lost else "gone")
-    assert outcome.timing.periods == pytest.approx(9 if lost else 100, abs=2)
+    assert outcome.timing.periods == pytest.approx(9 if lost else 105, abs=2)
 
 
 @pytest.mark.parametrize("trouble", [nan, NOTHING, Mock(side_effect=KeyError("boom"))])

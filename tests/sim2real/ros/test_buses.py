@@ -102,7 +102,9 @@ def test_commands_and_measurements_arrive(ends):
             costmap = costmap_ranges(scan, (base.x, base.y, base.yaw))
             np.testing.assert_allclose(costmap, 2.0, atol=0.05)
     # The call of the watchdog stops the base.
+    assert ours.shared() == []
     stop = stop_base(2, "/cmd_vel", stamped=ours._topics.base.stamped)
+    wait(lambda: ours.shared() == ["/cmd_vel"])
     ours.close()
     wait(lambda: stop() or not np.any(ordered["drive"][-1]))
 
