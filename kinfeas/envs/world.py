@@ -122,9 +122,10 @@ class World:
                 execution=config, adapters=config.adapters, filters=config.filters,
                 stream=target_stream(task, self.solver),
             )  # fmt: skip
-        seconds = task.seconds if isinstance(task, StreamTask) else config.max_seconds
-        time_scale = self.loop.execution.time_scale
-        self._max_steps = max(1, round(seconds / time_scale / config.dt))
+        seconds = config.max_seconds / self.loop.execution.time_scale
+        if isinstance(task, StreamTask):
+            seconds = task.seconds
+        self._max_steps = max(1, round(seconds / config.dt))
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
 

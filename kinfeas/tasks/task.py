@@ -90,7 +90,7 @@ class StreamTask(Protocol):
     """A task whose targets move until the end of the episode.
 
     Attributes:
-        seconds: Motion time of an episode.
+        seconds: Duration of an episode.
     """
 
     @property

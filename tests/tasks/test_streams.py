@@ -44,6 +44,15 @@ def test_targets_keep_their_speed_and_heights(name):
     assert (inbox.counts[:, 0] > 0).all()
 
 
+def test_targets_move_to_the_end_at_any_time_scale():
+    made = world("joystick", WorldConfig(time_scale=0.5, max_failures=99))
+    made.start(range(4))
+    for _ in range(79):
+        assert not made.step(np.zeros((4, 3))).truncated.any()
+        assert made.loop.stream.inbox.live.all() or made.loop.time[0] < 1.0
+    assert made.step(np.zeros((4, 3))).truncated.all()
+
+
 def test_targets_wait_for_the_head_start_of_the_ee():
     made = world("joystick", WorldConfig(head_start=2.0))
     made.start(range(4))
