@@ -164,7 +164,8 @@ def summarize(records: EpisodeRecords) -> Metrics:
         and records.rms_deviation is not None
     ):
         smooth = records.success & (records.joint_jumps == 0)
-        speed = float(records.path_length.sum() / records.target_path_length.sum())
+        if asked := float(records.target_path_length.sum()):
+            speed = float(records.path_length.sum()) / asked
         rms = float(np.sqrt(np.average(records.rms_deviation**2, weights=records.steps)))
     tracking = records.mean_tracking_error
     tracking = records.mean_deviation if tracking is None else tracking

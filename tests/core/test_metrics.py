@@ -64,6 +64,8 @@ def test_summary():
     expected = always | measured
     assert {key: summary[key] for key in expected} == pytest.approx(expected)
     assert all(type(value) in (int, float) for value in summary.values())
+    resting = summarize(replace(MEASURED, target_path_length=np.zeros(4)))
+    assert resting["speed_share"] is None
 
 
 def test_joined_records_of_runs_with_and_without_solids():
