@@ -64,7 +64,9 @@ class Evaluation:
             self.first, self.backend, self.settings, self.parameters,
         ]  # fmt: skip
         if is_path(self.robot):
-            files = robot_file(self.robot), load_robot(self.robot).urdf_path
+            path = robot_file(self.robot)
+            files = [path, load_robot(self.robot).urdf_path]
+            files += filter(Path.is_file, [path.with_name("recipes.yaml")])
             parts += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
         if is_path(self.task):
             parts.append(config.to_mapping(load_task(self.task, self.parameters)))

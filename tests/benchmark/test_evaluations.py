@@ -1,10 +1,13 @@
+import shutil
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
 from kinfeas.benchmark.config import read_benchmark
 from kinfeas.benchmark.evaluations import CEILING, PART, plan_evaluations
 from kinfeas.benchmark.runs import Run
+from kinfeas.config.recipes import robot_file
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.jobs.job import build_engine, run_jobs
@@ -62,6 +65,16 @@ def test_jobs_with_other_results_have_other_files():
     assert [job.name for job in small()] == names
     for change in ({"episodes": 3}, {"evaluation_seed": 2}, {"settings.world": {"max_seconds": 3}}):
         assert not {job.name for job in small(change)} & set(names)
+
+
+def test_a_robot_that_changes_is_evaluated_anew(tmp_path):
+    shutil.copytree(robot_file("hsr").parent, tmp_path / "hsr")
+    case = replace(small()[0], robot=str(tmp_path / "hsr"))
+    names = [case.name]
+    (tmp_path / "hsr" / "recipes.yaml").write_text("analytic: {world: {max_failures: 3}}")
+    names.append(case.name)
+    (tmp_path / "hsr" / "recipes.yaml").unlink()
+    assert len({*names, case.name}) == 3
 
 
 def test_a_policy_trained_anew_is_evaluated_anew(tmp_path):
