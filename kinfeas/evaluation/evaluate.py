@@ -77,9 +77,11 @@ def read_settings(
     if not plain.world.adapters:
         return plain
     late = section("sim2real", robot)[0]
+    world = late.pop("world", None) or {}
     if not respond_late(plain.world.adapters):
-        del late["world"]["filters"]
-    return from_mapping(EvalSettings, merged(data, late), source, settings)
+        world.pop("filters", None)
+    late["world"] = merged(data["world"], world)
+    return from_mapping(EvalSettings, {**data, **late}, source, settings)
 
 
 def configure(
@@ -105,11 +107,19 @@ def configure(
 
 
 def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
-    """Return no adapters, each one alone, and all but each one, by label."""
+    """Return no adapters, each one alone, and all but each one, by label.
+
+    The adapters of a name that repeats are numbered.
+    """
+    names = [adapter.name for adapter in adapters]
+    labels = [
+        name if names.count(name) == 1 else f"{name} {names[:n].count(name) + 1}"
+        for n, name in enumerate(names)
+    ]
     subsets: dict[str, tuple[PluginSpec, ...]] = {"none": ()}
-    subsets |= {adapter.name: (adapter,) for adapter in adapters}
-    for adapter in adapters:
-        subsets[f"no {adapter.name}"] = tuple(spec for spec in adapters if spec is not adapter)
+    subsets |= {label: (adapter,) for label, adapter in zip(labels, adapters, strict=True)}
+    for n, label in enumerate(labels):
+        subsets[f"no {label}"] = (*adapters[:n], *adapters[n + 1 :])
     return subsets
 
 

@@ -1,6 +1,7 @@
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinfeas.config import PluginSpec
+from kinfeas.config.recipes import robot_file
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs import episodes
@@ -17,6 +20,7 @@ from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.evaluation.evaluate import (
     EvalConfig,
+    adapter_subsets,
     add_ceiling,
     configure,
     evaluate,
@@ -77,6 +81,24 @@ def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
     settings = {"world.adapters": [{"name": name} for name in adapters], **settings}
     world = configure(hsr, "ggr", settings=settings).world
     assert (world.dt, [each.name for each in world.filters]) == (dt, filters)
+
+
+def test_an_empty_section_of_deployments_changes_nothing(tmp_path):
+    folder = shutil.copytree(robot_file("hsr").parent, tmp_path / "hsr")
+    recipes = "analytic: {world: {filters: [feasibility]}}\nsim2real: {world: {}}"
+    (folder / "recipes.yaml").write_text(recipes)
+    settings = {"world.adapters": ["base_noise"]}
+    world = configure(load_robot(folder), "ggr", settings=settings).world
+    assert [each.name for each in world.filters] == ["feasibility"]
+
+
+def test_adapters_of_one_name_are_evaluated_apart():
+    one, other, lag = map(PluginSpec, ("base_noise", "base_noise", "actuator_lag"))
+    assert adapter_subsets((one, other, lag)) == {
+        "none": (), "base_noise 1": (one,), "base_noise 2": (other,), "actuator_lag": (lag,),
+        "no base_noise 1": (other, lag), "no base_noise 2": (one, lag),
+        "no actuator_lag": (one, other),
+    }  # fmt: skip
 
 
 @pytest.mark.slow
