@@ -214,6 +214,7 @@ class PlayPage:
         """Save the recording and replace the episodes; keep all if new ones cannot be built."""
         from kinfeas.viz.live import Episode  # after the first picture
 
+        self._message.content = ""
         if self._episodes and choice == self.choice:
             return
         fresh: list[Episode] = []
@@ -225,7 +226,6 @@ class PlayPage:
                     fresh.append(Episode(choice, policy, robot, scene))
                     opened.callback(fresh[-1].close)
             opened.pop_all()
-        self._message.content = ""
         self.save()
         for episode in self._episodes:
             episode.close()

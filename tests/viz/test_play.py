@@ -260,3 +260,15 @@ def test_a_recording_is_kept_until_it_is_saved(server, join, make_page, tmp_path
     (tmp_path / "demonstrations").unlink()
     page.record()
     assert len(read_demonstration(tmp_path / "demonstrations" / "001.csv").time) == 20
+
+
+def test_the_error_of_a_choice_goes_with_it(server, join, make_page, tmp_path, monkeypatch):
+    def broken(self, choice, policy, *rest):
+        raise KinfeasError("no such policy")
+
+    page, client = make_page(), join(server.url)
+    monkeypatch.setattr("kinfeas.viz.live.Episode.__init__", broken)
+    client.update("policy", value="follow_ee")
+    run_until(page, lambda: page._message.content == "**no such policy**")
+    client.update("policy", value=page.choice.policy)
+    run_until(page, lambda: page._message.content == "")
