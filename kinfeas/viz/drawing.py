@@ -13,13 +13,12 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from kinfeas.backends.physics.visuals import VisualShape
 from kinfeas.core.spatial import IDENTITY, Array, rotation
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz import shapes
-from kinfeas.viz.shapes import CORNERS, SIDES, faces
+from kinfeas.viz.shapes import CORNERS, SIDES, VisualShape, faces
 from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
 _AXES = {"approach": "#d1483e", "finger axis": "#3a9a52"}
@@ -61,12 +60,14 @@ def scene_figure(scene: Scene) -> Figure:
         joint = handle.joint and scene.objects[handle.object].urdf.joints[handle.joint]
         if not joint or joint.kind == "continuous":
             continue
+        at = scene.objects[handle.object].joint_positions[joint.name]
+        way = shapes.far_end(joint, at) - at
         states = [
-            scene.with_joints({handle.object: {joint.name: fraction * joint.upper}})
+            scene.with_joints({handle.object: {joint.name: at + fraction * way}})
             for fraction in np.linspace(0.0, 1.0, 30)
         ]
         paths.append(np.stack([state.handle_pose(name)[:3] for state in states]))
-        opened = opened.with_joints({handle.object: {joint.name: _OPEN * joint.upper}})
+        opened = opened.with_joints({handle.object: {joint.name: at + _OPEN * way}})
     solids = [solid for solid in shapes.scene_solids(opened) if solid.link[0] in names]
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.2))

@@ -17,7 +17,6 @@ from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from kinfeas.backends.physics.visuals import VisualShape
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
@@ -27,6 +26,7 @@ from kinfeas.planning.reach import Placement
 from kinfeas.robots.robot import Robot
 from kinfeas.viz import drawing, shapes
 from kinfeas.viz.replay import as_recording, result
+from kinfeas.viz.shapes import VisualShape
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, failures_text
 
 _ELEVATION = np.deg2rad(28.0)
@@ -117,7 +117,7 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
     count = int(np.clip(1 + round(travelled[-1] / spacing), 2, most))
     indices = np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count))
-    return np.unique(indices.clip(0, len(travelled) - 1))
+    return np.unique(np.append(indices[:-1], len(travelled) - 1))
 
 
 def _furniture_near(recording: Recording) -> list[list[VisualShape]]:

@@ -6,14 +6,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backends.physics.visuals import LinkName, VisualShape
+from kinfeas.backends.physics.backend import LinkName
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.replay import Replay, result
 from kinfeas.viz.server import serving
-from kinfeas.viz.shapes import corners, scene_poses, scene_shapes, scene_solids, surrounding
+from kinfeas.viz.shapes import (
+    VisualShape,
+    corners,
+    far_end,
+    scene_poses,
+    scene_shapes,
+    scene_solids,
+    surrounding,
+)
 from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, failures_text
 
 _FLOOR, _LINES = (245, 246, 248), (205, 210, 217)  # colours
@@ -91,14 +99,13 @@ class Bodies:
 _AROUND = 1.5  # m, of floor beyond the paths
 _PIECE = 0.02  # m, length of the pieces of a path
 _SCENE_FRAMES, _SCENE_RATE = 90, 30.0
-_TURN = 3.0  # rad, range of a joint without limits
 _RATE, _MOST = 15.0, 1200  # moments of an episode per second, and largest number
 
 
 def scene_html(scene: Scene) -> str:
     """Return a page of a scene on which all joints open and close."""
     joints = {
-        (name, joint.name): (entry.joint_positions[joint.name], min(joint.upper, _TURN))
+        (name, joint.name): (at := entry.joint_positions[joint.name], far_end(joint, at))
         for name, entry in scene.objects.items()
         for joint in free_joints(entry.urdf).values()
     }
@@ -113,8 +120,8 @@ def scene_html(scene: Scene) -> str:
         for frame in range(_SCENE_FRAMES if joints else 0):
             fraction = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
             objects: dict[str, dict[str, float]] = {}
-            for (name, joint), (at, high) in joints.items():
-                objects.setdefault(name, {})[joint] = at + fraction * (high - at)
+            for (name, joint), (at, end) in joints.items():
+                objects.setdefault(name, {})[joint] = at + fraction * (end - at)
             bodies.move(scene_poses(scene.with_joints(objects)))
             film.insert_sleep(1.0 / _SCENE_RATE)
         return server.titled(film.as_html())

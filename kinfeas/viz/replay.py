@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinfeas.backends.physics.backend import PhysicsBackend
+from kinfeas.backends.physics.backend import LinkName, PhysicsBackend
 from kinfeas.backends.physics.stage import Stage
-from kinfeas.backends.physics.visuals import LinkName, VisualShape, visual_shapes
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
 from kinfeas.core.solids import Solids
@@ -20,12 +19,14 @@ from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.viz.shapes import (
+    VisualShape,
     robot_poses,
     robot_shapes,
     scene_poses,
     scene_shapes,
     solid_shapes,
     surrounding,
+    visual_shapes,
 )
 
 _WALL = 4.0  # m; longer boxes hide the room

@@ -1,23 +1,29 @@
 """Robots and scenes as primitive shapes with colours."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.backends.physics.visuals import GREY, ROBOT, LinkName, VisualShape, urdf_visuals
+from kinfeas.backends.physics.backend import ROBOT, LinkName
+from kinfeas.backends.physics.robot import physics_urdf
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.evaluation.recording import Recording
-from kinfeas.robots.elements import read_xml
+from kinfeas.robots.elements import Element, parse_xml, read_xml
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.urdf import Shape
+from kinfeas.robots.urdf import Joint, Shape
+from kinfeas.robots.urdf_file import read_shapes
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.style import ARM, BODY
+
+GREY = "#b3b3b3"
+"""Colour of shapes without a material."""
 
 SIDES = 16
 """Sides of a cylinder."""
@@ -29,9 +35,18 @@ LOW, HIGH, HIGHEST = "#d8c7a6", "#9fa9b580", 1.2
 """Colours of solids: up to a height in metres, and higher ones."""
 
 _SOLID = "/solid"  # stands for a solid in place of the name of an object
+_RANGE = 3.0  # rad to either side, of a joint without limits
 _TURN = np.deg2rad(12.0)  # of a side view, so that the arm is in front
 _STICK = 0.03  # m, width of lines in place of links without shapes
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+
+
+class VisualShape(NamedTuple):
+    """A visible primitive of a link, in its frame, and its colour, `#rrggbb` or `#rrggbbaa`."""
+
+    link: LinkName
+    shape: Shape
+    colour: str
 
 
 def robot_solids(
@@ -80,6 +95,12 @@ def robot_poses(robot: Robot, base_pose: Array, joint_positions: Array) -> dict[
     return {(ROBOT, link): pose for link, pose in poses.items()}
 
 
+def far_end(joint: Joint, position: float) -> float:
+    """Return the end of a joint's range that is farther from its position."""
+    ends = min(joint.upper, _RANGE), max(joint.lower, -_RANGE)
+    return max(ends, key=lambda end: abs(end - position))
+
+
 def scene_solids(scene: Scene) -> list[VisualShape]:
     """Return the visible shapes of a scene in the world."""
     return placed(scene_shapes(scene), scene_poses(scene))
@@ -105,6 +126,15 @@ def scene_shapes(scene: Scene) -> list[VisualShape]:
     return shapes
 
 
+def visual_shapes(robot: Robot, scene: Scene | None) -> list[VisualShape]:
+    """Return the visible primitives of robot and scene; meshes are left out."""
+    urdf, _ = physics_urdf(robot)
+    shapes = list(urdf_visuals(ROBOT, parse_xml(urdf, "robot", str(robot.urdf_path))))
+    for name, item in scene.objects.items() if scene else ():
+        shapes += urdf_visuals(name, read_xml(item.urdf_path, "robot"))
+    return shapes
+
+
 @lru_cache(maxsize=64)
 def _visuals(name: str, path: Path) -> dict[str, list[VisualShape]]:
     """Return the visible shapes of a URDF in the frames of their links, by link."""
@@ -112,6 +142,27 @@ def _visuals(name: str, path: Path) -> dict[str, list[VisualShape]]:
     for visual in urdf_visuals(name, read_xml(path, "robot")):
         visuals.setdefault(visual.link[1], []).append(visual)
     return visuals
+
+
+def urdf_visuals(owner: str, urdf: Element) -> Iterator[VisualShape]:
+    """Return the visible primitives of a URDF, whose object is named `owner`."""
+    colours = {item.get("name"): _colour(item) for item in urdf.xml.findall("material")}
+    for link in urdf.children("link"):
+        for visual in link.children("visual"):
+            material = visual.xml.find("material")
+            colour = None if material is None else _colour(material)
+            if material is not None and colour is None:
+                colour = colours.get(material.get("name"))
+            for shape in read_shapes(visual):
+                yield VisualShape((owner, link.text("name")), shape, colour or GREY)
+
+
+def _colour(material: Any) -> str | None:
+    colour = material.find("color")
+    if colour is None:
+        return None
+    red, green, blue, *_ = (min(max(float(part), 0.0), 1.0) for part in colour.get("rgba").split())
+    return "#" + bytes(round(255.0 * fraction) for fraction in (red, green, blue)).hex()
 
 
 def solid_shapes(solids: Solids | None) -> list[VisualShape]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.backends.physics.visuals import ROBOT
+from kinfeas.backends.physics.backend import ROBOT
 from kinfeas.control.execution import tool_pose
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError

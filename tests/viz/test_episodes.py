@@ -5,7 +5,11 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.run_log import REACHED, About, Record
+from kinfeas.robots.elements import parse_xml
+from kinfeas.scenes.scene import read_scene
+from kinfeas.viz.episodes import moments
 from kinfeas.viz.replay import as_recording
+from kinfeas.viz.shapes import far_end, urdf_visuals
 
 
 @pytest.fixture
@@ -40,3 +44,24 @@ def test_a_record_is_an_episode(hsr, record):
     other = replace(record(), about=replace(record().about, joints=("a", "b")))
     with pytest.raises(KinfeasError, match="joints a, b"):
         as_recording(other, hsr)
+
+
+@pytest.mark.parametrize(("stop", "expected"), [(0.0, [0, 39]), (0.5, [0, 39]), (2.0, [0, 20, 39])])
+def test_moments_have_both_ends(hsr, record, stop, expected):
+    episode = as_recording(record(), hsr)
+    path = np.minimum(episode.base_pose * 2.0, stop)
+    assert moments(replace(episode, base_pose=path)).tolist() == expected
+
+
+def test_joints_move_to_their_farther_limit():
+    joint = read_scene("room").objects["door_shelf"].urdf.joints["hinge"]
+    door, wheel = replace(joint, lower=-1.9, upper=0.0), replace(joint, lower=-np.inf, upper=np.inf)
+    assert (far_end(joint, 0.0), far_end(door, 0.0), far_end(door, -1.9)) == (joint.upper, -1.9, 0)
+    assert np.isfinite(far_end(wheel, 0.0))
+
+
+def test_colours_beyond_their_range_are_clipped():
+    colour = '<material name="a"><color rgba="255 0 -1 1"/></material>'
+    visual = f'<visual><geometry><sphere radius="1"/></geometry>{colour}</visual>'
+    urdf = parse_xml(f'<robot name="r"><link name="l">{visual}</link></robot>', "robot", "r.urdf")
+    assert [shape.colour for shape in urdf_visuals("r", urdf)] == ["#ff0000"]

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from kinfeas.backends.mujoco.model import ROBOT, Model
 from kinfeas.backends.mujoco.simulations import Simulations
-from kinfeas.backends.physics.backend import Motion, PhysicsBackend
+from kinfeas.backends.physics.backend import LinkName, Motion, PhysicsBackend
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
-from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Contacts, Grip, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows

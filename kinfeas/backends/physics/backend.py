@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.stage import Stage, StreamStage
-from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Backend, Contacts, Grip, ObstacleDistances, RobotState, Scan
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
@@ -26,6 +25,12 @@ from kinfeas.tasks.task import StreamTask, Task
 
 _FLAT = 1e-6
 _MAX_BATCH = 8  # simulations of ended episodes cost as much as others until the last one ends
+
+ROBOT = ""
+"""Stands for the robot in place of the name of an object."""
+
+LinkName = tuple[str, str]
+"""Name of an object, or `ROBOT`, and of a link."""
 
 Motion = tuple[dict[str, float], dict[str, float]]
 """Positions and velocities by joint, rad or m, and per second."""

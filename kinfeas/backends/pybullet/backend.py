@@ -5,9 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from kinfeas.backends.physics.backend import Motion, PhysicsBackend
+from kinfeas.backends.physics.backend import ROBOT, LinkName, Motion, PhysicsBackend
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
-from kinfeas.backends.physics.visuals import ROBOT, LinkName
 from kinfeas.backends.pybullet.furniture import Furniture
 from kinfeas.backends.pybullet.simulation import Simulation
 from kinfeas.core.backend import Contacts, Grip
