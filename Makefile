@@ -51,9 +51,9 @@ lint: $(STAMP)  ## Check style, types and layers
 	@$(MAKE) --no-print-directory types layers
 
 # Types and layers are those of a copy in which every package lies below kinfeas, as installed. mypy
-# ends with 2 if a machine is too busy to start its workers in time.
-MYPY = "$(CURDIR)/$(BIN)/mypy" --config-file "$(CURDIR)/pyproject.toml" \
-	--cache-dir "$(CURDIR)/.mypy_cache" kinfeas docs
+# ends with 2 if a machine is too busy to start its workers in time. Studies import each other.
+MYPY = MYPYPATH=studies "$(CURDIR)/$(BIN)/mypy" --config-file "$(CURDIR)/pyproject.toml" \
+	--cache-dir "$(CURDIR)/.mypy_cache" kinfeas docs studies
 
 types: merged
 	cd $(MERGED) && { $(MYPY) || { test $$? = 2 && $(MYPY) --num-workers 0; }; }
@@ -64,7 +64,7 @@ layers: merged
 
 merged: $(STAMP)
 	@rm -rf $(MERGED) && mkdir -p $(MERGED)/docs && cp -p docs/*.py $(MERGED)/docs && \
-		cp -rp kinfeas $(MERGED) && cp -rp $(filter-out kinfeas,$(PACKAGES)) $(MERGED)/kinfeas
+		cp -rp kinfeas studies $(MERGED) && cp -rp $(filter-out kinfeas,$(PACKAGES)) $(MERGED)/kinfeas
 
 format: $(STAMP)  ## Format the code and mend what ruff can mend
 	$(BIN)/ruff check --fix .

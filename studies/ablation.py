@@ -28,8 +28,8 @@ def curve(robot: str, settings: Settings) -> tuple[list[float], float, float]:
         with (Path(folder) / "run" / "metrics.csv").open(newline="", encoding="utf-8") as file:
             found = [row["evaluation/success"] for row in csv.DictReader(file)]
     steps = done.steps / (config.num_envs * config.action_repeat)
-    costs = (1e3 * done.parts[part] / steps for part in ("update", "waiting"))
-    return [float(value) for value in found if value], *costs
+    update, waiting = (1e3 * done.parts[part] / steps for part in ("update", "waiting"))
+    return [float(value) for value in found if value], update, waiting
 
 
 def main() -> None:

@@ -82,8 +82,10 @@ def replay(
         filters=(controller, *filters), stream=controller,
         policy=load_policy(policy, solver.robot),
     )  # fmt: skip
-    start = motion.base_pose[0], motion.joint_positions[0], spatial.IDENTITY[np.newaxis]
-    loop.start(Start(*(values[np.newaxis] for values in start)), [np.random.default_rng(0)])
+    start = Start(
+        motion.base_pose[:1], motion.joint_positions[:1], spatial.IDENTITY[np.newaxis, np.newaxis]
+    )
+    loop.start(start, [np.random.default_rng(0)])
     jumps, deviations, sent, chunk = 0, [], -np.inf, None
     periods = round(motion.times[-1] / DT)
     moments = np.minimum(DT * np.arange(periods + 1), motion.times[-1])

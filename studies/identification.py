@@ -15,6 +15,7 @@ import sys
 import time
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import simulated_link
@@ -30,7 +31,7 @@ from kinfeas.sim2real.identify.chain import arm_delay
 
 ROBOTS = ("hsr", "pr2", "tiago")
 ADAPTERS = "harsh"
-TARGETS = {
+TARGETS: dict[str, float | str] = {
     "actuator_lag.base": 0.015, "actuator_lag.arm": 0.015, "command_latency.seconds": 0.015,
     "sensor_latency.seconds": 0.015, "acceleration_limit.linear": "15 %",
     "acceleration_limit.angular": "15 %", "base_noise.linear": "30 %", "base_noise.angular": "30 %",
@@ -44,6 +45,9 @@ PERIOD, STEP, ARM_SECONDS = 0.02, 0.01, 0.1
 TRANSPORT = 0.01
 """Seconds until a simulated robot acts: half a step of 10 ms, 2 ms of computing and bus, and 3 ms
 since it plans the motion of its arm anew in each step."""
+
+Run = dict[str, Any]
+"""Facts of a fit, and the truth."""
 
 
 def main() -> None:
@@ -69,7 +73,7 @@ def main() -> None:
             report(f"kinfeas simulate over {backend}", runs)
 
 
-def done(path: Path, robot: str, seed: int, backend: str) -> dict[str, dict[str, float]]:
+def done(path: Path, robot: str, seed: int, backend: str) -> Run:
     """Return truth, estimates and intervals of a draw, which is made if it does not exist."""
     record, result = path.with_suffix(".csv"), path.with_suffix(".json")
     if not record.exists():
@@ -85,7 +89,7 @@ def done(path: Path, robot: str, seed: int, backend: str) -> dict[str, dict[str,
             drive_over_ros2(robot, seed, record)
     if not result.exists():
         begin = time.perf_counter()
-        found = identify(record).facts()
+        found: Run = identify(record).facts()
         found["seconds"] = time.perf_counter() - begin
         found["truth"] = truth(robot, seed)
         if backend != "analytic":
@@ -120,8 +124,8 @@ def truth(robot: str, seed: int) -> dict[str, float]:
     seeds = np.array([episode_rng(seed, 0).integers(2**64, dtype=np.uint64)])
     backend.seed(seeds, np.array([0]))
     backend.reset(IDENTITY[np.newaxis], model.home["home"][np.newaxis])
-    numbers, names = {}, [spec.name for spec in reversed(specs)]
-    for name in names:
+    numbers: dict[str, float] = {}
+    for name in [spec.name for spec in reversed(specs)]:
         assert isinstance(backend, BackendWrapper)
         if isinstance(backend, Adapter):
             numbers |= {f"{name}.{key}": float(backend.number(key)[0, 0]) for key in backend.ranges}
@@ -146,7 +150,7 @@ def over_a_bus(true: dict[str, float]) -> dict[str, float]:
     return {name: value for name, value in (true | changed).items() if name not in hidden}
 
 
-def report(title: str, runs: list[dict[str, dict[str, float]]]) -> None:
+def report(title: str, runs: list[Run]) -> None:
     """Print a table of estimates against the truth."""
     errors, held, within = defaultdict(list), defaultdict(list), defaultdict(list)
     for run in runs:
@@ -169,9 +173,9 @@ def report(title: str, runs: list[dict[str, dict[str, float]]]) -> None:
     for name, each in errors.items():
         enough = f"{sum(within[name])} of {len(within[name])}" if name in TARGETS else "-"
         limit = TARGETS.get(name, "-")
-        limit = f"{1000 * limit:.0f} ms" if isinstance(limit, float) else limit
+        text = f"{1000 * limit:.0f} ms" if isinstance(limit, float) else limit
         print(
-            f"| `{name}` | {np.mean(np.abs(each)):.3g} | {np.max(np.abs(each)):.3g} | {limit} "
+            f"| `{name}` | {np.mean(np.abs(each)):.3g} | {np.max(np.abs(each)):.3g} | {text} "
             f"| {enough} | {sum(held[name])} of {len(held[name])} |"
         )
     share = np.mean([flag for name in TARGETS for flag in held[name]])

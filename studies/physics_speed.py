@@ -16,7 +16,7 @@ DT = 0.02
 CASES = (("pybullet", 1, 300), ("mujoco", 1, 1500), ("mujoco", 64, 100))
 
 
-def simulated_seconds(engine, robot, n, periods):
+def simulated_seconds(engine: str, robot: str, n: int, periods: int) -> float:
     """Return the simulated seconds a second of n robots that drive and move their arms."""
     world = registry.load("kinfeas.backends", engine)(load_robot(robot), read_scene("room"))
     home = np.repeat(world.robot.home["home"][np.newaxis], n, axis=0)

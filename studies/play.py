@@ -1,6 +1,6 @@
 """Times of the page of `kinfeas play` in a headless Chromium: first picture, and frames per second.
 
-python -m studies.play OUT [WIDTH HEIGHT]    # writes OUT/first.png, OUT/drag.png
+python studies/play.py OUT [WIDTH HEIGHT]    # writes OUT/first.png, OUT/drag.png
 """
 
 import subprocess
@@ -11,9 +11,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+from browser import Browser, on_screen
 from PIL import Image
-
-from studies.browser import Browser, on_screen
 
 FULL = 100  # colours of a picture with the robot
 

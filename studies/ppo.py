@@ -98,7 +98,7 @@ class _Clock(BaseCallback):
 def _trained(env: _Squashed, seconds: float, seed: int) -> tuple[Network, int]:
     """Return the policy of a training of so many CPU seconds, and the number of control steps."""
     env.reset()
-    env.step(np.zeros((env.num_envs, *env.action_space.shape)))  # compiles the kernels
+    env.step(np.zeros((env.num_envs, env.inner.world.action_size)))  # compiles the kernels
     clock = _Clock(seconds)
     model = PPO(
         "MlpPolicy", env, learning_rate=lambda _: 2e-3 * clock.left, n_steps=32, batch_size=2048,

@@ -123,7 +123,8 @@ def clutter(rng: np.random.Generator) -> Solids:
 
 def times(placer: BasePlacer, among: bool) -> dict[str, object]:
     """Return milliseconds of queries that find a base pose, and of those that do not."""
-    rng, seconds = np.random.default_rng(1), ([], [])
+    rng = np.random.default_rng(1)
+    seconds: tuple[list[float], list[float]] = ([], [])
     for number, goal in enumerate(draw_goals(placer.solver.robot, TIMED + 20, rng)):
         solids = clutter(rng) if among else None
         begin = time.process_time()

@@ -15,6 +15,7 @@ import numpy as np
 from kinfeas.api.deploy import recorded
 from kinfeas.api.load import load_robot, read_adapters
 from kinfeas.config.recipes import load_section
+from kinfeas.core.backend import Grip
 from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
@@ -34,14 +35,16 @@ DELAY, WORK, MORE_WORK = 0.001, 0.002, 0.0005
 class SimulatedLink:
     """A link to a simulated robot, and the clock of both; sleeping lets the robot go on."""
 
+    robot: SimulatedRobot
     base_source = joint_source = "the simulated robot"
 
     def __init__(self, step: float, phase: float) -> None:
         """Start with the first step of `step` seconds after `phase` seconds."""
-        self.now, self.step, self.robot = 1000.0, step, None
+        self.now, self.step = 1000.0, step
         self.clock = Clock(lambda: self.now, lambda: self.now, self.passes)
-        self._events, self._numbers = [], itertools.count()
-        self._rng, self._readings = np.random.default_rng(int(1e6 * phase)), None
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers, self._rng = itertools.count(), np.random.default_rng(int(1e6 * phase))
+        self._readings: Readings | None = None
         self._at(self.now + phase, self._tick)
 
     def passes(self, seconds: float) -> None:
@@ -74,6 +77,9 @@ class SimulatedLink:
             tuple(positions), np.array([seconds]), np.array([list(positions.values())])
         )
         self._at(self.now + DELAY, lambda: self.robot.orders().move(path))
+
+    def grip(self, grip: Grip) -> None:
+        """Do nothing: the pattern has no grip."""
 
     def close(self) -> None:
         """Do nothing."""

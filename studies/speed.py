@@ -168,8 +168,8 @@ def measure_rooms(robot: str, effort: Effort) -> Iterator[Figure]:
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.worlds import training_world
 
-    model, solids = load_robot(robot), "task_parameters={places: 32}"
-    recipe = load_section(TrainConfig, "train_rooms", model.folder, [f"robot={robot}", solids])
+    model, settings = load_robot(robot), {"robot": robot, "task_parameters.places": 32}
+    recipe = load_section(TrainConfig, "train_rooms", model.folder, settings)
     policy = FollowBase(model.base, source="planned_base")
     with one_core():
         batch = recipe.num_envs
@@ -218,10 +218,11 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.train import train
 
-    schedule = ["schedule.evaluations=1", "schedule.evaluation_episodes=1"]
-    schedule += ["schedule.final_episodes=1", f"schedule.minutes={effort.train_minutes}"]
+    few = ("evaluations", "evaluation_episodes", "final_episodes")
+    schedule = {"minutes": effort.train_minutes, **dict.fromkeys(few, 1)}
+    settings = {"robot": robot, "schedule": schedule}
     with tempfile.TemporaryDirectory() as folder:
-        recipe = load_section(TrainConfig, "train", robot, [f"robot={robot}", *schedule])
+        recipe = load_section(TrainConfig, "train", robot, settings)
         progress = train(recipe, Path(folder) / "run")
     steps, seconds = progress.steps, progress.parts["step"]
     yield Figure("training", steps / progress.seconds, "steps/s")

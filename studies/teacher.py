@@ -8,6 +8,7 @@ arm postures, as a policy could. An action is the mean of its commands.
 
 import argparse
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,10 +54,12 @@ def planned_transitions(config: TrainConfig, steps: int) -> NDArray[np.float32]:
         return outcome
 
     world.loop.step = recorded  # type: ignore[method-assign]
-    rows, observation = [], env.reset()
+    rows: list[Any] = []
+    observation: Any = env.reset()
     for _ in range(steps // (EPISODES * config.action_repeat)):
         commands.clear()
-        following, rewards, dones, infos = env.step(policy.act(world.loop.observation))
+        transition: Any = env.step(policy.act(world.loop.observation))
+        following, rewards, dones, infos = transition
         after, truncated = following.copy(), np.zeros(EPISODES)
         for row in np.flatnonzero(dones):
             after[row] = infos[row]["terminal_observation"]
@@ -73,7 +76,7 @@ def base_only() -> None:
     """Let paths neither slow down the EE nor guide the posture of the arm."""
     follow = path_planner.PathFollower.__call__
 
-    def unguided(self: Any, period: Period, paths: dict[int, BasePath]) -> Period:
+    def unguided(self: Any, period: Period, paths: Mapping[int, BasePath]) -> Period:
         return follow(self, period, paths).changed(posture_guide=period.posture_guide)
 
     path_planner.PathFollower.__call__ = unguided  # type: ignore[method-assign]
@@ -89,7 +92,7 @@ def mix(rows: NDArray[np.float32], fraction: float) -> None:
         drawn = planned[torch.randint(len(planned), (count,))].split(self._widths, dim=1)
         observation, after, action, reward, done, timeout = drawn
         parts = observation, action, after, done * (1.0 - timeout), reward
-        own = sample(self, batch_size - count)
+        own: tuple[Any, ...] = sample(self, batch_size - count)
         return ReplayBufferSamples(*map(torch.cat, zip(own, parts, strict=False)))
 
     fast_sac.Replay.sample = mixed  # type: ignore[method-assign]

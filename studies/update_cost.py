@@ -9,6 +9,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,14 +39,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robot")
     robot = parser.parse_args().robot
-    config = load_section(TrainConfig, "train", robot, [f"robot={robot}"])
+    config = load_section(TrainConfig, "train", robot, {"robot": robot})
     env = WorldVecEnv(training_world(config), config.num_envs)
-    seen = env.reset()
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (len(seen), env.action_space.shape[0]))
-    after, rewards, dones, infos = env.step(actions)
+    seen: Any = env.reset()
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (len(seen), env.world.action_size))
+    transition: Any = env.step(actions)
+    after, rewards, dones, infos = transition
     width = len(config.learner.net_arch)
 
-    def ours(dtype: torch.dtype, **changes: object) -> tuple[SAC, int]:
+    def ours(dtype: torch.dtype, **changes: Any) -> tuple[SAC, int]:
         settings = replace(config.learner, **changes)
         learner = make_learner(settings, env, 0)
         assert isinstance(learner, FastSAC)
@@ -54,7 +56,7 @@ def main() -> None:
 
     def theirs() -> tuple[SAC, int]:
         options = {"net_arch": list(config.learner.net_arch), "optimizer_kwargs": {"fused": True}}
-        given = {"ent_coef": 0.01, "learning_rate": 6e-4, "device": "cpu"}
+        given: dict[str, Any] = {"ent_coef": 0.01, "learning_rate": 6e-4, "device": "cpu"}
         learner = SAC("MlpPolicy", env, policy_kwargs=options, **given)
         learner.set_logger(ours(torch.float32)[0].logger)
         return learner, config.learner.batch_size
