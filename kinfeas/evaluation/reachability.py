@@ -1,9 +1,8 @@
 """Reachability of the goals and paths of a task: the upper bound (ceiling) of success."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +12,17 @@ from kinfeas.control.observation import HORIZON
 from kinfeas.control.subgoal_motions import SubgoalMotions, begin_motions, subgoal_ends
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng, stacked
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.planning.placement import STAGES, Postures, Reachability, at_goals
+from kinfeas.planning.placement import STAGES, Postures, Reachability, at_goals, reachability
 from kinfeas.planning.reach import BasePlacer
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals, sample_start
 
-WAYPOINT_BASE_POSES = 256
-"""Base poses to try around a waypoint."""
+WAYPOINT_STAGES = STAGES[:4]
+"""Base poses tried around a waypoint by the end of each stage."""
 
 WAYPOINTS = 16
 """Poses along a sub-goal."""
@@ -56,50 +55,39 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     """Return for each episode whether some base pose reaches the goals of all sub-goals.
 
     A robot with pose tolerance reaches a goal within the tolerance of success, others exactly.
-    Among solids, base and arm are free of those that stand, and a disc within the base can be
-    driven from the start to the base pose. The episodes are those of an evaluation. With `path`,
-    some base poses must also reach all waypoints: each its own, and base motions between them are
-    not checked. `on_done` is called with the fraction of work, 0-1, that has just been done. With
-    `limits`, the limits that keep sub-goals out of reach are counted, too.
+    Base and arm are free of all solids, moving ones where they start, and a disc within the base
+    can be driven from the start to the base pose among those that stand. The episodes are those of
+    an evaluation. With `path`, some base poses must also reach all waypoints: each its own, and
+    base motions between them are not checked. `on_done` is called with the fraction of work, 0-1,
+    that has just been done. With `limits`, the limits that keep sub-goals out of reach are counted,
+    too.
     """
     if isinstance(task, StreamTask):
         raise KinfeasError(f"task {task.name!r} has no ceiling: its targets move")
     options = ik or IkOptions()
     solver = IkSolver(robot, at_goals(robot, options))
     drawn = _starts(solver, task, episodes, seed)
-    groups = [(Postures(solver), subgoal_ends(solver, *drawn), STAGES[-1])]
+    groups = [(Postures(solver), subgoal_ends(solver, *drawn), STAGES)]
     if path:
         solver = IkSolver(robot, options)
         waypoints = draw_waypoints(solver, task, episodes, seed)
-        groups.append((Postures(solver), waypoints, WAYPOINT_BASE_POSES))
-    reached = [np.zeros(poses.shape[:2], dtype=np.bool_) for _, poses, _ in groups]
-    convergence = []
-
-    def report(fraction: float) -> None:
-        if on_done is not None:
-            on_done(fraction / (len(groups) * len(STAGES)))
-
-    for numbers in pairwise((0, *STAGES)):
-        for (postures, poses, most), is_reached in zip(groups, reached, strict=True):
-            still_open = ~is_reached & (numbers[1] <= most)
-            for episode, number in np.argwhere(still_open):
-                start = drawn[1].of(np.array([episode]))
-                around = start.solids, start.base_pose[0]
-                base, _ = postures.reaching(poses[episode, number], numbers, *around)
-                is_reached[episode, number] = len(base) > 0
-                report(1.0 / still_open.sum())
-            if not still_open.any():
-                report(1.0)
-        all_reached = np.all([is_reached.all(axis=1) for is_reached in reached], axis=0)
-        convergence.append(float(all_reached.mean()))
-    counts = _limits(groups, reached, drawn) if limits else ()
-    fraction = wilson(int(all_reached.sum()), episodes)
-    return Reachability(all_reached, fraction, tuple(convergence), counts)
+        groups.append((Postures(solver), waypoints, WAYPOINT_STAGES))
+    tries = [np.empty(poses.shape[:2]) for _, poses, _ in groups]
+    for (postures, poses, stages), own in zip(groups, tries, strict=True):
+        for episode, number in np.ndindex(own.shape):
+            start = drawn[1].of(np.array([episode]))
+            around = start.solids, start.base_pose[0]
+            own[episode, number] = postures.tries(poses[episode, number], stages, *around)
+            if on_done is not None:
+                on_done(1.0 / sum(map(np.size, tries)))
+    counts = _limits(groups, tries, drawn) if limits else ()
+    most = np.concatenate(tries, axis=1).max(axis=1)
+    return replace(reachability(most, STAGES), limits=counts)
 
 
 def _limits(
-    groups: list[tuple[Postures, Array, int]],
-    reached: list[NDArray[np.bool_]],
+    groups: Sequence[tuple[Postures, Array, Sequence[int]]],
+    tries: Sequence[Array],
     drawn: tuple[tuple[SubgoalMotion, ...], Start, list[np.random.Generator]],
 ) -> tuple[dict[str, int], ...]:
     """Return the numbers of episodes in which each sub-goal is out of reach, by the limit.
@@ -108,8 +96,8 @@ def _limits(
     """
     counts: tuple[Counter[str], ...] = tuple(Counter() for _ in drawn[0])
     missed_before = np.zeros((len(drawn[2]), len(counts)), dtype=np.bool_)
-    for (postures, poses, _), is_reached in zip(groups, reached, strict=True):
-        each = is_reached.reshape(*missed_before.shape, -1)
+    for (postures, poses, _), own in zip(groups, tries, strict=True):
+        each = np.isfinite(own).reshape(*missed_before.shape, -1)
         episodes, numbers = np.nonzero(~each.all(axis=2) & ~missed_before)
         missed_before[episodes, numbers] = True
         if episodes.size:

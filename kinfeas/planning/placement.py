@@ -20,7 +20,8 @@ from kinfeas.kinematics.solids import base_collides, in_base
 from kinfeas.planning.base_lattice import driving_costs
 from kinfeas.robots.robot import Robot
 
-STAGES = (4, 16, 64, 256, 1024)  # base poses tried around a goal by the end of each stage
+STAGES: tuple[int, ...] = (4, 16, 64, 256, 1024)
+"""Base poses tried around a goal by the end of each stage."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +68,17 @@ def reachable(solver: IkSolver, goals: Array, stages: Sequence[int] = STAGES) ->
     Args:
         solver: IK, with its tolerances and self-collision check.
         goals: World poses of the EE, shape (n, 7), n at least 1.
-        stages: Ascending numbers of base poses; only open goals enter the next stage.
+        stages: Ascending numbers of base poses to try around a goal.
     """
-    postures, reached = Postures(solver), np.zeros(len(goals), dtype=np.bool_)
-    convergence = []
-    for numbers in pairwise((0, *stages)):
-        for row in np.flatnonzero(~reached):
-            reached[row] = len(postures.reaching(goals[row], numbers)[0]) > 0
-        convergence.append(float(reached.mean()))
-    return Reachability(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
+    postures = Postures(solver)
+    return reachability(np.array([postures.tries(goal, stages) for goal in goals]), stages)
+
+
+def reachability(tries: Array, stages: Sequence[int]) -> Reachability:
+    """Return the reachability of n goals from the `Postures.tries` that they take, shape (n,)."""
+    reached = np.isfinite(tries)
+    convergence = tuple(float(np.mean(tries <= stage)) for stage in stages)
+    return Reachability(reached, wilson(int(reached.sum()), len(reached)), convergence)
 
 
 class Postures:
@@ -93,6 +96,22 @@ class Postures:
         self.ee_pose = forward(solver.chain, self.joints)
         self.rotations = rotation(self.ee_pose).as_matrix()
         self.footprint = footprint(solver.collision)
+
+    def tries(
+        self,
+        goal: Array,
+        stages: Sequence[int],
+        solids: Solids | None = None,
+        start: Array | None = None,
+    ) -> float:
+        """Return which of ascending numbers of proposals has one that reaches a goal, or inf.
+
+        Other arguments are those of `reaching`.
+        """
+        for numbers in pairwise((0, *stages)):
+            if len(self.reaching(goal, numbers, solids, start)[0]):
+                return numbers[1]
+        return np.inf
 
     def reaching(
         self,
