@@ -40,25 +40,34 @@ _MEMBERS = {
 }
 """Required members; those of motion generators are called before an episode begins."""
 
+_SHIPPED = {"kinfeas.robots": "*/robot.yaml", "kinfeas.tasks": "*.yaml"}
+"""Files of robots and tasks that come without entry points."""
+
+_READ_TASK = "kinfeas.tasks.loading:read_chain"  # a name, since tasks import this module
 _REGISTERED: list[EntryPoint] = []
 
 
-class _RobotFolder(EntryPoint):
-    """A shipped robot; `value` is its folder."""
+class _Shipped(EntryPoint):
+    """A shipped robot or task; `value` is its YAML file, whose first line is the title."""
 
     @property
     def dist(self) -> Distribution:  # type: ignore[override]
         return distribution("kinfeas")
 
-    def load(self) -> Callable[[], Path]:
-        """Return a function that returns the folder; its docstring is the title of the robot."""
+    def load(self) -> Callable[..., Any]:
+        """Return a function that returns the robot's folder or the task; its doc is the title."""
+        path = Path(self.value)
 
         def folder() -> Path:
-            return Path(self.value)
+            return path.parent
 
-        with (folder() / "robot.yaml").open(encoding="utf-8") as file:
-            folder.__doc__ = file.readline().strip("# \n")
-        return folder
+        def task(**parameters: object) -> Any:
+            return EntryPoint("", _READ_TASK, "").load()(path, parameters)
+
+        made = folder if self.group == "kinfeas.robots" else task
+        with path.open(encoding="utf-8") as file:
+            made.__doc__ = file.readline().strip("# \n")
+        return made
 
 
 @dataclass(frozen=True)
@@ -202,9 +211,10 @@ def _entries(group: str) -> list[EntryPoint]:
     if group not in GROUPS:
         raise KinfeasError(f"unknown plugin group {group!r}{no_such(group, GROUPS)}")
     own = [entry for entry in _REGISTERED if entry.group == group]
-    if group == "kinfeas.robots":
-        shipped = Path(str(files(group))).glob("*/robot.yaml")
-        own += [_RobotFolder(path.parent.name, str(path.parent), group) for path in shipped]
+    if pattern := _SHIPPED.get(group):
+        for path in Path(str(files(group))).glob(pattern):
+            name = path.parent.name if path.name == "robot.yaml" else path.stem
+            own.append(_Shipped(name, str(path), group))
     return [*entry_points(group=group), *own]
 
 

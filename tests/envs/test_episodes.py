@@ -6,8 +6,8 @@ from kinfeas.envs import episodes as module
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
-from kinfeas.tasks.chain_file import pick_place
 from kinfeas.tasks.ggr import ggr
+from kinfeas.tasks.loading import load_task
 
 NOISY = WorldConfig(
     max_failures=9, max_seconds=12.0, adapters=(PluginSpec("base_noise", {"linear": 0.05}),)
@@ -60,6 +60,6 @@ def test_records_are_sums_over_the_steps(world, policy, records):
 
 def test_an_episode_that_never_begins_its_last_sub_goal_ends_far_from_it(world, policy):
     short = WorldConfig(max_seconds=0.3)
-    records = run_episodes(World(world.robot, pick_place(), short, seed=0), policy, 3)
+    records = run_episodes(World(world.robot, load_task("pick_place"), short, seed=0), policy, 3)
     assert np.isinf(records.final_distance).all()
     assert not records.within.any()

@@ -32,8 +32,8 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
-from kinfeas.tasks.chain_file import pick_place
 from kinfeas.tasks.ggr import ggr
+from kinfeas.tasks.loading import load_task
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_recordings_agree_with_the_records(hsr):
         np.testing.assert_allclose(episode.ee_pose, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)
+@pytest.mark.parametrize("task", [ggr(), load_task("pick_place")], ids=lambda task: task.name)
 def test_waypoints_are_those_of_the_world(hsr, task):
     """Desired poses do not depend on the base; a sub-goal ends where the achieved EE arrives."""
     world = World(hsr, task, WorldConfig(max_failures=10**6), seed=5)

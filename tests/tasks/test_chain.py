@@ -8,8 +8,7 @@ from kinfeas.core.spatial import rotation, wrap, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.kinematics.solids import collides
-from kinfeas.tasks.chain_file import door, pick_place, read_chain
-from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.loading import load_task, read_chain
 from kinfeas.tasks.task import MotionSpec
 
 FETCH = {
@@ -41,7 +40,7 @@ def approach(targets):
 
 
 def test_starts(hsr, sample, uniform):
-    task = pick_place()
+    task = load_task("pick_place")
     starts = sample(task)
     assert starts.target_poses.shape == (300, len(task.subgoals), 7)
     x, y = starts.base_pose[:, 0], starts.base_pose[:, 1]
@@ -55,18 +54,20 @@ def test_starts(hsr, sample, uniform):
 
 
 def test_parameters_change_their_own_entries_only():
-    task, plain = pick_place(places={"table": {"rpy": [0, 0, 3]}}), pick_place()
+    plain = load_task("pick_place")
+    task = load_task("pick_place", {"places": {"table": {"rpy": [0, 0, 3]}}})
     table = replace(plain.places["table"], rpy=(0.0, 0.0, 3.0))
     assert task == replace(plain, places={**plain.places, "table": table})
-    grasp, pull = door().subgoals
+    grasp, pull = load_task("door").subgoals
     motion = {"generator": "minimum_jerk", "parameters": {"max_velocity": 0.05}}
-    changed = door(subgoals={"0": {"motion": motion}}).subgoals
+    changed = load_task("door", {"subgoals": {"0": {"motion": motion}}}).subgoals
     assert changed == (replace(grasp, motion=MotionSpec(**motion)), pull)
-    slower = door(subgoals={"1": {"dwell": 3.0, "motion": {"parameters": {"gain": 0.5}}}}).subgoals
+    changes = {"1": {"dwell": 3.0, "motion": {"parameters": {"gain": 0.5}}}}
+    slower = load_task("door", {"subgoals": changes}).subgoals
     parameters = {"model": "door_open", "gain": 0.5}
     assert slower == (grasp, replace(pull, dwell=3.0, motion=MotionSpec("imitation", parameters)))
-    other = door(subgoals={"0": {"motion": {"generator": "linear"}}}).subgoals[0].motion
-    assert other == MotionSpec("linear")
+    other = load_task("door", {"subgoals": {"0": {"motion": {"generator": "linear"}}}})
+    assert other.subgoals[0].motion == MotionSpec("linear")
 
 
 def test_files_are_found_beside_the_task_from_any_folder(write, tmp_path, monkeypatch):
@@ -104,7 +105,7 @@ def test_wrong_files_raise(write, line, key):
 
 
 def test_objects_are_at_their_places(hsr):
-    task = pick_place()
+    task = load_task("pick_place")
     for i in range(20):
         targets = task.sample(hsr, np.random.default_rng((1, i))).target_poses
         poses = task.object_poses(targets)
@@ -163,7 +164,7 @@ def test_a_handle_of_the_scene_is_a_place(write, sample):
     scene = "scene: {name: room, success: {object: door_shelf, joint: hinge, threshold: 1}}"
     task = read_chain(write("places: {}", "subgoals: [{place: door, frame: tip}]", scene))
     np.testing.assert_allclose(
-        sample(task, 2).target_poses[:, 0], sample(door(), 2).target_poses[:, 0]
+        sample(task, 2).target_poses[:, 0], sample(load_task("door"), 2).target_poses[:, 0]
     )
     with pytest.raises(KinfeasError, match=r"subgoals\.0\.place.*'doro'.*door.*drawer"):
         read_chain(write("places: {}", "subgoals: [{place: doro}]", scene))

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from kinfeas.tasks.chain import ChainTask
-from kinfeas.tasks.chain_file import read_chain
+from kinfeas.tasks.loading import read_chain
 
 
 def roundabout(**changes: object) -> ChainTask:
