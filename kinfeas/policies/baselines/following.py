@@ -33,10 +33,12 @@ class FollowEe:
         base: Drive and velocity limits.
         feedback: Whether the velocity starts at the achieved EE position, so that the base also
             reduces the tracking error, or at the desired one.
+        filters: Command filters before the others, see `Policy`.
     """
 
     base: Base
     feedback: bool = False
+    filters: tuple[str, ...] = ()
 
     def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""

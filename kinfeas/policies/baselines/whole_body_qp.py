@@ -7,6 +7,7 @@ a preferred posture of the arm.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,12 @@ from numpy.typing import NDArray
 from kinfeas.control.filters.half_spaces import VelocityConstraints
 from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.control.observation import HORIZON
-from kinfeas.core.extras import require
+from kinfeas.core.extras import EXTRAS, require
 from kinfeas.core.policy import Observation
 from kinfeas.core.spatial import Array, relative
 from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import Tree, build_chain
+from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.robot import Robot
 
 _POSITION_COST, _ROTATION_COST = 10.0, 4.0
@@ -43,9 +45,14 @@ class WholeBodyQp:
     Barriers limit the velocity of the base towards obstacles, as the filter `obstacle_distance`
     does. The arm part of the solution is not used: the loop's IK places the arm, as for every
     policy. Without a solution the base rests, unless a barrier moves it away.
+
+    Attributes:
+        robot: Robot model.
+        filters: Command filters before the others, see `Policy`.
     """
 
     robot: Robot
+    filters: tuple[str, ...] = ()
 
     def act(self, observation: Observation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
@@ -64,9 +71,9 @@ class WholeBodyQp:
                 actions[row] = action
         return actions
 
-    def __reduce__(self) -> tuple[type["WholeBodyQp"], tuple[Robot]]:
+    def __reduce__(self) -> tuple[type["WholeBodyQp"], tuple[Robot, tuple[str, ...]]]:
         """Leave out the model, which is built on first use."""
-        return WholeBodyQp, (self.robot,)
+        return WholeBodyQp, (self.robot, self.filters)
 
     @cached_property
     def _step(self) -> Callable[[Array, Array, list["Barriers"]], Array | None]:
@@ -93,6 +100,17 @@ def whole_body_qp(robot: Robot) -> WholeBodyQp:
     """Return the baseline that solves whole-body differential IK as a QP."""
     require("pinocchio", "pink", "qpsolvers", _SOLVER)
     return WholeBodyQp(robot)
+
+
+def planner(robot: Robot) -> FollowEe | WholeBodyQp:
+    """Return the baseline that drives along planned paths of base and arm.
+
+    Where no path is found, it acts as `whole_body_qp`, without the extra `qp` as `follow_ee`.
+    """
+    filters = ("path_planner", "feasibility")
+    if all(map(find_spec, EXTRAS["qp"])):
+        return WholeBodyQp(robot, filters)
+    return FollowEe(robot.base, filters=filters)
 
 
 def build_model(robot: Robot) -> Any:
