@@ -4,7 +4,7 @@ A part lies between two comments of a page. The first one names its kind and con
 
     <!-- commands -->                           help, options and examples of every command
     <!-- keys kinfeas.jobs.sweep:SweepConfig --> keys of a YAML file, from its dataclass
-    <!-- parameters kinfeas.envs.gym:BaseMotionEnv --> parameters of a constructor
+    <!-- parameters kinfeas.viz.gym:BaseMotionEnv --> parameters of a constructor
     <!-- plugins kinfeas.filters -->            the project's own plugins of a kind
     <!-- modules kinfeas.core.spatial ... -->   public functions and classes
 

@@ -24,7 +24,7 @@ def register() -> None:
         if name not in registration.registry:
             registration.register(
                 name,
-                entry_point="kinfeas.viz.gym:RenderedMotionEnv",
+                entry_point="kinfeas.viz.gym:BaseMotionEnv",
                 vector_entry_point="kinfeas.envs.gym:BaseMotionVectorEnv",
                 kwargs={"backend": backend},
             )

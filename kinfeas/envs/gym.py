@@ -1,12 +1,9 @@
-"""The world as Gymnasium environments: of one episode at a time, and of n episodes in one batch."""
+"""The world as a Gymnasium environment of n episodes in one batch."""
 
-import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
@@ -16,7 +13,7 @@ from numpy.typing import NDArray
 
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS, check_terms
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.batch import Batch, step_info
+from kinfeas.envs.batch import Batch
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
@@ -28,94 +25,6 @@ _LENGTHS = ("ee_position", "goal_position", "planned_ahead", "planned_base")
 
 _BEYOND, _NOISE = 0.1, 0.5
 """Distance beyond a joint limit at most, rad or m: of motors in a simulation, and of adapters."""
-
-_SCREEN = sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
-
-
-class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """One robot whose base motion keeps the EE motion feasible.
-
-    `reset(seed=s)` begins episode 0 of seed s, each reset without a seed the next one.
-    Observations are those of `kinfeas.control.observation`, unscaled.
-    """
-
-    metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
-        "render_modes": ["human", "rgb_array"] if _SCREEN else ["rgb_array"],
-        "render_fps": 50,  # at the default control period of physics
-    }
-
-    def __init__(  # noqa: PLR0913 - Gymnasium passes each as a keyword
-        self,
-        robot: str = "pr2",
-        task: str = "ggr",
-        world: WorldConfig | None = None,
-        task_parameters: Mapping[str, object] | None = None,
-        backend: str = "analytic",
-        render_mode: str | None = None,
-        *,
-        observation: Sequence[str] = OBSERVATION,
-    ) -> None:
-        """Build the world.
-
-        Args:
-            robot: Name or folder of the robot.
-            task: Entry-point name or YAML file of the task.
-            world: `WorldConfig`, by default that of `learning_world`.
-            task_parameters: Keyword parameters of the task, or changes to its file.
-            backend: Backend of the default settings.
-            render_mode: `human` (a window of the simulation), `rgb_array` or None.
-            observation: Names of the observation terms, such as a policy's `observation_terms`.
-
-        Raises:
-            KinfeasError: If an argument is wrong, or the backend is not installed.
-        """
-        if render_mode not in (None, "human", "rgb_array"):
-            raise KinfeasError(f"render_mode must be human, rgb_array or None, not {render_mode!r}")
-        config = world or learning_world(backend, robot)
-        if render_mode == "human":
-            parameters = {**config.backend_parameters, "gui": True}
-            config = replace(config, backend_parameters=parameters)
-        self.render_mode = render_mode
-        self.world = make_world(robot, task, task_parameters, config, observation)
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / config.dt)}
-        self.observation_space = observation_space(self.world)
-        self.action_space = action_space(self.world)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode and return its observation, shape (d,), and its number.
-
-        The seed is that of this episode and all later ones, random at first; options are not used.
-        """
-        super().reset(seed=checked_seed(seed))
-        seed_world(self.world, seed, self.np_random_seed)
-        info = {"episode_number": self.world.next_episode}
-        return self.world.start_next(1)[0].astype(np.float32), info
-
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Move the base by a command in [-1, 1], shape (3,) or (2,); return as `gymnasium.Env`."""
-        check_reset(self.world)
-        transition = self.world.step(np.asarray(action, dtype=np.float64)[np.newaxis])
-        info = {key: values[0].item() for key, values in step_info(self.world, transition).items()}
-        return (
-            transition.observation[0].astype(np.float32),
-            float(transition.reward[0]),
-            bool(transition.terminated[0]),
-            bool(transition.truncated[0]),
-            info,
-        )
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return None; subclasses return a picture in the mode `rgb_array`."""
-        check_reset(self.world)
-        return None
-
-    def close(self) -> None:
-        """Close the backend."""
-        self.world.close()
 
 
 class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):

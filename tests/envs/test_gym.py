@@ -16,8 +16,9 @@ from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs import PHYSICS_ENVIRONMENTS
 from kinfeas.envs.batch import step_info
-from kinfeas.envs.gym import BaseMotionEnv, BaseMotionVectorEnv
+from kinfeas.envs.gym import BaseMotionVectorEnv
 from kinfeas.envs.world import WorldConfig, evaluation_world
+from kinfeas.viz.gym import BaseMotionEnv
 
 NOISY = WorldConfig(
     max_seconds=4.0, max_failures=5, adapters=(PluginSpec("base_noise", {"linear": 0.05}),)
