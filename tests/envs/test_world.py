@@ -12,7 +12,7 @@ from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, RealTimeBackend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import relative, yaw
-from kinfeas.envs.world import World, WorldConfig, evaluation_world
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowBase, FollowEe
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
@@ -244,7 +244,7 @@ def test_scans_see_the_solids_in_front(hsr):
 
 
 def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
-    world = World(hsr, load_task("ggr_obstacles"), evaluation_world(), 1)
+    world = World(hsr, load_task("ggr_obstacles"), WorldConfig(), 1)
     world.loop.observer.terms = ("planned_base",)
     seen = world.start(range(8))
     base = world.loop.observation.planned_base
@@ -266,7 +266,7 @@ def test_the_planned_base_is_seen_and_its_distance_costs(hsr):
 
 def test_redundant_arms_follow_their_whole_body_plan():
     robot = load_robot("tiago")
-    world = World(robot, load_task("ggr_obstacles"), evaluation_world(), 1)
+    world = World(robot, load_task("ggr_obstacles"), WorldConfig(), 1)
     world.start(range(8))
     along = FollowBase(robot.base, source="planned_base")
     for _ in range(100):

@@ -15,7 +15,7 @@ import onnxruntime
 from kinfeas.config.recipes import load_section
 from kinfeas.control.filters.obstacle_distance import VelocityDamper
 from kinfeas.core.backend import ObstacleDistances
-from kinfeas.envs.world import World, evaluation_world
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.evaluate import configure, run
 from kinfeas.kinematics.drive import command_size
 from kinfeas.kinematics.forward import forward
@@ -90,7 +90,7 @@ def policy(robot, count=8, steps=5):
     folder = known.folder / "policies" / "pretrained"
     network, observations = read_network(folder, known), []
     for task in TASKS:
-        world = World(known, load_task(task, {}), evaluation_world(), SEED)
+        world = World(known, load_task(task, {}), WorldConfig(), SEED)
         world.loop.set_policy(network)
         observations.append(world.start(range(count)).copy())
         for _ in range(steps):

@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas import config
 from kinfeas.config.quantities import LAST_SEED
-from kinfeas.envs.world import World, evaluation_world
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
@@ -25,7 +25,7 @@ def goal(world, episode):
 def evaluated(settings, seed):
     """Return the goals of the first episodes of an evaluation, shape (4, 7)."""
     robot, task = load_robot(settings.robot), load_task(settings.task)
-    world = World(robot, task, evaluation_world(), seed)
+    world = World(robot, task, WorldConfig(), seed)
     return np.stack([goal(world, episode) for episode in range(EPISODES)])
 
 
