@@ -20,6 +20,7 @@ _FIXED_JAW = 1.0 / 3.0
 """Length of a fixed jaw, as a fraction of the moving one."""
 
 _JAW = re.compile(r"jaw|finger|claw", re.IGNORECASE)
+_PAD = 0.025  # m, from the ends of fingers to where they hold an object
 _OFF_AXIS = 0.01  # m, by which shapes on an axis may be off it
 _NOTHING = 1e-6  # m
 _MAX_EFFORT = 1e4  # N or N m; larger limits stand for none
@@ -197,7 +198,8 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     y = np.abs(_nearest_axis(beside))  # either finger may be the first
     reach = max((shape.reach(x) for shape in shapes), default=float(front @ x) * several)
     # Without fingers, a frame ahead of all shapes is that of the tool.
-    tip = front - (front @ x) * x + reach * x if several else max(0.0, reach) * x
+    hold = front - (front @ x) * x + (reach - _PAD * bool(shapes)) * x
+    tip = hold if several else max(0.0, reach) * x
     to_gripper = np.stack([x, y, np.cross(x, y)])
     quaternion = Rotation.from_matrix(to_gripper).as_quat(canonical=True)
     gripper = _gripper(urdf, arm, closed, opened)
@@ -248,6 +250,8 @@ def _gripper(
         )
         return first, second
 
+    if not any(urdf.links[link].shapes for name in names for link in urdf.below(name)):
+        return f"{' and '.join(names)} have no collision shapes to hold an object"
     shut, wide = positions(closed), positions(opened)
     if still := [name for name, *at in zip(names, shut, wide, strict=True) if at[0] == at[1]]:
         return f"the limits of {', '.join(still)} leave no stroke"
