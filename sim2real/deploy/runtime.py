@@ -122,16 +122,19 @@ class Setup:
 
 
 class Signals:
-    """A context that notes SIGINT, SIGQUIT, SIGTERM and SIGHUP for a loop, in the main thread.
+    """A context for SIGINT, SIGQUIT, SIGTERM and SIGHUP, in the main thread.
 
-    SIGHUP is left alone if it is ignored, as by nohup, and all are in other threads, which get
-    none. A second signal raises KeyboardInterrupt.
+    They raise KeyboardInterrupt, except the first one in a loop, while `noting`; without SIGINT the
+    context ends with SystemExit and the code of the signal. SIGHUP is left alone if it is ignored,
+    as by nohup, and all are in other threads, which get none.
 
     Attributes:
+        noting: Whether the first signal is only noted.
         caught: First signal, or None.
     """
 
     def __init__(self) -> None:
+        self.noting = False
         self.caught: signal.Signals | None = None
         self._before: dict[signal.Signals, Any] = {}
 
@@ -144,14 +147,17 @@ class Signals:
         self._before = {number: signal.signal(number, self._note) for number in noted}
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        if kind is KeyboardInterrupt and self.caught and self.caught is not signal.SIGINT:
+            raise SystemExit(128 + self.caught)
 
     def _note(self, number: int, _: FrameType | None) -> None:
-        if self.caught is None:
-            self.caught = signal.Signals(number)
-        elif number != signal.SIGHUP:  # which a terminal and its shell both send
+        # A terminal and its shell both send SIGHUP.
+        passes = self.noting if self.caught is None else number == signal.SIGHUP
+        self.caught = self.caught or signal.Signals(number)
+        if not passes:
             raise KeyboardInterrupt
 
 
@@ -170,6 +176,7 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
             run.guarded.reset(IDENTITY[np.newaxis], home[np.newaxis])
         with run.watchdog() as watchdog:
             run.start()
+            signals.noting = True
             outcome = run.drive(watchdog, signals)
     return replace(outcome, unclosed=run.guarded.unclosed)
 

@@ -294,6 +294,16 @@ def test_signals_end_a_run_cleanly(run, time, number):
     assert signal.getsignal(number) is before
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, None), (signal.SIGTERM, 143)])
+def test_signals_end_the_wait_for_a_robot_at_once(run, time, number, code):
+    robot = RealTimeRobot(time)
+    robot.reset = lambda *_: os.kill(os.getpid(), number)
+    with pytest.raises(KeyboardInterrupt if code is None else SystemExit) as end:
+        run(robot, Drive())
+    assert getattr(end.value, "code", None) == code
+    assert robot.close.called
+
+
 def test_a_run_in_a_thread_and_after_a_handled_error_has_its_own_end(run, time):
     def start():
         try:
@@ -309,6 +319,7 @@ def test_a_run_in_a_thread_and_after_a_handled_error_has_its_own_end(run, time):
 
 def test_a_second_signal_does_not_wait_for_the_loop_and_nohup_outlives_its_terminal():
     with Signals() as signals:
+        signals.noting = True
         for _ in range(2):  # a terminal may send it twice
             os.kill(os.getpid(), signal.SIGHUP)
         with pytest.raises(KeyboardInterrupt):
@@ -316,6 +327,7 @@ def test_a_second_signal_does_not_wait_for_the_loop_and_nohup_outlives_its_termi
     assert signals.caught is signal.SIGHUP
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     with Signals() as signals:
+        signals.noting = True
         os.kill(os.getpid(), signal.SIGHUP)
     signal.signal(signal.SIGHUP, before)
     assert signals.caught is None
