@@ -29,14 +29,16 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Simulate a robot behind ROS topics, with physics in real time.
 
-    Programs for the real robot, such as kinfeas deploy, can drive it. Ctrl-C ends it. Adapters lie
-    around the robot: what drives it meets their noise, latency and limits.
+    Programs for the real robot, such as kinfeas deploy, can drive it. Ctrl-C or SIGTERM ends it,
+    with code 0. Adapters lie around the robot: what drives it meets their noise, latency and
+    limits.
 
     Example: kinfeas simulate --backend ros2 --robot pr2 --task door
     """
     from kinfeas.api.load import read_adapters
     from kinfeas.core.start import episode_rng
     from kinfeas.robots.loading import load_robot
+    from kinfeas.sim2real.deploy.runtime import Signals
     from kinfeas.sim2real.simulator import simulation
     from kinfeas.tasks.loading import load_task
 
@@ -46,19 +48,20 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     link = simulation.robot_link(backend, model, topics)
     drawn_by = load_task(task) if task is not None else None
     rng = episode_rng(seed, episode)
-    room, state = simulation.spawn(
-        model, drawn_by, scene, rng=rng, engine=world, gui=gui, adapters=read_adapters(adapters)
-    )
-    player = simulation.SimulatedRobot(room, state, command_timeout)
+    with Signals():  # SIGINT also in the background of a script, where it is ignored
+        room, state = simulation.spawn(
+            model, drawn_by, scene, rng=rng, engine=world, gui=gui, adapters=read_adapters(adapters)
+        )
+        player = simulation.SimulatedRobot(room, state, command_timeout)
 
-    def ready() -> None:
-        x, y = state.base_pose[0, :2]
-        typer.echo(f"{model.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
+        def ready() -> None:
+            x, y = state.base_pose[0, :2]
+            typer.echo(f"{model.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
 
-    try:
-        duration = float("inf") if seconds is None else seconds
-        played = simulation.simulate(player, link, ready, rate, duration)
-    finally:
-        room.close()
+        try:
+            duration = float("inf") if seconds is None else seconds
+            played = simulation.simulate(player, link, ready, rate, duration)
+        finally:
+            room.close()
     write_json(asdict(played), json)
     print_facts("simulated robot", asdict(played))

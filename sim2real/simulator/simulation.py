@@ -3,6 +3,7 @@
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from copy import deepcopy
 from dataclasses import dataclass
 
@@ -30,6 +31,7 @@ from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import furniture_solids, read_scene
+from kinfeas.sim2real.deploy.runtime import Signals
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading, Orders, RobotLink
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.task import Task
@@ -185,7 +187,7 @@ def simulate(
     frequency: float = 100.0,
     seconds: float = math.inf,
 ) -> SimulationResult:
-    """Run a simulated robot for `seconds` or until Ctrl-C; return the statistics.
+    """Run a simulated robot for `seconds` or until a signal of `Signals`; return the statistics.
 
     Each second has `frequency` simulation steps and measurements.
     The link is opened and closed; `on_ready` is called once it receives commands. If the bus breaks
@@ -196,9 +198,10 @@ def simulate(
     start, rate, broken = clock.monotonic(), Rate(dt, clock), None
     end = start + seconds
     periods, steps, scan_periods = 0, 0, max(1, round(frequency / _SCAN_RATE))
-    try:
+    with closing(link), Signals() as signals:
+        signals.noting = True
         on_ready()
-        while clock.monotonic() < end:
+        while signals.caught is None and clock.monotonic() < end:
             rate.wait()
             due = int((clock.monotonic() - start) * frequency + 1e-6)
             steps = max(steps, due - _CATCH_UP)
@@ -215,10 +218,6 @@ def simulate(
                     link.check()
                 except Fault as fault:
                     broken, end = fault, clock.monotonic() + _LINGER
-    except KeyboardInterrupt:
-        pass  # the usual end
-    finally:
-        link.close()
     if broken is not None:
         raise broken
     timing, counts = rate.timing(), (robot.base_commands, robot.joint_commands, robot.timeouts)

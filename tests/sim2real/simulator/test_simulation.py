@@ -1,3 +1,4 @@
+import signal
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -127,6 +128,16 @@ def test_runs_in_real_time(world, time):
     assert stamps == sorted(stamps)
     scans = sum(call.args[2] is not None for call in link.report.call_args_list)
     assert scans == pytest.approx(5, abs=1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_it_with_its_result_also_where_they_are_ignored(world, time, number):
+    before = signal.signal(number, signal.SIG_IGN)
+    link = Mock(report=lambda *_: signal.raise_signal(number))
+    result = simulate(SimulatedRobot(*world, clock=time.clock), link, Mock(), 50.0)
+    assert signal.signal(number, before) is signal.SIG_IGN
+    assert result.seconds < 0.1
+    link.close.assert_called_once()
 
 
 def test_time_passes_as_fast_for_a_robot_whose_periods_end_late(world, time):
