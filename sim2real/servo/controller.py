@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.control.period import Period
-from kinfeas.control.targets import RULES, Progress, TargetInbox, TargetRules
+from kinfeas.control.targets import RULES, Progress, TargetInbox, TargetRules, interpolated
 from kinfeas.core import spatial
 from kinfeas.core.errors import Fault
 from kinfeas.core.motion import Rows
@@ -20,7 +20,13 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.servo.messages import Frames, Message, SenderClock, chunk_in_world
+from kinfeas.sim2real.servo.messages import (
+    Frames,
+    Message,
+    SenderClock,
+    chunk_in_world,
+    why_invalid,
+)
 from kinfeas.tasks.task import MotionSpec, Subgoal, start_at_home
 
 _MOST_POSES = 64  # of a chunk
@@ -72,7 +78,7 @@ class TargetController:
         self._sender = SenderClock(self.rules.timeout)
         self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
         self._ignored: tuple[float, float, dict[str, int]] | None = None  # since, until, before
-        self._failure = self._invalid = ""
+        self._failure, self._last = "", ("", "")  # rule and reason of the last ignored message
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return the start at the origin with the arm at home."""
@@ -230,7 +236,8 @@ class TargetController:
 
     def _why(self, counts: dict[str, int]) -> str:
         rules = ", ".join(f"{n} {rule}" for rule, n in counts.items() if n) or "none came"
-        return rules + (f"; the last invalid one had {self._invalid}" if self._invalid else "")
+        rule, reason = self._last
+        return rules + (f"; the last {rule}: {reason}" if counts.get(rule) else "")
 
     def _read(self, message: Message, now: Array) -> None:
         values, times, stamp = message.values, message.times, message.stamp
@@ -240,6 +247,7 @@ class TargetController:
             return
         if message.frame not in self._frames:
             self._others["frame"] += 1
+            self._last = "frame", f"{message.frame!r}, not {', '.join(self._frames.names)}"
             return
         arrival, observed = message.arrival, message.observed
         sent = arrival if stamp is None else self._sender.sent(stamp, arrival)
@@ -268,14 +276,22 @@ class TargetController:
 
     def _reject(self, why: str) -> None:
         self._inbox.reject(_ROW)
-        self._invalid = why
+        self._last = "invalid", why
 
     def _put_kept(self, now: Array) -> None:
         """Take the poses for which the last chunk no longer stays."""
         for _ in range(len(self._kept)):
             due, sent, times, poses = self._kept.popleft()
             if due <= now[0]:
+                before = self.counts
                 self._inbox.put_poses(_ROW, now, sent, times, poses)
+                if self.counts["invalid"] > before["invalid"]:
+                    self._last = "invalid", why_invalid(times[0], poses[0], _MOST_POSES)
+                elif self.counts["jump"] > before["jump"]:
+                    aims = interpolated(now, times, poses)
+                    metres, radians = spatial.distance(self._inbox.target, aims)
+                    limits = f"limits {self.rules.max_jump:g} m, {self.rules.max_turn:g} rad"
+                    self._last = "jump", f"{metres[0]:.2f} m, {radians[0]:.2f} rad; {limits}"
             else:
                 self._kept.append((due, sent, times, poses))
 

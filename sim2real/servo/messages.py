@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinfeas.config.quantities import REMOTEST
 from kinfeas.control.targets import interpolated
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
@@ -41,14 +42,19 @@ class Message(NamedTuple):
 
 
 class Frames:
-    """World poses of the base and the EE in the last control periods, by the frames' names."""
+    """World poses of the base and the EE in the last control periods, by the frames' names.
+
+    Attributes:
+        names: Names of frames that are not empty.
+    """
 
     def __init__(self, robot: Robot) -> None:
         self._names = (robot.base.frame, robot.ee_frame)
+        self.names = (*WORLD[1:], *self._names)
         self._history: deque[tuple[float, Array, Array]] = deque(maxlen=_HISTORY)
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name.lstrip("/") in (*WORLD, *self._names)
+        return isinstance(name, str) and name.lstrip("/") in ("", *self.names)
 
     def append(self, time: float, base_pose: Array, ee_pose: Array) -> None:
         """Take the poses (7,) at a time in seconds."""
@@ -85,6 +91,17 @@ def chunk_in_world(
     if frame is not spatial.IDENTITY and unit.all():
         values = spatial.compose(frame, values)
     return (times + offset)[np.newaxis], values[np.newaxis]
+
+
+def why_invalid(times: Array, poses: Array, most: int) -> str:
+    """Return why no chunk of `most` poses at most has these, shape (k, 7), at times (k,)."""
+    if not 1 <= len(poses) <= most:
+        return f"{len(poses)} poses, not 1 to {most}"
+    if not (np.diff(times) > 0.0).all():
+        return "times that do not ascend"
+    if not np.abs(times).max() <= REMOTEST:
+        return f"times of another clock, beyond {REMOTEST:g} s"
+    return "a quaternion whose length is not 1, or numbers that are too large"
 
 
 class SenderClock:

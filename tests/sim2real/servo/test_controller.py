@@ -220,6 +220,25 @@ def test_messages_that_are_ignored_for_long_are_reported_once(caplog):
         step(clock, loop)
 
 
+@pytest.mark.parametrize(
+    ("poses", "words", "reasons"),
+    [
+        ([[3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]], {}, ["1 jump", "0.5 m"]),
+        ([spatial.IDENTITY], {"frame": "tool"}, ["1 frame", "'tool'", "base_footprint"]),
+        ([np.zeros(7)], {}, ["1 invalid", "length"]),
+        ([spatial.IDENTITY] * 100, {}, ["1 invalid", "100 poses"]),
+        ([spatial.IDENTITY] * 3, {"times": [0.3, 0.2, 0.1]}, ["1 invalid", "ascend"]),
+        ([[math.nan] * 7], {}, ["1 invalid", "finite"]),
+    ],
+)  # fmt: skip
+def test_the_last_ignored_message_has_its_reason(poses, words, reasons):
+    controller, clock, loop = begin()
+    times = clock.monotonic + np.array(words.pop("times", 0.01 * np.arange(len(poses))))
+    controller.set_chunk(poses, times, **words)
+    step(clock, loop)
+    assert all(reason in controller.refusal for reason in reasons), controller.refusal
+
+
 TOLERANCE, EVERY = 0.1, 0.02
 
 
