@@ -2,6 +2,7 @@
 
 import logging
 import math
+import os
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -94,6 +95,10 @@ class Ros2Backend(RosBackend):
     """A robot with ROS 2 topics; no ROS installation is needed."""
 
     version = 2
+
+    def _missing(self) -> str:
+        domain = os.environ.get("ROS_DOMAIN_ID") or 0
+        return (reason := super()._missing()) and f"{reason} (ROS_DOMAIN_ID is {domain})"
 
 
 class RosLink:

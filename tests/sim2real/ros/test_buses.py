@@ -199,11 +199,11 @@ def test_a_stop_is_stamped_and_raises_where_it_is_not_sent(monkeypatch, bus, sta
         stop_base(2, "/cmd_vel", timeout=0.0)
 
 
-def test_a_robot_that_is_not_there_is_an_error():
+def test_a_robot_that_is_not_there_is_an_error(domain):
     robot = load_robot("hsr")
     backend = registry.build("kinfeas.backends", "ros2", {"robot": robot, "timeout": 0.2})
     assert backend.stop_call() is not None
-    with pytest.raises(KinfeasError, match=backend.topics.base.odometry):
+    with pytest.raises(KinfeasError, match=rf"{backend.topics.base.odometry} .*\b{domain}\b"):
         backend.reset(None, None)
     backend.close()
 
