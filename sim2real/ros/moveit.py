@@ -99,8 +99,9 @@ class MoveItServices:
     def _motion(self, request: Any, reply: Any) -> None:
         self._check(request.start_state, request.path_constraints, [request.link_name])
         self._check_frame(request.header)
-        if len(request.waypoints) > _MOST_WAYPOINTS:
-            raise _RequestError(INVALID_GOAL_CONSTRAINTS, f"more than {_MOST_WAYPOINTS} waypoints")
+        if not 1 <= len(request.waypoints) <= _MOST_WAYPOINTS:
+            text = f"'waypoints' must have 1 to {_MOST_WAYPOINTS} poses"
+            raise _RequestError(INVALID_GOAL_CONSTRAINTS, text)
         with _failing(INVALID_GOAL_CONSTRAINTS):
             waypoints = ee_poses([_numbers(pose) for pose in request.waypoints], "waypoints")
         start, joints = self._start(request.start_state), self._arm(request.start_state)

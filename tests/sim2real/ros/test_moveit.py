@@ -138,8 +138,9 @@ LIFTED = MOVEIT.JointState(name=ARM, position=[5.0, *[0.0] * (len(ARM) - 1)])
 
 
 @pytest.mark.parametrize(("xs", "fields", "code"), [
-    ([1.0], {}, -16), ([1.0, np.nan], {}, -16), ([1.0, 1.1], {"max_step": 1e-9}, -16),
-    ([1.0] * 10_001, {}, -16), ([1.0, 9.0], {"max_step": 1.0}, -1),
+    ([], {}, -16), ([1.0], {}, -16), ([1.0, np.nan], {}, -16),
+    ([1.0, 1.1], {"max_step": 1e-9}, -16), ([1.0] * 10_001, {}, -16),
+    ([1.0, 9.0], {"max_step": 1.0}, -1),
     ([1.0, 1.1], {"header": MOVEIT.Header(frame_id="base_footprint")}, -21),
     ([1.0, 1.1], {"start_state": MOVEIT.RobotState(MOVEIT.JointState(name=["a"]))}, -17),
     ([1.0, 1.1], {"start_state": MOVEIT.RobotState(LIFTED)}, -17),
