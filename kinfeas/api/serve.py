@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval, Len
-from pydantic import FailFast
+from pydantic import BeforeValidator, FailFast
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot
@@ -31,9 +31,21 @@ _MOST_BYTES, _MOST_CONNECTIONS = 4_000_000, 32
 _log = logging.getLogger(__name__)
 
 Extent = Annotated[float, Interval(gt=0.0, le=FARTHEST)]
-Row = tuple[
-    Metres, Metres, Radians, Extent, Extent, Metres, Metres, Share, Metres, Metres, Distance
-]  # fmt: skip
+
+
+def _eleven(row: object) -> object:
+    if isinstance(row, list) and len(row) == 11:
+        return tuple(row)  # in strict mode
+    raise ValueError(
+        "a solid has 11 numbers: x, y, yaw, half extents along its x and y, lowest and highest z, "
+        "1 for a cylinder or 0 for a box, velocity x and y, path length after which it turns back"
+    )
+
+
+Row = Annotated[
+    tuple[Metres, Metres, Radians, Extent, Extent, Metres, Metres, Share, Metres, Metres, Distance],
+    BeforeValidator(_eleven),
+]
 Rows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS), FailFast()]
 Pose = Annotated[tuple[Metres, ...], Len(7, 7), FailFast()]
 
@@ -196,6 +208,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         text = f"{message or HTTPStatus(code).phrase}; there are POST /reach and POST /plan"
+        if code == HTTPStatus.NOT_IMPLEMENTED:  # the library's status for GET
+            code = HTTPStatus.METHOD_NOT_ALLOWED
         self._answer(HTTPStatus(code), {"error": text})
 
     def _answer(self, status: HTTPStatus, data: object) -> None:
@@ -203,6 +217,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_response(status)
         self.send_header("Content-Type", "application/json")
         self.send_header("Content-Length", str(len(body)))
+        if status is HTTPStatus.METHOD_NOT_ALLOWED:
+            self.send_header("Allow", "POST")
         self.end_headers()
         self.wfile.write(body)
 

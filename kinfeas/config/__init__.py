@@ -196,7 +196,9 @@ def validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = N
     first = next((each for each in problems if each["type"] == _UNKNOWN), problems[0])
     keys = _keys(first["loc"], data)
     # A union has a message for each of its types, a short list one for each missing entry.
-    same = (each for each in problems if _keys(each["loc"], data) == keys)
+    same = [each for each in problems if _keys(each["loc"], data) == keys]
+    short = [each for each in same if each["type"] == "missing"]
+    same = [each for each in same if each not in short[:-1]]
     text = " or ".join(dict.fromkeys(map(_rule, same)))
     if first["type"] == _UNKNOWN:
         text = f"unknown key{no_such(keys[-1], _fields(kind, keys[:-1]))}"

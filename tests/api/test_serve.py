@@ -49,10 +49,12 @@ def test_base_poses_and_plans_are_answered(post):
     assert (status, "solid" in answer["error"]) == (400, True)
 
 
-def test_other_methods_are_errors(post):
+@pytest.mark.parametrize("method", ["GET", "PUT"])
+def test_other_methods_are_errors(post, method):
+    request = urllib.request.Request("http://{}:{}/".format(*post.address), method=method)
     with pytest.raises(urllib.error.HTTPError) as caught:
-        urllib.request.urlopen("http://{}:{}/reach".format(*post.address))
-    assert caught.value.code == 501
+        urllib.request.urlopen(request)
+    assert (caught.value.code, caught.value.headers["Allow"]) == (405, "POST")
     assert "POST /reach" in json.load(caught.value)["error"]
 
 
@@ -95,6 +97,13 @@ def test_connections_beyond_the_limit_are_closed(post):
         with suppress(ConnectionError):
             assert post("/none", {})[0] == 404
             break
+
+
+@pytest.mark.parametrize(("short", "named"), [("solids", "yaw"), ("start", "3 entries")])
+def test_short_lists_are_answered_with_what_is_missing(post, short, named):
+    status, answer = post("/reach", {"poses": [AHEAD], short: [[1]] if short == "solids" else [1]})
+    assert (status, answer["error"].count(named)) == (400, 1)
+    assert " 2 entries" not in answer["error"]
 
 
 @pytest.mark.parametrize(("path", "data", "headers", "status"), [
