@@ -87,7 +87,7 @@ class Kinfeas(Robot):
     configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
-        """Begin a simulation, with the base at the origin and the arm at home."""
+        """Compile and begin a simulation, with the base at the origin and the arm at home."""
         config, robot = self.config, load_robot(self.config.robot)
         scene = None if config.scene == NONE else read_scene(config.scene)
         choice = Choice(
@@ -95,6 +95,10 @@ class Kinfeas(Robot):
             backend=config.backend, scene=config.scene,
         )  # fmt: skip
         self._episode = Episode(choice, config.policy, robot, scene)
+        for _ in range(3):  # compiles the kernels, for which LeRobot's loops would wait
+            ahead = spatial.planar_pose(0.1, 0.0, 0.0)
+            self._episode.step(spatial.compose(self._episode.ee_pose, ahead))
+        self._episode.restart()
         self._tool = tool_pose(robot)
         self._target, self._due = self._episode.ee_pose, 0.0
         self._seen = np.stack([spatial.IDENTITY, spatial.IDENTITY])
