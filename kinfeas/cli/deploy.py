@@ -93,7 +93,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import deploy as api
 
-    with moving() as on_moment:
+    with moving(goal=False) as on_moment:
         done = api.servo(
             policy, robot=robot, backend=backend, source=source, rate=rate, seconds=seconds,
             record=record, adapters=adapters, guards=guards, filters=filters,

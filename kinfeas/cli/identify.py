@@ -52,7 +52,7 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
     if drive:
         if paths:
             raise KinfeasError("--drive records by itself and excludes records")
-        with moving() as on_moment:
+        with moving(goal=False) as on_moment:
             done = api.drive(
                 robot or DEFAULT_ROBOT, backend=backend, record=record, adapters=adapters,
                 rate=rate, seed=seed, real_time=not no_real_time,

@@ -128,8 +128,11 @@ def status(text: str) -> Iterator["Status"]:
 
 
 @contextmanager
-def moving() -> Iterator[Callable[["Moment"], None]]:
-    """Show the state of a run on standard error, each second, or in lines if it is no terminal."""
+def moving(*, goal: bool = True) -> Iterator[Callable[["Moment"], None]]:
+    """Show the state of a run on standard error, each second, or in lines if it is no terminal.
+
+    Runs without a `goal` have no distance from it.
+    """
     from rich.console import Console
 
     console, printed = Console(stderr=True), 0.0
@@ -140,7 +143,8 @@ def moving() -> Iterator[Callable[["Moment"], None]]:
             return
         printed = moment.time
         away = math.dist(moment.goal[:3], moment.desired[:3])
-        text = f"moving for {printed:.0f} s, {away:.2f} m before the goal; Ctrl-C stops"
+        distance = f", {away:.2f} m before the goal" if goal else ""
+        text = f"moving for {printed:.0f} s{distance}; Ctrl-C stops"
         with suppress(OSError):  # of a terminal that was closed
             if console.is_terminal:
                 shown.update(text)
