@@ -46,6 +46,8 @@ def read_bag(path: Path, robot: Robot) -> Log:
     if not path.exists():
         raise KinfeasError(f"{path}: no such file or folder")
     folder = path.parent if path.suffix == ".db3" else path
+    if folder.is_dir() and not (folder / "metadata.yaml").exists():
+        raise KinfeasError(f"{folder}: no bag, since there is no metadata.yaml in the folder")
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             return _Bag(path, robot, read_topics(robot, 2 if reader.is2 else 1)).read(reader)
@@ -102,7 +104,7 @@ class _Bag:
             takes[connection.topic](reader.deserialize(raw, connection.msgtype))
         for stream in (self._twists, self._base, self._joints):
             if len(stream.values) < 2:
-                raise KinfeasError(f"{self._path}: has no {stream.content}")
+                raise KinfeasError(f"{self._path}: has no {stream.content} in {stream.topic}")
         return self._log()
 
     def _take_twist(self, message: Any) -> None:

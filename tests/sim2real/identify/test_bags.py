@@ -106,6 +106,9 @@ def test_commands_and_measurements_are_read_with_their_times(bag, path, robot):
     (lambda bag: bag.messages.__delitem__(slice(100, None)), "shorter"),
     (lambda bag: bag.messages.__setitem__(
         slice(None), [each for each in bag.messages if "Joint" not in each[1]]), "has no"),
+    (lambda bag: bag.messages.__setitem__(slice(None), [
+        each for each in bag.messages if "Twist" not in each[1] or not each[3]
+    ]), "velocity command in /"),
 ])  # fmt: skip
 def test_broken_bags_raise(bag, path, robot, spoil, named):
     spoil(bag)
@@ -123,6 +126,6 @@ def test_invalid_trajectories_are_left_out(bag, path, robot):
 def test_other_files_are_no_bags(tmp_path, hsr):
     path = tmp_path / "run.bag"
     path.write_bytes(b"not a bag")
-    for each in (path, tmp_path / "none", tmp_path):
-        with pytest.raises(KinfeasError, match=each.name):
+    for each, named in ((path, ""), (tmp_path / "none", ""), (tmp_path, ".*metadata.yaml")):
+        with pytest.raises(KinfeasError, match=each.name + named):
             read_bag(each, hsr)
