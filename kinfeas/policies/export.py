@@ -116,7 +116,12 @@ def _observations(network: Network, rows: int, seed: int) -> Array:
 
 def _success(trained: Trained, folder: Path) -> dict[str, object]:
     # Metrics of the episodes that selected the checkpoint are biased and left out.
-    evaluation: dict[str, object] = dict(trained.fresh_evaluation)
+    evaluation: dict[str, object] = {}
+    if trained.fresh_evaluation:
+        world = trained.config.get("world")
+        backend = world.get("backend") if isinstance(world, dict) else None
+        where = {"task": trained.config.get("task"), "world": backend}
+        evaluation = {**where, **trained.fresh_evaluation}
     if (path := folder / "evaluation.json").exists():
         evaluation = read_json(path)
         evaluation.pop("policy", None)  # a path of this machine
