@@ -92,9 +92,12 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
         name = element.get("name")
         for mimic in element.findall("mimic"):
             element.remove(mimic)
-        if robot.urdf.joints[name].moves and name not in moving:
+        joint = robot.urdf.joints[name]
+        if joint.moves and name not in moving:
             element.set("type", "fixed")
-            set_origin(element, robot.urdf.joints[name].pose_at(robot.fixed_joints[name]))
+            set_origin(element, joint.pose_at(robot.fixed_joints[name]))
+        elif joint.moves and (axis := element.find("axis")) is not None:
+            axis.set("xyz", " ".join(map(str, joint.axis)))  # of unit length, or PyBullet warns
     part_of = merge_fixed_links(xml, keep={robot.ee_frame})
     repair_inertias(xml, str(robot.urdf_path))
     for element in reversed(_planar_base(robot.urdf.root)):
