@@ -50,7 +50,7 @@ _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a tho
 
 
 @dataclass(frozen=True)
-class Fit:
+class MotionFit:
     """A learned motion, and its distance from the demonstrations.
 
     Its `sides` differ where demonstrations follow two paths, such as left and right of an obstacle,
@@ -86,7 +86,7 @@ def fit(
     seed: int = 0,
     command: str = "",
     names: Sequence[str] = (),
-) -> Fit:
+) -> MotionFit:
     """Return the motion learned from demonstrations by expectation maximization.
 
     The base is learned too if its poses are finite in all of them. `imitation` indexes the motion
@@ -127,7 +127,9 @@ def fit(
     length, turned = (float(step.sum()) for step in spatial.distance(learned[:-1], learned[1:]))
     sides = _sides(features, len(paths), length + _METRES_PER_RADIAN * turned)
     bases = tuple(demonstration.has_base for demonstration in demonstrations)
-    return Fit(model, duration, length, tuple(metres), tuple(radians), sides, tuple(called), bases)
+    return MotionFit(
+        model, duration, length, tuple(metres), tuple(radians), sides, tuple(called), bases
+    )
 
 
 def write_model(model: Model, path: Path) -> None:

@@ -39,7 +39,7 @@ from kinfeas.plugins.path import PathMotion, PosePath, slowed
 
 Kind = Literal["imitation", "gaussian_mixture"]
 # Beyond any room or rotation, and small enough that results do not overflow.
-Number = Annotated[float, Interval(ge=-1000.0, le=1000.0)]
+Bounded = Annotated[float, Interval(ge=-1000.0, le=1000.0)]
 
 SHORTEST, LONGEST = 0.01, 3600.0  # durations of learned motions, seconds
 _SIZE, _SIZE_WITH_BASE = 7, 10  # numbers of a component's mean
@@ -126,9 +126,9 @@ class Component:
 
     weight: PositiveShare  # weight; those of all components add up to 1
     # index, EE x y z and EE rotation vector; with a base also its x, y and yaw. Metres and radians
-    mean: tuple[Number, ...]
+    mean: tuple[Bounded, ...]
     # covariance of the index with each number of the mean; the first one is its variance
-    covariance: tuple[Number, ...]
+    covariance: tuple[Bounded, ...]
 
     def __post_init__(self) -> None:
         size = len(self.mean)
@@ -156,7 +156,7 @@ class Model:
     kind: Kind  # motion generator: whether the index is that of the length or of the time
     duration: Annotated[float, Interval(ge=SHORTEST, le=LONGEST)]  # duration of the motion, seconds
     # final EE pose in the frame of the object, metres, quaternion x y z w
-    goal: tuple[Number, Number, Number, float, float, float, float]
+    goal: tuple[Bounded, Bounded, Bounded, float, float, float, float]
     # quaternion x y z w that rotation vectors are relative to
     mean_orientation: tuple[float, float, float, float]
     fitted_from: Source  # origin of the model

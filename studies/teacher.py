@@ -85,7 +85,7 @@ def base_only() -> None:
 
 def mix(rows: NDArray[np.float32], fraction: float) -> None:
     """Take a fraction of each batch from rows of planned episodes."""
-    sample, planned = fast_sac.Replay.sample, torch.from_numpy(rows)
+    sample, planned = fast_sac.FastReplayBuffer.sample, torch.from_numpy(rows)
 
     def mixed(self: Any, batch_size: int, env: object = None) -> ReplayBufferSamples:
         count = round(fraction * batch_size)
@@ -95,7 +95,7 @@ def mix(rows: NDArray[np.float32], fraction: float) -> None:
         own: tuple[Any, ...] = sample(self, batch_size - count)
         return ReplayBufferSamples(*map(torch.cat, zip(own, parts, strict=False)))
 
-    fast_sac.Replay.sample = mixed  # type: ignore[method-assign]
+    fast_sac.FastReplayBuffer.sample = mixed  # type: ignore[method-assign]
 
 
 def main() -> None:
@@ -109,11 +109,11 @@ def main() -> None:
     options = parser.parse_args()
     schedule = {"steps": options.steps, "minutes": None, "evaluations": 4, "final_episodes": 500}
     config = recipe_of("tiago", {"schedule": schedule})
-    sample = fast_sac.Replay.sample
+    sample = fast_sac.FastReplayBuffer.sample
     base_only()
     rows = planned_transitions(config, options.planned_steps)
     for fraction in options.fractions:
-        fast_sac.Replay.sample = sample  # type: ignore[method-assign]
+        fast_sac.FastReplayBuffer.sample = sample  # type: ignore[method-assign]
         if fraction:
             mix(rows, fraction)
         with tempfile.TemporaryDirectory() as folder:

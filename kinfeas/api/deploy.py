@@ -49,7 +49,7 @@ from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards, ServoConfig
 from kinfeas.sim2real.deploy.goal_task import GoalTask, make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
-from kinfeas.sim2real.deploy.runtime import Code, Outcome, Setup, TaskWithObjects
+from kinfeas.sim2real.deploy.runtime import Code, RunOutcome, Setup, TaskWithObjects
 from kinfeas.sim2real.deploy.runtime import deploy as run
 from kinfeas.sim2real.servo.controller import TargetController, TargetSource
 from kinfeas.tasks.loading import load_task
@@ -65,7 +65,7 @@ _log = logging.getLogger(__name__)
 class Deployment:
     """A run that has ended."""
 
-    outcome: Outcome  # its exit code, the reason of its end, and its statistics
+    outcome: RunOutcome  # its exit code, the reason of its end, and its statistics
     about: About  # header of its record
     record: Path  # CSV file of its record
     targets: dict[str, object]  # statistics of the targets that a servo has received

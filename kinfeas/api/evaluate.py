@@ -19,7 +19,7 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
 
 if TYPE_CHECKING:
-    from kinfeas.viz.replay import Replay
+    from kinfeas.viz.replay import EpisodeReplay
 
 
 class Metrics(Summary, total=False):
@@ -147,7 +147,7 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
         write_file(Path(picture), png(episodes_figure(config.robot, [film.recording]), dpi=110))
 
 
-def draw_film(replay: "Replay", path: Name, on_progress: OnProgress | None = None) -> None:
+def draw_film(replay: "EpisodeReplay", path: Name, on_progress: OnProgress | None = None) -> None:
     """Write an episode as a film."""
     from kinfeas.viz.film import count_pictures, write_film
 

@@ -8,14 +8,14 @@ from kinfeas.api.load import checked, text_of
 from kinfeas.config.quantities import Count, Seed
 from kinfeas.core.extras import require
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
-from kinfeas.plugins.fit import Fit, write_model
+from kinfeas.plugins.fit import MotionFit, write_model
 from kinfeas.plugins.fit import fit as learn
 from kinfeas.plugins.imitation import Kind
 
 
 def fit(
     demonstrations: Name, out: Name, *, kind: Kind = "imitation", components: int = 8, seed: int = 0
-) -> Fit:
+) -> MotionFit:
     """Learn an EE motion from demonstrations, write its model, and return it.
 
     Example: `kinfeas.fit("demonstrations/door/open", "my_door.yaml").length`

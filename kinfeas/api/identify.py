@@ -22,7 +22,7 @@ from kinfeas.sim2real.adapters.noise import Localisation
 from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.sim2real.identify.bags import is_bag, read_bag
 from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
-from kinfeas.sim2real.identify.fit import Fit, adapter_list, fit
+from kinfeas.sim2real.identify.fit import ResponseFit, adapter_list, fit
 from kinfeas.sim2real.identify.log import Log, log_of
 from kinfeas.sim2real.identify.noise import Walk
 from kinfeas.sim2real.identify.statistics import Estimate
@@ -42,7 +42,7 @@ class Identified:
     # the same as adapters, with the intervals as ranges, the first one innermost
     adapters: tuple[PluginSpec, ...]
     missing: tuple[str, ...]  # what the records do not show, in sentences
-    fit: Fit  # measured and predicted velocities
+    fit: ResponseFit  # measured and predicted velocities
 
     @property
     def response_lines(self) -> str:

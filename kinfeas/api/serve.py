@@ -46,7 +46,7 @@ Row = Annotated[
     tuple[Metres, Metres, Radians, Extent, Extent, Metres, Metres, Share, Metres, Metres, Distance],
     BeforeValidator(_eleven),
 ]
-Rows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS), FailFast()]
+SolidRows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS), FailFast()]
 Pose = Annotated[tuple[Metres, ...], Len(7, 7), FailFast()]
 
 
@@ -55,7 +55,7 @@ class ReachRequest:
     """Body of POST /reach; keys are arguments of `reach`, `solids` rows of `Solids.table`."""
 
     poses: Annotated[tuple[Pose, ...], Len(1, 1000), FailFast()]
-    solids: Rows = ()
+    solids: SolidRows = ()
     start: Vector | None = None
     k: Annotated[int, Interval(ge=1, le=512)] = 8
     together: bool = False
@@ -67,7 +67,7 @@ class PlanRequest:
 
     path: Annotated[tuple[Pose, ...], Len(2, 10_000), FailFast()]
     step: Annotated[float, Interval(ge=0.001, le=10.0)] = 0.1
-    solids: Rows = ()
+    solids: SolidRows = ()
     start: Vector | None = None
     joints: Annotated[tuple[float, ...], Len(1, 100)] | None = None
 
@@ -238,7 +238,7 @@ def _arguments(kind: type[ReachRequest | PlanRequest], body: object) -> dict[str
     return {**vars(request), "solids": _solids(request.solids)}
 
 
-def _solids(rows: Rows) -> Solids | None:
+def _solids(rows: SolidRows) -> Solids | None:
     for number, (*_, low, high, _, _, _, _) in enumerate(rows):
         if low >= high:
             raise KinfeasError(f"request: 'solids.{number}': the lowest z is not below the highest")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig, read_benchmark, restricted
-from kinfeas.benchmark.runs import Run, find_runs, plan_runs, read_run, takes_pretrained
+from kinfeas.benchmark.runs import TrainedRun, find_runs, plan_runs, read_run, takes_pretrained
 from kinfeas.config import PluginSpec, Settings, nested
 from kinfeas.config.recipes import robot_file
 from kinfeas.core.errors import KinfeasError
@@ -85,7 +85,7 @@ def run_benchmark(
     folders: Sequence[Path],
     out: Path,
     run_jobs: RunJobs,
-) -> tuple[BenchmarkConfig, list[Run], list[tuple[Evaluation, Result]]]:
+) -> tuple[BenchmarkConfig, list[TrainedRun], list[tuple[Evaluation, Result]]]:
     """Return a benchmark, its training runs, and its evaluations in some worlds with their results.
 
     Runs in `folders` replace its own, if there are any.
@@ -120,7 +120,7 @@ def run_benchmark(
     return benchmark, runs, list(zip(unique.values(), run_jobs(jobs, "evaluations"), strict=True))
 
 
-def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Evaluation]:
+def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[TrainedRun]) -> list[Evaluation]:
     """Return the evaluations of a benchmark: ceiling and policies of each robot and task.
 
     The learned policies are those of the runs; a robot without any has the shipped policy, if the
@@ -160,7 +160,9 @@ def compute(case: Evaluation) -> Result:
     return dict(evaluate(replace(plan, first=case.first), policy, case.policy))
 
 
-def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) -> list[Evaluation]:
+def _of_task(
+    benchmark: BenchmarkConfig, runs: Sequence[TrainedRun], case: Evaluation
+) -> list[Evaluation]:
     """Return a ceiling and what is beside it: learned policies, rows and baselines."""
     base = replace(case, settings=benchmark.settings)
     own = [run for run in runs if run.robot == case.robot_name]

@@ -16,7 +16,7 @@ from matplotlib.ticker import PercentFormatter
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.evaluations import Evaluation
 from kinfeas.benchmark.markdown import groups, label, rows_of, title, to_markdown
-from kinfeas.benchmark.runs import Run
+from kinfeas.benchmark.runs import TrainedRun
 from kinfeas.benchmark.table import LEARNED_POLICIES, Cell
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
@@ -133,7 +133,7 @@ def _table_legend(*, beside: bool) -> list[Line2D]:
     return handles
 
 
-def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]) -> Figure:
+def curves_figure(runs: Sequence[TrainedRun], levels: Mapping[str, Mapping[str, float]]) -> Figure:
     """Return the learning curves of runs, a panel for each robot and a line for each run.
 
     `levels` are success rates in 0-1 to compare each robot with, by name.
@@ -159,7 +159,7 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
     return figure
 
 
-def _draw_curve(axes: Axes, run: Run) -> None:
+def _draw_curve(axes: Axes, run: TrainedRun) -> None:
     metrics = read_csv(run.folder / "metrics.csv", _PLOTTED)
     for key, style, text in (
         ("train/success", "-", "training"),
@@ -185,7 +185,7 @@ def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
 def write_results(
     folder: Path,
     benchmark: BenchmarkConfig,
-    runs: Sequence[Run],
+    runs: Sequence[TrainedRun],
     results: Sequence[tuple[Evaluation, Result]],
     cells: Sequence[Cell],
     command: str,
@@ -216,7 +216,7 @@ def write_results(
     return [folder / name for name in files]
 
 
-def _levels(runs: Sequence[Run], cells: Sequence[Cell]) -> dict[str, dict[str, float]]:
+def _levels(runs: Sequence[TrainedRun], cells: Sequence[Cell]) -> dict[str, dict[str, float]]:
     """Return success rates by name to compare the learning curves of each robot with."""
     levels: dict[str, dict[str, float]] = {}
     trained = {run.robot: run.task for run in runs}

@@ -18,7 +18,7 @@ from kinfeas.training.run import read_settings, with_initial_policy
 
 
 @dataclass(frozen=True)
-class Run:
+class TrainedRun:
     """A training run: its folder and settings."""
 
     folder: Path
@@ -27,16 +27,16 @@ class Run:
     task: str
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> TrainedRun:
     """Return the training run of a folder."""
     settings = read_settings(folder)
     robot = load_robot(settings.robot).name
-    return Run(folder, robot, settings.seed, task_name(settings.task))
+    return TrainedRun(folder, robot, settings.seed, task_name(settings.task))
 
 
-def find_runs(folders: Sequence[Path]) -> list[Run]:
+def find_runs(folders: Sequence[Path]) -> list[TrainedRun]:
     """Return the runs in `folders` and one level below, by robot and seed."""
-    runs: dict[tuple[str, int], Run] = {}
+    runs: dict[tuple[str, int], TrainedRun] = {}
     for folder in folders:
         below = sorted(path.parent for path in folder.glob("*/config.yaml"))
         for path in [folder] if (folder / "config.yaml").is_file() or not below else below:
@@ -75,12 +75,12 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
     return list(plans.values())
 
 
-def publish(runs: Sequence[Run], folder: Path) -> list[Path]:
+def publish(runs: Sequence[TrainedRun], folder: Path) -> list[Path]:
     """Copy the best policy of each robot into `folder/ROBOT` and return these folders.
 
     The best one has the highest success in the evaluation that selected its checkpoint.
     """
-    best: dict[str, tuple[Run, Trained]] = {}
+    best: dict[str, tuple[TrainedRun, Trained]] = {}
     for run in runs:
         trained = read_best(run.folder)
         success = trained.evaluation["success"]

@@ -49,7 +49,7 @@ class Lateness(NamedTuple):
     sums: Array  # sums of products of both, and of squares of the latter, shape (2,)
 
 
-class Base(NamedTuple):
+class BaseEstimate(NamedTuple):
     """What is known of a base, shape (3,) each."""
 
     pose: Array  # predicted planar pose
@@ -60,10 +60,10 @@ class Base(NamedTuple):
     lateness: Lateness
 
 
-def _base_of(row: Array) -> Base:
+def _base_of(row: Array) -> BaseEstimate:
     """Return views of a base, shape (29, ...), by name."""
     lateness = Lateness(row[21:24], row[24:27], row[27:29])
-    return Base(row[0:3], row[3:6], row[6:9], row[9:18], row[18:21], lateness)
+    return BaseEstimate(row[0:3], row[3:6], row[6:9], row[9:18], row[18:21], lateness)
 
 
 _base = kernel(_base_of)

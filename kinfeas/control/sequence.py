@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion
 from kinfeas.control.subgoal_motions import MotionStep, SubgoalMotions
 from kinfeas.control.surroundings import Surroundings
-from kinfeas.control.targets import Progress, TargetStream
+from kinfeas.control.targets import StreamProgress, TargetStream
 from kinfeas.core import spatial
 from kinfeas.core.backend import Gripper, RobotState
 from kinfeas.core.motion import Rngs, Rows
@@ -179,8 +179,8 @@ class MotionSequence(SubgoalMotions):
             self.stream.restore({k.removeprefix(_STREAM): v for k, v in targets.items()})
         super().restore(snapshot)
 
-    def _progress(self, rows: Rows, base_pose: Array) -> Progress:
-        return Progress(
+    def _progress(self, rows: Rows, base_pose: Array) -> StreamProgress:
+        return StreamProgress(
             rows, self.periods, self.desired, base_pose, self.time_scale, self.dt, self._motion_time
         )
 

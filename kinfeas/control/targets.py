@@ -15,7 +15,7 @@ from kinfeas.core.spatial import Array
 
 
 @dataclass(frozen=True)
-class Progress:
+class StreamProgress:
     """Progress of n motions at the end of a control period."""
 
     rows: Rows  # rows that begin a period, shape (m,)
@@ -33,7 +33,7 @@ class TargetStream(Protocol):
     def start(self, desired: Array, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
         """Begin new motions in m `rows`; the desired poses are those of all n, shape (n, 7)."""
 
-    def targets(self, progress: Progress) -> Array:
+    def targets(self, progress: StreamProgress) -> Array:
         """Begin the next period of some rows; return the targets of all rows in it, (n, 7)."""
 
     @property

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, compose, relative, rotation
-from kinfeas.robots.spec import Gripper
+from kinfeas.robots.spec import GripperSpec
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 
 _MIN_JOINTS = 3
@@ -171,7 +171,7 @@ class Hand:
 
     tip: Array
     rotation: Array
-    gripper: Gripper | None
+    gripper: GripperSpec | None
     no_gripper: str = ""
 
 
@@ -235,7 +235,7 @@ def _finger_positions(
 
 def _gripper(
     urdf: Urdf, arm: Arm, closed: dict[str, float], opened: dict[str, float]
-) -> Gripper | str:
+) -> GripperSpec | str:
     names = [finger.name for finger in arm.fingers]
     if len(names) != 2:
         more = [finger.name for finger in _on_hand(urdf, arm.hand) if finger.name not in names]
@@ -259,7 +259,7 @@ def _gripper(
     if not efforts:
         return f"{' and '.join(names)} have no effort limit above 0, below {_MAX_EFFORT:g}"
     same = shut[0] == shut[1] and wide[0] == wide[1]
-    return Gripper(
+    return GripperSpec(
         (names[0], names[1]), closed=shut[0] if same else shut, open=wide[0] if same else wide,
         effort=min(efforts),
     )  # fmt: skip

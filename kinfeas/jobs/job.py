@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 ATTEMPTS = 10
 """Times in a row that workers may die before a job is done."""
 
-ENGINES = ("local", "ray")
+RUNNERS = ("local", "ray")
 
 Result = dict[str, Any]
 """The content of a job's file."""
@@ -98,13 +98,13 @@ def run_jobs(
 
 
 def build_engine(name: str, processes: int = 1, address: str | None = None) -> Engine:
-    """Return an engine of `ENGINES`: `local` for processes of this machine, or `ray`.
+    """Return an engine of `RUNNERS`: `local` for processes of this machine, or `ray`.
 
     There are `processes` jobs at a time; a running Ray cluster, at `address`, has as many as cores.
     Without an address one begins and ends with the jobs.
     """
-    if name not in ENGINES:
-        raise KinfeasError(f"unknown engine {name!r}{no_such(name, ENGINES)}")
+    if name not in RUNNERS:
+        raise KinfeasError(f"unknown engine {name!r}{no_such(name, RUNNERS)}")
     if name == "ray":
         import ray  # noqa: F401 - an extra that is missing is an error before any work
 

@@ -107,7 +107,7 @@ def solve_batch(
         row = min(i, len(pose) - 1)
         _grow(size[row], clearance, grown)
         around = pose[row], grown, cylinder[row]
-        query = Query(target, guide[i : i + 1], around, solution[i], errors[i])
+        query = IkQuery(target, guide[i : i + 1], around, solution[i], errors[i])
         if _solve_from_seed(problem, query, max_joint_step, allow_reconfiguration, memory):
             feasible[i] = True
         elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
@@ -120,7 +120,7 @@ def solve_batch(
                 solution[i, j] = _wrap(solution[i, j])
 
 
-class Query(NamedTuple):
+class IkQuery(NamedTuple):
     """One row of a batch."""
 
     target: tuple[Array, Array]  # EE orientation in the base frame, (3, 3), and position, (3,)

@@ -11,7 +11,7 @@ from kinfeas.config.recipes import robot_file
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import ArmJoint, Base, Robot
-from kinfeas.robots.spec import MAX_JOINT_VELOCITY, Gripper, RobotSpec
+from kinfeas.robots.spec import MAX_JOINT_VELOCITY, GripperSpec, RobotSpec
 from kinfeas.robots.urdf import Joint, Urdf
 from kinfeas.robots.urdf_file import parse_urdf
 
@@ -161,7 +161,7 @@ def _pairs(spec: RobotSpec, urdf: Urdf, where: str) -> frozenset[frozenset[str]]
     return frozenset(map(frozenset, spec.ignored_collisions))
 
 
-def _gripper(spec: RobotSpec, urdf: Urdf, source: str) -> Gripper | None:
+def _gripper(spec: RobotSpec, urdf: Urdf, source: str) -> GripperSpec | None:
     if spec.gripper is None:
         return None
     for name in spec.gripper.fingers:

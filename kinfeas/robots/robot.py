@@ -20,7 +20,7 @@ from kinfeas.robots.spec import (
     GUESSED_VELOCITY,
     MAX_JOINT_VELOCITY,
     BaseSpec,
-    Gripper,
+    GripperSpec,
     PoseTolerance,
     Reach,
 )
@@ -69,7 +69,7 @@ class Robot:
     reach: Reach  # heights of EE goals
     pose_tolerance: PoseTolerance | None  # error that counts as feasible; None for exact IK
     ignored_collisions: frozenset[frozenset[str]]  # links that may touch, not only adjacent ones
-    gripper: Gripper | None  # finger joints and their positions; None without a gripper
+    gripper: GripperSpec | None  # finger joints and their positions; None without a gripper
     counterbalanced: frozenset[str]  # arm joints whose gravity load is carried by springs
     max_gravity_load: float | None  # fraction of the effort limits; None for no limit
     response: ResponseModel  # of the real robot

@@ -53,7 +53,7 @@ class PoseTolerance:
 
 
 @dataclass(frozen=True)
-class Gripper:
+class GripperSpec:
     """A two-finger gripper; mimic joints of the fingers move along."""
 
     fingers: tuple[str, str]  # joint of each finger
@@ -127,7 +127,7 @@ class RobotSpec:
     pose_tolerance: PoseTolerance | None = None
     # pairs of links that may touch; adjacent links always may
     ignored_collisions: tuple[tuple[str, str], ...] = ()
-    gripper: Gripper | None = None  # two fingers; none if null
+    gripper: GripperSpec | None = None  # two fingers; none if null
     # arm joints with spring-compensated load: with physics, and for `max_gravity_load`
     counterbalanced: tuple[str, ...] = ()
     # largest gravity torque of a posture as a fraction of the effort limits in the URDF; IK,

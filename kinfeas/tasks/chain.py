@@ -71,7 +71,7 @@ class ChainSubgoal(Subgoal):
 
 
 @dataclass(frozen=True)
-class Move:
+class ObjectMove:
     """Pose of an object in an episode."""
 
     place: str  # name of the place of a sub-goal
@@ -113,7 +113,7 @@ class TaskScene:
     success: SuccessCondition | None = None  # of the task; by default the goal is reached
     grasped_object: GraspedObject | None = None  # object that the gripper grasps; none by default
     # poses of objects that an episode moves, by their names
-    moves: dict[str, Move] = field(default_factory=dict)
+    moves: dict[str, ObjectMove] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from kinfeas.config.quantities import Positive, PositiveSeconds, Seconds, Share
-from kinfeas.control.targets import Progress, TargetInbox, TargetRules
+from kinfeas.control.targets import StreamProgress, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.errors import check_ascending
 from kinfeas.core.motion import Rows
@@ -104,7 +104,7 @@ class SimulatedStream:
         for key, values in drawn.items():
             self._drawn[key][rows] = values
 
-    def targets(self, progress: Progress) -> Array:
+    def targets(self, progress: StreamProgress) -> Array:
         """Deliver the messages until now and begin the next period of some rows."""
         rows, desired, dt = progress.rows, progress.desired, progress.dt
         now = progress.periods.astype(np.float64) * dt

@@ -17,7 +17,7 @@ from torch import nn
 _TINY, _HALF_LOG_TURN = 1e-6, 0.5 * math.log(2.0 * math.pi)
 
 
-class Replay(ReplayBuffer):
+class FastReplayBuffer(ReplayBuffer):
     """A replay buffer with one row of numbers for each transition, so that a batch is one gather.
 
     The arrays of the base class are views of `rows`, shape (size, environments, numbers).
@@ -131,7 +131,7 @@ class FastSAC(SAC):
 
     policy_delay = 1
     anchor_weight = 0.0
-    replay_buffer: Replay
+    replay_buffer: FastReplayBuffer
 
     def _setup_model(self) -> None:
         super()._setup_model()

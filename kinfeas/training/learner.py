@@ -16,7 +16,7 @@ from torch import nn
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies.network import Network, write_network
 from kinfeas.training.config import LearnerConfig
-from kinfeas.training.fast_sac import FastSAC, Replay, linear_layers
+from kinfeas.training.fast_sac import FastReplayBuffer, FastSAC, linear_layers
 from kinfeas.training.vec_env import EpisodesVecEnv
 
 INITIAL_STD = 0.1
@@ -44,7 +44,7 @@ def make_learner(config: LearnerConfig, env: EpisodesVecEnv, seed: int) -> FastS
         buffer_size=max(config.buffer_size, env.num_envs),
         learning_starts=config.learning_starts,
         policy_kwargs={"net_arch": list(config.net_arch), "optimizer_kwargs": {"fused": True}},
-        replay_buffer_class=Replay,
+        replay_buffer_class=FastReplayBuffer,
         ent_coef="auto" if config.ent_coef == "learned" else config.ent_coef,
         seed=seed,
         device="cpu",

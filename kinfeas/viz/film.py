@@ -14,7 +14,7 @@ from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.files import replacing
 from kinfeas.robots.urdf import Shape
-from kinfeas.viz.replay import Replay, result
+from kinfeas.viz.replay import EpisodeReplay, result
 from kinfeas.viz.shapes import placed, side_heading
 from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, failures_text
 
@@ -34,7 +34,7 @@ _FINE = 3  # pixels of the paths' layer in a pixel of the picture
 class FilmCamera:
     """A camera beside the path of an episode."""
 
-    def __init__(self, replay: Replay) -> None:
+    def __init__(self, replay: EpisodeReplay) -> None:
         """Set up the camera beside the path; `close` ends its engine."""
         recording = replay.recording
         paths = [recording.base_pose, recording.desired, recording.goals]
@@ -49,7 +49,7 @@ class FilmCamera:
         moving = [(shape.shape, shape.colour) for shape in replay.shapes]
         self._camera = Camera([*floor, *moving])
 
-    def of(self, replay: Replay, moment: int) -> Image.Image:
+    def of(self, replay: EpisodeReplay, moment: int) -> Image.Image:
         """Return the picture of a moment with the paths until then, 480 x 360 pixels."""
         bodies = placed(replay.shapes, replay.links(moment))
         poses = [*self._still, *(body.shape.pose for body in bodies)]
@@ -64,7 +64,9 @@ class FilmCamera:
         self._camera.close()
 
 
-def write_film(replay: Replay, path: Path, on_done: Callable[[int], None] | None = None) -> None:
+def write_film(
+    replay: EpisodeReplay, path: Path, on_done: Callable[[int], None] | None = None
+) -> None:
     """Write an episode as GIF or MP4, or four of its pictures as PNG.
 
     `on_done` is called with 1 after each picture, `count_pictures` times.
@@ -95,12 +97,12 @@ def write_film(replay: Replay, path: Path, on_done: Callable[[int], None] | None
             _write_mp4(pictures, fresh, rate)
 
 
-def count_pictures(replay: Replay, path: Path) -> int:
+def count_pictures(replay: EpisodeReplay, path: Path) -> int:
     """Return the number of pictures that `write_film` draws."""
     return len(_moments(replay, path))
 
 
-def _moments(replay: Replay, path: Path) -> NDArray[np.intp]:
+def _moments(replay: EpisodeReplay, path: Path) -> NDArray[np.intp]:
     times = replay.recording.times - replay.recording.times[0]
     rate, most = _RATES.get(path.suffix.lower(), (0.0, 0))
     count = min(most, int(np.ceil(times[-1] * rate))) if rate else _PANELS[0] * _PANELS[1]
@@ -147,7 +149,7 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, recording: Recording, end
     dot(ee[~recording.feasible[:end]], FAILURE, 2.5 * _FINE)
 
 
-def _caption(image: Image.Image, replay: Replay, moment: int, speed: float) -> None:
+def _caption(image: Image.Image, replay: EpisodeReplay, moment: int, speed: float) -> None:
     recording = replay.recording
     failures = int(np.sum(~recording.feasible[: moment + 1]))
     faster = f"  ({speed:.1f}x)" if speed > 1.05 else ""

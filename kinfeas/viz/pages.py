@@ -11,7 +11,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz.replay import Replay, result
+from kinfeas.viz.replay import EpisodeReplay, result
 from kinfeas.viz.server import serving
 from kinfeas.viz.shapes import (
     VisualShape,
@@ -135,7 +135,7 @@ def moments(times: Array) -> NDArray[np.intp]:
     return np.unique(np.append(np.searchsorted(times, moment_times), len(times) - 1))
 
 
-def replay_html(replay: Replay) -> str:
+def replay_html(replay: EpisodeReplay) -> str:
     """Return the page of an episode, on which everything moves as it did."""
     recording, times = replay.recording, replay.recording.times
     with serving(f"kinfeas: {replay.title}") as server:

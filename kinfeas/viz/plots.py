@@ -12,7 +12,7 @@ from kinfeas.testing.rules import Samples, Trial
 from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, STYLE
 
 if TYPE_CHECKING:  # takes long to import
-    from kinfeas.sim2real.identify.fit import Fit
+    from kinfeas.sim2real.identify.fit import ResponseFit
 
 _STILL = 1e-3  # of the largest speed: too small to be seen
 _AXES = ("x (m/s)", "y (m/s)", "rotation (rad/s)")
@@ -80,7 +80,7 @@ def search_figure(results: Sequence[Mapping[str, Any]], importances: Mapping[str
     return figure
 
 
-def velocities_figure(fit: "Fit") -> Figure:
+def velocities_figure(fit: "ResponseFit") -> Figure:
     """Return a plot of velocities in world axes over time, with one column for each record."""
     with rc_context(STYLE):
         columns = len(fit.times)

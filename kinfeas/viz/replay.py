@@ -33,7 +33,7 @@ _WALL = 4.0  # m; longer boxes hide the room
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class EpisodeReplay:
     """A recorded episode and what is visible in it."""
 
     recording: Recording  # the episode
@@ -42,7 +42,7 @@ class Replay:
     links: Callable[[int], Mapping[LinkName, Array]]  # returns their world poses at a moment
 
 
-def replay_of(recording: Recording, robot: Robot, title: str) -> Replay:
+def replay_of(recording: Recording, robot: Robot, title: str) -> EpisodeReplay:
     """Return a recorded episode with the robot's primitive shapes and the furniture."""
     shapes = list(robot_shapes(robot))
     furniture: dict[LinkName, Array] = {}
@@ -54,10 +54,10 @@ def replay_of(recording: Recording, robot: Robot, title: str) -> Replay:
         base, joints = recording.base_pose[moment], recording.joint_positions[moment]
         return {**furniture, **robot_poses(robot, base, joints)}
 
-    return _with_solids(Replay(recording, title, shapes, links))
+    return _with_solids(EpisodeReplay(recording, title, shapes, links))
 
 
-def run_episode(world: World, policy: Policy, episode: int) -> Replay:
+def run_episode(world: World, policy: Policy, episode: int) -> EpisodeReplay:
     """Run one episode of a world and return it with everything visible."""
     backend, stage = world.backend, world.task
     title = f"{TITLES.get(world.robot.name, world.robot.name)}, {world.task.name}"
@@ -84,7 +84,7 @@ def run_episode(world: World, policy: Policy, episode: int) -> Replay:
     def links(moment: int) -> Mapping[LinkName, Array]:
         return dict(zip(names, moments[moment], strict=True))
 
-    return _with_solids(Replay(recording, title, shapes, links))
+    return _with_solids(EpisodeReplay(recording, title, shapes, links))
 
 
 def as_recording(record: Record, robot: Robot) -> Recording:
@@ -114,7 +114,7 @@ def _scene_of(record: Record) -> Scene | None:
     return read_scene(record.about.scene).with_poses(poses)
 
 
-def present(world: World) -> Replay:
+def present(world: World) -> EpisodeReplay:
     """Return the present moment of the first robot of a world."""
     loop, backend = world.loop, world.backend
     state = loop.robots
@@ -130,7 +130,7 @@ def present(world: World) -> Replay:
     links = dict(zip(names, backend.link_poses(0, names), strict=True))
     solids = backend.solid_bodies()
     now = replace(now, solids=None if solids is None else solids.of(np.array([0])))
-    return _with_solids(Replay(now, "", shapes, lambda _: links))
+    return _with_solids(EpisodeReplay(now, "", shapes, lambda _: links))
 
 
 def result(recording: Recording) -> tuple[str, bool]:
@@ -149,7 +149,7 @@ def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]
     return shapes, list(dict.fromkeys(shape.link for shape in shapes))
 
 
-def _with_solids(episode: Replay) -> Replay:
+def _with_solids(episode: EpisodeReplay) -> EpisodeReplay:
     solids = solid_shapes(episode.recording.solids)
     if not solids:
         return episode

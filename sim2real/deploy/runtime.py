@@ -56,7 +56,7 @@ class Code(IntEnum):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """Result of a run."""
 
     code: Code  # exit code
@@ -161,7 +161,7 @@ class Signals:
             raise KeyboardInterrupt
 
 
-def deploy(setup: Setup, recorder: Recorder) -> Outcome:
+def deploy(setup: Setup, recorder: Recorder) -> RunOutcome:
     """Run a policy and return the result; raise KinfeasError if the run cannot start.
 
     The base is commanded to zero at the end in any case.
@@ -235,7 +235,7 @@ class _Run:
         self.began = self.clock.monotonic()
         self.record("start")
 
-    def drive(self, watchdog: Watchdog | None, signals: Signals) -> Outcome:
+    def drive(self, watchdog: Watchdog | None, signals: Signals) -> RunOutcome:
         done: bool | None = None
         try:
             code, reason = self.run(watchdog, signals)
@@ -261,7 +261,7 @@ class _Run:
             with suppress(*PLUGIN_ERRORS):  # who hears of the moments may have raised already
                 self.record(reason + TASK_DONE[done] + self.doubt())
                 self.write()
-        return Outcome(
+        return RunOutcome(
             code, " ".join(reason.split()) + TASK_DONE[done], self.guarded.unstopped,
             self.seconds(), self.failures, self.rate.timing(), self.scales / max(self.steps, 1),
             task_done=done, lateness_s=self.lateness(),

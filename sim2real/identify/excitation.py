@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.period import Move, Period
-from kinfeas.control.targets import Progress
+from kinfeas.control.targets import StreamProgress
 from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
@@ -146,7 +146,7 @@ class Excitation:
         """Begin the pattern; the EE has no other target than its pose, shape (1, 7)."""
         self._desired, self._period, self.live = desired, 0, np.ones(1, dtype=np.bool_)
 
-    def targets(self, progress: Progress) -> Array:
+    def targets(self, progress: StreamProgress) -> Array:
         """Return the pose of the start, shape (1, 7)."""
         return self._desired
 

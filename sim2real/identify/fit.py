@@ -49,7 +49,7 @@ _OF_ROBOT = ("velocity_clamp", "joint_limit_clamp")
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ResponseFit:
     """A fitted robot."""
 
     estimates: dict[str, Estimate]  # those that are known, by names as `actuator_lag.base`
@@ -60,7 +60,7 @@ class Fit:
     predicted: tuple[Array, ...]  # velocities that the fitted robot has
 
 
-def fit(logs: Sequence[Log], walk: Walk) -> Fit:
+def fit(logs: Sequence[Log], walk: Walk) -> ResponseFit:
     """Return the robot of some logs with equal control periods.
 
     The measured base pose is a random walk, of noise on the base and of its localisation. Both look
@@ -103,7 +103,7 @@ def fit(logs: Sequence[Log], walk: Walk) -> Fit:
     estimates |= base_noise(tracks, velocities, walk, missing)
     estimates |= sensor_ages(logs, missing)
     seconds = [track.seconds[:, np.newaxis] for track in tracks]
-    return Fit(
+    return ResponseFit(
         estimates, _response(estimates, delays.mean(dt)), tuple(missing),
         tuple(track.times for track in tracks),
         tuple(track.moved / s for track, s in zip(tracks, seconds, strict=True)),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.control.period import Period
-from kinfeas.control.targets import RULES, Progress, TargetInbox, TargetRules, interpolated
+from kinfeas.control.targets import RULES, StreamProgress, TargetInbox, TargetRules, interpolated
 from kinfeas.core import spatial
 from kinfeas.core.errors import Fault
 from kinfeas.core.motion import Rows
@@ -154,7 +154,7 @@ class TargetController:
         self._frames = Frames(self.robot)
         self._inbox.start(desired)
 
-    def targets(self, progress: Progress) -> Array:
+    def targets(self, progress: StreamProgress) -> Array:
         """Return the target of the next period, shape (1, 7); raise Fault after `fail`."""
         if self._failure:
             raise Fault(self._failure)

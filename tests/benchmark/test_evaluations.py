@@ -6,7 +6,7 @@ import pytest
 
 from kinfeas.benchmark.config import read_benchmark
 from kinfeas.benchmark.evaluations import CEILING, PART, plan_evaluations
-from kinfeas.benchmark.runs import Run
+from kinfeas.benchmark.runs import TrainedRun
 from kinfeas.config.recipes import robot_file
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import configure, evaluate
@@ -35,7 +35,7 @@ def test_plan():
 
 
 def test_runs_replace_the_shipped_policy(tmp_path):
-    runs = [Run(tmp_path, "tiago", 3, "ggr")]
+    runs = [TrainedRun(tmp_path, "tiago", 3, "ggr")]
     planned = [(job.policy, job.row) for job in plan_evaluations(study(SMALL), runs)
             if (job.robot, job.task) == ("tiago", "pick_place")]  # fmt: skip
     assert planned == [(CEILING, ""), ("sac", ""), ("sac", "feasibility filter")]
@@ -80,7 +80,7 @@ def test_a_robot_that_changes_is_evaluated_anew(tmp_path):
 def test_a_policy_trained_anew_is_evaluated_anew(tmp_path):
     (tmp_path / WEIGHTS).write_bytes(b"one")
     (tmp_path / "policy.json").write_text("{}")
-    run = Run(tmp_path, "hsr", 0, "ggr")
+    run = TrainedRun(tmp_path, "hsr", 0, "ggr")
 
     before, after = [], []
     for names in (before, after):

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from kinfeas import config
-from kinfeas.benchmark.runs import Run, find_runs, plan_runs, publish, read_run
+from kinfeas.benchmark.runs import TrainedRun, find_runs, plan_runs, publish, read_run
 from kinfeas.core.errors import KinfeasError
 from kinfeas.jobs.job import training_job
 from kinfeas.policies.network import read_network, write_network
@@ -58,7 +58,7 @@ def made(folder, seed, success):
     metrics = {"episodes": 9, "success": success, "success_low": 0.0, "success_high": 1.0}
     about = {"config": config.to_mapping(settings), "steps": 9, "evaluation": metrics}
     write_network(random_network(robot, width=4 + seed), best, robot, about)
-    return Run(folder / f"run-{seed}", "hsr", seed, "ggr")
+    return TrainedRun(folder / f"run-{seed}", "hsr", seed, "ggr")
 
 
 def test_the_best_seed_is_published(tmp_path):

@@ -38,7 +38,7 @@ _COMPILER = (
 )
 
 
-class Servo(NamedTuple):
+class JointServo(NamedTuple):
     """A position motor of a joint: limits of its effort (N m or N) and velocity (per second)."""
 
     joint: str
@@ -54,13 +54,13 @@ class RobotBodies(NamedTuple):
     fingers: list[set[str]]
 
 
-def servos_of(robot: Robot, arm: ArmSetpoints) -> list[Servo]:
+def servos_of(robot: Robot, arm: ArmSetpoints) -> list[JointServo]:
     """Return the motors of the arm, and of the fingers; mimicking joints have none."""
     limits = zip(arm.names, arm.effort, arm.velocity, strict=True)
-    servos = [Servo(*limit) for limit, _ in zip(limits, robot.arm, strict=False)]
+    servos = [JointServo(*limit) for limit, _ in zip(limits, robot.arm, strict=False)]
     if robot.gripper is not None:
         for name in robot.gripper.fingers:
-            servos.append(Servo(name, robot.gripper.effort, robot.finger_velocity(name)))
+            servos.append(JointServo(name, robot.gripper.effort, robot.finger_velocity(name)))
     return servos
 
 
@@ -79,7 +79,7 @@ def bodies_of(robot: Robot) -> RobotBodies:
 def room_spec(
     robot: Robot,
     bodies: RobotBodies,
-    servos: Iterable[Servo],
+    servos: Iterable[JointServo],
     objects: Mapping[str, SceneObject],
     places: int,
     config: PhysicsConfig,
@@ -122,7 +122,7 @@ def add_grasp(spec: Any, robot: Robot, name: str, link: str, *, rigid: bool) -> 
     )  # fmt: skip
 
 
-def _robot_spec(robot: Robot, urdf: str, servos: Iterable[Servo]) -> Any:
+def _robot_spec(robot: Robot, urdf: str, servos: Iterable[JointServo]) -> Any:
     """Return the robot with actuators, couplings of mimicking joints, and a sensor of contacts."""
     spec = _read(urdf, str(robot.urdf_path))
     for body in spec.bodies:

@@ -7,7 +7,7 @@ from kinfeas.backends.pybullet.robot_body import RobotBody
 from kinfeas.control.execution import tool_pose
 from kinfeas.core.backend import Grip
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative
-from kinfeas.robots.spec import Gripper
+from kinfeas.robots.spec import GripperSpec
 
 _RELAXED = 0.1  # of a finger's effort
 _COUPLING = 0.5  # of a finger's effort: below 1, so that both close round an object off centre
@@ -25,7 +25,7 @@ class GripperDrive:
         fingers: Indices of the links of each finger.
     """
 
-    def __init__(self, body: RobotBody, gripper: Gripper) -> None:
+    def __init__(self, body: RobotBody, gripper: GripperSpec) -> None:
         robot = body.robot
         self._body, self._gripper = body, gripper
         self._followers = finger_followers(robot)

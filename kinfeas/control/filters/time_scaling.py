@@ -24,7 +24,7 @@ _STUCK = 0.3
 bases would come to rest somewhere else."""
 
 
-class Attempt(NamedTuple):
+class SlowAttempt(NamedTuple):
     """One attempt to find feasible commands."""
 
     fraction: float  # of the planned step; 0 for rest
@@ -58,9 +58,9 @@ class TimeScalingFilter(FeasibilityFilter):
     ) -> None:
         super().__init__(solver, dt, response, max_deviation)
         self._at_once = self._periods == 1.0
-        self._attempts = [Attempt(fraction, max_deviation) for fraction in _FRACTIONS]
+        self._attempts = [SlowAttempt(fraction, max_deviation) for fraction in _FRACTIONS]
         if response.immediate and solver.robot.pose_tolerance is not None:
-            self._attempts.append(Attempt(_FRACTIONS[0], _MOST_DEVIATION * max_deviation))
+            self._attempts.append(SlowAttempt(_FRACTIONS[0], _MOST_DEVIATION * max_deviation))
 
     def __call__(self, period: Period) -> Period:
         """Return the period with feasible commands, and slower where there are none."""
@@ -83,7 +83,7 @@ class TimeScalingFilter(FeasibilityFilter):
         return self._moved(period, command, failed, move, allow_reconfiguration=False)
 
     def _try(
-        self, attempt: Attempt, period: Period, whole: Period, command: Array, rows: Rows
+        self, attempt: SlowAttempt, period: Period, whole: Period, command: Array, rows: Rows
     ) -> Rows:
         """Put feasible commands for a slower period into some rows; return those without any."""
         if attempt.fraction == 0.0 and self._at_once:

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from kinfeas.control.targets import Progress
+from kinfeas.control.targets import StreamProgress
 from kinfeas.core import registry, spatial
 from kinfeas.core.backend import SCAN_BEAMS
 from kinfeas.core.errors import Fault, KinfeasError
@@ -212,7 +212,7 @@ def test_a_path_in_the_ee_frame_is_a_relative_chunk():
     seen = at(1.0, 2.0, np.pi / 2)
     controller, source, policy = TargetController(TIAGO), Ros2Source(), Ros2Bus()
     rows = np.zeros(1, dtype=np.intp)
-    progress = Progress(rows, rows, seen, seen, np.ones(1), 0.02, 0.02)
+    progress = StreamProgress(rows, rows, seen, seen, np.ones(1), 0.02, 0.02)
     controller.start(seen, [np.random.default_rng(0)], rows)
     controller.targets(progress)
     source.start(controller)
