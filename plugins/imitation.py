@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import strict_yaml
-from kinfeas.config.quantities import Count, Positive, PositiveShare
+from kinfeas.config.quantities import Count, Positive, PositiveFraction
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State, TwistAndState
 from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
@@ -124,7 +124,7 @@ class GaussianMixture(PathMotion):
 class Component:
     """One Gaussian of the mixture."""
 
-    weight: PositiveShare  # weight; those of all components add up to 1
+    weight: PositiveFraction  # weight; those of all components add up to 1
     # index, EE x y z and EE rotation vector; with a base also its x, y and yaw. Metres and radians
     mean: tuple[Bounded, ...]
     # covariance of the index with each number of the mean; the first one is its variance

@@ -18,7 +18,7 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 OVERLAP = 1e-3  # metres by which two objects may overlap, as where one is on the other
 
 
-def check_places(
+def check_layout(
     source: str, size: tuple[float, float], objects: Mapping[str, SceneObject]
 ) -> None:
     """Raise an error unless objects are on a floor of some size, metres, and do not overlap."""

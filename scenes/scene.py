@@ -18,7 +18,7 @@ from kinfeas.io.files import is_path, reading
 from kinfeas.robots.elements import read_xml
 from kinfeas.robots.urdf import Shape, Urdf
 from kinfeas.robots.urdf_file import urdf_of
-from kinfeas.scenes.check import check_inertia, check_places
+from kinfeas.scenes.check import check_inertia, check_layout
 from kinfeas.scenes.objects import (
     Handle,
     HandleSpec,
@@ -51,7 +51,7 @@ class Scene:
         return compose(self.objects[handle.object].link_poses()[handle.link], handle.pose)
 
     def with_poses(self, poses: Mapping[str, Array]) -> "Scene":
-        """Return the scene with other world poses, (7,), by object; `check_places` checks them."""
+        """Return the scene with other world poses, (7,), by object; `check_layout` checks them."""
         moved = {name: replace(self._object(name), pose=pose) for name, pose in poses.items()}
         return replace(self, objects={**self.objects, **moved})
 
@@ -66,9 +66,9 @@ class Scene:
             )
         return replace(self, objects={**self.objects, **moved})
 
-    def check_places(self, source: str) -> None:
+    def check_layout(self, source: str) -> None:
         """Raise an error that begins with `source` unless objects are on the floor and apart."""
-        check_places(source, self.size, self.objects)
+        check_layout(source, self.size, self.objects)
 
     def _object(self, name: str) -> SceneObject:
         return _of(self.objects, name, f"scene {self.name}: there is no object")
@@ -96,7 +96,7 @@ def read_scene(name_or_path: str, settings: Settings | None = None) -> Scene:
         for name, block in spec.handles.items()
     }
     scene = Scene(spec.name, spec.size, objects, handles)
-    scene.check_places(str(path))
+    scene.check_layout(str(path))
     return scene
 
 

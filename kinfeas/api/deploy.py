@@ -128,7 +128,7 @@ def deploy(  # noqa: PLR0913 - options of the command
     """
     if policy is None and plan is None:
         raise KinfeasError("give a policy or a 'plan'")
-    given, robot = robot, robot or robot_of(policy)
+    plan_robot, robot = robot, robot or robot_of(policy)
     model = load_robot(robot)
     late = respond_late(read_adapters(adapters)) or not model.response.immediate
     config = _read_config(DeployConfig, "deploy", model, guards, filters, settings, late=late)
@@ -138,7 +138,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         if any(each is not None for each in excluded) or config.generator or config.task:
             raise KinfeasError("'plan' excludes a policy, a goal, 'generator' and 'task'")
         policy, dt = "stationary", 1.0 / checked(Rate, rate, "rate")
-        motion_task, follower = _plan_task(plan, given, dt)
+        motion_task, follower = _plan_task(plan, plan_robot, dt)
         # It would plan anew.
         others = tuple(each for each in config.filters if each.name != "path_planner")
         config = replace(config, filters=others)

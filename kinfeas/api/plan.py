@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot, text_of
-from kinfeas.api.reach import base_pose, surroundings
+from kinfeas.api.reach import base_pose, solids_of
 from kinfeas.config import Settings, nested
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.control.observation import HORIZON
@@ -171,7 +171,7 @@ def plan(  # noqa: PLR0913 - options of the command
     """
     placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
     state = None if start is None else _state(placer.solver.robot, start, joints)
-    around, names = surroundings(scene, solids)
+    around, names = solids_of(scene, solids)
     step = checked(Annotated[float, Interval(ge=1e-3, le=10.0)], step, "step")
     if joints is not None and start is None:
         raise KinfeasError("'joints' needs 'start'")
@@ -208,7 +208,7 @@ def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> 
     check_samples(file, values["time"], {"ee_pose": ee})
     ee = make_pose(ee[:, :3], rotation(ee))
     seconds = values["time"] - values["time"][0]
-    plan = Plan(seconds, base, arm, ee, model, surroundings(scene, None)[0])
+    plan = Plan(seconds, base, arm, ee, model, solids_of(scene, None)[0])
     _check_plan(file, plan)
     return plan
 

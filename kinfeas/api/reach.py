@@ -47,7 +47,7 @@ def reach(  # noqa: PLR0913 - options of the command
     """
     placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
     goals, count = ee_poses(poses, "poses"), checked(Count, k, "k")
-    around, names = surroundings(scene, solids)
+    around, names = solids_of(scene, solids)
     where = around, None if start is None else base_pose(start, "start"), count
     if together:
         placements = [placer.place_for_all(goals, *where)]
@@ -71,9 +71,7 @@ def base_pose(planar: Sequence[float], name: str) -> Array:
     return planar_pose(*np.array(checked(Position, planar, name)))
 
 
-def surroundings(
-    scene: Name | Scene | None, solids: Solids | None
-) -> tuple[Solids | None, list[str]]:
+def solids_of(scene: Name | Scene | None, solids: Solids | None) -> tuple[Solids | None, list[str]]:
     """Return one row of solids, the furniture of a scene first, and their names; None for none."""
     if scene is None:
         return solids, [f"solid {k}" for k in range(0 if solids is None else solids.places)]
@@ -100,7 +98,7 @@ def reach_map(
     from kinfeas.viz.episodes import reach_figure
     from kinfeas.viz.style import png
 
-    model, around = load_robot(robot), surroundings(scene, solids)[0]
+    model, around = load_robot(robot), solids_of(scene, solids)[0]
     goal, origin = ee_poses(pose, "pose")[0], None if start is None else base_pose(start, "start")
     placer, where = BasePlacer(model), (goal, around, origin)
     return png(reach_figure(model, goal, placer.place(*where), placer.region(*where), around))

@@ -20,7 +20,7 @@ from kinfeas.api.load import load_robot
 from kinfeas.api.plan import Plan, plan
 from kinfeas.api.reach import facts, reach
 from kinfeas.config import from_mapping
-from kinfeas.config.quantities import FARTHEST, Distance, Metres, Radians, Share, Vector
+from kinfeas.config.quantities import FARTHEST, Distance, Fraction, Metres, Radians, Vector
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.planning.reach import BasePlacer, Placement
@@ -43,7 +43,9 @@ def _eleven(row: object) -> object:
 
 
 Row = Annotated[
-    tuple[Metres, Metres, Radians, Extent, Extent, Metres, Metres, Share, Metres, Metres, Distance],
+    tuple[
+        Metres, Metres, Radians, Extent, Extent, Metres, Metres, Fraction, Metres, Metres, Distance
+    ],
     BeforeValidator(_eleven),
 ]
 SolidRows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS), FailFast()]

@@ -10,7 +10,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.options import option
-from kinfeas.cli.output import moving, print_facts, write_json
+from kinfeas.cli.output import print_facts, run_status, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import deploy as api
 
-    with moving() as on_moment:
+    with run_status() as on_moment:
         done = api.deploy(
             policy, plan=plan, robot=robot, backend=backend, goal=goal, rpy=rpy,
             quaternion=quaternion, generator=generator, task=task, rate=rate, seconds=seconds,
@@ -93,7 +93,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import deploy as api
 
-    with moving(goal=False) as on_moment:
+    with run_status(goal=False) as on_moment:
         done = api.servo(
             policy, robot=robot, backend=backend, source=source, rate=rate, seconds=seconds,
             record=record, adapters=adapters, guards=guards, filters=filters,

@@ -8,7 +8,7 @@ import typer
 from kinfeas.cli import options
 from kinfeas.cli.deploy import report
 from kinfeas.cli.options import argument, option
-from kinfeas.cli.output import moving, print_paths, print_table, status, write_json
+from kinfeas.cli.output import print_paths, print_table, run_status, status, write_json
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import check_new
 
@@ -52,7 +52,7 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
     if drive:
         if paths:
             raise KinfeasError("--drive records by itself and excludes records")
-        with moving(goal=False) as on_moment:
+        with run_status(goal=False) as on_moment:
             done = api.drive(
                 robot or DEFAULT_ROBOT, backend=backend, record=record, adapters=adapters,
                 rate=rate, seed=seed, real_time=not no_real_time,

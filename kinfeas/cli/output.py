@@ -14,7 +14,7 @@ import typer
 
 from kinfeas.config import strict_yaml
 from kinfeas.io import files
-from kinfeas.io.files import replaced, writing
+from kinfeas.io.files import replacement_target, writing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,7 +34,7 @@ def check_file_path(path: Path | None) -> Path | None:
     """Return `path`; raise KinfeasError if no file can be written there."""
     if path is not None:
         with writing(path):
-            if (target := replaced(path)) is not None:
+            if (target := replacement_target(path)) is not None:
                 tempfile.TemporaryFile(dir=target.parent).close()
     return path
 
@@ -128,7 +128,7 @@ def status(text: str) -> Iterator["Status"]:
 
 
 @contextmanager
-def moving(*, goal: bool = True) -> Iterator[Callable[["Moment"], None]]:
+def run_status(*, goal: bool = True) -> Iterator[Callable[["Moment"], None]]:
     """Show the state of a run on standard error, each second, or in lines if it is no terminal.
 
     Runs without a `goal` have no distance from it.

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import typer
 
+from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.options import file_option, option
 from kinfeas.cli.output import (
@@ -24,7 +25,7 @@ START = "Base pose now: m, m, rad."
 
 
 def reach(  # noqa: PLR0913, PLR0917 - each option is an argument
-    robot: options.RobotName = "pr2",
+    robot: options.RobotName = DEFAULT_ROBOT,
     pose: Pose | None = option(
         None, "EE pose in the world frame: m, rad.", metavar="X Y Z ROLL PITCH YAW"
     ),
@@ -82,7 +83,7 @@ def pose_of(pose: Pose | None) -> list[list[float]]:
 
 
 def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
-    robot: options.RobotName = "pr2",
+    robot: options.RobotName = DEFAULT_ROBOT,
     path: Path = option(..., "EE poses, as of the generator waypoints.", metavar="FILE"),
     out: Path = file_option(..., "New file of the plan.", ".csv"),
     scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
@@ -132,7 +133,7 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def serve(
-    robot: options.RobotName = "pr2",
+    robot: options.RobotName = DEFAULT_ROBOT,
     scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
     port: int = option(8081, "Port; 0 for a free one.", min=0, max=65535),
     ros2: bool = option(False, "Also answer ROS 2 nodes on the network.", "--ros2"),

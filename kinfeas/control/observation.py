@@ -134,7 +134,7 @@ def scale(robot: Robot, terms: Sequence[str] = OBSERVATION) -> Array:
     return np.concatenate(each)
 
 
-def surroundings(robot: Robot, terms: Sequence[str]) -> list[int]:
+def surroundings_columns(robot: Robot, terms: Sequence[str]) -> list[int]:
     """Return the places of the numbers of `SURROUNDINGS` in an observation."""
     each = [[name in SURROUNDINGS] * TERMS[name].width(robot) for name in terms]
     return np.flatnonzero(np.concatenate(each)).tolist()

@@ -30,7 +30,8 @@ class KinematicInputs:
 
     base_pose: Array  # world pose of the base at the beginning, shape (n, 7)
     joints: Array  # where IK begins, shape (n, j), radians or metres: the last command
-    desired: Array  # world pose of the EE at the end, and the lead of the arm, shape (n, 7)
+    # world pose at which the EE should be one lead of the arm after the end, shape (n, 7)
+    desired: Array
     solids: Solids | None = None  # world solids at the end, n rows, which the arms avoid
     posture_guide: Array | None = None  # arm joints that IK prefers, shape (n, j); NaN for none
     motion: Array | None = None  # motions of bases that respond late, (n, 9); see `response`

@@ -44,8 +44,8 @@ compilers see that its parts do not overlap."""
 class Lateness(NamedTuple):
     """Differences of a base from its model, of which `lateness` is the regression."""
 
-    behind: Array  # how far it has come less lately, shape (3,)
-    faster: Array  # how much faster it has become lately, shape (3,)
+    behind: Array  # displacement by which it is behind its model, fading, shape (3,)
+    faster: Array  # change of its velocity, fading likewise, shape (3,)
     sums: Array  # sums of products of both, and of squares of the latter, shape (2,)
 
 
@@ -87,7 +87,7 @@ class BaseResponse:
         return dt / math.expm1(dt / self._arm_lag) if self._arm_lag > 0.0 else 0.0
 
     def reached(self, base_pose: Array, motion: Array, twist: Array, dt: float) -> Array:
-        """Return world poses after `dt` seconds, and the lead of the arm, of a world twist.
+        """Return the world poses `dt` seconds plus the lead of the arm after a world twist.
 
         Poses have the shape (n, 7), motions (n, 9), twists (n, 6), m/s and rad/s.
         """

@@ -143,7 +143,7 @@ class MotionSequence(SubgoalMotions):
     def end_subgoals(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Return whether the motion of a sub-goal but the last has just come to its end, (n,).
+        """Return which rows have just come to the end of a sub-goal's motion but the last, (n,).
 
         `settled` is whether the EE is as near to it as a grip needs, shape (n,).
         """

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from kinfeas.config.quantities import NotNegative, PositiveShare
+from kinfeas.config.quantities import NotNegative, PositiveFraction
 from kinfeas.control.loop import Outcome
 from kinfeas.core.kernels import exact
 from kinfeas.core.metrics import WITHIN
@@ -30,7 +30,7 @@ class RewardConfig:
     # cost of a joint at its limit, falling linearly to 0 at `limit_margin`
     limit_penalty: NotNegative = 0.02
     # distance to the nearest joint limit, as a share of half the joint's range
-    limit_margin: PositiveShare = 0.2
+    limit_margin: PositiveFraction = 0.2
     # cost of a step with the EE 5 cm or more from its desired position; less, with the square of
     # the distance, where it is nearer
     deviation_penalty: NotNegative = 0.0

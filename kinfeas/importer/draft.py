@@ -101,9 +101,9 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         boxed = _boxed(path, description, hand, base, report)
     urdf, arm = boxed.urdf, boxed.arm
     fingers = read_hand(urdf, arm)
-    found_drive, why = find_drive(urdf, arm, urdf_of(description))
-    given = stated(name, urdf, arm, fingers, drive or found_drive)
-    bare = build_robot(given, urdf, path, path)
+    read_drive, why = find_drive(urdf, arm, urdf_of(description))
+    bare_spec = spec_from_urdf(name, urdf, arm, fingers, drive or read_drive)
+    bare = build_robot(bare_spec, urdf, path, path)
     touching = reach.touching(bare)
     ignored = reach.built_to_touch(bare, touching)
     checked = {pair: fraction for pair, fraction in touching.items() if pair not in ignored}
@@ -119,7 +119,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
     report(_TOUCHING)
     heights = reach.useful_heights(robot, lambda fraction: report(_REACHING * fraction))
     spec = replace(
-        given, home={"home": tuple(home.tolist())}, reach=reach_of(heights, source),
+        bare_spec, home={"home": tuple(home.tolist())}, reach=reach_of(heights, source),
         pose_tolerance=robot.pose_tolerance, ignored_collisions=tuple(ignored),
         max_gravity_load=robot.max_gravity_load,
     )  # fmt: skip
@@ -205,7 +205,7 @@ def pose_tolerance(robot: Robot) -> PoseTolerance | None:
     return PoseTolerance(round(_ROTATION_TOLERANCE * distance, 3), _ROTATION_TOLERANCE)
 
 
-def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSpec:
+def spec_from_urdf(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSpec:
     """Return the content of a robot's YAML file as far as the URDF gives it.
 
     The home is in the middle of the joint ranges, and the reach is a placeholder. No links may

@@ -145,7 +145,7 @@ def replacing(path: Path) -> Iterator[Path]:
     old content remains.
     """
     with writing(path):
-        target = replaced(path)
+        target = replacement_target(path)
         with TemporaryDirectory(prefix=".", dir=target and target.parent) as folder:
             fresh = Path(folder) / path.name
             yield fresh
@@ -158,7 +158,7 @@ def replacing(path: Path) -> Iterator[Path]:
                 fresh.replace(target)
 
 
-def replaced(path: Path) -> Path | None:
+def replacement_target(path: Path) -> Path | None:
     """Return the file that writing to `path` replaces; None for devices and pipes."""
     mode = _mode(path)
     if stat.S_ISDIR(mode):
@@ -199,7 +199,7 @@ def find_folder(folder: Path) -> Path:
 
 
 @contextmanager
-def alone(folder: Path) -> Iterator[None]:
+def locked(folder: Path) -> Iterator[None]:
     """Lock a folder, where the file system can; raise KinfeasError if another process has."""
     with writing(folder):
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

@@ -7,7 +7,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import NotNegative, Positive, Share
+from kinfeas.config.quantities import Fraction, NotNegative, Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
@@ -50,10 +50,10 @@ class IkOptions:
     solid_clearance: NotNegative = 0.0
     # pull of a redundant arm's joints towards the middles of their ranges, as a fraction of the
     # largest joint step; 0 for none
-    centering: Share = 1.0
+    centering: Fraction = 1.0
     # distance that solutions keep from joint limits, as a fraction of half of the range; joints
     # whose seed is nearer may stay there
-    joint_margin: Share = 0.0
+    joint_margin: Fraction = 0.0
     # distance that the robot's shapes keep from each other, metres, if they do so at `home`
     self_clearance: NotNegative = 0.0
 

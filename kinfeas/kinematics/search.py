@@ -27,8 +27,8 @@ class SearchSettings(NamedTuple):
 
     aim: float = 0.2  # fraction of the tolerances at which a descent ends early
     warm_cost: float = 0.3**2  # squared error up to which descents begin at the seed, m^2
-    restarts: int = 6  # after which the search ends if all of them had ...
-    hopeless_cost: float = 0.02**2  # ... a larger squared error, m^2
+    restarts: int = 6  # restarts after which a hopeless search ends
+    hopeless_cost: float = 0.02**2  # least squared error of all of them where it is hopeless, m^2
 
 
 SEARCH = SearchSettings()

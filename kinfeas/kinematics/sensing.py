@@ -15,7 +15,7 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
-from kinfeas.kinematics.solids import surroundings, write_local
+from kinfeas.kinematics.solids import kernel_rows, write_local
 
 AS_NEAR = 0.1
 """Distance beyond that of the nearest point of a solid within which others are reported, metres."""
@@ -51,7 +51,7 @@ def scan(
     if solids is not None:
         angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
         rays = np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles)
-        base, rows = surroundings(solids, base_pose, len(ranges))
+        base, rows = kernel_rows(solids, base_pose, len(ranges))
         _scan_batch(base, rows, *rays, float(max_range), ranges)
     return ranges
 
@@ -136,7 +136,7 @@ def base_obstacles(
         within: Metres.
     """
     n, room = len(base_pose), _POINTS
-    base, rows = surroundings(solids, base_pose, n)
+    base, rows = kernel_rows(solids, base_pose, n)
     velocity = np.ascontiguousarray(solids.velocity)
     while True:
         points = np.zeros((n, room, 6))

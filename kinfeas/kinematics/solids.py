@@ -64,7 +64,7 @@ def solid_arrays(solids: Solids, n: int) -> SolidArrays:
     return np.ascontiguousarray(pose), np.ascontiguousarray(size), np.ascontiguousarray(cylinder)
 
 
-def surroundings(solids: Solids, base_pose: Array, n: int) -> tuple[Array, SolidArrays]:
+def kernel_rows(solids: Solids, base_pose: Array, n: int) -> tuple[Array, SolidArrays]:
     """Return the poses of n bases, and n rows of solids in the world, for kernels.
 
     Raises:
@@ -90,14 +90,14 @@ def collides(
     """
     flat, _ = flattened(model.variables, joint_positions)
     touching = np.empty((len(flat), 2), dtype=np.bool_)
-    _collides_batch(model, flat, *surroundings(solids, base_pose, len(flat)), touching)
+    _collides_batch(model, flat, *kernel_rows(solids, base_pose, len(flat)), touching)
     return touching
 
 
 def base_collides(model: CollisionModel, base_pose: Array, solids: Solids) -> NDArray[np.bool_]:
     """Return whether shapes that the arm does not move touch solids, shape (n,), as `collides`."""
     touching = np.empty(len(base_pose), dtype=np.bool_)
-    _base_collides_batch(model, *surroundings(solids, base_pose, len(base_pose)), touching)
+    _base_collides_batch(model, *kernel_rows(solids, base_pose, len(base_pose)), touching)
     return touching
 
 

@@ -23,7 +23,7 @@ class BasePathSettings:
     metres: float = 0.07  # distance of the EE poses at which the search has a beam, metres
     radians: float = 0.07  # the same of orientations, radians
     backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on
-    slow: float = 0.1  # fraction of its speed that the EE has from there
+    slow: float = 0.1  # fraction of the speed of the EE from there to where the search had ended
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
 
 

@@ -34,7 +34,7 @@ class ReachSettings:
     first: tuple[int, ...] = (64, 160, 512)  # base poses of each stage without restarts of IK
     stages: tuple[int, ...] = (8, 32, 128, 512, 1024)  # the same with restarts, if these find none
     compared: int = 64  # base poses of which the best are returned
-    without: int = 1024  # base poses that are tried without a limit
+    unlimited: int = 1024  # base poses tried with a limit lifted, to find the one that applies
     together: int = 512  # base poses that are tried for several poses
     clearances: tuple[float, ...] = (0.02, 0.05, 0.1)  # distances from solids, metres
 
@@ -162,7 +162,7 @@ class BasePlacer:
 
         It is the first limit that keeps the robot from the pose if those after it are lifted.
         """
-        stages, (lowest, highest) = (_SETTINGS.without,), self._heights
+        stages, (lowest, highest) = (_SETTINGS.unlimited,), self._heights
         beyond = not lowest <= goal[2] <= highest
         for name, postures in self._without:
             if not len(self._search(goal, stages, postures=postures)[0]):
@@ -249,7 +249,7 @@ class BasePlacer:
 
     def _in_the_way(self, goal: Array, solids: Solids) -> tuple[int, ...]:
         """Return the places of the solids that the robot touches with the fewest of them."""
-        base, joints = self._search(goal, (_SETTINGS.without,))
+        base, joints = self._search(goal, (_SETTINGS.unlimited,))
         touching = self.touching(base, joints, solids)
         touching = touching[touching.any(axis=1)]
         if not len(touching):

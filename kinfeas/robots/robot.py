@@ -95,9 +95,9 @@ class Robot:
 
     @cached_property
     def finite_joint_limits(self) -> tuple[Array, Array]:
-        """The same within one turn: about 0 of continuous joints, else about the middle.
+        """Limits of random starts, at most one turn wide, so that there is room in both directions.
 
-        A joint that begins there turns far before it has to go back by a whole turn.
+        They lie about 0 for continuous joints, about the middle of the range for others.
         """
         lower, upper = self.joint_limits
         slides = np.array([self.urdf.joints[joint.name].kind == "prismatic" for joint in self.arm])

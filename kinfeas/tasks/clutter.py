@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import Distance, NotNegative, Share
+from kinfeas.config.quantities import Distance, Fraction, NotNegative
 from kinfeas.core.errors import check_ascending
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, planar_pose
@@ -29,8 +29,8 @@ class Clutter:
     spacing: Distance = 1.25  # distance of the grid, metres
     jitter: NotNegative = 0.3  # standard deviation from the grid, metres
     footprint: tuple[Distance, Distance] = (0.8, 0.6)  # largest sides, metres; the smallest are 0.2
-    walls: Share = 1.0 / 3.0  # fraction as high as the robot; the others are low, or high as tables
-    cylinders: Share = 0.2  # fraction of cylinders, whose diameter is the width
+    walls: Fraction = 1.0 / 3.0  # as high as the robot; the others are low, or high as tables
+    cylinders: Fraction = 0.2  # fraction of cylinders, whose diameter is the width
     speed: tuple[Distance, Distance] = (0.0, 0.0)  # smallest and largest speed of the solids, m/s
     span: tuple[Distance, Distance] = (2.0, 3.0)  # distances after which moving solids turn, metres
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kinfeas.config.quantities import Count, Distance, NotNegative, Share
+from kinfeas.config.quantities import Count, Distance, Fraction, NotNegative
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import compose
@@ -38,7 +38,7 @@ class ReachingAmongSolids(GoalReaching, Clutter):
     footprint: tuple[Distance, Distance] = (1.5, 1.0)
     start_clearance: Distance = 0.7  # free radius around base and EE at first, metres
     goal_clearance: Distance = 0.25  # free radius around the EE at the goal, metres
-    empty: Share = 0.0  # fraction of episodes without any solid
+    empty: Fraction = 0.0  # fraction of episodes without any solid
 
     def __post_init__(self) -> None:
         GoalReaching.__post_init__(self)

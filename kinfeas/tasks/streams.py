@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from kinfeas.config.quantities import Positive, PositiveSeconds, Seconds, Share
+from kinfeas.config.quantities import Fraction, Positive, PositiveSeconds, Seconds
 from kinfeas.control.targets import StreamProgress, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.errors import check_ascending
@@ -37,7 +37,7 @@ class Stream:
     seconds: PositiveSeconds = 60.0  # duration of an episode
     rate: tuple[Positive, Positive] = (5.0, 30.0)  # lowest and highest rate of messages, Hz
     delay: tuple[Seconds, Seconds] = (0.0, 0.05)  # lowest and highest delay of a message, seconds
-    loss: Share = 0.2  # largest share of lost messages
+    loss: Fraction = 0.2  # largest fraction of lost messages
     speed: Positive = 0.05  # deviation of velocities by axis, m/s; for `carried` the largest speed
     angular_speed: Positive = 0.1  # the same of angular velocities, rad/s
     correlation_time: PositiveSeconds = 2.0  # time constant of the velocities, seconds

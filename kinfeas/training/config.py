@@ -9,12 +9,12 @@ from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested
 from kinfeas.config.quantities import (
     Count,
     Episodes,
+    Fraction,
     NotNegative,
     Positive,
-    PositiveShare,
+    PositiveFraction,
     Processes,
     Seed,
-    Share,
 )
 from kinfeas.config.recipes import read_recipe, section
 from kinfeas.control.observation import OBSERVATION, check_terms
@@ -25,7 +25,7 @@ from kinfeas.envs.world import WorldConfig
 class LearnerConfig:
     """Hyperparameters of SAC."""
 
-    learning_rate: PositiveShare = 6e-4  # of actor and critics
+    learning_rate: PositiveFraction = 6e-4  # of actor and critics
     # constant learning rate, or one that falls linearly to 0 over the run
     schedule: Literal["constant", "linear"] = "linear"
     batch_size: Annotated[int, Interval(ge=1, le=65_536)] = 256  # transitions in a gradient step
@@ -33,8 +33,8 @@ class LearnerConfig:
     gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] = 1
     # gradient steps of the critics for each one of the actor
     policy_delay: Annotated[int, Interval(ge=1, le=100)] = 1
-    gamma: Share = 0.99  # discount of a reward one step later
-    tau: Share = 0.005  # share of the critics that the target networks take over in a gradient step
+    gamma: Fraction = 0.99  # discount of a reward one step later
+    tau: Fraction = 0.005  # of the critics that the target networks take over in a gradient step
     # transitions in the replay buffer
     buffer_size: Annotated[int, Interval(ge=1, le=10_000_000)] = 1_000_000
     # steps of random actions, over all environments, before learning begins; with `init` these
@@ -70,7 +70,7 @@ class ScheduleConfig:
     checkpoint_seconds: Positive = 30.0  # time between checkpoints to resume from
     # share of the run at its beginning in the analytic world, with robots that respond at once; for
     # runs without `init`, with physics or with adapters that make robots late
-    analytic: Share = 0.8
+    analytic: Fraction = 0.8
 
     def __post_init__(self) -> None:
         """Check that the run ends."""

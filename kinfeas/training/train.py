@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from kinfeas import config as configuration
 from kinfeas.config import Settings
-from kinfeas.control.observation import surroundings
+from kinfeas.control.observation import surroundings_columns
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import summarize
 from kinfeas.envs.episodes import worker_pool
-from kinfeas.io.files import alone, find_folder, write_folder, writing
+from kinfeas.io.files import find_folder, locked, write_folder, writing
 from kinfeas.io.policy_metadata import read_trained
 from kinfeas.policies.network import Network, copy_network, read_network, write_network
 from kinfeas.training.checkpoint import load_learner, save_learner
@@ -82,7 +82,7 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     run.begin()
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    with alone(out):
+    with locked(out):
         check_run_folder(out)  # another run may have begun there since
         configuration.dump(config, out / SETTINGS)
         return run.go()
@@ -99,7 +99,7 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
             kinematics, or another process runs it.
     """
     check_begun(out)
-    with alone(out):
+    with locked(out):
         run = _Run(read_settings(out, settings), out, report)
         run.load()
         if settings:
@@ -131,7 +131,7 @@ class _Run:
                 network = read_network(kept, self.env.robot)
             else:
                 network = initial_policy(self.config, self.env.scale)
-            around = surroundings(self.env.robot, self.env.observation_terms)
+            around = surroundings_columns(self.env.robot, self.env.observation_terms)
             take_network(self.learner, network, self.config.learner.anchor, around)
 
     def load(self) -> None:

@@ -134,9 +134,9 @@ class Localisation(Adapter):
     def on_step(self, state: RobotState, dt: float) -> None:
         """Advance the random walk by `dt` seconds, or jump."""
         noise = self.normal(6)
-        walk = noise[:, :3] * self._each("drift") * np.sqrt(dt)
+        walk = noise[:, :3] * self._deviations("drift") * np.sqrt(dt)
         jumps = self.uniform(1) <= -np.expm1(-self.number("rate") * dt)
-        jump = noise[:, 3:] * self._each("jump")
+        jump = noise[:, 3:] * self._deviations("jump")
         error = np.where(jumps, jump, self.memory["error"] + walk)
         followed, longest = self.memory["followed"], np.array([[LOCALISATION_SPEED * dt]])
         change = error - followed
@@ -150,16 +150,19 @@ class Localisation(Adapter):
         now = state.localised
         if now is None:
             now = (state.true_state or state).base_pose
-        base, localised = self._off(state.base_pose, "error"), self._off(now, "followed")
+        base, localised = (
+            self._displaced(state.base_pose, "error"),
+            self._displaced(now, "followed"),
+        )
         return measured(state, base_pose=base, localised=localised)
 
-    def _off(self, pose: Array, name: str) -> Array:
+    def _displaced(self, pose: Array, name: str) -> Array:
         """Return poses, shape (n, 7), displaced by an error of the memory."""
         displacement = np.zeros((len(pose), 6))
         displacement[:, [0, 1, 5]] = self.memory[name]
         return displaced(pose, displacement)
 
-    def _each(self, name: str) -> Array:
+    def _deviations(self, name: str) -> Array:
         """Return the deviations of x, y and yaw, shape (n, 3)."""
         metres, radians = self.number(name), self.number(f"turn_{name}")
         return np.concatenate([metres, metres, radians], axis=1)

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from kinfeas.config import PluginSpec
-from kinfeas.config.quantities import Count, Positive, PositiveSeconds, PositiveShare
+from kinfeas.config.quantities import Count, Positive, PositiveFraction, PositiveSeconds
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.targets import TargetRules
 from kinfeas.core.errors import KinfeasError
@@ -36,7 +36,7 @@ class Guards:
     max_angular_velocity: Positive | None = None  # the same, rad/s
     acceleration: Positive | None = None  # limit of its change, m/s^2; the robot's own if null
     rotation_acceleration: Positive | None = None  # the same, rad/s^2
-    joint_speed: PositiveShare = 1.0  # fraction of their velocity limits that arm joints may use
+    joint_speed: PositiveFraction = 1.0  # fraction of their velocity limits that arm joints may use
     # distance of a joint target beyond which the arm holds, radians or metres
     joint_jump: Positive = 3.2
     # seconds that a joint may need to its last target; beyond, the arm holds until it has caught up

@@ -32,7 +32,9 @@ _ROUNDING = 1e-12  # m, rad and their rates up to which the limits change a comm
 
 
 class SafetyFilter(BackendWrapper):
-    """The backend of one robot, which is sent finite and recent commands within its limits only.
+    """Limits and checks each command before the backend of one robot gets it.
+
+    Commands are finite and made of a recent measurement.
 
     After `stop` nothing is sent until the next reset.
 
@@ -112,7 +114,7 @@ class SafetyFilter(BackendWrapper):
         return self._state
 
     def refresh(self, state: RobotState | None) -> None:
-        """Take a measurement as the newest; without one that of a world that has not gone on."""
+        """Take a measurement as the newest; None is that of a world that stood still."""
         if state is not None:
             self._state = state
         self._measured = self._clock.monotonic()

@@ -149,9 +149,10 @@ class _Stop:
 
 
 def _watch(stop: _Stop, seconds: float, answers: int) -> bool:
-    """Stop the base while heartbeats are missing, after the first one; return whether one died.
+    """Stop the base while heartbeats are missing, after the first one; return whether the run died.
 
-    After the first stop it repeats them, since a stalled run that continues must not move the base.
+    The pipe closes when it dies. After the first stop it repeats them, since a stalled run that
+    continues must not move the base.
     """
     timeout: float | None = None
     fired, stalled = False, f"no heartbeat of the run for {seconds:g} s"

@@ -164,6 +164,7 @@ def _fastest(velocities: Sequence[Array], dt: float) -> Array:
 
 
 def _response(estimates: Mapping[str, Estimate], latency: float) -> ResponseModel:
+    """Return the model of the estimates, with mean delays: half of the jitter is added."""
     names = {
         "base_lag": "actuator_lag.base", "arm_lag": "actuator_lag.arm",
         "acceleration": "acceleration_limit.linear", "jerk": "acceleration_limit.linear_jerk",

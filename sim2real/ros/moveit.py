@@ -153,8 +153,8 @@ class MoveItServices:
         names, positions = state.joint_state.name, state.joint_state.position
         if len(names) != len(positions):
             raise _RequestError(INVALID_ROBOT_STATE, "each joint needs a position")
-        given = dict(zip(names, positions, strict=True))
-        joints = [given[name] for name in self._joints if name in given]
+        by_name = dict(zip(names, positions, strict=True))
+        joints = [by_name[name] for name in self._joints if name in by_name]
         if not joints:
             return None
         if len(joints) < len(self._joints):

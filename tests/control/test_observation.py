@@ -8,7 +8,7 @@ from kinfeas.control.observation import (
     ObservedState,
     observe,
     size,
-    surroundings,
+    surroundings_columns,
 )
 from kinfeas.core.spatial import compose, integrate, make_pose, relative, rotation
 from kinfeas.kinematics.forward import forward
@@ -38,7 +38,7 @@ def test_terms_are_in_order(parts, robot):
     np.testing.assert_allclose(pose, relative(goal, base), atol=1e-12)
     np.testing.assert_array_equal(terms["joint_positions"], joints)
     n = size(robot)
-    assert surroundings(robot, (*OBSERVATION, "planned_base")) == [n, n + 1, n + 2]
+    assert surroundings_columns(robot, (*OBSERVATION, "planned_base")) == [n, n + 1, n + 2]
 
 
 def test_planned_motion_leads_from_the_achieved_to_the_planned_pose(parts):

@@ -8,7 +8,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation
 from kinfeas.importer.arm import find_arm, place, read_hand
 from kinfeas.importer.boxed import MARGIN, boxed_urdf, fit_primitives, on_the_floor
-from kinfeas.importer.draft import stated
+from kinfeas.importer.draft import spec_from_urdf
 from kinfeas.importer.reach import RELEVANT, only_fitted, touching
 from kinfeas.robots.loading import build_robot
 from kinfeas.robots.urdf_file import parse_urdf
@@ -146,7 +146,7 @@ def test_pairs_are_false_contacts_if_their_meshes_never_touch(changed, parts, fa
     path.with_name("boxed.urdf").write_text(boxed_urdf(path, originals=originals))
     urdf = parse_urdf(path.with_name("boxed.urdf"))
     arm = find_arm(urdf, None, "dolly")
-    spec = stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
+    spec = spec_from_urdf("dolly", urdf, arm, read_hand(urdf, arm), "differential")
     robot = build_robot(spec, urdf, path, path)
     fractions, pair = touching(robot), ("lower", "palm")  # which meet in the folded arm
     assert fractions[pair] > RELEVANT

@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
-from kinfeas.importer.draft import draft_robot, pose_tolerance, reach_of, stated
+from kinfeas.importer.draft import draft_robot, pose_tolerance, reach_of, spec_from_urdf
 from kinfeas.importer.reach import Heights
 from kinfeas.importer.text import warnings
 from kinfeas.kinematics.forward import forward
@@ -68,7 +68,7 @@ def test_joints_of_more_than_two_turns_get_one(changed, limits, turn):
     path = changed((LIMITS, f'lower="{lower}" upper="{upper}"'))
     urdf = parse_urdf(path)
     arm = find_arm(urdf, None, "dolly")
-    spec = stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
+    spec = spec_from_urdf("dolly", urdf, arm, read_hand(urdf, arm), "differential")
     found = spec.arm["lift"].soft_limits
     assert found == (turn and pytest.approx(turn, abs=1e-9))
     assert turn is None or lower <= found[0] < found[1] <= upper

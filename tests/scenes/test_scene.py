@@ -31,11 +31,11 @@ def test_a_task_may_move_objects(room):
     np.testing.assert_array_equal(moved.objects["place_table"].pose, pose)
     assert moved.objects["pick_table"] is room.objects["pick_table"]
     np.testing.assert_allclose(room.objects["place_table"].pose[:2], [0.25, -2.75])
-    moved.check_places("moved")
+    moved.check_layout("moved")
 
     box = make_pose(np.array([2.725, 0.0, 0.5]), rotation(room.objects["box"].pose))
     with pytest.raises(KinfeasError, match=r"^moved: .*'pick_table' and 'box'"):
-        room.with_poses({"box": box}).check_places("moved")
+        room.with_poses({"box": box}).check_layout("moved")
 
 
 @pytest.mark.parametrize(("change", "where"), [

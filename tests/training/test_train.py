@@ -15,7 +15,7 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import evaluate_episodes
-from kinfeas.io.files import alone
+from kinfeas.io.files import locked
 from kinfeas.training import checkpoint, logs, vec_env, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
@@ -264,11 +264,11 @@ def test_a_broken_checkpoint_raises_and_stays(half, file):
 
 def test_a_folder_in_use_raises(half, tiny, tmp_path):
     before = contents(half)
-    with alone(half), pytest.raises(KinfeasError, match="half"):
+    with locked(half), pytest.raises(KinfeasError, match="half"):
         resume(half)
     assert contents(half) == before
     (tmp_path / "empty").mkdir()
-    with alone(tmp_path / "empty"), pytest.raises(KinfeasError, match="empty"):
+    with locked(tmp_path / "empty"), pytest.raises(KinfeasError, match="empty"):
         train(tiny(), tmp_path / "empty")
     assert not list((tmp_path / "empty").iterdir())
 

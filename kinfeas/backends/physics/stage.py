@@ -65,7 +65,7 @@ class Stage:
         if scene is not None:
             if self._chain and (poses := self._chain.object_poses(first.target_poses)):
                 scene = scene.with_poses(poses)
-                scene.check_places(f"task {self.name!r}")
+                scene.check_layout(f"task {self.name!r}")
             self._placed[row] = scene
         start = first
         for _ in range(_DRAWS):
