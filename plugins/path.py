@@ -94,26 +94,17 @@ class PathMotion:
     the EE first comes to the beginning of the path, then moves along it and ends at its end
     exactly. The state holds the phase. A motion is finished when at most 1 s, 0.025 m and
     12 degrees of its path are left.
-
-    Attributes:
-        path: In the frame of the target, or in the world.
-        duration: The time T in seconds that the path takes an EE that is on it.
-        in_world: Whether the path stays where it is when the target moves.
-        gain: Rate at which errors decay, 1/s.
-        position_scale: The length a: the error at which the phase slows down by e, in metres.
-        rotation_scale: The same angle b in radians.
-        max_velocity: Upper limit of the speed in m/s.
-        max_angular_velocity: Upper limit of the angular speed in rad/s.
     """
 
-    path: PosePath
-    duration: float
-    in_world: bool = False
-    gain: float = 1.0
+    path: PosePath  # in the frame of the target, or in the world
+    duration: float  # the time T in seconds that the path takes an EE that is on it
+    in_world: bool = False  # whether the path stays where it is when the target moves
+    gain: float = 1.0  # rate at which errors decay, 1/s
+    # the length a: the error at which the phase slows down by e, in metres
     position_scale: float = 0.05
-    rotation_scale: float = 0.3
-    max_velocity: float = 0.1
-    max_angular_velocity: float = 0.1
+    rotation_scale: float = 0.3  # the same angle b in radians
+    max_velocity: float = 0.1  # upper limit of the speed in m/s
+    max_angular_velocity: float = 0.1  # upper limit of the angular speed in rad/s
     _end: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -32,20 +32,15 @@ class Network:
     """A multi-layer perceptron with ReLU between its layers and tanh at its end.
 
     Each row is computed by itself in a fixed order, so that actions do not depend on the batch.
-
-    Attributes:
-        scale: Factor on each number of the observation before clipping, shape (inputs,), float32.
-        weights: Weights of each layer, shape (inputs, outputs), float32.
-        biases: Biases of each layer, shape (outputs,), float32.
-        observation_terms: Names of its observation terms, in order.
-        robot: Robot that it was read for; None of others.
     """
 
+    # factor on each number of the observation before clipping, shape (inputs,), float32
     scale: NDArray[np.float32]
+    # weights of each layer, shape (inputs, outputs), float32
     weights: tuple[NDArray[np.float32], ...]
-    biases: tuple[NDArray[np.float32], ...]
-    observation_terms: tuple[str, ...] = OBSERVATION
-    robot: Robot | None = None
+    biases: tuple[NDArray[np.float32], ...]  # biases of each layer, shape (outputs,), float32
+    observation_terms: tuple[str, ...] = OBSERVATION  # names of its observation terms, in order
+    robot: Robot | None = None  # robot that it was read for; None of others
 
     def __repr__(self) -> str:
         sizes = len(self.scale), *map(len, self.biases)

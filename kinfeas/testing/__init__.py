@@ -28,17 +28,11 @@ _ROWS, _STEPS = 6, 20  # of the check of policies
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one rule.
+    """Result of one rule."""
 
-    Attributes:
-        rule: Key of `RULES`.
-        broken: Description of a violation; None if none was found.
-        checked: Whether the rule was checked completely; severe violations end the test.
-    """
-
-    rule: str
-    broken: str | None
-    checked: bool
+    rule: str  # key of `RULES`
+    broken: str | None  # description of a violation; None if none was found
+    checked: bool  # whether the rule was checked completely; severe violations end the test
 
     @property
     def kept(self) -> bool:

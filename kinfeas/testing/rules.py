@@ -19,21 +19,13 @@ from kinfeas.core.spatial import Array, distance, integrate, make_pose
 
 @dataclass(frozen=True)
 class Trial:
-    """Motions and limits of a test.
+    """Motions and limits of a test."""
 
-    Attributes:
-        seed: Seed of the random poses and of the generator's random numbers.
-        duration: Time limit of each motion in seconds.
-        dt: Duration of a step in seconds.
-        max_velocity: Maximum speed, m/s; None for no limit.
-        max_angular_velocity: Maximum angular speed, rad/s; None for no limit.
-    """
-
-    seed: int = 0
-    duration: float = 120.0
-    dt: float = 0.1
-    max_velocity: float | None = 0.1
-    max_angular_velocity: float | None = 0.1
+    seed: int = 0  # seed of the random poses and of the generator's random numbers
+    duration: float = 120.0  # time limit of each motion in seconds
+    dt: float = 0.1  # duration of a step in seconds
+    max_velocity: float | None = 0.1  # maximum speed, m/s; None for no limit
+    max_angular_velocity: float | None = 0.1  # maximum angular speed, rad/s; None for no limit
 
     @property
     def steps(self) -> int:

@@ -15,53 +15,34 @@ from kinfeas.sim2real.link.scans import CostmapReading, LaserReading
 
 @dataclass(frozen=True)
 class BaseReading:
-    """A measured base pose.
+    """A measured base pose."""
 
-    Attributes:
-        x: World x, metres.
-        y: World y, metres.
-        yaw: Heading in radians.
-        velocity: Forward, left and rotation in the base frame, shape (3,), m/s and rad/s, or None.
-        stamp: Time of the measurement by the robot's clock, seconds, or None.
-        age: Age on arrival, seconds, as far as the transport measures it.
-    """
-
-    x: float
-    y: float
-    yaw: float
+    x: float  # world x, metres
+    y: float  # world y, metres
+    yaw: float  # heading in radians
+    # forward, left and rotation in the base frame, shape (3,), m/s and rad/s, or None
     velocity: Array | None = None
-    stamp: float | None = None
-    age: float = 0.0
+    stamp: float | None = None  # time of the measurement by the robot's clock, seconds, or None
+    age: float = 0.0  # age on arrival, seconds, as far as the transport measures it
 
 
 @dataclass(frozen=True)
 class JointReading:
-    """Measured joints by the robot's joint names; a message may hold some of them only.
+    """Measured joints by the robot's joint names; a message may hold some of them only."""
 
-    Attributes:
-        positions: Radians or metres.
-        velocities: Per second, for the joints where they are measured.
-        stamp: As in `BaseReading`.
-    """
-
-    positions: Mapping[str, float]
+    positions: Mapping[str, float]  # radians or metres
+    # per second, for the joints where they are measured
     velocities: Mapping[str, float] = field(default_factory=dict)
-    stamp: float | None = None
+    stamp: float | None = None  # as in `BaseReading`
 
 
 @dataclass(frozen=True)
 class JointPath:
-    """A joint trajectory.
+    """A joint trajectory."""
 
-    Attributes:
-        joints: The robot's names of the j joints.
-        times: Seconds from now, ascending, shape (p,).
-        positions: Radians or metres, shape (p, j).
-    """
-
-    joints: tuple[str, ...]
-    times: Array
-    positions: Array
+    joints: tuple[str, ...]  # the robot's names of the j joints
+    times: Array  # seconds from now, ascending, shape (p,)
+    positions: Array  # radians or metres, shape (p, j)
 
 
 @dataclass(frozen=True)
@@ -75,17 +56,13 @@ class Readings:
 
 @dataclass(frozen=True)
 class Orders:
-    """Callbacks for the commands that reach a robot, safe to call from any thread.
+    """Callbacks for the commands that reach a robot, safe to call from any thread."""
 
-    Attributes:
-        drive: Takes the velocity in the base frame, shape (3,), m/s and rad/s.
-        move: Takes a joint trajectory; it replaces the one before of these joints.
-        grip: Takes `close` or `open`.
-    """
-
+    # takes the velocity in the base frame, shape (3,), m/s and rad/s
     drive: Callable[[Array], None]
+    # takes a joint trajectory; it replaces the one before of these joints
     move: Callable[[JointPath], None]
-    grip: Callable[[Grip], None]
+    grip: Callable[[Grip], None]  # takes `close` or `open`
 
 
 class Link(Protocol):

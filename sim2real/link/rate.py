@@ -16,40 +16,25 @@ _KEPT = 180_000  # the last periods that percentiles are of: an hour at 50 Hz
 
 @dataclass(frozen=True)
 class Clock:
-    """The clocks of a run; tests have simulated ones.
+    """The clocks of a run; tests have simulated ones."""
 
-    Attributes:
-        monotonic: Seconds of a clock that is never set.
-        wall: Seconds of the system's clock.
-        sleep: Waits for a number of seconds.
-    """
-
-    monotonic: Callable[[], float] = time.monotonic
-    wall: Callable[[], float] = time.time
-    sleep: Callable[[float], None] = time.sleep
+    monotonic: Callable[[], float] = time.monotonic  # seconds of a clock that is never set
+    wall: Callable[[], float] = time.time  # seconds of the system's clock
+    sleep: Callable[[float], None] = time.sleep  # waits for a number of seconds
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Statistics of control periods, in seconds.
+    """Statistics of control periods, in seconds."""
 
-    Attributes:
-        periods: Number of periods.
-        p50: Median of the last `_KEPT`, as the other percentiles.
-        p99: 99th percentile.
-        longest: Maximum.
-        misses: Number of periods that ended after their deadline.
-        work_p50: Median of the computing time from a measurement to its command, or None.
-        work_p99: 99th percentile of it, or None.
-    """
-
-    periods: int
-    p50: float
-    p99: float
-    longest: float
-    misses: int
+    periods: int  # number of periods
+    p50: float  # median of the last `_KEPT`, as the other percentiles
+    p99: float  # 99th percentile
+    longest: float  # maximum
+    misses: int  # number of periods that ended after their deadline
+    # median of the computing time from a measurement to its command, or None
     work_p50: float | None = None
-    work_p99: float | None = None
+    work_p99: float | None = None  # 99th percentile of it, or None
 
 
 class Rate:

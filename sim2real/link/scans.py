@@ -17,44 +17,29 @@ OCCUPIED, UNKNOWN = 100, -1
 
 @dataclass(frozen=True)
 class LaserReading:
-    """Ranges of a planar laser.
+    """Ranges of a planar laser."""
 
-    Attributes:
-        ranges: Metres, shape (m,); +inf is no return, -inf too near, NaN no measurement.
-        angle_min: Angle of the first ray to the laser's x axis, radians.
-        angle_increment: Angle from each ray to the next, radians.
-        range_min: Shortest valid range, metres.
-        range_max: Longest valid range, metres.
-        mount: x, y and yaw of the laser in the base frame, metres and radians.
-        stamp: As in `BaseReading`.
-    """
-
-    ranges: Array
-    angle_min: float
-    angle_increment: float
-    range_min: float = 0.0
-    range_max: float = np.inf
+    ranges: Array  # metres, shape (m,); +inf is no return, -inf too near, NaN no measurement
+    angle_min: float  # angle of the first ray to the laser's x axis, radians
+    angle_increment: float  # angle from each ray to the next, radians
+    range_min: float = 0.0  # shortest valid range, metres
+    range_max: float = np.inf  # longest valid range, metres
+    # x, y and yaw of the laser in the base frame, metres and radians
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    stamp: float | None = None
+    stamp: float | None = None  # as in `BaseReading`
 
 
 @dataclass(frozen=True)
 class CostmapReading:
-    """A grid of obstacles on the floor.
+    """A grid of obstacles on the floor."""
 
-    Attributes:
-        cells: 0 free to 100 occupied, -1 unknown, shape (rows along y, columns along x).
-        resolution: Edge of a cell, metres.
-        origin: x, y and yaw of the outer corner of the first cell in the world, metres and radians.
-        occupied: Lowest value of an obstacle.
-        stamp: As in `BaseReading`.
-    """
-
+    # 0 free to 100 occupied, -1 unknown, shape (rows along y, columns along x)
     cells: NDArray[np.int8]
-    resolution: float
+    resolution: float  # edge of a cell, metres
+    # x, y and yaw of the outer corner of the first cell in the world, metres and radians
     origin: tuple[float, float, float]
-    occupied: int = OCCUPIED
-    stamp: float | None = None
+    occupied: int = OCCUPIED  # lowest value of an obstacle
+    stamp: float | None = None  # as in `BaseReading`
 
 
 def laser_ranges(laser: LaserReading) -> Array:

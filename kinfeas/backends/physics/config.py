@@ -12,36 +12,26 @@ from kinfeas.core.errors import KinfeasError
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """Numbers of a physics world.
+    """Numbers of a physics world."""
 
-    Attributes:
-        rate: Physics steps per second, rounded so that a control period has a whole number: 5 steps
-            of 4 ms at 50 Hz, 24 of 1/240 s at the 0.1 s of the analytic world.
-        gravity: m/s^2.
-        iterations: Of the constraint solver in a step; MuJoCo needs only a few of them.
-        drive_reserve: Force of the base's motors as a multiple of what its acceleration takes.
-        wheel_grip: Torque per newton of weight that turns the wheels over the floor, m: their
-            distance from the base's centre, about 0.2 m, times a friction of about 0.6.
-        arm_horizon: Seconds in which the arm reaches a target at rest.
-        finger_friction: Friction coefficient of the fingers.
-        finger_softness: Distance at which the fingers touch an object, m; the soft pads are not in
-            the URDFs.
-        grasp_stiffness: Of fingers and arm together, N/m.
-        grasp_damping: The same, N s/m.
-        grasp_limit: Force at which a held object slips out of the hand, N.
-    """
-
+    # physics steps per second, rounded so that a control period has a whole number: 5 steps of 4 ms
+    # at 50 Hz, 24 of 1/240 s at the 0.1 s of the analytic world
     rate: Annotated[float, Interval(gt=0.0, le=1e5)] = 240.0
-    gravity: NotNegative = 9.81
+    gravity: NotNegative = 9.81  # m/s^2
+    # of the constraint solver in a physics step; MuJoCo needs only a few
     iterations: Annotated[int, Interval(ge=1, le=10_000)] = 50
+    # force of the base's motors as a multiple of what its acceleration takes
     drive_reserve: Annotated[float, Interval(ge=1.0)] = 2.0
+    # torque per newton of weight that turns the wheels over the floor, m: their distance from the
+    # base's centre, about 0.2 m, times a friction of about 0.6
     wheel_grip: NotNegative = 0.12
-    arm_horizon: Positive = 0.1
-    finger_friction: NotNegative = 1.0
+    arm_horizon: Positive = 0.1  # seconds in which the arm reaches a target at rest
+    finger_friction: NotNegative = 1.0  # friction coefficient of the fingers
+    # distance at which the fingers touch an object, m; the soft pads are not in the URDFs
     finger_softness: NotNegative = 0.003
-    grasp_stiffness: Positive = 3000.0
-    grasp_damping: NotNegative = 30.0
-    grasp_limit: Positive = 80.0
+    grasp_stiffness: Positive = 3000.0  # of fingers and arm together, N/m
+    grasp_damping: NotNegative = 30.0  # the same, N s/m
+    grasp_limit: Positive = 80.0  # force at which a held object slips out of the hand, N
 
     def divide(self, dt: float) -> int:
         """Return the number of physics steps of a control period of `dt` seconds."""

@@ -160,17 +160,11 @@ def _merge(link: Any, part: Any, pose: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """Inertia of a link.
+    """Inertia of a link."""
 
-    Attributes:
-        mass: kg.
-        centre: Of mass, in the link's frame, shape (3,), metres.
-        moments: About the centre along the link's axes, shape (3, 3), kg m^2.
-    """
-
-    mass: float
-    centre: Array
-    moments: Array
+    mass: float  # kg
+    centre: Array  # of mass, in the link's frame, shape (3,), metres
+    moments: Array  # about the centre along the link's axes, shape (3, 3), kg m^2
 
     def about(self, point: Array) -> Array:
         """Return the moments about a point (3,), by the parallel axis theorem, shape (3, 3)."""

@@ -22,19 +22,12 @@ _TANGENTS = np.tan(np.deg2rad(_FIELD) / 2.0) * np.array([SIZE[0] / SIZE[1], 1.0]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Position and direction of a camera.
+    """Position and direction of a camera."""
 
-    Attributes:
-        target: World position in the middle of the picture, shape (3,).
-        distance: From the camera to the target, metres.
-        heading: World direction in which the camera looks, radians.
-        elevation: Angle by which it looks down, radians.
-    """
-
-    target: Array
-    distance: float
-    heading: float
-    elevation: float
+    target: Array  # world position in the middle of the picture, shape (3,)
+    distance: float  # from the camera to the target, metres
+    heading: float  # world direction in which the camera looks, radians
+    elevation: float  # angle by which it looks down, radians
 
     @staticmethod
     def of_box(low: Array, high: Array, heading: float, elevation: float) -> "View":

@@ -55,20 +55,15 @@ _SCALES = np.arange(0.5, 1.3, 0.05)
 
 @dataclass(frozen=True, eq=False)
 class ReachEllipses:
-    """Ellipses over a grid of EE heights and pitches, aligned with the azimuth of the approach.
+    """Ellipses over a grid of EE heights and pitches, aligned with the azimuth of the approach."""
 
-    Attributes:
-        heights: EE heights above the floor, evenly spaced, shape (h,), metres.
-        pitches: Pitches of the approach axis above the horizon, evenly spaced, shape (p,), radians.
-        shapes: Outer centre 2, outer half axes 2 and inner half axes 2, shape (h, p, 6), metres
-            from the EE; the inner ellipse lies around the EE itself.
-        bearing: Bearing of the EE from the base at which the arm reaches most, radians.
-    """
-
-    heights: Array
+    heights: Array  # EE heights above the floor, evenly spaced, shape (h,), metres
+    # pitches of the approach axis above the horizon, evenly spaced, shape (p,), radians
     pitches: Array
+    # outer centre 2, outer half axes 2 and inner half axes 2, shape (h, p, 6), metres from the EE;
+    # the inner ellipse lies around the EE itself
     shapes: Array
-    bearing: float
+    bearing: float  # bearing of the EE from the base at which the arm reaches most, radians
 
     def at(self, height: Array, pitch: Array) -> Array:
         """Return the shapes between those of the grid, for shape (n,) each, shape (n, 6)."""
