@@ -37,6 +37,7 @@ from kinfeas.tasks.task import Task, build_subgoals, target_stream
 
 _log = logging.getLogger(__name__)
 
+_LATE = 0.1  # fraction of control periods that may end late without a warning
 _DOUBT = 0.05  # seconds by which a base is later or sooner than its response model, to be reported
 
 
@@ -191,7 +192,8 @@ class _Run:
             clock=self.clock,
         )  # fmt: skip
         # Without a clock, planners run in the loop, so that runs are repeatable.
-        executor = executor if setup.real_time or setup.live else None
+        self.timed = setup.real_time or setup.live
+        executor = executor if self.timed else None
         self.loop = assemble(
             setup.solver, build_subgoals(setup.task.subgoals), self.guarded, dt=setup.dt,
             execution=setup.config, filters=(*setup.leading, *setup.config.filters),
@@ -261,9 +263,12 @@ class _Run:
             with suppress(*PLUGIN_ERRORS):  # who hears of the moments may have raised already
                 self.record(reason + TASK_DONE[done] + self.doubt())
                 self.write()
+        timing = self.rate.timing()
+        if self.timed and timing.misses > _LATE * timing.periods:
+            _log.warning("%d of %d control periods were too long", timing.misses, timing.periods)
         return RunOutcome(
             code, " ".join(reason.split()) + TASK_DONE[done], self.guarded.unstopped,
-            self.seconds(), self.failures, self.rate.timing(), self.scales / max(self.steps, 1),
+            self.seconds(), self.failures, timing, self.scales / max(self.steps, 1),
             task_done=done, lateness_s=self.lateness(),
         )  # fmt: skip
 
@@ -323,7 +328,7 @@ class _Run:
             self.record("")
 
     def seconds(self) -> float:
-        if self.setup.real_time or self.setup.live:
+        if self.timed:
             return self.clock.monotonic() - self.began
         return self.steps * self.setup.dt
 

@@ -171,7 +171,7 @@ def test_a_run_has_the_poses_of_an_evaluation_to_the_bit(name, filters, drive):
         np.testing.assert_array_equal(values, getattr(recording, key), err_msg=key)
 
 
-def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
+def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time, caplog):
     robot = RealTimeRobot(time)
     outcome, record = run(robot, Drive(), seconds=0.4)
     assert outcome.code is Code.TIME_OVER
@@ -183,12 +183,14 @@ def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
     # The first period is over at once: it starts the clock of the robot.
     assert len(record.time) == 21 + 5 + 2
     assert robot.close.called
+    assert "too long" not in caplog.text
     # The same with a policy that misses four deadlines of five.
     slow = Drive()
     act, slow.act = slow.act, lambda observation: (time.passes(5 * DT), act(observation))[1]
     outcome, record = run(RealTimeRobot(time), slow, seconds=0.5)
     assert outcome.code is Code.TIME_OVER
     assert outcome.seconds == pytest.approx(0.6, abs=0.1)
+    assert "too long" in caplog.text
 
 
 @pytest.mark.parametrize("real", [False, True])
