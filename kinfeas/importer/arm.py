@@ -24,6 +24,7 @@ _PAD = 0.025  # m, from the ends of fingers to where they hold an object
 _OFF_AXIS = 0.01  # m, by which shapes on an axis may be off it
 _NOTHING = 1e-6  # m
 _MAX_EFFORT = 1e4  # N or N m; larger limits stand for none
+_GUESSED_EFFORT = {"prismatic": 20.0, "revolute": 2.0, "continuous": 2.0}  # N or N m, of a finger
 
 
 def place(urdf: Urdf, links: Iterable[str], frame: str, poses: Mapping[str, Array]) -> list[Shape]:
@@ -255,14 +256,16 @@ def _gripper(
     shut, wide = positions(closed), positions(opened)
     if still := [name for name, *at in zip(names, shut, wide, strict=True) if at[0] == at[1]]:
         return f"the limits of {', '.join(still)} leave no stroke"
-    efforts = [finger.effort for finger in arm.fingers if 0.0 < finger.effort < _MAX_EFFORT]
-    if not efforts:
-        return f"{' and '.join(names)} have no effort limit above 0, below {_MAX_EFFORT:g}"
     same = shut[0] == shut[1] and wide[0] == wide[1]
     return GripperSpec(
         (names[0], names[1]), closed=shut[0] if same else shut, open=wide[0] if same else wide,
-        effort=min(efforts),
+        effort=min(effort_limits(arm.fingers), default=_GUESSED_EFFORT[arm.fingers[0].kind]),
     )  # fmt: skip
+
+
+def effort_limits(fingers: Iterable[Joint]) -> list[float]:
+    """Return the valid effort limits of some joints, N or N m."""
+    return [finger.effort for finger in fingers if 0.0 < finger.effort < _MAX_EFFORT]
 
 
 def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> Array:

@@ -14,7 +14,7 @@ from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer import reach
-from kinfeas.importer.arm import Arm, Hand, ends_of_arms, find_arm, read_hand
+from kinfeas.importer.arm import Arm, Hand, effort_limits, ends_of_arms, find_arm, read_hand
 from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.text import Guesses, robot_yaml
@@ -137,6 +137,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
         drive="" if drive else why,
         no_gripper=fingers.no_gripper,
+        weak_fingers=not effort_limits(arm.fingers),
         doubts=doubts(urdf),
     )
     yaml = robot_yaml(spec, guesses)

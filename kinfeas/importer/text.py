@@ -34,6 +34,7 @@ class Guesses:
     slides: frozenset[str] = frozenset()  # prismatic joints; their positions are metres
     drive: str = ""  # what the drive of the base was read from
     no_gripper: str = ""  # why there is no gripper
+    weak_fingers: bool = False  # whether the fingers have no effort limit
     doubts: tuple[str, ...] = ()  # warnings about the URDF
 
     def unit(self, joint: str) -> str:
@@ -91,7 +92,8 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
     ]
     if spec.gripper is not None:
         unit = guesses.unit(spec.gripper.fingers[0])
-        effort = f"{'N' if unit == 'm' else 'N m'}, the URDF's limit"
+        source = "guess" if guesses.weak_fingers else "the URDF's limit"
+        effort = f"{'N' if unit == 'm' else 'N m'}, {source}"
         units = {"closed": unit, "open": unit, "effort": effort, "velocity": f"{unit}/s, guess"}
         gripper = {key: value for key, value in vars(spec.gripper).items() if value is not None}
         blocks.append(_block("gripper", gripper, units))
