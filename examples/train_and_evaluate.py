@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinfeas.config.recipes import load_section
+from kinfeas.envs.world import evaluation_world
 from kinfeas.evaluation.evaluate import EvalConfig, evaluate
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
@@ -39,7 +40,8 @@ def main() -> None:
         print(f"{progress.steps} steps in {progress.seconds:.1f} s")
         print("the run holds", ", ".join(sorted(path.name for path in out.iterdir())))
         robot = load_robot(config.robot)
-        trial = EvalConfig(robot, load_task(config.task), given.episodes)
+        alone = replace(evaluation_world(), filters=())
+        trial = EvalConfig(robot, load_task(config.task), given.episodes, world=alone)
         for name in (str(out), "follow_ee", "follow_ee_feedback"):
             figures = evaluate(trial, load_policy(name, robot))
             failures = figures["ik_failures_per_episode"]

@@ -4,6 +4,7 @@ import os
 import shlex
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,7 @@ def demo(
     """
     require("torch", "stable_baselines3", "matplotlib")
     from kinfeas.api.train import configure
+    from kinfeas.envs.world import evaluation_world
     from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file
     from kinfeas.robots.loading import load_robot
@@ -55,7 +57,8 @@ def demo(
     folder = free_folder(out)
     train_run(settings, folder)
     # Another seed than that of training, whose episodes the policy has seen.
-    config = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1)
+    world = replace(evaluation_world(), filters=())
+    config = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1, world=world)
     results = _evaluated(config, folder)
     again = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
     same = {"robot": settings.robot, "task": settings.task, "episodes": episodes}
