@@ -153,6 +153,7 @@ def test_bad_arguments_of_reach_are_errors(arguments):
 @pytest.mark.parametrize("arguments", [
     {"goal": (0.9, 0.1)}, {"goal": "abc"}, {"goal": 3}, {"quaternion": np.array([0.0, 0.0, 1.0])},
     {"seconds": -1.0}, {"seconds": np.nan}, {"rate": 0.0}, {"rate": (50.0,)}, {"task": "ggr"},
+    {"backend": "ros2", "real_time": False},
 ])  # fmt: skip
 def test_bad_deployments_are_errors(tmp_path, arguments):
     options = {"policy": "follow_ee", "backend": "analytic", "goal": np.array([0.9, 0.1, 0.8])}
