@@ -125,9 +125,9 @@ class Setup:
 class Signals:
     """A context for SIGINT, SIGQUIT, SIGTERM and SIGHUP, in the main thread.
 
-    They raise KeyboardInterrupt, except the first one in a loop, while `noting`; without SIGINT the
-    context ends with SystemExit and the code of the signal. SIGHUP is left alone if it is ignored,
-    as by nohup, and all are in other threads, which get none.
+    They raise KeyboardInterrupt, but while `noting` the first one is only noted. Where another one
+    than SIGINT raises it, the context ends with SystemExit and the code of the signal. SIGHUP is
+    left alone if it is ignored, as by nohup; all are in other threads, which get none.
 
     Attributes:
         noting: Whether the first signal is only noted.
