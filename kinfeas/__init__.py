@@ -21,7 +21,7 @@ _MODULES = {
     "evaluate": "api.evaluate", "export": "api.load", "fit": "api.fit",
     "identify": "api.identify", "load_plan": "api.plan", "load_policy": "api.load",
     "load_robot": "api.load", "plan": "api.plan", "reach": "api.reach", "resume": "api.train",
-    "servo": "api.deploy", "train": "api.train", "view": "api.view",
+    "servo": "api.servo", "train": "api.train", "view": "api.view",
 }  # fmt: skip
 """Module that has a name."""
 

@@ -91,7 +91,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas servo pretrained --robot pr2 --backend ros2 --source ros2
     """
-    from kinfeas.api import deploy as api
+    from kinfeas.api import servo as api
 
     with run_status(goal=False) as on_moment:
         done = api.servo(
