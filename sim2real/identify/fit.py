@@ -31,6 +31,7 @@ from kinfeas.sim2real.identify.statistics import (
     DRIVE,
     NORMAL,
     SLACK,
+    SLACK_JERK,
     SLACK_SECONDS,
     Estimate,
     lag_estimate,
@@ -142,10 +143,12 @@ def _limits(base: BaseFit, fastest: Array, missing: list[str], dt: float) -> dic
     parts = ((0, "linear", "start or stop", "m/s^2"), (1, "angular", "turn", "rad/s^2"))
     for part, name, change, unit in parts:
         acceleration, jerk = Parameter("acceleration", part), Parameter("jerk", part)
-        for limit, key in ((acceleration, name), (jerk, f"{name}_jerk")):
+        for limit, key, slack in (
+            (acceleration, name, SLACK), (jerk, f"{name}_jerk", SLACK_JERK)
+        ):  # fmt: skip
             if (error := base.errors.get(limit, np.inf)) < 0.5:
                 value = float(getattr(base.model, limit.kind)[part])
-                spread = float(np.exp(NORMAL * error + SLACK))
+                spread = float(np.exp(NORMAL * error + slack))
                 estimate = Estimate(value, value / spread, value * spread)
                 estimates[f"acceleration_limit.{key}"] = estimate
             elif limit == acceleration and fastest[part] > _FAST:

@@ -16,7 +16,7 @@ from kinfeas.sim2real.identify.statistics import (
     SLACK,
     SLACK_SECONDS,
     Estimate,
-    deviation,
+    joint_deviation,
 )
 
 Flags = NDArray[np.bool_]
@@ -95,7 +95,7 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
         noise = _long_run(rest, np.ones(len(rest), dtype=np.bool_))
         samples = round(samples / (1.0 + 2.0 * _NEIGHBOURS))
     noise = noise if noise > _ROUNDING**2 else 0.0
-    return deviation(noise, samples), variance + _LEAST_POSITION**2, interpolated
+    return joint_deviation(noise, samples), variance + _LEAST_POSITION**2, interpolated
 
 
 def overlap(at: Array, lag: int = 0) -> Array:

@@ -20,8 +20,11 @@ BLOCK = 2.0
 MOVES = 0.02
 """What counts as motion: m/s and rad/s, or m and rad of a joint."""
 
-SLACK_SECONDS, SLACK = 0.005, 0.03
-"""Smallest half of the interval of a time, and of a limit or noise as a fraction."""
+SLACK_SECONDS, SLACK, SLACK_JERK, SLACK_JOINTS = 0.008, 0.03, 0.4, 0.15
+"""Smallest half of the interval of a time, and of other numbers as a fraction.
+
+A link between robot and record smooths jerk, and noise of joints, by as much.
+"""
 
 _STEP = 0.02  # of parameters, for derivatives
 
@@ -46,10 +49,10 @@ def lag_estimate(value: float, error: float, dt: float) -> Estimate:
     return Estimate(value, max(0.0, value - half), value + half)
 
 
-def deviation(variance: float, count: int) -> Estimate:
-    """Return the estimate of a standard deviation by the variance of `count` numbers."""
+def joint_deviation(variance: float, count: int) -> Estimate:
+    """Return the estimate of the noise of joints by the variance of `count` numbers."""
     value = float(np.sqrt(variance))
-    margin = NORMAL / np.sqrt(2.0 * count / 1.6) + SLACK
+    margin = NORMAL / np.sqrt(2.0 * count / 1.6) + SLACK_JOINTS
     return Estimate(value, value * (1.0 - margin), value * (1.0 + margin))
 
 
