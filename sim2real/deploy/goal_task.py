@@ -87,7 +87,7 @@ def begin(
     if measured is not None:
         base, joints = measured.base_pose[0], measured.joint_positions[0]
         around = None
-        if isinstance(task, ChainTask) and start.solids is not None:
+        if isinstance(task, ChainTask) and task.scene is not None:
             # Of what the task draws at random, nothing is around the robot.
             around = task.furniture(start.target_poses)
         start = replace(start, base_pose=base, joint_positions=joints, solids=around)

@@ -1,5 +1,6 @@
 """A task in a physics world: its episodes, with the objects placed for each of them."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,8 +25,9 @@ _UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright un
 class Stage:
     """A task whose episodes also place robot and objects in a physics backend.
 
-    Starts in which the robot touches something are drawn again, with the objects and goals of the
-    first draw, so that the goals equal those without physics.
+    The furniture is among the solids of each episode, so that plans, IK and scans know it. Starts in
+    which the robot touches something are drawn again, with the objects and goals of the first draw,
+    so that the goals equal those without physics.
 
     Attributes:
         task: Task that draws the episodes.
@@ -45,7 +47,7 @@ class Stage:
         self._task_scene = self._chain.scene if self._chain and self.scene else None
         self.success = self._task_scene.success if self._task_scene else None
         backend.furniture = 0
-        if self._chain and self.scene and self._chain.clutter is not None:
+        if self._chain and self.scene:
             backend.furniture = self._chain.solids_of(self.scene).places
         if self._task_scene and (grasped := self._task_scene.grasped_object):
             if backend.robot.gripper is None:
@@ -67,6 +69,8 @@ class Stage:
                 scene = scene.with_poses(poses)
                 scene.check_layout(f"task {self.name!r}")
             self._placed[row] = scene
+            if self._chain and first.solids is None:
+                first = replace(first, solids=self._chain.solids_of(scene))
         start = first
         for _ in range(_DRAWS):
             if self.backend.place(row, scene, start.base_pose, start.joint_positions):

@@ -78,9 +78,7 @@ def test_an_orientation_is_given_by_angles_or_a_quaternion():
             goal(x, 0.0, 0.0, rpy=angles)
 
 
-@pytest.mark.parametrize(
-    ("task", "known"), [("ggr_obstacles", 0), ("shelf", 15), ("door_cluttered", 39)]
-)
+@pytest.mark.parametrize(("task", "known"), [("ggr_obstacles", 0), ("shelf", 15), ("door", 39)])
 def test_only_furniture_and_given_solids_are_known_around_a_real_robot(task, known):
     drawn = load_task(task), HSR, np.random.default_rng(0)
     start = begin(*drawn, AT_HOME)
