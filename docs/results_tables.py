@@ -32,8 +32,7 @@ TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 PLANNED = ("pretrained", "path planner")
-DEFAULT = {"pr2": ("pretrained", "feasibility filter"), "tiago": PLANNED, "hsr": PLANNED}
-"""Policy and row with the default filters of a robot; here the obstacle filter changes nothing."""
+"""Policy and row with the default filters; here the obstacle filter changes nothing."""
 LEARNED = {
     ("sac", ""): "SAC, 3 seeds",
     ("pretrained", ""): "pretrained",
@@ -147,9 +146,9 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
     """Return the README with the rows of a record."""
     analytic, with_physics = plain(record), plain(physics)
     for robot, name in ROBOTS.items():
-        default, in_pybullet = DEFAULT[robot], IN_PYBULLET[robot]
+        in_pybullet = IN_PYBULLET[robot]
         rows = {
-            f"**{name}**, ours": (analytic, *default, "success"),
+            f"**{name}**, ours": (analytic, *PLANNED, "success"),
             f"{name}, paper": (analytic, "sac", "", "paper_success"),
             f"{name}, policy alone": (analytic, "sac", "", "success"),
             f"{name}, ceiling": (analytic, "sac", "", "ceiling"),
