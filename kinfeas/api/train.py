@@ -8,7 +8,7 @@ from typing import Any, TypedDict, Unpack
 from kinfeas.api import Name
 from kinfeas.api.load import Adapters, load_robot, read_adapters, robot_of, text_of
 from kinfeas.config import Settings, nested
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.registry import from_anywhere
 from kinfeas.io.files import write_json
 from kinfeas.training import run as training
@@ -82,6 +82,11 @@ def train(
 
 def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainConfig:
     """Return the configuration of a run: the recipe, then the options, then their settings."""
+    for key, value in options.items():
+        if key not in Options.__annotations__:
+            hint = no_such(key, Options.__annotations__)
+            setting = f'keys of the recipe are settings={{"{key}": {value!r}}}'
+            raise KinfeasError(f"unknown option {key!r}{hint}; {setting}")
     init, config, world = options.get("init"), options.get("config"), options.get("world", _WORLD)
     changes: dict[str, object] = {"robot": robot}
     changes |= {key: options.get(key) for key in ("task", "seed", "init", "processes")}

@@ -143,6 +143,14 @@ def test_bad_input_is_an_error(arguments):
         kinfeas.evaluate(**{"policy": "follow_ee", **arguments})
 
 
+@pytest.mark.parametrize(
+    ("option", "named"), [("stepz", "'steps'"), ("num_envs", r'settings=\{"num_envs": 8\}')]
+)
+def test_unknown_options_of_a_training_are_errors(option, named):
+    with pytest.raises(KinfeasError, match=named):
+        kinfeas.train("hsr", **{option: 8})
+
+
 @pytest.mark.parametrize("arguments", [{"k": (3,)}, {"start": 3.0}, {"start": (0.0, 0.0)}])
 def test_bad_arguments_of_reach_are_errors(arguments):
     (name,) = arguments
