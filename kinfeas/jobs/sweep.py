@@ -81,6 +81,11 @@ class SweepConfig:
     pruner: Literal["median", "asha", "none"] = "median"
     seed: Seed = 0  # of the sampler
 
+    def __post_init__(self) -> None:
+        """Check that trials differ."""
+        if not self.space:
+            raise ValueError("'space' must have at least one key")
+
 
 def read_sweep(name: str, settings: Settings | None = None) -> SweepConfig:
     """Return a sweep by its recipe's name or file; raise KinfeasError for a wrong key or value."""

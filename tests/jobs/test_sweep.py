@@ -111,7 +111,7 @@ def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("space", "named"), [
-    ({"learner.speed": {"choices": [1]}}, "learner.speed"),
+    ({}, "space"), ({"learner.speed": {"choices": [1]}}, "learner.speed"),
     ({"num_envs": {"low": 1, "high": -1}}, "low"),
     ({"num_envs": {"choices": [0, 4]}}, "num_envs"),
     ({"num_envs": {"choices": [4], "when": {"seed": 1}}}, "seed"),
