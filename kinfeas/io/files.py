@@ -3,6 +3,7 @@
 import csv
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import shutil
@@ -113,6 +114,19 @@ def read_json(path: Path) -> dict[str, object]:
     if not isinstance(data, dict):
         raise KinfeasError(f"{path}: must hold a mapping of keys to values")
     return data
+
+
+def file_hash(path: Path) -> str:
+    """Return `sha256:` and the hash of a file's content."""
+    with path.open("rb") as file:
+        return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+
+
+def check_undamaged(path: Path, written: str | None) -> None:
+    """Raise KinfeasError unless a file has the `file_hash` that it was written with, if known."""
+    with reading(path):
+        if written is not None and written != file_hash(path):
+            raise KinfeasError(f"{path}: is damaged: its SHA-256 has changed")
 
 
 def check_new(path: str | Path | None) -> None:

@@ -13,7 +13,7 @@ from kinfeas import config
 from kinfeas.config.quantities import Count, Episodes
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
-from kinfeas.io.files import find_folder, read_json, reading
+from kinfeas.io.files import check_undamaged, find_folder, read_json, reading
 
 WEIGHTS = "policy.safetensors"
 
@@ -31,6 +31,7 @@ class Trained:
     observation: tuple[TermInfo, ...]  # observation terms in order
     action: tuple[TermInfo, ...]  # action terms in order
     kinematics: str | None = None  # hash of the robot's kinematics, from `robots.fingerprint`
+    weights: str | None = None  # hash of `policy.safetensors`, from `io.files.file_hash`
     config: dict[str, object] = field(default_factory=dict)  # configuration of the training
     steps: int | None = None  # environment steps of the training
     # metrics of the evaluation that selected it, which are biased
@@ -65,14 +66,15 @@ def policy_folder(folder: Path) -> Path:
 
 def read_policy(folder: Path) -> tuple[dict[str, Any], Trained]:
     """Return the tensors by name and the metadata of the policy in a training run or checkpoint."""
-    path = policy_folder(folder) / WEIGHTS
+    path, trained = policy_folder(folder) / WEIGHTS, read_trained(folder)
+    check_undamaged(path, trained.weights)
     try:
         with reading(path):
             tensors = load_file(path)
     # Exceptions of truncated or foreign files, and of types that NumPy lacks.
     except (SafetensorError, KeyError, TypeError, AttributeError) as error:
         raise KinfeasError(f"{path}: broken: {error}") from error
-    return tensors, read_trained(folder)
+    return tensors, trained
 
 
 def read_trained(folder: Path) -> Trained:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from kinfeas.control.observation import (
     OBSERVATION,
@@ -22,7 +22,7 @@ from kinfeas.control.observation import (
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import write_folder
+from kinfeas.io.files import file_hash, write_folder
 from kinfeas.io.policy_metadata import WEIGHTS, Trained, read_policy, write_trained
 from kinfeas.robots.robot import Robot, check_same_robot, fingerprint
 
@@ -90,9 +90,10 @@ def write_network(network: Network, folder: Path, robot: Robot, about: Mapping[s
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors |= {f"weight.{i}": weight, f"bias.{i}": bias}
     contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
-    save_file(contiguous, folder / WEIGHTS)
+    (folder / WEIGHTS).write_bytes(save(contiguous))  # `save_file` makes it private
     trained = Trained(
         robot=robot.name, layers=len(network.weights), kinematics=fingerprint(robot),
+        weights=file_hash(folder / WEIGHTS),
         observation=describe_observation(robot, network.observation_terms),
         action=(describe_action(robot),), **about,
     )  # fmt: skip

@@ -1,5 +1,6 @@
 """Checkpoints to resume from: arrays in safetensors, numbers in JSON; nothing is unpickled."""
 
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
-from kinfeas.io.files import reading
+from kinfeas.io.files import check_undamaged, file_hash, reading
 from kinfeas.training.fast_sac import FastSAC
-from kinfeas.training.run import loading, read_state, write_state
+from kinfeas.training.run import STATE, loading, read_state, write_state
 
 _ARRAYS = "state.safetensors"
 _MOTION = "world.motion."  # prefix of the states of motions
@@ -26,7 +27,9 @@ def save_learner(
     save_file(_arrays(learner, world), folder / _ARRAYS)
     buffer = learner.replay_buffer
     position = {"position": buffer.pos, "full": buffer.full}
-    write_state(folder, {"updates": learner._n_updates, "buffer": position, **state})
+    about = {"updates": learner._n_updates, "buffer": position, **state}
+    write_state(folder, {"arrays": file_hash(folder / _ARRAYS), **about})
+    shutil.copymode(folder / STATE, folder / _ARRAYS)  # `save_file` makes it private
 
 
 def load_learner(
@@ -39,6 +42,7 @@ def load_learner(
     """
     about = read_state(folder)
     with loading(folder):
+        check_undamaged(folder / _ARRAYS, about.get("arrays"))
         with reading(folder / _ARRAYS):
             arrays = load_file(folder / _ARRAYS)
         buffer = learner.replay_buffer

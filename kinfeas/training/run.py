@@ -30,12 +30,15 @@ from kinfeas.training.worlds import in_evaluation
 SETTINGS = "config.yaml"
 """File with the settings of a run, the first that it writes."""
 
+STATE = "state.json"
+"""File with the numbers of a checkpoint."""
+
 EVALUATIONS = 0.25
 """Share of `schedule.minutes` for evaluations with physics."""
 
 _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
-_FORMAT, _STATE = 3, "state.json"
+_FORMAT = 3
 _BROKEN = (
     ArithmeticError, LookupError, OSError, RuntimeError, SafetensorError, TypeError, ValueError
 )  # fmt: skip
@@ -155,7 +158,7 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
                 )
         names = {entry.name for entry in fields(_Saved)}
         entries = {key: value for key, value in state["progress"].items() if key in names}
-        saved = configuration.from_mapping(_Saved, entries, str(last / _STATE))
+        saved = configuration.from_mapping(_Saved, entries, str(last / STATE))
     progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
     # The schedule may have been made longer.
     progress.fraction = fraction_done(config, progress)
@@ -236,13 +239,13 @@ def _initial_policy(config: TrainConfig) -> Network:
 def write_state(folder: Path, entries: Mapping[str, Any]) -> None:
     """Write the numbers of a checkpoint into an existing folder as JSON."""
     text = json.dumps({"format": _FORMAT, **entries})
-    (folder / _STATE).write_text(text, encoding="utf-8")
+    (folder / STATE).write_text(text, encoding="utf-8")
 
 
 def read_state(folder: Path) -> dict[str, Any]:
     """Return the entries that `write_state` wrote, and the format."""
     with loading(folder):
-        about: dict[str, Any] = json.loads(read_file(folder / _STATE, MAX_JSON_BYTES))
+        about: dict[str, Any] = json.loads(read_file(folder / STATE, MAX_JSON_BYTES))
         if about["format"] != _FORMAT:
             raise ValueError(f"its format is {about['format']}, not {_FORMAT}")
         return about

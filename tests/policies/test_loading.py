@@ -88,7 +88,7 @@ def test_each_shipped_policy_is_complete(robot):
     assert network.equals(read_network(folder, robot))
     about = json.loads((folder / "policy.json").read_text())
     assert about["command"].startswith("kinfeas train ")
-    assert {"config", "kinematics"} <= about.keys()
+    assert {"config", "kinematics", "weights"} <= about.keys()
     assert pickle.loads(pickle.dumps(network)).equals(network)
 
 
@@ -135,6 +135,15 @@ def test_as_many_layers_as_are_told_must_be_there(pr2, tmp_path, layers):
     write_trained(replace(read_trained(tmp_path), layers=layers), tmp_path)
     with pytest.raises(KinfeasError, match=str(tmp_path)):
         read_network(tmp_path, pr2)
+
+
+def test_damaged_weights_raise(hsr, trained):
+    path = trained / "policy.safetensors"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(KinfeasError, match=f"{path}: is damaged"):
+        load_policy(str(trained), hsr)
 
 
 def test_a_policy_is_for_the_kinematics_that_it_was_trained_with(pr2, tmp_path):

@@ -36,7 +36,7 @@ def saved(tiny, tmp_path):
         learner.replay_buffer.add(seen, after, action, rewards, dones, infos)
         seen = after
     learner.train(2, 16)
-    save_learner(tmp_path, learner, env.snapshot(), {})
+    save_learner(tmp_path, learner, env.snapshot(), {"arrays": None})  # of unknown hash
     other, fresh, _ = make()
     return tmp_path, other, fresh.snapshot()
 
@@ -88,6 +88,11 @@ def test_the_end_of_time_is_no_terminal_state(whole):
     before, after, goes_on = rows[..., :26], rows[..., 26:52], rows[:-1, :, -2] == 0.0
     np.testing.assert_array_equal(after[:-1][goes_on], before[1:][goes_on])
     assert (np.abs(after[:-1] - before[1:]).max(axis=-1)[~goes_on] > 1e-3).all()
+
+
+def test_all_files_have_the_mode_of_the_umask(whole):
+    files = (whole / "metrics.csv", *(whole / "checkpoints" / "last").iterdir())
+    assert len({path.stat().st_mode for path in files}) == 1
 
 
 def test_resuming_unpickles_nothing(whole, monkeypatch):

@@ -255,6 +255,12 @@ def test_a_broken_checkpoint_raises_and_stays(half, file):
     with pytest.raises(KinfeasError, match=rf"last/{file}: .*regular file"):
         resume(half)
     path.unlink()
+    if file != "state.json":
+        damaged = bytearray(content)
+        damaged[len(content) // 2] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(KinfeasError, match=rf"last/{file}: is damaged"):
+            resume(half)
     path.write_bytes(content[: int(0.99 * len(content))])
     before = contents(half)
     with pytest.raises(KinfeasError, match="last"):
