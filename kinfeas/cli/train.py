@@ -1,6 +1,7 @@
 """`kinfeas train`: train a base policy."""
 
 import shlex
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -42,7 +43,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     overrides: options.Overrides = None,
     resume: Path | None = option(None, "Resume the run of a folder; --minutes and --steps extend."),
 ) -> None:
-    """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
+    """Train a base policy. Ctrl-C and SIGTERM leave a checkpoint to --resume from.
 
     Recipes are sections of the robot: train, with --world pybullet or mujoco train_physics,
     with --init as well finetune_physics. Settings: every key of the recipe, such as
@@ -84,9 +85,16 @@ def train_run(config: "TrainConfig", folder: Path) -> "Run":
 
 @contextmanager
 def training_progress(folder: Path) -> Iterator["OnTraining"]:
-    """Show progress; on Ctrl-C print how the run continues, and end with code 130."""
+    """Show progress; on Ctrl-C or SIGTERM print how the run continues, and end with its code."""
     from kinfeas.training.run import SETTINGS
 
+    ended: list[int] = []
+
+    def end(number: int, _: object) -> None:
+        ended.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
     try:
         with progress() as on_progress:
             yield lambda now: on_progress(describe(now), now.fraction)
@@ -94,7 +102,9 @@ def training_progress(folder: Path) -> Iterator["OnTraining"]:
         resume = shlex.join(["kinfeas", "train", "--resume", str(folder)])
         begun = (folder / SETTINGS).is_file()
         sys.stderr.write(f"interrupted; {f'resume with: {resume}' if begun else 'not begun'}\n")
-        raise typer.Exit(130) from None
+        raise typer.Exit(128 + (ended or [signal.SIGINT])[0]) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def describe(now: "Progress") -> str:

@@ -389,19 +389,17 @@ def environments(config: TrainConfig) -> EpisodesVecEnv:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delay Ctrl-C until the block is complete.
-
-    Raises:
-        KeyboardInterrupt: At the end of the block, if Ctrl-C came within it.
-    """
+    """Delay SIGINT (Ctrl-C) and SIGTERM until the block is complete."""
     if threading.current_thread() is not threading.main_thread():
         yield  # Python delivers no signals here
         return
-    came: list[bool] = []
-    before = signal.signal(signal.SIGINT, lambda *_: came.append(True))
+    came: list[int] = []
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.signal(number, lambda got, _: came.append(got)) for number in numbers]
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
     if came:
-        raise KeyboardInterrupt
+        signal.raise_signal(came[0])

@@ -1,6 +1,7 @@
 import csv
 import json
 import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,16 +55,19 @@ def test_robot_and_recipe_by_path_and_default_folder(kinfeas, tmp_path):
     assert settings["robot"] == str(tmp_path / "mine")
 
 
-def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch):
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch, number, code):
     steps, step = [], training._Run._step
 
     def interrupted(run):
         steps.append(step(run))
         if len(steps) == 3:
-            raise KeyboardInterrupt
+            signal.raise_signal(number)
 
     monkeypatch.setattr(training._Run, "_step", interrupted)
-    outcome = kinfeas(*SHORT, code=130)
+    outcome = kinfeas(*SHORT, code=code)
+    state = json.loads(Path("run/checkpoints/last/state.json").read_text())
+    assert state["progress"]["steps"] > 0
     assert outcome.err.splitlines()[-1].endswith("kinfeas train --resume run")
     kinfeas("train", "--resume", "run", "--steps", "128", code=0)
     assert "steps: 128" in Path("run/config.yaml").read_text()
