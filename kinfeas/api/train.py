@@ -120,19 +120,25 @@ def resume(
     *,
     minutes: float | None = None,
     steps: int | None = None,
+    robot: Name | None = None,
+    task: Name | None = None,
     on_progress: OnTraining | None = None,
 ) -> Run:
     """Resume a run from its last checkpoint and return it; larger limits extend a finished run.
 
+    `robot` and `task` are new places of those that it was trained with.
+
     Raises:
-        KinfeasError: If the folder is no run, or a limit is invalid.
+        KinfeasError: If the folder is no run, a limit is invalid, or robot or task have changed.
     """
-    path, longer = Path(text_of(folder, "folder")), duration(minutes, steps)
-    progress = training.finished(path, longer)
-    if progress is None:
+    path, changes = Path(text_of(folder, "folder")), duration(minutes, steps)
+    moved = {"robot": robot, "task": task}
+    changes |= {k: from_anywhere(text_of(v, k)) for k, v in moved.items() if v is not None}
+    progress = training.finished(path, changes)
+    if progress is None or robot or task:
         from kinfeas.training.train import resume as run
 
-        progress = run(path, on_progress, longer)
+        progress = run(path, on_progress, changes)
     return _ended(path, progress)
 
 

@@ -41,7 +41,9 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
         "[default: that of the robot]",
     ),
     overrides: options.Overrides = None,
-    resume: Path | None = option(None, "Resume the run of a folder; --minutes and --steps extend."),
+    resume: Path | None = option(
+        None, "Run folder to resume; --minutes and --steps extend it, --robot and --task may move."
+    ),
 ) -> None:
     """Train a base policy. Ctrl-C and SIGTERM leave a checkpoint to --resume from.
 
@@ -67,11 +69,13 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
         )  # fmt: skip
         run = train_run(settings, out or training.default_folder(settings))
     else:
-        excluded = (robot, task, seed, adapters, init, processes, out, config, overrides)
+        excluded = (seed, adapters, init, processes, out, config, overrides)
         if world != "analytic" or any(value is not None for value in excluded):
-            raise KinfeasError("--resume excludes all options but --minutes and --steps")
+            raise KinfeasError("--resume excludes all but --minutes, --steps, --robot, --task")
         with training_progress(resume) as report:
-            run = training.resume(resume, minutes=minutes, steps=steps, on_progress=report)
+            run = training.resume(
+                resume, minutes=minutes, steps=steps, robot=robot, task=task, on_progress=report
+            )
     _show(run, adapters)
 
 

@@ -1,5 +1,6 @@
 """A run's folder, settings and progress, read without torch."""
 
+import hashlib
 import json
 import math
 from collections import defaultdict, deque
@@ -19,11 +20,13 @@ from kinfeas import config as configuration
 from kinfeas.config import Settings
 from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import MAX_JSON_BYTES, find_folder, read_file, writing
+from kinfeas.io.files import MAX_JSON_BYTES, find_folder, is_path, read_file, writing
 from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policies
 from kinfeas.policies.network import Network, read_network
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import fingerprint
+from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.worlds import in_evaluation
 
@@ -118,19 +121,25 @@ def read_settings(out: Path, settings: Settings | None = None) -> TrainConfig:
 
 
 def finished(out: Path, settings: Settings | None = None) -> Progress | None:
-    """Return the progress of a run that is finished with these settings; None for any other."""
+    """Return the progress of a run that is finished with these settings; None for any other.
+
+    Raises:
+        KinfeasError: If the settings would have ended the run before.
+    """
     config, last = read_settings(out, settings), find_folder(out / "checkpoints" / "last")
     if not last.is_dir():
         return None
     progress = read_progress(config, last)
+    if progress.fraction >= 1.0 and config.schedule != read_settings(out).schedule:
+        minutes = (progress.seconds + progress.other_seconds) / 60.0
+        raise KinfeasError(f"{out}: has {progress.steps:,} steps in {minutes:.1f} minutes already")
     ended = progress.fraction >= 1.0 and progress.evaluations >= evaluations_due(config, progress)
     return progress if ended and read_trained(out).fresh_evaluation else None
 
 
 def read_evaluation(out: Path) -> dict[str, Any]:
     """Return the metrics of a finished run on fresh episodes, and what they were measured on."""
-    best = read_best(out)
-    config = configuration.from_mapping(TrainConfig, best.config, str(out))
+    best, config = read_best(out), read_settings(out)
     return {
         "robot": best.robot,
         "trained_with": config.robot,
@@ -150,12 +159,20 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
     with loading(last):
         # Keys that did not exist when the checkpoint was written have their defaults.
         before = identity(configuration.from_mapping(TrainConfig, state["config"], str(last)))
-        for key, value in identity(config).items():
-            if before[key] != value:
+        now, hashes, written = identity(config), content_hashes(config), state.get("hashes", {})
+        for key in hashes.keys() & written.keys():
+            if hashes[key] != written[key]:
                 raise KinfeasError(
-                    f"{last}: a checkpoint of another run: its {key} is {before[key]}, "
-                    f"but {last.parents[1] / SETTINGS} has {value}"
+                    f"{last}: trained with another {key}, or {now[key]} has changed since"
                 )
+            before[key] = now[key]  # it may have moved
+        if differences := list(_differences(before, now)):
+            its = ", ".join(f"{key} is {value}" for key, value, _ in differences)
+            others = ", ".join(other for *_, other in differences)
+            raise KinfeasError(
+                f"{last}: a checkpoint of another run: its {its}, "
+                f"but {last.parents[1] / SETTINGS} has {others}"
+            )
         names = {entry.name for entry in fields(_Saved)}
         entries = {key: value for key, value in state["progress"].items() if key in names}
         saved = configuration.from_mapping(_Saved, entries, str(last / STATE))
@@ -199,6 +216,33 @@ def identity(config: TrainConfig) -> dict[str, object]:
     """Return the settings that must not change when a run is resumed: not schedule and trackers."""
     mapping = configuration.to_mapping(config)
     return {key: mapping[key] for key in mapping if key not in ("schedule", "trackers")}
+
+
+def content_hashes(config: TrainConfig) -> dict[str, str]:
+    """Return hashes of the robot's kinematics and of the YAML of a task, by key.
+
+    Raises:
+        KinfeasError: If one of the files is not there.
+    """
+    for key in ("robot", "task"):
+        if is_path(place := getattr(config, key)) and not Path(place).exists():
+            raise KinfeasError(f"{key} {place} is not there; give its new place with --{key}")
+    hashes = {"robot": fingerprint(load_robot(config.robot))}
+    if is_path(config.task):
+        task = configuration.to_mapping(load_task(config.task, config.task_parameters))
+        text = json.dumps(task, sort_keys=True, ensure_ascii=False)
+        text = text.replace(f"{Path(config.task).parent}/", "")  # of the files that it names
+        hashes["task"] = f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+    return hashes
+
+
+def _differences(one: object, other: object, key: str = "") -> Iterator[tuple[str, str, str]]:
+    """Yield keys with dots and both values where nested mappings differ."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        for name in sorted({*one, *other}):
+            yield from _differences(one.get(name), other.get(name), f"{key}.{name}".strip("."))
+    elif one != other:
+        yield key, str(one), str(other)
 
 
 def with_initial_policy(config: TrainConfig) -> TrainConfig:

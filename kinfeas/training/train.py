@@ -42,6 +42,7 @@ from kinfeas.training.run import (
     Progress,
     check_begun,
     check_run_folder,
+    content_hashes,
     evaluation_seconds,
     evaluations_due,
     fraction_done,
@@ -117,6 +118,7 @@ class _Run:
         self.progress = Progress(analytic=analytic)
         self.part = part_of(config, analytic=analytic)
         self.env = environments(self.part)
+        self.hashes = content_hashes(config)  # files may change later
         if analytic:  # shows its errors early
             training_world(config).close()
         self.learner = make_learner(config.learner, self.env, config.seed)
@@ -357,7 +359,8 @@ class _Run:
 
     def _save(self) -> None:
         self._losses()
-        state = {"config": identity(self.config), "progress": self.progress.saved()}
+        state = {"config": identity(self.config), "hashes": self.hashes}
+        state["progress"] = self.progress.saved()
 
         def fill(folder: Path) -> None:
             save_learner(folder, self.learner, self.env.snapshot(), state)

@@ -69,8 +69,11 @@ def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch, numbe
     state = json.loads(Path("run/checkpoints/last/state.json").read_text())
     assert state["progress"]["steps"] > 0
     assert outcome.err.splitlines()[-1].endswith("kinfeas train --resume run")
-    kinfeas("train", "--resume", "run", "--steps", "128", code=0)
-    assert "steps: 128" in Path("run/config.yaml").read_text()
+    shutil.copytree(load_robot("hsr").folder, "mine")
+    kinfeas("train", "--resume", "run", "--steps", "128", "--robot", "./mine", code=0)
+    settings = yaml.safe_load(Path("run/config.yaml").read_text())
+    assert settings["schedule"]["steps"] == 128
+    assert settings["robot"] == str(Path("mine").absolute())
     before = contents(Path("run"))
     check_one_line(kinfeas(*SHORT), "holds a run")
     assert contents(Path("run")) == before

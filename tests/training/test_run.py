@@ -14,6 +14,7 @@ from kinfeas.training.run import (
     Progress,
     check_begun,
     check_run_folder,
+    content_hashes,
     finished,
     fraction_done,
     read_progress,
@@ -93,12 +94,47 @@ def test_wrong_progress_raises(ended, key, value):
 
 @pytest.mark.parametrize(
     ("settings", "key"),
-    [({"seed": 3}, "seed"), ({"num_envs": 4}, "num_envs"), ({"learner.gamma": 0.9}, "learner")],
+    [
+        ({"seed": 3}, "seed"),
+        ({"num_envs": 4}, "num_envs"),
+        ({"learner.gamma": 0.9}, "learner.gamma"),
+    ],
 )
 def test_a_checkpoint_of_other_settings_raises(whole, tiny, settings, key):
     last = whole / "checkpoints" / "last"
     with pytest.raises(KinfeasError, match=f"{last}: .* its {key} is"):
         read_progress(tiny(settings), last)
+
+
+def test_a_run_that_is_longer_already_raises(ended):
+    with pytest.raises(KinfeasError, match=f"{ended}: has 320 steps"):
+        finished(ended, {"schedule.steps": 100})
+
+
+def test_a_robot_may_move_but_not_change(hsr, ended, tmp_path):
+    shutil.copytree(hsr.folder, tmp_path / "mine")
+    assert finished(ended, {"robot": str(tmp_path / "mine")})
+    with pytest.raises(KinfeasError, match=f"{tmp_path}/none .* --robot"):
+        finished(ended, {"robot": str(tmp_path / "none")})
+    path = tmp_path / "mine" / "robot.yaml"
+    path.write_text(path.read_text().replace("max_velocity:", "max_velocity: 0.1 #"))
+    with pytest.raises(KinfeasError, match=f"another robot, or {tmp_path}/mine has changed"):
+        finished(ended, {"robot": str(tmp_path / "mine")})
+
+
+def test_a_task_may_move_with_its_files_but_not_change(tiny, tmp_path):
+    def hashes(name, x=2.0):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "own.yaml").write_text("name: own\nsize: [9, 9]\nobjects: {}\n")
+        task = {"name": "own", "scene": {"name": "own.yaml"}, "subgoals": [{"place": "shelf"}]}
+        task["places"] = {"shelf": {"position": [x, 0.0, 1.0]}}
+        (folder / "task.yaml").write_text(json.dumps(task))
+        return content_hashes(tiny({"task": str(folder / "task.yaml")}))
+
+    first = hashes("first")
+    assert hashes("moved") == first
+    assert hashes("changed", 2.5)["task"] != first["task"]
 
 
 @pytest.mark.parametrize(("name", "robot"), [
