@@ -104,7 +104,8 @@ def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainCon
     if recipe.world.backend != world:
         raise KinfeasError(f"world {world!r}: the recipe is for the world {recipe.world.backend!r}")
     robot_name, task_name = from_anywhere(recipe.robot), from_anywhere(recipe.task)
-    return training.with_initial_policy(replace(recipe, robot=robot_name, task=task_name))
+    recipe = replace(recipe, robot=robot_name, task=task_name)
+    return training.with_initial_policy(recipe, options.get("settings"))
 
 
 def begin(config: TrainConfig, folder: Path, on_progress: OnTraining | None = None) -> Run:

@@ -96,4 +96,4 @@ def _settings(training: Training, seed: int) -> TrainConfig:
     values = {"robot": training.robot, "seed": seed}
     limits = duration(training.minutes, training.steps)
     settings = config.nested(values, limits, training.settings)
-    return with_initial_policy(load_recipe(training.recipe, settings))
+    return with_initial_policy(load_recipe(training.recipe, settings), training.settings)

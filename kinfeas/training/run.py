@@ -245,20 +245,31 @@ def _differences(one: object, other: object, key: str = "") -> Iterator[tuple[st
         yield key, str(one), str(other)
 
 
-def with_initial_policy(config: TrainConfig) -> TrainConfig:
-    """Return the configuration with layers, terms and absolute path of its initial policy."""
+def with_initial_policy(config: TrainConfig, settings: Settings | None = None) -> TrainConfig:
+    """Return the configuration with layers, terms and absolute path of its initial policy.
+
+    Raises:
+        KinfeasError: If `settings`, which have been made already, ask for other layers or terms.
+    """
     if config.init is None:
         return config
     network = _initial_policy(config)
     terms = network.observation_terms
     net_arch = tuple(len(bias) for bias in network.biases[:-1])
     own = config.init in trained_policies(load_robot(config.robot))
-    return replace(
+    tuned = replace(
         config,
         init=config.init if own else str(Path(config.init).absolute()),
         observation=(*terms, *(name for name in config.observation if name not in terms)),
         learner=replace(config.learner, net_arch=net_arch),
     )
+    asked = configuration.nested(settings)
+    explicit = {"observation": asked, "learner.net_arch": asked.get("learner", {})}
+    both = configuration.to_mapping(config), configuration.to_mapping(tuned)
+    for key, value, own_value in _differences(*both):
+        if key.split(".")[-1] in explicit.get(key, ()):
+            raise KinfeasError(f"{key!r} is {value}, but with init {config.init} it is {own_value}")
+    return tuned
 
 
 def initial_policy(config: TrainConfig, scale: NDArray[np.float32]) -> Network:

@@ -85,6 +85,10 @@ def test_initial_policy_gives_robot_and_network(tmp_path):
     recipe = configure("hsr")
     learner = replace(recipe.learner, net_arch=(8, 8))
     assert settings == replace(recipe, init=str(tmp_path), learner=learner)
+    assert configure(init=str(tmp_path), settings={"learner.net_arch": [8, 8]}) == settings
+    for key, value in {"learner.net_arch": [32], "observation": ["ee_position"]}.items():
+        with pytest.raises(KinfeasError, match=f"'{key}' is"):
+            configure(init=str(tmp_path), settings={key: value})
     for other in ({"config": "paper/pr2"}, {"robot": "pr2"}):
         with pytest.raises(KinfeasError, match=r"'hsr'.*'pr2'"):
             configure(init=str(tmp_path), **other)
