@@ -14,8 +14,12 @@ from kinfeas.core.policy import Policy
 from kinfeas.evaluation import evaluate as evaluation
 from kinfeas.evaluation.evaluate import EvalConfig, Summary
 from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
+from kinfeas.io.policy_metadata import read_trained
 from kinfeas.planning.placement import STAGES
-from kinfeas.policies.loading import load_policy
+from kinfeas.policies.loading import load_policy, trained_folder
+from kinfeas.policies.network import Network
+from kinfeas.policies.onnx_policy import OnnxPolicy
+from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
 
 if TYPE_CHECKING:
@@ -23,8 +27,9 @@ if TYPE_CHECKING:
 
 
 class Metrics(Summary, total=False):
-    """Metrics of a policy; with `ablation` also those with other adapters."""
+    """Metrics of a policy trained for `steps`; with `ablation` also those with other adapters."""
 
+    steps: int | None
     ablation: dict[str, Summary]
 
 
@@ -73,6 +78,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
         Metrics by key: `success`, the fraction of episodes that reach the goal without an IK
         failure; `within_5cm`, the fraction in which the EE is always within 5 cm of its path, and
         in the end of the goal; `failed`, the numbers of episodes without success by the reason;
+        `per_episode`, columns for `pandas.DataFrame`; `steps` of the policy's training, if known;
         `ceiling`, the fraction of reachable goals; each with its 95 % interval, `_low` and `_high`.
         `Metrics` of `kinfeas.core.metrics` has the others, in metres and seconds.
 
@@ -101,6 +107,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
         return evaluation.evaluate(config, driver, name, processes, count)
 
     metrics = cast("Metrics", measure(config, ""))
+    metrics["steps"] = _steps(policy, driver, model)
     if ablation:
         metrics["ablation"] = {
             label: measure(replace(config, world=replace(config.world, adapters=subset)), label)
@@ -112,6 +119,15 @@ def evaluate(  # noqa: PLR0913 - options of the command
     if picture or video or replay:
         show_episode(config, driver, episode, picture, video, replay, on_progress)
     return metrics
+
+
+def _steps(policy: Name | Policy, driver: Policy, robot: Robot) -> int | None:
+    """Return the steps of a policy's training; None if unknown."""
+    if isinstance(driver, OnnxPolicy):
+        return cast("int | None", driver.metadata.training.get("steps"))
+    if isinstance(driver, Network) and isinstance(policy, str | Path):
+        return read_trained(trained_folder(str(policy), robot)).steps
+    return None
 
 
 def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files

@@ -28,6 +28,9 @@ RunJobs = Callable[[Sequence[Job], str], list[Result]]
 CEILING = "ceiling"
 """Policy of an evaluation that measures the reachability of a task's goals."""
 
+_LEFT_OUT = {"settings", "version", "per_episode"}
+"""Metrics that are left out, to keep the files small."""
+
 PART = 20
 """Episodes of one evaluation with physics: the most that an interruption loses."""
 
@@ -157,7 +160,8 @@ def compute(case: Evaluation) -> Result:
         robot, case.task, case.backend, episodes=case.episodes, seed=case.seed,
         settings=nested(case.settings, parameters),
     )  # fmt: skip
-    return dict(evaluate(replace(plan, first=case.first), policy, case.policy))
+    metrics = evaluate(replace(plan, first=case.first), policy, case.policy)
+    return {key: value for key, value in metrics.items() if key not in _LEFT_OUT}
 
 
 def _of_task(

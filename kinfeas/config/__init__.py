@@ -103,7 +103,7 @@ def to_mapping(config: object) -> dict[str, Any]:
     """Return a dataclass as plain data that `from_mapping` reads back."""
     from pydantic_core import to_jsonable_python
 
-    return cast("dict[str, Any]", to_jsonable_python(config))
+    return cast("dict[str, Any]", to_jsonable_python(config, fallback=_of_numpy))
 
 
 def dump(config: object, path: Path) -> None:

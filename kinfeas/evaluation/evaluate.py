@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas.config import PluginSpec, Settings, from_mapping, merged
+from kinfeas import __version__
+from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, to_mapping
 from kinfeas.config.recipes import section
 from kinfeas.control.assemble import respond_late
 from kinfeas.control.execution import ExecutionConfig
@@ -25,7 +26,8 @@ from kinfeas.tasks.task import StreamTask, Task
 class Summary(Metrics):
     """Metrics of a policy, what they were measured on, and the ceiling; null if not measured.
 
-    `failed` are the numbers of the episodes without success, by what kept them from it.
+    `settings` are those given. `failed` are the numbers of the episodes without success, by what
+    kept them from it; `per_episode` has a column for each field of the records.
     """
 
     robot: str
@@ -38,7 +40,10 @@ class Summary(Metrics):
     adapters: list[str]
     filters: list[str]
     backend_parameters: dict[str, object]
+    settings: dict[str, object]
+    version: str
     failed: dict[str, list[int]]
+    per_episode: dict[str, list[float | None]]
     ceiling: float | None
     ceiling_low: float | None
     ceiling_high: float | None
@@ -54,6 +59,7 @@ class EvalConfig:
     seed: int = 1
     world: WorldConfig = field(default_factory=evaluation_world)
     first: int = 0
+    settings: Settings = field(default_factory=dict)  # that made `task` and `world`
 
 
 @dataclass(frozen=True)
@@ -103,7 +109,8 @@ def configure(
     """
     config = read_settings(robot.folder, backend, settings)
     count = episodes or (500 if backend == "analytic" else 50)
-    return EvalConfig(robot, load_task(task, config.task), count, seed, config.world)
+    goals = load_task(task, config.task)
+    return EvalConfig(robot, goals, count, seed, config.world, settings=settings or {})
 
 
 def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
@@ -145,8 +152,10 @@ def evaluate(
         "adapters": [adapter.name for adapter in settings.adapters],
         "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
+        "settings": to_mapping(nested(config.settings)), "version": __version__,
         **summarize(records),
         "failed": _failed(records, config.first),
+        "per_episode": _per_episode(records, config.first),
         "ceiling": None, "ceiling_low": None, "ceiling_high": None,
     }  # fmt: skip
 
@@ -183,6 +192,17 @@ def _failed(records: EpisodeRecords, first: int) -> dict[str, list[int]]:
     for row in np.flatnonzero(~records.success).tolist():
         failed.setdefault(reasons[row], []).append(first + row)
     return failed
+
+
+def _per_episode(records: EpisodeRecords, first: int) -> dict[str, list[float | None]]:
+    """Return the records that were measured as columns of a table; infinity is None, as in JSON."""
+    episode = np.arange(first, first + len(records.reached))
+    columns = {"episode": episode, "success": records.success, **vars(records)}
+    return {
+        name: [value if np.isfinite(value) else None for value in values.tolist()]
+        for name, values in columns.items()
+        if values is not None and values.ndim == 1
+    }
 
 
 def add_ceiling(

@@ -38,7 +38,9 @@ def test_train_evaluate_export_and_load(tmp_path):
 def test_a_folder_does_not_hide_an_included_policy(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pretrained").mkdir()
-    assert kinfeas.evaluate("pretrained", episodes=1, settings=SHORT)["policy"] == "pretrained"
+    metrics = kinfeas.evaluate("pretrained", episodes=1, settings=SHORT)
+    assert metrics["policy"] == "pretrained"
+    assert metrics["steps"] > 0
 
 
 def test_policies_are_names_or_objects():
@@ -83,6 +85,8 @@ def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
         settings={"world": {"max_seconds": 1}},
     )
     assert metrics == json.loads((tmp_path / "out.json").read_text())
+    assert metrics["settings"]["world"]["max_seconds"] == 1
+    assert (metrics["version"], metrics["steps"]) == (kinfeas.__version__, None)
     assert np.isfinite(metrics["mean_deviation_m"])
     bound = kinfeas.ceiling("hsr", episodes=2)
     assert bound.ceiling == metrics["ceiling"] == bound.convergence[-1]

@@ -63,6 +63,11 @@ def test_summary(config, policy):
     failed = summary["failed"]
     assert sum(map(len, failed.values())) == round(20 * (1.0 - summary["success"]))
     assert set(failed) <= {"ik_failure", "collision", "time"}
+    table = summary["per_episode"]
+    assert {len(column) for column in table.values()} == {20}
+    unsolved = [k for k, done in zip(table["episode"], table["success"], strict=True) if not done]
+    assert sorted(number for numbers in failed.values() for number in numbers) == unsolved
+    assert np.mean(table["mean_deviation"]) == pytest.approx(summary["mean_deviation_m"])
 
 
 STUDY = Path(__file__).parents[2] / "docs" / "figures" / "study.json"
