@@ -109,12 +109,15 @@ def network_of(learner: SAC, env: EpisodesVecEnv) -> Network:
 def save_policy(model: SAC, env: EpisodesVecEnv, folder: Path) -> None:
     """Write the policy of a Stable-Baselines3 model for `evaluate`, `export` and `deploy`.
 
-    The model has `MlpPolicy` and ReLU layers; `env`, that of its training, determines robot and
-    observation scale. `policy.json` and `policy.safetensors` are written into the existing folder.
+    The model is SAC or TQC, with `MlpPolicy` and ReLU layers; `env`, that of its training,
+    determines robot and observation scale. `policy.json` and `policy.safetensors` are written into
+    the existing folder.
 
     Raises:
-        KinfeasError: If the actor has other layers.
+        KinfeasError: If the model is of another algorithm, or the actor has other layers.
     """
+    if not hasattr(getattr(model, "actor", None), "latent_pi"):
+        raise KinfeasError(f"the algorithm must be SAC or TQC, not {type(model).__name__}")
     hidden: Any = model.actor.latent_pi
     layers = [*hidden, model.actor.features_extractor]
     if others := {type(m).__name__ for m in layers} - {"Linear", "ReLU", "FlattenExtractor"}:

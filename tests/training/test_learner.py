@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import SAC
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from torch import nn
 
@@ -72,6 +72,8 @@ def test_only_actors_that_the_format_holds_are_saved(env, options, named, tmp_pa
     save_policy(SAC("MlpPolicy", env), env, tmp_path)
     with pytest.raises(KinfeasError, match=named):
         save_policy(SAC("MlpPolicy", env, policy_kwargs=options), env, tmp_path)
+    with pytest.raises(KinfeasError, match="PPO"):
+        save_policy(PPO("MlpPolicy", env), env, tmp_path)
 
 
 @pytest.mark.parametrize(
