@@ -135,13 +135,13 @@ class OnnxPolicy:
         return action
 
 
-def read_policy_file(path: Path, robot: Robot | None) -> OnnxPolicy:
+def read_policy_file(path: str | Path, robot: Robot | None) -> OnnxPolicy:
     """Return the policy of a file written by `kinfeas export`; without a robot, to inspect it.
 
     Raises:
         KinfeasError: As `OnnxPolicy`, or if the policy is for another robot or other kinematics.
     """
-    content = read_file(path, MAX_BYTES)
+    content = read_file(Path(path), MAX_BYTES)
     try:
         policy = OnnxPolicy(content)
     except KinfeasError as error:

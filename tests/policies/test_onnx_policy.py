@@ -47,7 +47,7 @@ def observations(network, n):
 
 
 def test_acts_as_the_training_policy_whatever_the_batch(path, exported, hsr):
-    network, policy = exported[0], read_policy_file(path, hsr)
+    network, policy = exported[0], read_policy_file(str(path), hsr)
     seen = observations(network, 64)
     together = policy(seen)
     np.testing.assert_array_equal(together, network(seen))
