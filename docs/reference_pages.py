@@ -171,7 +171,8 @@ def _type(kind: Any) -> str:
     if origin is Literal:
         return ", ".join(f"`{one}`" for one in inner)
     if origin in (Union, UnionType):
-        return " or ".join("null" if one is type(None) else _type(one) for one in inner)
+        kinds = ["null" if one is type(None) else _type(one) for one in inner]
+        return " or ".join(dict.fromkeys(kinds))
     if origin in (tuple, Sequence):
         count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)}: "
         return f"list of {count}{_type(inner[-1] if count else inner[0])}"

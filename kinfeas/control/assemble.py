@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 from kinfeas import config
 from kinfeas.config import PluginSpec
@@ -59,9 +60,7 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
         "executor": executor, "response": response,
     }  # fmt: skip
 
-    def build(name: str, parameters: Mapping[str, object] | None = None) -> CommandFilter:
-        return registry.build_with("kinfeas.filters", name, parameters or {}, offered)
-
+    build = partial(_filter, offered)
     built = [
         build(each.name, each.parameters) if isinstance(each, PluginSpec) else each
         for each in filters
@@ -71,6 +70,12 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
     if policy is not None:
         loop.set_policy(policy)
     return loop
+
+
+def _filter(
+    offered: Mapping[str, object], name: str, parameters: Mapping[str, object] | None = None
+) -> CommandFilter:
+    return registry.build_with("kinfeas.filters", name, parameters or {}, offered)
 
 
 def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Backend:

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from kinfeas.config import merged, nested, to_mapping, validated
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS, check_terms
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.batch import Batch
@@ -32,7 +33,7 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     An ended episode restarts in the same step; its last observation and info are in `final_obs` and
     `final_info`. `reset(seed=s)` begins episodes 0 to n - 1 of seed s; later ones take the next
-    numbers in any row.
+    numbers in any row. With a list of n seeds each row has the episodes of its own seed.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
@@ -45,17 +46,23 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         num_envs: int = 1,
         robot: str = "pr2",
         task: str = "ggr",
-        world: WorldConfig | None = None,
+        world: WorldConfig | Mapping[str, object] | None = None,
         task_parameters: Mapping[str, object] | None = None,
         backend: str = "analytic",
         *,
+        render_mode: None = None,
         observation: Sequence[str] = OBSERVATION,
     ) -> None:
-        """Build the world for `num_envs` episodes; other arguments as in `BaseMotionEnv`."""
+        """Build the world for `num_envs` episodes; other arguments as in `BaseMotionEnv`.
+
+        There are no pictures: `render_mode` must be None.
+        """
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
+        if render_mode is not None:
+            raise KinfeasError(f"render_mode must be None side by side, not {render_mode!r}")
         self.num_envs = num_envs
-        config = world or learning_world(backend, robot)
+        config = world_config(world, backend, robot)
         self.world = make_world(robot, task, task_parameters, config, observation)
         self._batch = Batch(self.world, num_envs, infos=True)
         self.single_observation_space = observation_space(self.world)
@@ -64,11 +71,19 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin n episodes and return their observations, shape (n, d), and numbers."""
-        super().reset(seed=checked_seed(seed))
-        seed_world(self.world, seed, self.np_random_seed)
+        several = list(seed) if isinstance(seed, Sequence | np.ndarray) else []
+        seeds = [each for each in map(checked_seed, several) if each is not None]
+        if seeds and len(seeds) != self.num_envs:
+            raise KinfeasError(f"seed must be one number or {self.num_envs}, not {seed!r}")
+        first = checked_seed(seeds[0] if seeds else seed)
+        super().reset(seed=first)
+        seed_world(self.world, first, self.np_random_seed, seeds)
         observation = self._batch.start().astype(np.float32)
         return observation, self._numbers(np.ones(self.num_envs, dtype=np.bool_))
 
@@ -99,6 +114,8 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     def _numbers(self, rows: NDArray[np.bool_]) -> dict[str, Any]:
         numbers = self.world.next_episode - rows.sum() + np.cumsum(rows) - 1
+        if self.world.row_seeds:
+            numbers = self.world.row_episodes - 1
         return _masked({"episode_number": numbers}, rows)
 
 
@@ -122,6 +139,18 @@ def learning_world(backend: str, robot: str) -> WorldConfig:
     return replace(evaluation_world(backend, robot), filters=())
 
 
+def world_config(
+    world: WorldConfig | Mapping[str, object] | None, backend: str, robot: str
+) -> WorldConfig:
+    """Return the settings of a world; a mapping changes those of `learning_world`."""
+    if isinstance(world, WorldConfig):
+        return world
+    if world is not None and not isinstance(world, Mapping):
+        raise KinfeasError(f"world must be a WorldConfig or a mapping, not {world!r}")
+    default, changes = learning_world(backend, robot), nested(world)
+    return validated(WorldConfig, merged(to_mapping(default), changes), "arguments", "world")
+
+
 def make_world(
     robot: str,
     task: str,
@@ -130,8 +159,6 @@ def make_world(
     observation: Sequence[str],
 ) -> World:
     """Return a world of seed 0; arguments as in `BaseMotionEnv`."""
-    if not isinstance(config, WorldConfig):
-        raise KinfeasError(f"world must be a WorldConfig, not {config!r}")
     terms = check_terms(observation, "observation")
     world = World(load_robot(robot), load_task(task, task_parameters), config, seed=0)
     world.loop.observer.terms = terms
@@ -160,20 +187,23 @@ def action_space(world: World) -> "spaces.Box[np.float32]":
     return spaces.Box(-1.0, 1.0, (world.action_size,), np.float32)
 
 
-def checked_seed(seed: int | None) -> int | None:
+def checked_seed(seed: object) -> int | None:
     """Return a seed as a Python int, which Gymnasium asks for."""
     if not isinstance(seed, int | np.integer | None):
-        raise KinfeasError(f"seed must be one number for all episodes, not {seed!r}")
+        raise KinfeasError(f"seed must be a number, not {seed!r}")
     return None if seed is None else int(seed)
 
 
-def seed_world(world: World, seed: int | None, np_random_seed: int | None) -> None:
+def seed_world(
+    world: World, seed: int | None, np_random_seed: int | None, row_seeds: Sequence[int] = ()
+) -> None:
     """Set the seed of a world to Gymnasium's; a new `seed` begins with episode 0."""
     if np_random_seed is None or np_random_seed < 0:
         raise KinfeasError("set the seed by reset(seed=...): np_random, which was set, has none")
     world.seed = np_random_seed
     if seed is not None:
         world.next_episode = 0
+        world.row_seeds, world.row_episodes = row_seeds, np.zeros(len(row_seeds), dtype=np.intp)
 
 
 def check_reset(world: World) -> None:

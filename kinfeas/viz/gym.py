@@ -11,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.observation import OBSERVATION
+from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.batch import step_info
 from kinfeas.envs.gym import (
     action_space,
     check_reset,
     checked_seed,
-    learning_world,
     make_world,
     observation_space,
     seed_world,
+    world_config,
 )
 from kinfeas.envs.world import WorldConfig
 
@@ -35,7 +36,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     `reset(seed=s)` begins episode 0 of seed s, each reset without a seed the next one.
     Observations are those of `kinfeas.control.observation`, unscaled. In the render mode
-    `rgb_array`, PyBullet draws pictures; `human` needs the backend `pybullet`.
+    `rgb_array`, PyBullet draws pictures; `human` needs the backend `pybullet` and a display.
     """
 
     _film: "FilmCamera | None" = None
@@ -49,7 +50,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self,
         robot: str = "pr2",
         task: str = "ggr",
-        world: WorldConfig | None = None,
+        world: WorldConfig | Mapping[str, object] | None = None,
         task_parameters: Mapping[str, object] | None = None,
         backend: str = "analytic",
         render_mode: str | None = None,
@@ -61,10 +62,11 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         Args:
             robot: Name or folder of the robot.
             task: Entry-point name or YAML file of the task.
-            world: `WorldConfig`, by default that of `learning_world`.
+            world: `WorldConfig`, or changes by key to the default, that of `learning_world`.
             task_parameters: Keyword parameters of the task, or changes to its file.
             backend: Backend of the default settings.
-            render_mode: `human` (a window of the simulation), `rgb_array` or None.
+            render_mode: `human` (a window of PyBullet; for the analytic world Gymnasium needs
+                pygame), `rgb_array` or None.
             observation: Names of the observation terms, such as a policy's `observation_terms`.
 
         Raises:
@@ -72,7 +74,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if render_mode not in (None, "human", "rgb_array"):
             raise KinfeasError(f"render_mode must be human, rgb_array or None, not {render_mode!r}")
-        config = world or learning_world(backend, robot)
+        config = world_config(world, backend, robot)
         if render_mode == "human":
             parameters = {**config.backend_parameters, "gui": True}
             config = replace(config, backend_parameters=parameters)
@@ -100,7 +102,9 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Move the base by a command in [-1, 1], shape (3,) or (2,); return as `gymnasium.Env`."""
         check_reset(self.world)
-        transition = self.world.step(np.asarray(action, dtype=np.float64)[np.newaxis])
+        command = np.asarray(action, dtype=np.float64)
+        check_array(command, (self.world.action_size,), "the action")
+        transition = self.world.step(command[np.newaxis])
         info = {key: values[0].item() for key, values in step_info(self.world, transition).items()}
         return (
             transition.observation[0].astype(np.float32),

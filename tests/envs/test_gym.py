@@ -1,3 +1,4 @@
+import pickle
 import warnings
 from dataclasses import replace
 
@@ -38,7 +39,10 @@ def test_gymnasium_and_sb3_find_nothing_wrong():
 def test_gymnasium_makes_both_by_name():
     envs.register()  # a second time changes nothing
     assert isinstance(gymnasium.make("kinfeas/BaseMotion-v0").unwrapped, BaseMotionEnv)
-    vector = gymnasium.make_vec("kinfeas/BaseMotion-v0", num_envs=3, robot="hsr")
+    name, mode = "kinfeas/BaseMotion-v0", "vector_entry_point"
+    vector = gymnasium.make_vec(
+        name, num_envs=3, vectorization_mode=mode, robot="hsr", render_mode=None
+    )
     assert isinstance(vector.unwrapped, BaseMotionVectorEnv)
     single = BaseMotionEnv("hsr")
     assert vector.unwrapped.single_observation_space == single.observation_space
@@ -101,6 +105,37 @@ def test_an_episode_is_the_same_alone_and_beside_others():
     assert len(set(ended)) == len(ended) > 3
 
 
+def test_rows_with_seeds_of_their_own_are_as_alone():
+    vector, seeds = BaseMotionVectorEnv(2, "hsr", world=NOISY), [SEED, 3]
+    seen, ended = [vector.reset(seed=seeds)[0]], []
+    for _ in range(60):
+        found, _, terminated, truncated, infos = vector.step(np.zeros((2, 3)))
+        ended += [
+            (row, infos["episode_number"][row]) for row in range(2) if (terminated | truncated)[row]
+        ]
+        seen.append(found)
+    assert (0, 1) in ended and (1, 1) in ended
+    for row, seed in enumerate(seeds):
+        alone = BaseMotionEnv("hsr", world=NOISY)
+        np.testing.assert_array_equal(alone.reset(seed=seed)[0], seen[0][row])
+        for later in seen[1:]:
+            last, _, terminated, truncated, _ = alone.step(np.zeros(3))
+            last = alone.reset()[0] if terminated or truncated else last
+            np.testing.assert_array_equal(last, later[row])
+    for wrong in ([1], [1, None], []):
+        with pytest.raises(KinfeasError, match="seed"):
+            vector.reset(seed=wrong)
+
+
+def test_a_copy_by_pickle_continues_the_episode():
+    env = BaseMotionEnv("hsr", world={"dt": 0.05, "filters": ["feasibility"]})
+    assert env.world.config == WorldConfig(dt=0.05, filters=(PluginSpec("feasibility"),))
+    env.reset(seed=SEED)
+    copy = pickle.loads(pickle.dumps(env))
+    action = env.action_space.sample()
+    np.testing.assert_array_equal(copy.step(action)[0], env.step(action)[0])
+
+
 def test_a_reset_without_a_seed_takes_the_next_episodes():
     env = BaseMotionVectorEnv(2, "hsr")
     first, _ = env.reset(seed=1)
@@ -128,12 +163,14 @@ def test_actions_are_finite_numbers_of_their_shape(kind):
     env.reset(seed=0)
     shape = env.action_space.shape
     for wrong in (np.zeros(2), np.zeros((9, 3)), np.full(shape, np.nan), np.zeros(())):
-        with pytest.raises(KinfeasError, match=r"the action (has shape|is not finite)"):
+        with pytest.raises(KinfeasError, match=r"the action (has shape|is not finite)") as caught:
             env.step(wrong)
+        assert wrong.shape == shape or f"{wrong.shape}, not {shape}" in str(caught.value)
 
 
 @pytest.mark.parametrize("arguments", [
-    {"robot": None}, {"world": 3}, {"render_mode": "ansi"}, {"observation": ["sight"]},
+    {"robot": None}, {"world": 3}, {"world": {"DT": 1}}, {"render_mode": "ansi"},
+    {"observation": ["sight"]},
 ], ids=list)  # fmt: skip
 def test_wrong_arguments_are_named(arguments):
     with pytest.raises(KinfeasError, match=next(iter(arguments))):
