@@ -1,12 +1,10 @@
 """Runs that follow targets, which come from other programs while the robot moves."""
 
 import logging
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 from kinfeas.api import Name
 from kinfeas.api.deploy import Deployment, make_setup, read_config, recorded
@@ -72,8 +70,6 @@ def servo(  # noqa: PLR0913 - options of the command
     limits = {**config.rules.generator_limits, **config.generator}
     controller = TargetController(model, config.rules, motion=MotionSpec("servo", limits))
     if isinstance(source, str):
-        if ":" in source:  # `module:Class`, also of the working directory
-            sys.path.append(str(Path.cwd()))
         name, targets = f"target source {source!r}", registry.build(GROUP, source, config.source)
     else:
         if config.source:

@@ -91,7 +91,7 @@ def new(
 @app.command()
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     name: str = argument(
-        ..., "Name of a motion generator, policy or adapter, or module:Class of a policy."
+        ..., "Motion generator, policy or adapter; or module:Class, with --robot of a policy."
     ),
     overrides: options.Overrides = None,
     duration: float = option(120.0, "Seconds within which motions arrive.", min=0.1),
@@ -122,7 +122,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
                 covered = "check covers motion generators, policies and adapters"
                 raise KinfeasError(f"{name!r} is a {kind}; {covered}")
         raise KinfeasError(f"no generator, policy or adapter {name!r}{no_such(name, known)}")
-    if name in registry.names("kinfeas.policies") or ":" in name:
+    if name in registry.names("kinfeas.policies") or (":" in name and robot is not None):
         if overrides or picture is not None:
             raise KinfeasError(f"policy {name!r} has no settings and no picture")
         _check_policy(name, robot, json)

@@ -17,6 +17,9 @@ from kinfeas.io.files import read_file, reading, write_file
 
 MAX_BYTES = 1_000_000
 
+CODE = re.compile(r"[\w.]+:[\w.]+")
+"""A class or function as `module:name`, which options and programs may name, but no file."""
+
 _INT = r"[-+]?(0|[1-9][0-9]*|[1-9][0-9]{0,2}(_[0-9]{3})+)"
 _FLOAT = (
     rf"{_INT}|[-+]?(\.[0-9]+|[0-9]+\.[0-9]*)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
@@ -102,9 +105,23 @@ def read(path: Path) -> dict[str, object]:
         return {}
     if not isinstance(data, dict):
         raise KinfeasError(f"{path}: must be a mapping of keys to values")
+    _check_runs_no_code(data, path)
     return data
+
+
+def _check_runs_no_code(data: object, path: Path, generator: bool = False) -> None:
+    """Raise KinfeasError if a motion generator, also one to choose from, is `CODE`."""
+    if isinstance(data, dict):
+        for key, value in data.items():
+            _check_runs_no_code(value, path, generator or str(key).endswith("generator"))
+    elif isinstance(data, list):
+        for value in data:
+            _check_runs_no_code(value, path, generator)
+    elif generator and isinstance(data, str) and CODE.fullmatch(data):
+        raise KinfeasError(f"{path}: 'generator': {data!r}: files name installed plugins only")
 
 
 def write(data: object, path: Path, *, compact: bool = False) -> None:
     """Write plain data as a YAML file that `read` reads back, atomically; as `to_text`."""
+    _check_runs_no_code(data, path)
     write_file(path, to_text(data, compact=compact).encode())

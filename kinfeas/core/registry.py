@@ -4,6 +4,8 @@ A plugin is loaded when its name is used, so that a broken plugin does not affec
 """
 
 import inspect
+import sys
+import warnings
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import Distribution, EntryPoint, distribution, entry_points
@@ -13,6 +15,7 @@ from types import FunctionType
 from typing import Any
 
 from kinfeas.config import convert
+from kinfeas.config.strict_yaml import CODE
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.core.extras import missing_extra
 from kinfeas.io.files import is_path
@@ -39,6 +42,9 @@ _MEMBERS = {
     "kinfeas.target_sources": ("start", "close"),
 }
 """Required members; those of motion generators are called before an episode begins."""
+
+_LOCAL = ("kinfeas.motion_generators", "kinfeas.policies", "kinfeas.target_sources")
+"""Groups of which users may name a `module:name`; names of robots and tasks come from files."""
 
 _SHIPPED = {"kinfeas.robots": "*/robot.yaml", "kinfeas.tasks": "*.yaml"}
 """Files of robots and tasks that come without entry points."""
@@ -127,7 +133,8 @@ def build(
 ) -> Any:
     """Return the object that a class or function makes of keyword parameters.
 
-    `name` is an entry point of the group, or `module:name`.
+    `name` is an entry point of the group; or `module:name` of a motion generator, policy or target
+    source, which is also searched for in the working directory. Readers of files reject these.
     Parameters are as in YAML and converted to their annotated types, such as a Path or a dataclass;
     `objects` are further ones that are passed on as they are.
 
@@ -135,7 +142,12 @@ def build(
         KinfeasError: As `load`; also if a parameter is unknown, missing or invalid, or the object
             lacks a method of its group.
     """
-    entry = EntryPoint(name, name, group) if ":" in name else _find(group, name)
+    if group in _LOCAL and CODE.fullmatch(name):
+        entry = EntryPoint(name, name, group)
+        if str(Path.cwd()) not in sys.path:
+            sys.path.append(str(Path.cwd()))
+    else:
+        entry = _find(group, name)
     factory, subject = _import(entry), str(_plugin(entry))
     if not callable(factory):
         raise KinfeasError(f"{subject} must be a class or function, not {type(factory).__name__}")
@@ -224,8 +236,14 @@ def _find(group: str, name: object) -> EntryPoint:
         known = no_such(str(name), names(group)) + _PATHS.get(group, "")
         raise KinfeasError(f"unknown {GROUPS[group]} {name!r}{known}")
     if len(matches) > 1:
-        owners = " and ".join(sorted(_plugin(entry).distribution for entry in matches))
-        raise KinfeasError(f"{GROUPS[group]} {name!r} exists in {owners}; uninstall all but one")
+        subject = f"{GROUPS[group]} {name!r}"
+        owners = [_plugin(entry).distribution for entry in matches]
+        if owners.count("kinfeas") != 1:
+            several = " and ".join(sorted(owners))
+            raise KinfeasError(f"{subject} exists in {several}; uninstall all but one")
+        others = " and ".join(sorted(set(owners) - {"kinfeas"}))
+        warnings.warn(f"{subject} of {others} is ignored: kinfeas has one", stacklevel=2)
+        return matches[owners.index("kinfeas")]
     return matches[0]
 
 

@@ -1,6 +1,5 @@
 """Policies by name: entry points, trained policies of a robot, and files."""
 
-import sys
 from pathlib import Path
 
 from kinfeas.core import registry
@@ -70,6 +69,4 @@ def load_policy(name: str, robot: Robot) -> Policy:
                 f"unknown policy {name!r}{no_such(name, names)}, or the folder of a training run, "
                 "an exported ONNX file, or module:Class"
             )
-        if str(Path.cwd()) not in sys.path:
-            sys.path.append(str(Path.cwd()))
     return registry.build(GROUP, name, {"robot": robot})

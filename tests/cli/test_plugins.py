@@ -1,3 +1,4 @@
+import sys
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,16 @@ def test_check_of_a_policy_or_an_adapter(kinfeas, words, wrong, named):
     assert kinfeas(*check, *words, "--json", "out.json", code=0).facts["passed"] is True
     check_one_line(kinfeas(*check, *wrong), named)
     check_one_line(kinfeas(*check, "follow_ee"), "--robot")
+
+
+def test_options_name_generators_of_the_working_directory(kinfeas, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    source = "from kinfeas.plugins.linear import Linear\nclass Arc(Linear): pass\n"
+    (tmp_path / "my_motion.py").write_text(source)
+    kinfeas("plugins", "check", "my_motion:Arc", "--duration", "60", code=0)
+    words = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "1")
+    words += ("--set", "world.max_seconds=1", "--set", "task.motion={generator: 'my_motion:Arc'}")
+    kinfeas(*words, code=0)
 
 
 def test_check_of_a_generator_that_breaks_rules(kinfeas):

@@ -53,6 +53,20 @@ def test_write_and_read_are_inverse(tmp_path_factory, data, compact):
     assert strict_yaml.read(path) == data
 
 
+@pytest.mark.parametrize("data", [
+    {"subgoals": [{"motion": {"generator": "os:system"}}]}, {"task.motion.generator": "a.b:c.d"},
+    {"space": {"motion": {"choices": [{"generator": "os:system"}]}}},
+    {"space": {"task.motion.generator": {"choices": ["linear", "os:system"]}}},
+])  # fmt: skip
+def test_no_file_names_code(tmp_path, data):
+    path = tmp_path / "x.yaml"
+    path.write_text(strict_yaml.to_text(data))
+    with pytest.raises(KinfeasError, match="generator"):
+        strict_yaml.read(path)
+    with pytest.raises(KinfeasError, match="generator"):
+        strict_yaml.write(data, path)
+
+
 @pytest.mark.parametrize(
     "content", [b"- 1\n", b"word", b"a: \xff\xfe", b"#" * (strict_yaml.MAX_BYTES + 1), None]
 )

@@ -8,6 +8,7 @@ import pytest
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import EXTRAS
+from kinfeas.plugins.linear import Linear
 
 MOTIONS, ROBOTS = "kinfeas.motion_generators", "kinfeas.robots"
 SOUND = """
@@ -90,6 +91,21 @@ def test_parameters_are_converted_to_their_annotations(sound):
     shape, file = registry.build(MOTIONS, "shaped", values).kept
     assert (shape.width, shape.ends, file) == (1.0, (1.0, 2.0), Path("a.yaml"))
     assert values == {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
+
+
+def test_the_own_plugin_of_a_name_is_used_with_a_warning(offer, tmp_path):
+    (tmp_path / "pyproject.toml").write_text(
+        f'[project]\nname = "rival"\nversion = "1"\n[project.entry-points."{MOTIONS}"]\n'
+        'linear = "kinfeas_rival:Linear"\n'
+    )
+    offer(tmp_path)
+    with pytest.warns(UserWarning, match="'linear' of rival is ignored"):
+        assert registry.load(MOTIONS, "linear") is Linear
+
+
+@pytest.mark.parametrize("group", [ROBOTS, "kinfeas.tasks"])
+def test_names_that_files_hold_run_no_code(group):
+    assert "os:getcwd" in message(registry.build, group, "os:getcwd", {})
 
 
 class Hop:

@@ -92,6 +92,7 @@ def test_files_are_found_beside_the_task_from_any_folder(write, tmp_path, monkey
     ("places: {cup: {position: [1, 2, [4, 3]]}}", "position"),
     ("places: {cup: {position: [1, 2, 3]}, cp: {position: [1, 2, 3]}}", r"places\.cp"),
     ("scene: {name: room, success: {object: box}}", "parent"),
+    ("subgoals: [{place: cup, motion: {generator: 'os:system'}}]", "os:system"),
     ("scene: {name: rom, success: {object: box, parent: door_base}}", "rom.*'room'"),
     (
         "scene: {name: room, success: {object: box, parent: walls}, moves: {box: {place: tea}}}",
