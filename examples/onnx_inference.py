@@ -35,9 +35,12 @@ def observe(terms, base, ee_in_base, planned, goal, joints):
         "joint_positions": joints,
         "planned_ahead": [planned[:3] + path * min(d / length, 1.0) for d in (0.5, 1.0, 1.5)],
     }
-    # Other terms are 0 without obstacles: nothing in range of the scans, no planned base.
-    parts = [values.get(term["name"], np.zeros(term["size"])) for term in terms]
-    return np.concatenate([np.ravel(part) for part in parts])
+    for term in terms:  # 0 without obstacles: nothing in range of the scans, no planned base
+        if term["name"] in ("planned_base", "scan_low", "scan_high"):
+            values[term["name"]] = np.zeros(term["size"])
+        elif term["name"] not in values:
+            raise SystemExit(f"this example does not compute the term {term['name']}")
+    return np.concatenate([np.ravel(values[term["name"]]) for term in terms])
 
 
 def main():

@@ -232,3 +232,6 @@ def test_the_example_observes_as_the_loop_does(pr2):
         example["observe"](terms, *row, angles) for *row, angles in zip(*poses, joints, strict=True)
     ]
     np.testing.assert_allclose(shown, observe(ObservedState(*poses, joints)), atol=1e-12)
+    (unknown,) = (asdict(term) for term in describe_observation(pr2, ["previous_command"]))
+    with pytest.raises(SystemExit, match="previous_command"):
+        example["observe"]([*terms, unknown], *poses[:, 0], joints[0])
