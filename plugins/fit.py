@@ -46,6 +46,7 @@ _MAX_ROTATION = 3.0  # radians from the mean orientation; at pi the rotation vec
 _FARTHEST = 30.0  # metres from the object
 _STRONG = 0.7  # silhouette from which demonstrations follow two paths
 _APART = 0.1  # of the learned length, the distance from which they do
+_OUTLIER, _OFF = 3.0, 0.1  # medians, and metres, beyond which a residual is one of an outlier
 _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a thousandth of the path
 
 
@@ -65,6 +66,14 @@ class MotionFit:
     sides: tuple[int, ...]  # 0 or 1 for each demonstration
     names: tuple[str, ...]  # names of the demonstrations
     has_base: tuple[bool, ...]  # whether each demonstration has poses of the base
+
+    @property
+    def outliers(self) -> tuple[str, ...]:
+        """Names of demonstrations that are far from the path, unlike most of the others."""
+        residuals = np.array(self.position_residual)
+        # The median of all is hardly above that of the others, and there is one of a single take.
+        far = residuals > max(_OUTLIER * np.median(residuals), _OFF)
+        return tuple(name for name, off in zip(self.names, far, strict=True) if off)
 
 
 @dataclass(frozen=True)

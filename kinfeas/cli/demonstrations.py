@@ -52,16 +52,24 @@ def fit(
     }
     write_json(facts, json)
     print_facts(f"{kind} model in {out}", facts)
-    if len(names) == 1:
-        typer.echo("warning: one demonstration gives no variation of the motion", err=True)
+    if len(set(motion.position_residual)) == 1:
+        _warn("one demonstration, or copies of one, give no variation of the motion")
+    if motion.outliers:
+        outliers = ", ".join(Path(name).name for name in motion.outliers)
+        _warn(f"far from the others, which pulls the learned path there: {outliers}")
+    if any(motion.has_base) and not all(motion.has_base):
+        _warn("no base motion is learned, since some demonstrations have none: see without_base")
     if any(motion.sides):
         sides = list(zip(names, motion.sides, strict=True))
         left, right = (", ".join(name for name, side in sides if side == i) for i in (0, 1))
-        typer.echo(
-            "warning: the demonstrations follow two paths, and the model is a path between them; "
-            f"fit each group on its own: {left}; {right}",
-            err=True,
+        _warn(
+            "the demonstrations follow two paths, and the model is a path between them; "
+            f"fit each group on its own: {left}; {right}"
         )
+
+
+def _warn(text: str) -> None:
+    typer.echo(f"warning: {text}", err=True)
 
 
 def dataset(

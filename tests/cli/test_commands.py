@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -46,10 +47,25 @@ def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, compone
     assert str(tmp_path) not in text
 
 
-def test_a_fit_to_one_demonstration_gives_a_warning(kinfeas, tmp_path):
-    write_demonstrations(tmp_path / "shown", 1)
+@pytest.mark.parametrize(("count", "change", "warned"), [
+    (1, None, "one demonstration"), (6, "copy", "copies"), (6, "far", "far from.*: 0.csv"),
+    (6, "base", "no base motion"), (6, None, ""),
+])  # fmt: skip
+def test_a_fit_to_odd_demonstrations_gives_a_warning(kinfeas, tmp_path, count, change, warned):
+    write_demonstrations(tmp_path / "shown", count)
+    first, *others = sorted((tmp_path / "shown").iterdir())
+    table = np.loadtxt(first, delimiter=",", skiprows=1)
+    header = first.read_text().partition("\n")[0]
+    if change == "far":
+        table[:, 2] += 3.0
+    if change == "base":
+        header = header.replace("base", "hand")
+    np.savetxt(first, table, delimiter=",", header=header, comments="")
+    for other in others if change == "copy" else ():
+        shutil.copy(first, other)
     done = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml", code=0)
-    assert "warning: one demonstration" in done.err
+    assert done.err.count("warning") == bool(warned)
+    assert re.search(warned, done.err)
 
 
 def test_replay_of_a_run(kinfeas, tmp_path):
