@@ -9,6 +9,7 @@ from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.options import option
 from kinfeas.cli.output import percent, print_paths, print_table, progress, write_json
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
@@ -54,6 +55,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.api import evaluate as api
 
+    if world == "analytic" and (without_objects or gui):
+        name = "--gui" if gui else "--no-objects"
+        raise KinfeasError(f"{name} is for worlds with physics: --world pybullet")
     own = {
         "world.head_start": head_start,
         "world.time_scale": time_scale,

@@ -22,7 +22,8 @@ INPUT = {
         ("--policy follow_me", "'follow_me'"), ("--task gr", "'gr'"), ("--task gr", "YAML"),
         ("--world pybulet", "'pybullet'"), ("--set task.colour=1", "colour"),
         ("--set world", "key=value"), ("--filters feasability", "'feasibility'"),
-        ("--adapters adapters.yaml", "base_noise"), ("--gui", "gui"), ("--episode 2", "episode"),
+        ("--adapters adapters.yaml", "base_noise"), ("--gui", "--gui"),
+        ("--no-objects", "--no-objects"), ("--episode 2", "episode"),
         ("--json missing/out.json", "missing/out.json"), ("--video film.avi", "film.avi"),
     ],
     "train": [
