@@ -189,8 +189,8 @@ def action_space(world: World) -> "spaces.Box[np.float32]":
 
 def checked_seed(seed: object) -> int | None:
     """Return a seed as a Python int, which Gymnasium asks for."""
-    if not isinstance(seed, int | np.integer | None):
-        raise KinfeasError(f"seed must be a number, not {seed!r}")
+    if not isinstance(seed, int | np.integer | None) or (seed is not None and seed < 0):
+        raise KinfeasError(f"seed must be a number from 0, not {seed!r}")
     return None if seed is None else int(seed)
 
 

@@ -122,7 +122,7 @@ def test_rows_with_seeds_of_their_own_are_as_alone():
             last, _, terminated, truncated, _ = alone.step(np.zeros(3))
             last = alone.reset()[0] if terminated or truncated else last
             np.testing.assert_array_equal(last, later[row])
-    for wrong in ([1], [1, None], []):
+    for wrong in ([1], [1, None], [1, -1], []):
         with pytest.raises(KinfeasError, match="seed"):
             vector.reset(seed=wrong)
 
