@@ -25,8 +25,8 @@ _UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright un
 class Stage:
     """A task whose episodes also place robot and objects in a physics backend.
 
-    The furniture is among the solids of each episode, so that plans, IK and scans know it. Starts in
-    which the robot touches something are drawn again, with the objects and goals of the first draw,
+    The furniture is among the solids of each episode: plans, IK and scans know it. Starts in which
+    the robot touches something are drawn again, with the objects and goals of the first draw,
     so that the goals equal those without physics.
 
     Attributes:
