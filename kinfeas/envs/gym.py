@@ -33,7 +33,7 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     An ended episode restarts in the same step; its last observation and info are in `final_obs` and
     `final_info`. `reset(seed=s)` begins episodes 0 to n - 1 of seed s; later ones take the next
-    numbers in any row. With a list of n seeds each row has the episodes of its own seed.
+    numbers in any row.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
@@ -71,19 +71,11 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def reset(
-        self,
-        *,
-        seed: int | Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin n episodes and return their observations, shape (n, d), and numbers."""
-        several = list(seed) if isinstance(seed, Sequence | np.ndarray) else []
-        seeds = [each for each in map(checked_seed, several) if each is not None]
-        if seeds and len(seeds) != self.num_envs:
-            raise KinfeasError(f"seed must be one number or {self.num_envs}, not {seed!r}")
-        first = checked_seed(seeds[0] if seeds else seed)
-        super().reset(seed=first)
-        seed_world(self.world, first, self.np_random_seed, seeds)
+        super().reset(seed=checked_seed(seed))
+        seed_world(self.world, seed, self.np_random_seed)
         observation = self._batch.start().astype(np.float32)
         return observation, self._numbers(np.ones(self.num_envs, dtype=np.bool_))
 
@@ -114,8 +106,6 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     def _numbers(self, rows: NDArray[np.bool_]) -> dict[str, Any]:
         numbers = self.world.next_episode - rows.sum() + np.cumsum(rows) - 1
-        if self.world.row_seeds:
-            numbers = self.world.row_episodes - 1
         return _masked({"episode_number": numbers}, rows)
 
 
@@ -194,16 +184,13 @@ def checked_seed(seed: object) -> int | None:
     return None if seed is None else int(seed)
 
 
-def seed_world(
-    world: World, seed: int | None, np_random_seed: int | None, row_seeds: Sequence[int] = ()
-) -> None:
+def seed_world(world: World, seed: int | None, np_random_seed: int | None) -> None:
     """Set the seed of a world to Gymnasium's; a new `seed` begins with episode 0."""
     if np_random_seed is None or np_random_seed < 0:
         raise KinfeasError("set the seed by reset(seed=...): np_random, which was set, has none")
     world.seed = np_random_seed
     if seed is not None:
         world.next_episode = 0
-        world.row_seeds, world.row_episodes = row_seeds, np.zeros(len(row_seeds), dtype=np.intp)
 
 
 def check_reset(world: World) -> None:

@@ -98,14 +98,10 @@ class World:
         backend: The backend within the adapters.
         next_episode: Number of the episode that `start_next` begins next.
         stream: Separates the episodes of a seed from those of other streams; empty in evaluations.
-        row_seeds: Seeds of the n rows if `start_next` begins the next episode of each row's seed.
-        row_episodes: Numbers of these episodes, shape (n,).
     """
 
     next_episode: int = 0
     stream: tuple[int, ...] = ()
-    row_seeds: Sequence[int] = ()
-    row_episodes: NDArray[np.intp]
 
     def __init__(self, robot: Robot, task: Task, config: WorldConfig, seed: int) -> None:
         """Build a world whose episodes have one seed.
@@ -138,20 +134,21 @@ class World:
         """Length of an action."""
         return self.loop.command_size
 
-    def rng(self, episode: int, row: int = 0) -> np.random.Generator:
-        """Return the random generator of an episode in a row, at its beginning."""
-        seed = self.row_seeds[row] if self.row_seeds else self.seed
-        return episode_rng(seed, episode, self.stream)
+    def rng(self, episode: int) -> np.random.Generator:
+        """Return the random generator of an episode, at its beginning."""
+        return episode_rng(self.seed, episode, self.stream)
 
     def start(self, episodes: Sequence[int], rows: Rows | None = None) -> Array:
         """Begin episodes by number and return the observation of all n, shape (n, d).
 
         They begin in `rows`; by default in all, which also sets n.
         """
+        rngs = [self.rng(episode) for episode in episodes]
         places = range(len(episodes)) if rows is None else rows.tolist()
-        rngs = [self.rng(*each) for each in zip(episodes, places, strict=True)]
+        if not self._staged:
+            places = [None] * len(episodes)
         starts = [
-            sample_start(self.task, self.solver, rng, row if self._staged else None)
+            sample_start(self.task, self.solver, rng, row)
             for rng, row in zip(rngs, places, strict=True)
         ]
         self.loop.start(stacked(starts), rngs, rows)
@@ -165,12 +162,7 @@ class World:
     def start_next(self, count: int, rows: Rows | None = None) -> Array:
         """Begin the next `count` episodes, as `start` does."""
         first, self.next_episode = self.next_episode, self.next_episode + count
-        numbers: Sequence[int] = range(first, self.next_episode)
-        if self.row_seeds:
-            where = np.arange(count) if rows is None else rows
-            numbers = self.row_episodes[where].tolist()
-            self.row_episodes[where] += 1
-        return self.start(numbers, rows)
+        return self.start(range(first, self.next_episode), rows)
 
     def step(self, action: Array | None = None) -> Transition:
         """Advance all n episodes by one control period.

@@ -105,28 +105,6 @@ def test_an_episode_is_the_same_alone_and_beside_others():
     assert len(set(ended)) == len(ended) > 3
 
 
-def test_rows_with_seeds_of_their_own_are_as_alone():
-    vector, seeds = BaseMotionVectorEnv(2, "hsr", world=NOISY), [SEED, 3]
-    seen, ended = [vector.reset(seed=seeds)[0]], []
-    for _ in range(60):
-        found, _, terminated, truncated, infos = vector.step(np.zeros((2, 3)))
-        ended += [
-            (row, infos["episode_number"][row]) for row in range(2) if (terminated | truncated)[row]
-        ]
-        seen.append(found)
-    assert (0, 1) in ended and (1, 1) in ended
-    for row, seed in enumerate(seeds):
-        alone = BaseMotionEnv("hsr", world=NOISY)
-        np.testing.assert_array_equal(alone.reset(seed=seed)[0], seen[0][row])
-        for later in seen[1:]:
-            last, _, terminated, truncated, _ = alone.step(np.zeros(3))
-            last = alone.reset()[0] if terminated or truncated else last
-            np.testing.assert_array_equal(last, later[row])
-    for wrong in ([1], [1, None], [1, -1], []):
-        with pytest.raises(KinfeasError, match="seed"):
-            vector.reset(seed=wrong)
-
-
 def test_a_copy_by_pickle_continues_the_episode():
     env = BaseMotionEnv("hsr", world={"dt": 0.05, "filters": ["feasibility"]})
     assert env.world.config == WorldConfig(dt=0.05, filters=(PluginSpec("feasibility"),))
