@@ -51,6 +51,7 @@ class BeamSettings:
     joint_margin: float = 0.05  # distance from joint limits, as a fraction of half the range, and
     clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
     margin_cost: float = 5.0  # one of these
+    base_clearance: float = 2.0  # distance of bases from solids, in units of `ik.solid_clearance`
     error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
     off_metres: float = 0.03  # displacement of a base along x and y, metres, and
     off_radians: float = 0.04  # its rotation, radians, that arms should make up for
@@ -213,7 +214,7 @@ class BeamExpander:
             solids=None if among is None else in_base(among, base),
         )
         if among is not None:
-            clearance = solver.options.solid_clearance  # of the base, too
+            clearance = SETTINGS.base_clearance * solver.options.solid_clearance
             around = among.wider(clearance, clearance) if clearance else among
             touches = collides(solver.collision, arm.joint_positions, base, around)
             arm.feasible[touches[:, 0]] = False
