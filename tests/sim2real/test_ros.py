@@ -44,8 +44,8 @@ def test_reaches_a_goal_over_the_link(bus, tmp_path):
     robot, record = bus.robot(), tmp_path / "record.csv"
     pr2 = load_robot("pr2")
     ee = forward(IkSolver(pr2).chain, pr2.home["home"][np.newaxis])[0]
-    # Farther away if an earlier test has moved the robot.
-    goal = [f"{value:.4f}" for value in ee[:3] + np.array([0.1, -0.1, 0.05])]
+    # Beyond the arm; farther away if an earlier test has moved the robot.
+    goal = [f"{value:.4f}" for value in ee[:3] + np.array([0.8, -0.1, 0.05])]
     settings = "--set", "generator.gain=1.0", "--set", "time_scale=1", "--seconds", "300"
     deployment = bus.deploy("--goal", *goal, *settings, "--record", str(record))
     assert deployment.end() == 0, deployment.output() + robot.output()
