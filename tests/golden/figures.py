@@ -146,10 +146,10 @@ FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         for t in TASKS
     },
     **{f"path_planner-{r}": partial(episodes, r, "drawer", 2, PATH_PLANNER) for r in ROBOTS},
-    # Plans differ with the last bits of contacts, so TIAGo has the feasibility filter alone.
+    # Plans differ with the last bits of contacts, and so do grasps of a drawer by HSR.
     **{
-        f"physics-{r}": partial(episodes, r, "drawer", 2, filters, "pybullet")
-        for r, filters in (("pr2", None), ("tiago", ["feasibility"]), ("hsr", []))
+        f"physics-{r}": partial(episodes, r, "door", 2, filters, "pybullet")
+        for r, filters in (("pr2", ["feasibility"]), ("tiago", ["feasibility"]), ("hsr", []))
     },
     **{f"obstacle_filter-{r}": partial(obstacle_filter, r) for r in ROBOTS},
     **{f"ik-{r}": partial(ik, r) for r in ROBOTS},
