@@ -78,8 +78,10 @@ def run_episode(world: World, policy: Policy, episode: int) -> EpisodeReplay:
         return replay_of(recording, world.robot, title)
     if stage.success is None:
         recording = replace(recording, task_done=None)
-    if recording.solids is not None:  # furniture is visible already
-        recording = replace(recording, solids=recording.solids.beyond(backend.furniture))
+    if recording.solids is not None:  # furniture is a scene, with what the robot moves
+        solids, (name, poses) = recording.solids.beyond(backend.furniture), stage.drawn()
+        scene = read_scene(name).with_poses(poses) if name else None
+        recording = replace(recording, solids=solids if solids.places else None, scene=scene)
 
     def links(moment: int) -> Mapping[LinkName, Array]:
         return dict(zip(names, moments[moment], strict=True))

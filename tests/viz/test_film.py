@@ -32,6 +32,7 @@ def test_a_replay_has_the_episode(replay):
     assert recording.times[-1] == pytest.approx(0.3)
     assert np.abs(recording.ee_pose[0] - recording.desired[0]).max() < 0.01
     assert not result(recording)[1]
+    assert recording.solids is None and "door_shelf" in recording.scene.objects
 
 
 def test_pages_are_self_contained(replay):
