@@ -44,7 +44,7 @@ def episodes_figure(
     """Return a picture with a column for each episode: from the side, and from above."""
     count = len(recordings)
     titles = titles or [
-        f"Episode {recording.episode}: {result(recording)[0]}, "
+        f"Episode {recording.episode}: {result(recording)[0]}\n"
         f"{failures_text(int(np.sum(~recording.feasible)))}, {recording.times[-1]:.0f} s"
         for recording in recordings
     ]
