@@ -22,7 +22,6 @@ from kinfeas.api.load import (
     text_of,
 )
 from kinfeas.api.plan import load_plan
-from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
 from kinfeas.config import load as load_config
 from kinfeas.config.quantities import NotNegative, Quaternion, Rate, Seed, Vector
@@ -45,10 +44,10 @@ from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards
 from kinfeas.sim2real.deploy.goal_task import GoalTask, make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
-from kinfeas.sim2real.deploy.runtime import RunOutcome, Setup, TaskWithObjects
+from kinfeas.sim2real.deploy.runtime import RunOutcome, Setup
 from kinfeas.sim2real.deploy.runtime import deploy as run
 from kinfeas.tasks.loading import load_task
-from kinfeas.tasks.task import MotionSpec, Task
+from kinfeas.tasks.task import MotionSpec, StagedTask, Task
 
 T = TypeVar("T", bound=DeployConfig)
 _CATCH_UP = 0.2  # least speed with which the EE may come to the start of a plan, m/s and rad/s
@@ -309,15 +308,13 @@ def _drawn_scene(setup: Setup) -> dict[str, Any]:
     if setup.backend.solids is None:  # a robot
         return drawn
     start = task.sample(setup.solver, episode_rng(setup.seed, 0))
-    if start.solids is not None:
-        solids = start.solids
-        if isinstance(setup.backend, PhysicsBackend):  # furniture is drawn as a scene
-            solids = solids.beyond(setup.backend.furniture)
-        drawn["solids"] = tuple(map(tuple, solids.table.tolist()))
-    if isinstance(task, TaskWithObjects):
-        scene, poses = task.drawn()
+    solids = start.solids
+    if isinstance(task, StagedTask):
+        scene, poses, solids = task.drawn(start)
         objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}
         drawn |= {"scene": from_anywhere(scene), "objects": objects}
+    if solids is not None:
+        drawn["solids"] = tuple(map(tuple, solids.table.tolist()))
     return drawn
 
 

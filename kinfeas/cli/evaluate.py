@@ -152,9 +152,9 @@ def _show(summary: "Summary") -> None:
             ["EE deviation, root mean square", f"{1000 * rms:.1f} mm"],
         ]
     if summary["collision_free_rate"] is not None:
-        done = _fraction(summary, "task_success")
+        if summary["task_success"] is not None:
+            rows.append(["task success", _fraction(summary, "task_success")])
         rows += [
-            ["task success", "no objects" if summary["task_success"] is None else done],
             ["episodes without a collision", percent(summary["collision_free_rate"])],
             ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
             ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],

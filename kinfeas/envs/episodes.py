@@ -19,7 +19,7 @@ from kinfeas.core.metrics import EpisodeRecords, join
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy
 from kinfeas.envs.world import Transition, World
-from kinfeas.tasks.task import ReportsTaskSuccess
+from kinfeas.tasks.task import StagedTask
 
 BATCH, _BATCHES = 64, 4
 """Episodes side by side in a process at most, and their multiple that a process gets at once. Rows
@@ -267,7 +267,7 @@ class _Tally:
 
     def _task_done(self, row: int, *, reached: bool) -> bool | None:
         loop, task = self.world.loop, self.world.task
-        if not isinstance(task, ReportsTaskSuccess):
+        if not isinstance(task, StagedTask):
             return None
         joints = (loop.robots.true_state or loop.robots).joint_positions
         return task.task_done(row, joints, loop.dt, reached=reached)

@@ -13,8 +13,9 @@ from kinfeas.core.spatial import Array
 from kinfeas.envs.episodes import Watch, run_episodes
 from kinfeas.envs.world import Transition, World
 from kinfeas.kinematics.forward import forward
-from kinfeas.scenes.scene import Scene
+from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.task import StagedTask
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,10 @@ class _Kept:
         self.goals: dict[int, Array] = {}
         self.solids, task = start.solids, world.task
         self.scene: Scene | None = None
-        if isinstance(task, ChainTask) and start.solids is None:
+        if isinstance(task, StagedTask):
+            scene, poses, self.solids = task.drawn(start)
+            self.scene = read_scene(scene).with_poses(poses) if scene else None
+        elif isinstance(task, ChainTask) and start.solids is None:
             self.scene = task.scene_with(start.target_poses)
         self.reached = False
 

@@ -110,7 +110,7 @@ class TaskScene:
     """Objects of a task, in worlds that have them."""
 
     name: str  # the scene, by its name or the path of its YAML
-    success: SuccessCondition | None = None  # of the task; by default the goal is reached
+    success: SuccessCondition | None = None  # of the task; by default there is none
     grasped_object: GraspedObject | None = None  # object that the gripper grasps; none by default
     # poses of objects that an episode moves, by their names
     moves: dict[str, ObjectMove] = field(default_factory=dict)

@@ -78,11 +78,30 @@ def start_at_home(robot: Robot) -> Start:
 
 
 @runtime_checkable
-class StagedTask(Protocol):
+class StagedTask(Task, Protocol):
     """A task that also places objects in the backend when it draws an episode."""
 
     def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, as `Task.sample` does, and prepare the robot's row for it."""
+
+    def drawn(self, start: Start) -> tuple[str, dict[str, Array], Solids | None]:
+        """Return what is drawn around the first robot of an episode, when it has been sampled.
+
+        This is a scene, empty for the floor alone, the world poses of the objects in it that were
+        moved, shape (7,), by name, and the solids that are not of the scene.
+        """
+
+    def task_done(
+        self, row: int, joint_positions: Array, dt: float, *, reached: bool
+    ) -> bool | None:
+        """Return whether the episode that ends in a row did its task; None without a condition.
+
+        Args:
+            row: Row of the episode.
+            joint_positions: Arm joints of all rows, shape (n, j).
+            dt: Control period in seconds.
+            reached: Whether the episode reached its goal.
+        """
 
 
 @runtime_checkable
@@ -98,23 +117,6 @@ class StreamTask(Protocol):
 
     def target_stream(self, solver: IkSolver) -> TargetStream:
         """Return the targets of the episodes of a loop."""
-
-
-@runtime_checkable
-class ReportsTaskSuccess(Protocol):
-    """A staged task that measures in the backend whether it was done."""
-
-    def task_done(
-        self, row: int, joint_positions: Array, dt: float, *, reached: bool
-    ) -> bool | None:
-        """Return whether the episode that ends in a row did its task; None if unknown.
-
-        Args:
-            row: Row of the episode.
-            joint_positions: Arm joints of all rows, shape (n, j).
-            dt: Control period in seconds.
-            reached: Whether the episode reached its goal.
-        """
 
 
 def sample_start(

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinfeas.backends.physics.backend import LinkName, PhysicsBackend
-from kinfeas.backends.physics.stage import Stage
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
 from kinfeas.core.solids import Solids
@@ -59,7 +58,7 @@ def replay_of(recording: Recording, robot: Robot, title: str) -> EpisodeReplay:
 
 def run_episode(world: World, policy: Policy, episode: int) -> EpisodeReplay:
     """Run one episode of a world and return it with everything visible."""
-    backend, stage = world.backend, world.task
+    backend = world.backend
     title = f"{TITLES.get(world.robot.name, world.robot.name)}, {world.task.name}"
     shapes: list[VisualShape] = []
     names: list[LinkName] = []
@@ -69,19 +68,13 @@ def run_episode(world: World, policy: Policy, episode: int) -> EpisodeReplay:
         if isinstance(backend, PhysicsBackend):
             moments.append(backend.link_poses(0, names))
 
-    if isinstance(backend, PhysicsBackend) and isinstance(stage, Stage):
-        stage.sample(world.solver, world.rng(episode))
+    if isinstance(backend, PhysicsBackend):
+        world.task.sample(world.solver, world.rng(episode))
         shapes, names = _visible(backend)
         watch()
     (recording,) = record_episodes(world, policy, 1, episode, watch)
-    if not isinstance(backend, PhysicsBackend) or not isinstance(stage, Stage):
+    if not isinstance(backend, PhysicsBackend):
         return replay_of(recording, world.robot, title)
-    if stage.success is None:
-        recording = replace(recording, task_done=None)
-    if recording.solids is not None:  # furniture is a scene, with what the robot moves
-        solids, (name, poses) = recording.solids.beyond(backend.furniture), stage.drawn()
-        scene = read_scene(name).with_poses(poses) if name else None
-        recording = replace(recording, solids=solids if solids.places else None, scene=scene)
 
     def links(moment: int) -> Mapping[LinkName, Array]:
         return dict(zip(names, moments[moment], strict=True))

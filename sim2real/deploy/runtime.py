@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
 from types import FrameType
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Self
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.sim2real.deploy.watchdog import Watchdog
 from kinfeas.sim2real.link.rate import Clock, Rate, Timing
-from kinfeas.tasks.task import Task, build_subgoals, target_stream
+from kinfeas.tasks.task import StagedTask, Task, build_subgoals, target_stream
 
 _log = logging.getLogger(__name__)
 
@@ -72,20 +72,6 @@ class RunOutcome:
     # seconds by which the base follows its commands later than the response model of the robot
     # says; None without a model
     lateness_s: float | None = None
-
-
-@runtime_checkable
-class TaskWithObjects(Task, Protocol):
-    """A task that moves objects of a simulated world."""
-
-    def drawn(self) -> tuple[str, dict[str, Array]]:
-        """Return the scene and the initial world poses of its objects in the last episode."""
-
-    def settle(self, joint_positions: Array, dt: float) -> None:
-        """Simulate until objects that were put down are at rest."""
-
-    def done(self) -> bool | None:
-        """Return whether the objects are at their goal; None if they have none."""
 
 
 @dataclass(frozen=True)
@@ -243,10 +229,10 @@ class _Run:
             code, reason = self.run(watchdog, signals)
             if self.setup.live and code in (Code.REACHED, Code.TIME_OVER):
                 self.brake(watchdog)
-            if isinstance(self.setup.task, TaskWithObjects):
-                state = self.guarded.state.true_state or self.guarded.state
-                self.setup.task.settle(state.joint_positions, self.setup.dt)
-                done = self.setup.task.done()
+            if isinstance(task := self.setup.task, StagedTask):
+                joints = (self.guarded.state.true_state or self.guarded.state).joint_positions
+                reached = code is Code.REACHED
+                done = task.task_done(0, joints, self.setup.dt, reached=reached)
         except (KinfeasError, OSError) as error:
             code, reason = Code.FAULT, str(error)
         except PLUGIN_ERRORS as error:  # a mistake in the code of a plugin, or in ours

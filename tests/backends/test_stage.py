@@ -41,11 +41,12 @@ def begin(stage, solver, seed):
 
 
 def test_episodes_start_free_of_collisions_and_not_done(stage, solver):
-    assert stage.drawn()[0] == "room"
     assert (stage.name, stage.subgoals) == (stage.task.name, stage.task.subgoals)
     for seed in range(5):
         start = begin(stage, solver, seed)
-        poses = stage.task.object_poses(start.target_poses)
+        scene, poses, beside = stage.drawn(start)
+        assert (scene, beside) == ("room", None)
+        assert poses.keys() == stage.task.scene.moves.keys()
         assert not stage.backend.touched()
         assert stage.done() is False
         for name, pose in poses.items():

@@ -1,4 +1,5 @@
 from dataclasses import dataclass, replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -49,6 +50,8 @@ class Given:
 
 
 class StagedGiven(Given):
+    drawn = task_done = Mock()
+
     def sample_in(self, row, solver, rng):
         return replace(self.start, joint_positions=self.start.joint_positions + row)
 

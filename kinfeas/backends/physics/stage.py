@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
@@ -83,29 +84,25 @@ class Stage:
             f"task {self.name!r}: the robot touches floor or furniture in all of {_DRAWS} starts"
         )
 
-    def drawn(self) -> tuple[str, dict[str, Array]]:
-        """Return the name of the scene and the poses of moved objects by name, or `("", {})`."""
+    def drawn(self, start: Start) -> tuple[str, dict[str, Array], Solids | None]:
+        """Return scene, poses of moved objects and solids beside it, as in `StagedTask`."""
+        solids = start.solids and start.solids.beyond(self.backend.furniture)
+        beside = solids if solids and solids.places else None
         if self._task_scene is None:
-            return "", {}
-        objects = self._scene_of(0).objects
-        return self._task_scene.name, {name: objects[name].pose for name in self._task_scene.moves}
-
-    def settle(self, joint_positions: Array, dt: float, row: int = 0) -> None:
-        """Hold the robot of a row still while objects come to rest; joints of all, (n, j)."""
-        if self.success is not None:
-            self.backend.hold(row, joint_positions[row], dt, round(_SETTLE_SECONDS / dt))
+            return "", {}, beside
+        objects, moves = self._scene_of(0).objects, self._task_scene.moves
+        return self._task_scene.name, {name: objects[name].pose for name in moves}, beside
 
     def task_done(
         self, row: int, joint_positions: Array, dt: float, *, reached: bool
     ) -> bool | None:
-        """Return whether the episode that ends in a row did its task.
+        """Return whether the episode that ends in a row did its task, once objects are at rest.
 
-        A task without a condition is done if the goal is reached. None if the objects are left out.
+        None without a condition. The robot is held still; arguments as in `StagedTask`.
         """
         if (success := self.success) is None:
-            objects_left_out = self._chain and self._chain.scene and self.scene is None
-            return None if objects_left_out else reached
-        self.settle(joint_positions, dt, row)
+            return None
+        self.backend.hold(row, joint_positions[row], dt, round(_SETTLE_SECONDS / dt))
         return False if success.reached and not reached else self.done(row)
 
     def done(self, row: int = 0) -> bool | None:

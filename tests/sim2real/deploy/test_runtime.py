@@ -122,11 +122,12 @@ def run(tmp_path, time):
 def test_reaches_the_goal_and_reports_task_success(run, done, end):
     target = goal(0.9, 0.1, 0.8)
     parts = {"name": target.name, "subgoals": target.subgoals, "sample": target.sample}
-    task = SimpleNamespace(**parts, done=lambda: done, settle=Mock(), drawn=dict)
+    measured = Mock(return_value=done)
+    task = SimpleNamespace(**parts, sample_in=Mock(), drawn=Mock(), task_done=measured)
     trained = load_policy("pretrained", PR2.robot)
     outcome, record = run(AnalyticBackend(), trained, task, seconds=100.0, real_time=False)
     assert (outcome.code, outcome.reason) == (Code.REACHED, REACHED + end)
-    assert outcome.task_done is done
+    assert outcome.task_done is done and measured.call_args.kwargs == {"reached": True}
     assert (record.event[0], record.event[-1]) == ("start", REACHED + end)
     assert not record.base_twist[-1].any()
     assert record.base_twist.any()
