@@ -1,7 +1,7 @@
 """Paths of base and arm along known EE paths, by beam search."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ class BasePathSettings:
 
     metres: float = 0.07  # distance of the EE poses at which the search has a beam, metres
     radians: float = 0.07  # the same of orientations, radians
+    widths: tuple[int, ...] = (1, 2)  # widths of the beams of the searches, one after the other
     backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on
     slow: float = 0.1  # fraction of the speed of the EE from there to where the search had ended
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
@@ -81,12 +82,14 @@ class BasePathPlanner:
     """Finds paths of base and arm along EE paths.
 
     A beam search: robots of the beam at one EE pose lead to the beam at the next. Where none goes
-    on, the search goes back to earlier poses; from there the EE is slow. If that does not help,
-    arms jump there to other configurations, unless the path must not have joint jumps.
+    on, the search goes back to earlier poses; from there the EE is slow. If that does not help, a
+    search with a wider beam begins; and if that does not either, arms jump to other configurations,
+    unless the path must not have joint jumps.
     """
 
     def __init__(self, solver: IkSolver) -> None:
-        self.robot, self._expander = solver.robot, BeamExpander(solver)
+        self.robot = solver.robot
+        self._expanders = [BeamExpander(solver, width) for width in SETTINGS.widths]
 
     def plan(
         self,
@@ -113,18 +116,13 @@ class BasePathPlanner:
             partial: Whether arms may jump, and a path may end before the EE path, where no robot
                 goes on.
         """
-        beam = self._expander.first(base_pose, joints)
-        search = _Search(self._expander, ee, step / time_scale, solids, beam)
-        ways = [(search.slow_down, back) for back in SETTINGS.backtracking]
-        if partial:
-            ways += [(search.jump, back) for back in SETTINGS.backtracking]
-        while not search.complete:
-            if search.go_on():
-                continue
-            if not ways:
+        for expander in self._expanders:
+            beam = expander.first(base_pose, joints)
+            search = _Search(expander, ee, step / time_scale, solids, beam)
+            if search.ends(search.slow_down):
                 break
-            go_back, poses = ways.pop(0)
-            go_back(poses)
+        if partial and not search.complete:
+            search.ends(search.jump)
         if not search.complete and not (partial and len(search.beams) > 1):
             return None
         nodes = search.nodes[: len(search.beams)]
@@ -152,6 +150,16 @@ class _Search:
     @property
     def complete(self) -> bool:
         return len(self.beams) == len(self.nodes)
+
+    def ends(self, go_back: Callable[[int], None]) -> bool:
+        """Add beams, and go back where no robot goes on; return whether the last one has robots."""
+        ways = list(SETTINGS.backtracking)
+        while not self.complete:
+            if not self.go_on():
+                if not ways:
+                    return False
+                go_back(ways.pop(0))
+        return True
 
     def go_on(self) -> bool:
         """Add the next beam; return whether it has a robot."""

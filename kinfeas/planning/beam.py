@@ -91,10 +91,15 @@ class BeamExpander:
     with arms far from joint limits, from self-collision and from singularities are better, and
     those that reach the pose from a base a little elsewhere, since these can make up for a base
     that is not where it should be.
+
+    Args:
+        solver: IK of the robot.
+        width: Multiplies the robots of a beam, and those that try IK.
     """
 
-    def __init__(self, solver: IkSolver) -> None:
-        self.robot = robot = solver.robot
+    def __init__(self, solver: IkSolver, width: int = 1) -> None:
+        self.robot, self._width = solver.robot, width
+        robot = solver.robot
         options = replace(solver.options, restarts=0)
         careful = replace(
             options, joint_margin=SETTINGS.joint_margin, self_clearance=SETTINGS.clearance
@@ -173,7 +178,8 @@ class BeamExpander:
         proposed = Beam(poses, before.joints, command, cost, parent)
         expected = cost + self._limit_cost(proposal.joints[parent, tried])
         rows = _cheapest(self._cells(proposed, target), expected, SETTINGS.cell_robots)
-        return proposed.of(rows[np.argsort(expected[rows], kind="stable")[: SETTINGS.tried]])
+        best = np.argsort(expected[rows], kind="stable")[: self._width * SETTINGS.tried]
+        return proposed.of(rows[best])
 
     def _off_cost(self, beam: Beam, target: Array, solids: Solids | None) -> Array:
         """Return the cost of arms that do not make up for a base a little elsewhere."""
@@ -242,7 +248,8 @@ class BeamExpander:
 
         The first is the last one, the second half is noise around the velocity of the EE.
         """
-        tries = min(SETTINGS.commands // len(beam.cost), SETTINGS.robot_commands)
+        commands = self._width * SETTINGS.commands
+        tries = min(commands // len(beam.cost), SETTINGS.robot_commands)
         shape = len(beam.cost), tries, len(self._fastest)
         command = rng.uniform(-self._fastest, self._fastest, shape)
         command[:, 0], near = beam.command, tries // 2
@@ -255,7 +262,7 @@ class BeamExpander:
         bent = elbow / self._half[self._elbow] * SETTINGS.elbows / 2.0
         cells = np.column_stack([self._cells(beam, target), np.floor(bent)])
         best = beam.of(_cheapest(cells, beam.cost, 1))
-        return best.of(np.argsort(best.cost, kind="stable")[: SETTINGS.beam])
+        return best.of(np.argsort(best.cost, kind="stable")[: self._width * SETTINGS.beam])
 
     def _cells(self, beam: Beam, target: Array) -> Array:
         away = (beam.base[:, :2] - target[:2]) / SETTINGS.cell
