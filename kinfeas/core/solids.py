@@ -5,9 +5,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from kinfeas.config.quantities import FARTHEST
 from kinfeas.core import solid_kernels
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, planar_pose
 
 MOST_SOLIDS = 64
@@ -17,6 +19,11 @@ THIN = 1e-3
 """Least half extent that a negative margin leaves of a solid, metres."""
 
 _SOLIDS = "solids."
+_COLUMNS = (
+    "x, y, yaw, half extents along its x and y, lowest and highest z, 1 for a cylinder or 0 for a "
+    "box, velocity x and y, path length after which it turns back"
+)
+_TILTED = 0.01  # difference of the radii of cylinders that are almost upright, metres
 
 
 @dataclass(frozen=True)
@@ -43,10 +50,10 @@ class Solids:
         )
 
     @staticmethod
-    def from_table(table: Array) -> "Solids":
-        """Return one row of solids from a `table`."""
+    def from_table(table: ArrayLike) -> "Solids":
+        """Return one row of solids from a `table`; raise KinfeasError if a number is invalid."""
         ends = np.cumsum((3, 4, 1, 2))
-        pose, size, cylinder, velocity, span = np.split(table[np.newaxis], ends, axis=2)
+        pose, size, cylinder, velocity, span = np.split(_checked(table)[np.newaxis], ends, axis=2)
         return Solids(pose, size, cylinder[..., 0] > 0.0, velocity, span[..., 0])
 
     @property
@@ -147,6 +154,29 @@ class Solids:
         arrays = self.pose, self.size, self.cylinder, self.velocity
         pose, size = solid_kernels.swept(*arrays, first, last)
         return replace(self, pose=pose, size=size)
+
+
+def _checked(table: ArrayLike) -> Array:
+    try:
+        rows = np.array(table, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise KinfeasError(f"'solids' must be rows of 11 numbers, {_COLUMNS}: {error}") from error
+    rows = rows if rows.size else np.empty((0, 11))
+    if rows.ndim != 2 or rows.shape[1] != 11:
+        raise KinfeasError(f"'solids' must be rows of 11 numbers, {_COLUMNS}")
+    along, across, lowest, highest, kind, span = rows[:, [3, 4, 5, 6, 7, 10]].T
+    rules = {
+        f"numbers must be finite, within {FARTHEST:g}": (np.abs(rows) <= FARTHEST).all(axis=1),
+        "half extents must be positive": (along > 0.0) & (across > 0.0),
+        "the lowest z must not be above the highest": lowest <= highest,
+        "must be 1 for a cylinder or 0 for a box": (kind == 0.0) | (kind == 1.0),
+        "half extents of a cylinder must be equal": (kind == 0.0) | (abs(along - across) < _TILTED),
+        "the path length must not be negative": span >= 0.0,
+    }
+    for rule, holds in rules.items():
+        if not holds.all():
+            raise KinfeasError(f"'solids.{int(holds.argmin())}': {rule}")
+    return rows
 
 
 class MovingSolids:

@@ -1,7 +1,9 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MovingSolids, Solids, stacked_solids
 
 
@@ -47,6 +49,20 @@ def test_stacked_rows_are_filled_up_with_empty_places():
         np.testing.assert_array_equal(together.of(np.array([i])).table, part.table)
         again = Solids.from_table(part.table)
         np.testing.assert_array_equal(again.table, part.table)
+
+
+@pytest.mark.parametrize(("column", "value", "named"), [
+    (0, np.nan, "finite"), (1, 1e5, "finite"), (3, 0.0, "extents"), (4, -0.1, "extents"),
+    (5, 2.0, "lowest z"), (7, 0.5, "cylinder"), (7, 1.0, "cylinder"), (10, -1.0, "path length"),
+    (slice(1), [], "11 numbers"), (0, "left", "11 numbers"),
+])  # fmt: skip
+def test_invalid_tables_are_errors(column, value, named):
+    box = [0.0, 1.0, 0.0, 0.1, 0.2, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+    assert Solids.from_table([box, box]).places == 2
+    assert Solids.from_table([]).places == 0
+    box[column] = value
+    with pytest.raises(KinfeasError, match=f"'solids.*{named}"):
+        Solids.from_table([box])
 
 
 def test_rows_get_solids_and_times_of_their_own():
