@@ -175,25 +175,26 @@ def _pose(position: Vector, rpy: Vector) -> Array:
     return make_pose(np.array(position), Rotation.from_euler("xyz", rpy))
 
 
-def furniture_solids(scene: Scene, grasped: tuple[str, str] | None = None) -> Solids:
-    """Return the collision shapes of fixed objects as one row of solids.
+def furniture_solids(
+    scene: Scene, grasped: tuple[str, str] | None = None, *, movable: bool = False
+) -> Solids:
+    """Return the collision shapes of fixed objects, and of `movable` ones, as one row of solids.
 
-    Movable objects are left out, and so are the links that move with the `grasped` one, an object
-    and its link: solids do not turn.
+    Links that move with the `grasped` one, an object and its link, are left out: solids do not
+    turn.
     """
     shapes, (grasped_name, link) = list[Shape](), grasped or (None, "")
     for name, scene_object in scene.objects.items():
         joint = moving_joint(scene_object.urdf, link) if name == grasped_name else None
         moved = scene_object.urdf.below(joint) if joint else frozenset()
-        if scene_object.fixed:
+        if scene_object.fixed or movable:
             shapes += [shape for part, shape in scene_object.shapes() if part not in moved]
     return solids_around(shapes, np.array([shape.pose for shape in shapes]).reshape(1, -1, 7))
 
 
 def solid_names(scene: Scene) -> list[str]:
-    """Return the object of each of `furniture_solids`."""
-    objects = scene.objects.items()
-    return [name for name, entry in objects if entry.fixed for _ in entry.shapes()]
+    """Return the object of each of `furniture_solids` with movable objects."""
+    return [name for name, entry in scene.objects.items() for _ in entry.shapes()]
 
 
 def solids_around(shapes: Sequence[Shape], pose: Array) -> Solids:

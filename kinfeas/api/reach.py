@@ -1,6 +1,7 @@
 """Base poses from which a robot reaches EE poses, or the reasons for which there are none."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,19 +10,22 @@ from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot
 from kinfeas.config.quantities import Count, Position
 from kinfeas.core.checks import ee_poses
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose
+from kinfeas.kinematics.solids import base_collides
 from kinfeas.planning.reach import BasePlacer, Placement
+from kinfeas.plugins.waypoints import read_waypoints
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, furniture_solids, read_scene, solid_names
 
 
 def reach(  # noqa: PLR0913 - options of the command
     robot: Name | Robot | BasePlacer,
-    poses: ArrayLike,
+    poses: Name | ArrayLike,
     *,
     scene: Name | Scene | None = None,
-    solids: Solids | None = None,
+    solids: Solids | ArrayLike | None = None,
     start: Sequence[float] | None = None,
     k: int = 8,
     together: bool = False,
@@ -33,11 +37,13 @@ def reach(  # noqa: PLR0913 - options of the command
     Args:
         robot: Name, folder or loaded robot. A `BasePlacer` of `kinfeas.planning.reach` answers
             many calls sooner.
-        poses: World poses of the EE, shape (n, 7).
-        scene: Scene, or its name or YAML file, whose furniture base and arm avoid.
-        solids: Other solids, in the world, one row.
+        poses: World poses of the EE, shape (n, 7), or a file of them, as of the generator
+            `waypoints`.
+        scene: Scene, or its name or YAML file, whose objects base and arm avoid.
+        solids: Other solids in the world: one row of `kinfeas.core.solids.Solids`, or a table of
+            shape (m, 11).
         start: x, y and yaw of the base, metres and radians, from which base poses must be
-            connected among solids.
+            connected among solids; the base must be free of them there.
         k: Largest number of base poses for each EE pose.
         together: Whether the base stands still: base poses reach all EE poses, and the list has one
             element.
@@ -45,10 +51,18 @@ def reach(  # noqa: PLR0913 - options of the command
     Raises:
         KinfeasError: If an argument is invalid.
     """
-    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
-    goals, count = ee_poses(poses, "poses"), checked(Count, k, "k")
+    numbers = read_waypoints(Path(poses))[0] if isinstance(poses, str | Path) else poses
+    goals, count = ee_poses(numbers, "poses"), checked(Count, k, "k")
+    together = checked(bool, together, "together")
+    origin = None if start is None else base_pose(start, "start")
     around, names = solids_of(scene, solids)
-    where = around, None if start is None else base_pose(start, "start"), count
+    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
+    if origin is not None and around is not None:
+        for place, name in enumerate(names):
+            solid = around.only(np.array([place]))
+            if base_collides(placer.solver.collision, origin[np.newaxis], solid)[0]:
+                raise KinfeasError(f"at the 'start' the base touches {name}")
+    where = around, origin, count
     if together:
         placements = [placer.place_for_all(goals, *where)]
     else:
@@ -71,16 +85,20 @@ def base_pose(planar: Sequence[float], name: str) -> Array:
     return planar_pose(*np.array(checked(Position, planar, name)))
 
 
-def solids_of(scene: Name | Scene | None, solids: Solids | None) -> tuple[Solids | None, list[str]]:
-    """Return one row of solids, the furniture of a scene first, and their names; None for none."""
+def solids_of(
+    scene: Name | Scene | None, solids: Solids | ArrayLike | None
+) -> tuple[Solids | None, list[str]]:
+    """Return one row of solids, the objects of a scene first, and their names; None for none."""
+    if solids is not None and not isinstance(solids, Solids):
+        solids = Solids.from_table(solids)
+    others = [f"solid {k}" for k in range(0 if solids is None else solids.places)]
     if scene is None:
-        return solids, [f"solid {k}" for k in range(0 if solids is None else solids.places)]
+        return solids, others
     layout = scene if isinstance(scene, Scene) else read_scene(str(scene))
-    furniture, names = furniture_solids(layout), solid_names(layout)
+    objects, names = furniture_solids(layout, movable=True), solid_names(layout)
     if solids is None:
-        return furniture, names
-    tables = np.concatenate([furniture.table, solids.table])
-    return Solids.from_table(tables), names + [f"solid {k}" for k in range(len(solids.table))]
+        return objects, names
+    return objects.joined(solids.repeated(1)), names + others
 
 
 def reach_map(
@@ -88,7 +106,7 @@ def reach_map(
     pose: ArrayLike,
     *,
     scene: Name | Scene | None = None,
-    solids: Solids | None = None,
+    solids: Solids | ArrayLike | None = None,
     start: Sequence[float] | None = None,
 ) -> bytes:
     """Return a picture of all base poses that reach an EE pose, from above, as a PNG file.

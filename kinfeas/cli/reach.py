@@ -30,7 +30,7 @@ def reach(  # noqa: PLR0913, PLR0917 - each option is an argument
         None, "EE pose in the world frame: m, rad.", metavar="X Y Z ROLL PITCH YAW"
     ),
     poses: Path | None = option(None, "EE poses, as of the generator waypoints.", metavar="FILE"),
-    scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
+    scene: str | None = option(None, "Scene by name or YAML file, whose objects are avoided."),
     start: Planar | None = option(None, START, metavar="X Y YAW"),
     count: int = option(8, "Most base poses for each EE pose.", "-k", min=1, max=512),
     together: bool = option(False, "One base pose for all EE poses.", "--together"),
@@ -45,13 +45,14 @@ def reach(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas reach --robot pr2 --pose 1.6 0.4 0.8 0 0 0 --scene room --picture reach.png
     """
+    if (pose is None) == (poses is None):
+        raise KinfeasError("give --pose or --poses")
+
     from kinfeas.api.reach import facts, reach_map
     from kinfeas.api.reach import reach as api
     from kinfeas.core.spatial import yaw
     from kinfeas.plugins.waypoints import read_waypoints
 
-    if (pose is None) == (poses is None):
-        raise KinfeasError("give --pose or --poses")
     goals = read_waypoints(poses)[0] if poses else pose_of(pose)
     with status("searching"):
         placements = api(robot, goals, scene=scene, start=start, k=count, together=together)
@@ -86,7 +87,7 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.RobotName = DEFAULT_ROBOT,
     path: Path = option(..., "EE poses, as of the generator waypoints.", metavar="FILE"),
     out: Path = file_option(..., "New file of the plan.", ".csv"),
-    scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
+    scene: str | None = option(None, "Scene by name or YAML file, whose objects are avoided."),
     start: Planar | None = option(
         None,
         f"{START} The arm is at home.  [default: a base pose near the path]",
@@ -97,18 +98,19 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     picture: options.Picture = None,
     html: Path | None = file_option(None, "Write an interactive page.", ".html", ".htm"),
 ) -> None:
-    """Plan base and arm along an EE path, within velocity limits and free of furniture.
+    """Plan base and arm along an EE path, within velocity limits and free of objects.
 
     kinfeas deploy --plan carries it out. Settings: parameters of the generator waypoints, such as
     max_velocity. Without a plan the error names the EE pose that is out of reach, with the reason.
 
     Example: kinfeas plan --robot pr2 --path ee.csv --scene room --out plan.csv --html plan.html
     """
+    check_new(out)
+    settings = options.read_settings(overrides)
+
     from kinfeas.api.plan import plan as api
     from kinfeas.core.spatial import distance
 
-    check_new(out)
-    settings = options.read_settings(overrides)
     with status("planning"):
         planned = api(robot, path, start=start, scene=scene, settings=settings)
     planned.save(out)
@@ -134,7 +136,7 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 def serve(
     robot: options.RobotName = DEFAULT_ROBOT,
-    scene: str | None = option(None, "Scene by name or YAML file, whose furniture is avoided."),
+    scene: str | None = option(None, "Scene by name or YAML file, whose objects are avoided."),
     port: int = option(8081, "Port; 0 for a free one.", min=0, max=65535),
     ros2: bool = option(False, "Also answer ROS 2 nodes on the network.", "--ros2"),
 ) -> None:

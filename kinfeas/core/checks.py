@@ -64,7 +64,9 @@ def ee_poses(poses: ArrayLike, name: str) -> Array:
         array = np.atleast_2d(np.array(poses, dtype=np.float64))
     except (TypeError, ValueError) as error:
         raise KinfeasError(f"{name!r} must be numbers x y z qx qy qz qw: {error}") from error
-    if array.ndim != 2 or array.shape[1] != 7 or not len(array):
+    if poses is None or not array.size:
+        raise KinfeasError(f"{name!r} has no poses")
+    if array.ndim != 2 or array.shape[1] != 7:
         raise KinfeasError(f"{name!r} must be of shape (n, 7), not {array.shape}")
     if not (np.abs(array) <= FARTHEST).all() or not are_unit(array, UNIT):
         raise KinfeasError(f"{name!r} must be within {FARTHEST:g} m, with unit quaternions xyzw")

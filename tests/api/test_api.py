@@ -155,11 +155,20 @@ def test_unknown_options_of_a_training_are_errors(option, named):
         kinfeas.train("hsr", **{option: 8})
 
 
-@pytest.mark.parametrize("arguments", [{"k": (3,)}, {"start": 3.0}, {"start": (0.0, 0.0)}])
+@pytest.mark.parametrize("arguments", [
+    {"k": (3,)}, {"start": 3.0}, {"start": (0.0, 0.0)}, {"together": "no"}, {"poses": []},
+    {"poses": None}, {"solids": [[1.0, 2.0]]}, {"start": (3.0, 0.0, 0.0), "scene": "room"},
+])  # fmt: skip
 def test_bad_arguments_of_reach_are_errors(arguments):
-    (name,) = arguments
-    with pytest.raises(KinfeasError, match=name):
-        kinfeas.reach("hsr", [[2.0, 1.0, 0.8, 0.0, 0.0, 0.0, 1.0]], **arguments)
+    with pytest.raises(KinfeasError, match=f"'{next(iter(arguments))}'"):
+        kinfeas.reach("hsr", **{"poses": [[2.0, 1.0, 0.8, 0.0, 0.0, 0.0, 1.0]], **arguments})
+
+
+def test_reach_takes_files_and_tables_of_solids_and_avoids_movable_objects(tmp_path):
+    (tmp_path / "ee.csv").write_text("x,y,z,qx,qy,qz,qw\n2,1,0.8,0,0,0,1\n2.72,0,0.65,0,0,0,1\n")
+    table = [[2.0, 1.0, 0.0, 0.2, 0.2, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]]
+    first, second = kinfeas.reach("hsr", tmp_path / "ee.csv", scene="room", solids=table)
+    assert (first.solids, second.solids[-1]) == (("solid 0",), "box")
 
 
 @pytest.mark.parametrize("arguments", [

@@ -33,7 +33,7 @@ def test_goal_is_reached_and_recorded(run):
     assert done.facts["reason"] == record.event[-1] == REACHED
 
 
-EE_PATH = "time,x,y,z,qx,qy,qz,qw\n0,2.6,-0.6,0.8,0,0,0,1\n8,2.6,0.6,0.8,0,0,0,1\n"
+EE_PATH = "time,x,y,z,qx,qy,qz,qw\n0,2.6,-0.6,0.9,0,0,0,1\n8,2.6,0.6,0.9,0,0,0,1\n"
 
 
 @pytest.mark.parametrize("robot", ["hsr", "tiago"])

@@ -11,7 +11,7 @@ from kinfeas.kinematics.solids import collides
 from kinfeas.robots.fcl_shapes import fcl_object, touch
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
-from kinfeas.scenes.scene import furniture_solids, read_scene
+from kinfeas.scenes.scene import furniture_solids, read_scene, solid_names
 
 SIZES = {"box": (0.2, 0.2, 0.2), "cylinder": (0.1, 0.2), "sphere": (0.1,)}
 SHELF = "[-1.0, 0.0, 0.4]"
@@ -133,3 +133,4 @@ def test_grasped_links_and_movable_objects_are_no_solids():
     assert not np.array_equal(furniture_solids(opened).pose, everything.pose)
     shapes = [one for name in room.objects for one in room.objects[name].shapes() if name != "box"]
     assert everything.places == len(shapes)
+    assert furniture_solids(room, movable=True).places == len(solid_names(room)) > len(shapes)
