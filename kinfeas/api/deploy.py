@@ -2,6 +2,7 @@
 
 import logging
 import re
+import reprlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
@@ -239,6 +240,8 @@ def _listed(kind: Any, numbers: object, name: str) -> Sequence[float]:
 
 def _plan_task(file: Name, robot: Name | None, dt: float) -> tuple[Task, tuple[CommandFilter, ...]]:
     """Return the EE motion of a plan as a task that begins at its start, and what follows it."""
+    if not isinstance(file, str | Path):
+        raise KinfeasError(f"'plan' must be a file, as of Plan.save, not {reprlib.repr(file)}")
     try:
         plan = load_plan(file, robot or DEFAULT_ROBOT)
     except KinfeasError as error:

@@ -143,7 +143,7 @@ def plan(  # noqa: PLR0913 - options of the command
     start: Sequence[float] | None = None,
     joints: Sequence[float] | None = None,
     scene: Name | Scene | None = None,
-    solids: Solids | None = None,
+    solids: Solids | ArrayLike | None = None,
     settings: Settings | None = None,
 ) -> Plan:
     """Return base and arm along an EE path.
@@ -158,36 +158,41 @@ def plan(  # noqa: PLR0913 - options of the command
         target: World pose at which the motion of a generator ends, shape (7,).
         step: Time from a pose to the next, seconds. Only for arrays of poses; files and generators
             have their own time.
-        start: x, y and yaw of the base now. The EE moves from there to the first pose of a file. By
-            default the robot begins at one of the best base poses for it.
+        start: x, y and yaw of the base now. The EE moves from there to the first pose. By default
+            the robot begins at one of the best base poses for it.
         joints: Arm joints now, shape (j,), radians or metres; those of home by default.
-        scene: Scene, or its name or YAML file, whose furniture base and arm avoid.
-        solids: Other solids, in the world, one row.
+        scene: Scene, or its name or YAML file, whose objects base and arm avoid.
+        solids: Other solids in the world: one row of `kinfeas.core.solids.Solids`, or a table of
+            shape (m, 11).
         settings: Parameters of the motion generator, such as `max_velocity`.
 
     Raises:
         KinfeasError: If an argument is invalid, or no plan was found. The error names the first EE
             pose that is out of reach, with the reason.
     """
-    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
-    state = None if start is None else _state(placer.solver.robot, start, joints)
-    around, names = solids_of(scene, solids)
     step = checked(Annotated[float, Interval(ge=1e-3, le=10.0)], step, "step")
     if joints is not None and start is None:
         raise KinfeasError("'joints' needs 'start'")
     if isinstance(path, str | Path):
         if step != HORIZON:
             raise KinfeasError("'step' is for poses, not for files and generators")
-        ee = _rolled_out(placer.solver, path, target, state, around, settings)
+        motion, poses = _motion(path, target, start, settings)
     elif nested(settings) or target is not None:
         raise KinfeasError("'settings' are for files and generators, 'target' for generators")
+    elif len(poses := ee_poses(path, "path")) < 2:
+        raise KinfeasError("'path' must have at least 2 poses")
+    around, names = solids_of(scene, solids)
+    model = robot.solver.robot if isinstance(robot, BasePlacer) else load_robot(robot)
+    state = None if start is None else _state(model, start, joints)
+    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(model)
+    if isinstance(path, str | Path):
+        ee = _rolled_out(placer.solver, motion, poses, state, around)
+        if len(ee) * HORIZON >= LONGEST:
+            raise KinfeasError(f"{path}: the EE motion takes longer than {LONGEST:g} s")
     else:
-        ee = ee_poses(path, "path")
-        if len(ee) < 2:
-            raise KinfeasError("'path' must have at least 2 poses")
         if state is not None:
-            _check_start(placer.solver, *state, ee[0])
-        ee, step = _divided(ee, step, placer.solver.robot.base)
+            poses = _from_start(placer.solver, *state, poses)
+        ee, step = _divided(poses, step, model.base)
     moments = plan_along(placer, ee, step, state, around, names)
     return Plan(**vars(moments), robot=placer.solver.robot, solids=around)
 
@@ -236,19 +241,24 @@ def _check_plan(file: Path, plan: Plan) -> None:
 
 
 def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None) -> State:
-    arm = np.array(robot.home["home"] if joints is None else joints, dtype=np.float64)
-    if arm.shape != (len(robot.arm),) or not np.isfinite(arm).all():
-        raise KinfeasError(f"'joints' must be {len(robot.arm)} finite numbers, not {joints}")
+    if joints is None:
+        return base_pose(start, "start"), robot.home["home"]
+    arm = np.array(checked(tuple[float, ...], joints, "joints"))
+    if len(arm) != len(robot.arm):
+        raise KinfeasError(f"'joints' must be {len(robot.arm)} numbers, not {len(arm)}")
+    lower, upper = robot.joint_limits
+    beyond = (arm < lower - _ROUNDING) | (arm > upper + _ROUNDING)
+    if beyond.any():
+        k = int(beyond.argmax())
+        limits = f"[{lower[k]:.4g}, {upper[k]:.4g}]"
+        raise KinfeasError(f"'joints': {robot.arm[k].name} must be in {limits}, not {arm[k]:g}")
     return base_pose(start, "start"), arm
 
 
-def _check_start(solver: IkSolver, base: Array, joints: Array, first: Array) -> None:
-    ee = compose(base, forward(solver.chain, joints[np.newaxis])[0])
-    if (gap := float(distance(ee, first)[0])) > _AT_START:
-        raise KinfeasError(
-            f"'path' must begin where the EE is, at {(ee.round(4) + 0.0).tolist()}; its first "
-            f"pose is {gap:.2f} m away"
-        )
+def _from_start(solver: IkSolver, base: Array, joints: Array, ee: Array) -> Array:
+    """Return EE poses with that of the robot before them, unless it is the first."""
+    now = compose(base, forward(solver.chain, joints[np.newaxis]))
+    return ee if float(distance(now, ee[:1])[0][0]) <= _AT_START else np.concatenate([now, ee])
 
 
 def _divided(ee: Array, step: float, base: Base) -> tuple[Array, float]:
@@ -267,44 +277,40 @@ def _divided(ee: Array, step: float, base: Base) -> tuple[Array, float]:
     return interpolated(times, samples, ee), step / parts
 
 
-def _rolled_out(
-    solver: IkSolver,
-    path: Name,
-    target: ArrayLike | None,
-    state: State | None,
-    solids: Solids | None,
-    settings: Settings | None,
-) -> Array:
-    """Return the EE poses of a file or a generator every `HORIZON` seconds, shape (k, 7)."""
+def _motion(
+    path: Name, target: ArrayLike | None, start: Sequence[float] | None, settings: Settings | None
+) -> tuple[MotionSpec, Array]:
+    """Return the motion of a file with its poses, or of a generator with its last one, (k, 7)."""
     if isinstance(path, Path) or Path(path).suffix:
         if target is not None:
             raise KinfeasError("'target' is for generators, not for files")
         poses, parameters = read_waypoints(Path(path))[0], {"file": str(path), "frame": "world"}
         if fixed := parameters.keys() & nested(settings).keys():
             raise KinfeasError(f"{min(fixed)!r} is no setting of a plan")
-        motion = MotionSpec("waypoints", {**parameters, **nested(settings)})
-        first, goal = poses[0], poses[-1]
-    else:
-        motion = MotionSpec(str(path), nested(settings))
-        if target is None or state is None:
-            build_subgoals([Subgoal(motion)])  # is there one?
-            missing = "start" if target is not None else "target"
-            raise KinfeasError(f"motion generator {str(path)!r} needs {missing!r}")
-        goal = ee_poses(target, "target")[0]
-    if state is None:  # any robot with its EE there
+        return MotionSpec("waypoints", {**parameters, **nested(settings)}), poses
+    motion = MotionSpec(str(path), nested(settings))
+    if target is None or start is None:
+        build_subgoals([Subgoal(motion)])  # is there one?
+        missing = "start" if target is not None else "target"
+        raise KinfeasError(f"motion generator {str(path)!r} needs {missing!r}")
+    return motion, ee_poses(target, "target")[:1]
+
+
+def _rolled_out(
+    solver: IkSolver, motion: MotionSpec, poses: Array, state: State | None, solids: Solids | None
+) -> Array:
+    """Return the EE poses of a motion every `HORIZON` seconds, shape (k, 7)."""
+    if state is None:  # any robot with its EE at the first pose
         home = solver.robot.home["home"]
         ee = forward(solver.chain, home[np.newaxis])[0]
-        state = compose(first, relative(IDENTITY, ee)), home
-    start = Start(state[0][np.newaxis], state[1][np.newaxis], goal[np.newaxis, np.newaxis], solids)
+        state = compose(poses[0], relative(IDENTITY, ee)), home
+    start = Start(state[0][np.newaxis], state[1][np.newaxis], poses[np.newaxis, -1:], solids)
     sequence = begin_motions(
         solver, build_subgoals([Subgoal(motion)]), start, [np.random.default_rng(0)]
     )
     if solids is not None:
         sequence.avoid(solids, None, (start.base_pose, start.joint_positions))
-    (ee,) = sequence.to_the_end(np.arange(1), to_rest=True)
-    if len(ee) * HORIZON >= LONGEST:
-        raise KinfeasError(f"{path}: the EE motion takes longer than {LONGEST:g} s")
-    return ee
+    return sequence.to_the_end(np.arange(1), to_rest=True)[0]
 
 
 def _header(seconds: float, frame: str) -> dict[str, object]:

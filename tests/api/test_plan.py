@@ -97,6 +97,8 @@ def test_long_motions_and_other_files_are_errors(tmp_path):
         kinfeas.plan("hsr", [FIRST])
     with pytest.raises(KinfeasError, match="'start'"):
         kinfeas.plan("hsr", path, joints=[0.0] * 5)
+    with pytest.raises(KinfeasError, match=r"'joints': .*joint must be in \["):
+        kinfeas.plan("hsr", [FIRST, FIRST], start=(0.0, 0.0, 0.0), joints=[9.0] * 5)
 
 
 def test_plans_begin_where_the_robot_is(hsr):
@@ -104,8 +106,10 @@ def test_plans_begin_where_the_robot_is(hsr):
     np.testing.assert_allclose(at_home.base[0], 0.0, atol=1e-9)
     np.testing.assert_allclose(at_home.joint_positions[0], hsr.home["home"], atol=1e-3)
     np.testing.assert_allclose(at_home.ee_pose[-1], FIRST, atol=1e-4)
-    with pytest.raises(KinfeasError, match=r"begin where the EE is, at \[4\."):
-        kinfeas.plan("hsr", line(0.1, 0, 0, 0, 0, 0), start=(4.0, 0.0, 0.0))
+    path = line(0.1, 0, 0, 0, 0, 0)
+    moved = kinfeas.plan("hsr", path, start=(-1.0, 0.0, 0.0))
+    np.testing.assert_allclose(moved.base[0], [-1.0, 0.0, 0.0], atol=1e-9)
+    assert distance(moved.ee_pose, path[0])[0].min() < 1e-6
 
 
 def test_turns_take_their_time_and_end_at_their_end(tmp_path):
