@@ -3,52 +3,38 @@
 import json
 import logging
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from socket import MSG_PEEK
+from socket import MSG_PEEK, SHUT_WR
 from threading import BoundedSemaphore, RLock
 from typing import Annotated, Any
 
-import numpy as np
 from annotated_types import Interval, Len
-from pydantic import BeforeValidator, FailFast
+from pydantic import FailFast
 
 from kinfeas.api import Name
 from kinfeas.api.load import load_robot
 from kinfeas.api.plan import Plan, plan
 from kinfeas.api.reach import facts, reach
 from kinfeas.config import from_mapping
-from kinfeas.config.quantities import FARTHEST, Distance, Fraction, Metres, Radians, Vector
+from kinfeas.config.quantities import Metres, Vector
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.solids import MOST_SOLIDS, Solids
+from kinfeas.core.solids import MOST_SOLIDS
 from kinfeas.planning.reach import BasePlacer, Placement
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.access import Access
 
 _MOST_BYTES, _MOST_CONNECTIONS = 4_000_000, 32
+_BUFFER, _PATIENCE = 65_536, 0.05  # bytes and seconds for connections beyond the limit
+_BUSY = (
+    b"HTTP/1.1 503 Service Unavailable\r\nContent-Type: application/json\r\nContent-Length: 33\r\n"
+    b'Connection: close\r\n\r\n{"error": "too many connections"}'
+)
 _log = logging.getLogger(__name__)
 
-Extent = Annotated[float, Interval(gt=0.0, le=FARTHEST)]
-
-
-def _eleven(row: object) -> object:
-    if isinstance(row, list) and len(row) == 11:
-        return tuple(row)  # in strict mode
-    raise ValueError(
-        "a solid has 11 numbers: x, y, yaw, half extents along its x and y, lowest and highest z, "
-        "1 for a cylinder or 0 for a box, velocity x and y, path length after which it turns back"
-    )
-
-
-Row = Annotated[
-    tuple[
-        Metres, Metres, Radians, Extent, Extent, Metres, Metres, Fraction, Metres, Metres, Distance
-    ],
-    BeforeValidator(_eleven),
-]
-SolidRows = Annotated[tuple[Row, ...], Len(0, MOST_SOLIDS), FailFast()]
+SolidRows = Annotated[tuple[tuple[float, ...], ...], Len(0, MOST_SOLIDS), FailFast()]
 Pose = Annotated[tuple[Metres, ...], Len(7, 7), FailFast()]
 
 
@@ -118,8 +104,15 @@ class PlanningServer(ThreadingHTTPServer):
         self._opened.close()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own; close connections beyond the limit."""
+        """Answer in a thread of its own; connections beyond the limit with status 503."""
         if not self._free.acquire(blocking=False):
+            with suppress(OSError):
+                request.settimeout(_PATIENCE)
+                with suppress(TimeoutError):  # unread requests would reset the connection
+                    request.recv(_BUFFER)
+                request.sendall(_BUSY)
+                request.shutdown(SHUT_WR)
+                request.recv(_BUFFER)
             self.shutdown_request(request)
             return
         try:
@@ -237,11 +230,4 @@ def _parsed(body: bytes) -> object:
 
 def _arguments(kind: type[ReachRequest | PlanRequest], body: object) -> dict[str, Any]:
     request = from_mapping(kind, body, "request")
-    return {**vars(request), "solids": _solids(request.solids)}
-
-
-def _solids(rows: SolidRows) -> Solids | None:
-    for number, (*_, low, high, _, _, _, _) in enumerate(rows):
-        if low >= high:
-            raise KinfeasError(f"request: 'solids.{number}': the lowest z is not below the highest")
-    return Solids.from_table(np.array(rows, dtype=np.float64)) if rows else None
+    return {**vars(request), "solids": request.solids or None}

@@ -221,6 +221,8 @@ def _rule(problem: "ErrorDetails") -> str:
         return f"must be a list of {index + 1} entries"
     if problem["type"] == "too_long":
         return f"must be a list of at most {problem['ctx']['max_length']} entries"
+    if problem["type"] == "too_short":
+        return f"must be a list of {problem['ctx']['min_length']} or more entries"
     return problem["msg"].removeprefix("Value error, ")
 
 
