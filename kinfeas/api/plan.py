@@ -16,6 +16,7 @@ from kinfeas.api.load import checked, load_robot, text_of
 from kinfeas.api.reach import base_pose, solids_of
 from kinfeas.config import Settings, nested
 from kinfeas.config.quantities import FARTHEST
+from kinfeas.control.execution import tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.subgoal_motions import LONGEST, begin_motions
 from kinfeas.core.checks import ee_poses
@@ -161,7 +162,8 @@ def plan(  # noqa: PLR0913 - options of the command
         start: x, y and yaw of the base now. The EE moves from there to the first pose. By default
             the robot begins at one of the best base poses for it.
         joints: Arm joints now, shape (j,), radians or metres; those of home by default.
-        scene: Scene, or its name or YAML file, whose objects base and arm avoid.
+        scene: Scene, or its name or YAML file, whose objects base and arm avoid, except movable
+            ones within 5 cm of the tool tip at a pose, which it grasps.
         solids: Other solids in the world: one row of `kinfeas.core.solids.Solids`, or a table of
             shape (m, 11).
         settings: Parameters of the motion generator, such as `max_velocity`.
@@ -181,8 +183,8 @@ def plan(  # noqa: PLR0913 - options of the command
         raise KinfeasError("'settings' are for files and generators, 'target' for generators")
     elif len(poses := ee_poses(path, "path")) < 2:
         raise KinfeasError("'path' must have at least 2 poses")
-    around, names = solids_of(scene, solids)
     model = robot.solver.robot if isinstance(robot, BasePlacer) else load_robot(robot)
+    around, names = solids_of(scene, solids, compose(poses, tool_pose(model)))
     state = None if start is None else _state(model, start, joints)
     placer = robot if isinstance(robot, BasePlacer) else BasePlacer(model)
     if isinstance(path, str | Path):

@@ -9,15 +9,18 @@ from numpy.typing import ArrayLike
 from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot
 from kinfeas.config.quantities import Count, Position
+from kinfeas.control.execution import tool_pose
 from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, planar_pose
+from kinfeas.core.spatial import Array, compose, planar_pose
 from kinfeas.kinematics.solids import base_collides
 from kinfeas.planning.reach import BasePlacer, Placement
 from kinfeas.plugins.waypoints import read_waypoints
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, furniture_solids, read_scene, solid_names
+
+_GRASPED = 0.05  # distance from fingertips within which movable objects are grasped, metres
 
 
 def reach(  # noqa: PLR0913 - options of the command
@@ -39,7 +42,8 @@ def reach(  # noqa: PLR0913 - options of the command
             many calls sooner.
         poses: World poses of the EE, shape (n, 7), or a file of them, as of the generator
             `waypoints`.
-        scene: Scene, or its name or YAML file, whose objects base and arm avoid.
+        scene: Scene, or its name or YAML file, whose objects base and arm avoid, except movable
+            ones within 5 cm of the tool tip at a pose, which it grasps.
         solids: Other solids in the world: one row of `kinfeas.core.solids.Solids`, or a table of
             shape (m, 11).
         start: x, y and yaw of the base, metres and radians, from which base poses must be
@@ -55,8 +59,9 @@ def reach(  # noqa: PLR0913 - options of the command
     goals, count = ee_poses(numbers, "poses"), checked(Count, k, "k")
     together = checked(bool, together, "together")
     origin = None if start is None else base_pose(start, "start")
-    around, names = solids_of(scene, solids)
-    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
+    model = robot.solver.robot if isinstance(robot, BasePlacer) else load_robot(robot)
+    around, names = solids_of(scene, solids, compose(goals, tool_pose(model)))
+    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(model)
     if origin is not None and around is not None:
         for place, name in enumerate(names):
             solid = around.only(np.array([place]))
@@ -86,9 +91,12 @@ def base_pose(planar: Sequence[float], name: str) -> Array:
 
 
 def solids_of(
-    scene: Name | Scene | None, solids: Solids | ArrayLike | None
+    scene: Name | Scene | None, solids: Solids | ArrayLike | None, tips: Array | None = None
 ) -> tuple[Solids | None, list[str]]:
-    """Return one row of solids, the objects of a scene first, and their names; None for none."""
+    """Return one row of solids, the objects of a scene first, and their names; None for none.
+
+    Movable objects near `tips`, poses of fingertips of shape (n, 7), are grasped and left out.
+    """
     if solids is not None and not isinstance(solids, Solids):
         solids = Solids.from_table(solids)
     others = [f"solid {k}" for k in range(0 if solids is None else solids.places)]
@@ -96,6 +104,12 @@ def solids_of(
         return solids, others
     layout = scene if isinstance(scene, Scene) else read_scene(str(scene))
     objects, names = furniture_solids(layout, movable=True), solid_names(layout)
+    if tips is not None:
+        near = np.hypot(*objects.gaps(tips[np.newaxis, :, :3]))[0].min(axis=0) < _GRASPED
+        movable = {name for name, entry in layout.objects.items() if not entry.fixed}
+        grasped = movable & {names[k] for k in np.flatnonzero(near)}
+        kept = [k for k, name in enumerate(names) if name not in grasped]
+        objects, names = objects.only(np.array(kept, dtype=np.intp)), [names[k] for k in kept]
     if solids is None:
         return objects, names
     return objects.joined(solids.repeated(1)), names + others
@@ -116,7 +130,8 @@ def reach_map(
     from kinfeas.viz.episodes import reach_figure
     from kinfeas.viz.style import png
 
-    model, around = load_robot(robot), solids_of(scene, solids)[0]
-    goal, origin = ee_poses(pose, "pose")[0], None if start is None else base_pose(start, "start")
+    model, goal = load_robot(robot), ee_poses(pose, "pose")[0]
+    around = solids_of(scene, solids, compose(goal, tool_pose(model))[np.newaxis])[0]
+    origin = None if start is None else base_pose(start, "start")
     placer, where = BasePlacer(model), (goal, around, origin)
     return png(reach_figure(model, goal, placer.place(*where), placer.region(*where), around))

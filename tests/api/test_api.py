@@ -164,11 +164,17 @@ def test_bad_arguments_of_reach_are_errors(arguments):
         kinfeas.reach("hsr", **{"poses": [[2.0, 1.0, 0.8, 0.0, 0.0, 0.0, 1.0]], **arguments})
 
 
-def test_reach_takes_files_and_tables_of_solids_and_avoids_movable_objects(tmp_path):
-    (tmp_path / "ee.csv").write_text("x,y,z,qx,qy,qz,qw\n2,1,0.8,0,0,0,1\n2.72,0,0.65,0,0,0,1\n")
+def test_reach_takes_files_and_tables_of_solids(tmp_path):
+    (tmp_path / "ee.csv").write_text("x,y,z,qx,qy,qz,qw\n2,1,0.8,0,0,0,1\n2,0,0.8,0,0,0,1\n")
     table = [[2.0, 1.0, 0.0, 0.2, 0.2, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]]
     first, second = kinfeas.reach("hsr", tmp_path / "ee.csv", scene="room", solids=table)
-    assert (first.solids, second.solids[-1]) == (("solid 0",), "box")
+    assert first.solids == ("solid 0",) and len(second.base_pose)
+
+
+@pytest.mark.parametrize(("x", "blocked"), [(2.6, False), (2.8, True)])
+def test_reach_avoids_movable_objects_except_those_in_the_hand(x, blocked):
+    (answer,) = kinfeas.reach("pr2", [[x - 0.1, 0.0, 0.66, 0, 0, 0, 1]], scene="room")
+    assert ("box" in answer.solids) == blocked == (not len(answer.base_pose))
 
 
 @pytest.mark.parametrize("arguments", [
