@@ -1,15 +1,17 @@
 """Motion generators written for one motion, and their conversion to n motions."""
 
+import copy
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ParamSpec, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.motion import MotionGenerator, Rngs, State, TwistAndState
+from kinfeas.core.motion import MotionGenerator, Rngs, State, TwistAndState, WholeBodyPath
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 
 Parameters = ParamSpec("Parameters")
@@ -48,8 +50,9 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
             def goal_pose(self, state, target_pose): ...  # -> (7,)
             def twist(self, state, ee_pose, target_pose, dt): ...  # -> (6,), dict
 
-    Optional: `finished(self, state, target_pose)` returns whether the motion is at the end of a
-    path of its own, and `base_pose(self, state, target_pose)` the demonstrated base pose, (7,). The
+    The optional methods of `kinfeas.core.motion` are those for one motion, too, such as
+    `finished(self, state, target_pose)`, which returns whether it is at the end of a path of its
+    own, and `replan(self, state, ee_pose, target_pose, solids)`, whose solids are one row. The
     class gets its own copy of every array and may write into it. Numbers in the state become
     float64. Each row costs a Python call; write generators for large batches with arrays.
     """
@@ -63,7 +66,7 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
 
     members = {name: getattr(single, name) for name in ("__doc__", "__module__", "__qualname__")}
     members |= {"__init__": __init__, "__signature__": inspect.signature(single)}
-    for optional in (_finished, _base_pose):
+    for optional in (_finished, _base_pose, _replan, _follow, _robot_ahead, _ahead):
         name = optional.__name__.removeprefix("_")
         if callable(getattr(single, name, None)):
             members[name] = optional
@@ -88,19 +91,14 @@ class RowByRow:
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
-        return _poses(self.single.goal_pose, state, target_pose)
+        return _rows(_each(self, "goal_pose", state, target_pose), 7)
 
     def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist, shape (n, 6), and the next state."""
-        rows = zip(ee_pose, target_pose, dt.tolist(), strict=True)
-        twists, states = [], []
-        for i, (pose, target, seconds) in enumerate(rows):
-            twist, after = self.single.twist(_row(state, i), pose.copy(), target.copy(), seconds)
-            twists.append(twist)
-            states.append(after)
-        if not states:
+        answers = _each(self, "twist", state, ee_pose, target_pose, dt.tolist())
+        if not answers:
             return np.zeros((0, 6)), dict(state)
-        return np.array(twists, dtype=np.float64), _stacked(states)
+        return np.array([twist for twist, _ in answers], float), _stacked([s for _, s in answers])
 
 
 def _stacked(states: list[Mapping[str, ArrayLike]]) -> State:
@@ -114,21 +112,54 @@ def _stacked(states: list[Mapping[str, ArrayLike]]) -> State:
 
 
 def _finished(self: RowByRow, state: State, target_pose: Array) -> NDArray[np.bool_]:
-    finished = cast("Any", self.single).finished
-    ends = [finished(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
+    ends = _each(self, "finished", state, target_pose)
     return np.array(ends) if ends else np.zeros(0, dtype=np.bool_)
 
 
 def _base_pose(self: RowByRow, state: State, target_pose: Array) -> Array:
-    return _poses(cast("Any", self.single).base_pose, state, target_pose)
+    return _rows(_each(self, "base_pose", state, target_pose), 7)
 
 
-def _poses(
-    method: Callable[[dict[str, Any], Array], Array], state: State, target_pose: Array
+def _replan(
+    self: RowByRow, state: State, ee_pose: Array, target_pose: Array, solids: Solids
+) -> State:
+    each = [solids.of(np.array([row])) for row in range(len(ee_pose))]
+    return _stacked(_each(self, "replan", state, ee_pose, target_pose, each))
+
+
+def _follow(
+    self: RowByRow,
+    state: State,
+    ee_pose: Array,
+    target_pose: Array,
+    paths: Sequence[WholeBodyPath],
+) -> tuple[State, Array]:
+    states, waypoints = zip(*_each(self, "follow", state, ee_pose, target_pose, paths), strict=True)
+    return _stacked([*states]), np.stack(waypoints)
+
+
+def _robot_ahead(self: RowByRow, state: State, waypoints: Array, seconds: Array) -> Array:
+    each = [seconds] * len(waypoints)
+    return _rows(
+        _each(self, "robot_ahead", state, waypoints, each), len(seconds), *waypoints.shape[2:]
+    )
+
+
+def _ahead(
+    self: RowByRow, state: State, ee_pose: Array, target_pose: Array, distances: Array
 ) -> Array:
-    poses = [method(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
-    return np.stack(poses) if poses else np.zeros((0, 7))
+    each = [distances] * len(ee_pose)
+    return _rows(_each(self, "ahead", state, ee_pose, target_pose, each), len(distances), 7)
 
 
-def _row(state: State, i: int) -> dict[str, Any]:
-    return {k: v[i].copy() for k, v in state.items()}
+def _each(self: RowByRow, name: str, state: State, *arguments: Iterable[Any]) -> list[Any]:
+    """Return the values of a method of each motion, called with its rows of the arguments."""
+    method = getattr(self.single, name)
+    return [
+        method({key: values[i].copy() for key, values in state.items()}, *map(copy.copy, row))
+        for i, row in enumerate(zip(*arguments, strict=True))
+    ]
+
+
+def _rows(values: list[Array], *shape: int) -> Array:
+    return np.stack(values) if values else np.zeros((0, *shape))

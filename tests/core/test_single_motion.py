@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
+from kinfeas.core.checks import CheckedMotion
+from kinfeas.core.motion import WAYPOINTS, WholeBodyPath
 from kinfeas.core.single_motion import batched
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import twist_between
 from kinfeas.testing import check_motion_generator
 from tests.builders import random_poses, rngs
@@ -62,3 +65,32 @@ def test_a_motion_with_an_end_of_its_own_ends_row_by_row():
     assert finished.tolist() == [False, True, False]
     assert generator.finished({}, np.zeros((0, 7))).shape == (0,)
     assert not hasattr(Batched(), "finished")
+
+
+def test_optional_methods_are_called_row_by_row():
+    class Careful(Approach):
+        def replan(self, state, ee_pose, target_pose, solids):
+            return {**state, "steps": solids.pose[0, 0, 0]}
+
+        def follow(self, state, ee_pose, target_pose, path):
+            return {**state, "steps": 7}, np.tile(path.robot[-1], (WAYPOINTS, 1))
+
+        def robot_ahead(self, state, waypoints, seconds):
+            return waypoints[: len(seconds)] + seconds[:, np.newaxis]
+
+        def ahead(self, state, ee_pose, target_pose, distances):
+            return np.tile(target_pose, (len(distances), 1))
+
+    motion, start, target = CheckedMotion(batched(Careful)()), random_poses(2, 0), random_poses(2)
+    state = motion.start(start, target, rngs(2))
+    solids = Solids.empty(2, 1)
+    solids.pose[:, 0, 0] = 3.0, 4.0
+    assert motion.replan(state, start, target, solids)["steps"].tolist() == [3.0, 4.0]
+    paths = [WholeBodyPath(pose[np.newaxis], np.full((1, 5), row), np.zeros(0))
+             for row, pose in enumerate(start)]  # fmt: skip
+    followed, waypoints = motion.follow(state, start, target, paths)
+    assert followed["steps"].tolist() == [7.0, 7.0]
+    robot = motion.robot_ahead(state, waypoints, np.array([0.0, 1.0]))
+    assert robot[:, :, 0].tolist() == [[0.0, 1.0], [1.0, 2.0]]
+    poses = motion.ahead(state, start, target, np.array([0.1, 0.2, 0.3]))
+    np.testing.assert_array_equal(poses, np.tile(target[:, np.newaxis], (1, 3, 1)))
