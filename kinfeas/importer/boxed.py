@@ -17,7 +17,7 @@ from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.importer.arm import Arm, place
 from kinfeas.robots.elements import Element, find_mesh, numbers_text, parse_xml, set_origin
 from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf
-from kinfeas.robots.urdf_file import read_robot_xml, read_shapes, urdf_of
+from kinfeas.robots.urdf_file import read_moments, read_robot_xml, read_shapes, urdf_of
 
 Part = Shape | Array
 """A primitive, or the triangles of a mesh, shape (t, 3, 3), metres."""
@@ -27,6 +27,8 @@ MAX_MESH_BYTES = 200_000_000
 
 MAX_SHAPES = 32
 """Shapes of a link; more are replaced by primitives around all of them."""
+
+HEAVY = 1.0  # kg, from which a link without shapes is no bare frame
 
 _DIGITS = 4  # decimals of lengths and angles
 _THINNEST = 10.0**-_DIGITS  # m
@@ -162,6 +164,29 @@ def _size(shape: Shape) -> dict[str, str]:
         return {"size": numbers_text(sizes, _DIGITS)}
     names = ("radius", "length")
     return {name: numbers_text([size], _DIGITS) for name, size in zip(names, sizes, strict=False)}
+
+
+def box_masses(text: str, arm: Arm, source: str) -> tuple[str, list[str]]:
+    """Return the text of a URDF with boxes in place of missing shapes, and the links with these.
+
+    A heavy link gets the box of its inertia if its rigid group has no shape and the arm does not
+    carry it.
+    """
+    robot = parse_xml(text, "robot", source)
+    urdf, boxed = urdf_of(robot), list[str]()
+    bare = urdf.links.keys() - urdf.below(arm.joints[0].name)
+    for link in robot.children("link"):
+        name, mass = link.text("name"), urdf.links[link.text("name")].mass
+        if name not in bare or mass < HEAVY or any(urdf.links[n].shapes for n in urdf.rigid[name]):
+            continue
+        inertial = link.need("inertial")
+        moments = np.diag(read_moments(inertial.need("inertia")))
+        squares = 6.0 / mass * (moments.sum() - 2.0 * moments)
+        if squares.min() > 0.0:
+            box = Shape("box", tuple(np.sqrt(squares).tolist()), inertial.origin())
+            link.xml[:] = _link(name, inertial.xml, [box], _COLOURS[0])
+            boxed.append(name)
+    return _text(robot.xml) if boxed else text, boxed
 
 
 def on_the_floor(text: str, arm: Arm, source: str) -> tuple[str, float]:

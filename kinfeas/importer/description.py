@@ -9,6 +9,7 @@ from xml.etree.ElementTree import SubElement
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.importer.arm import Arm
+from kinfeas.importer.boxed import HEAVY
 from kinfeas.importer.formats import read_robot
 from kinfeas.robots.elements import Element
 from kinfeas.robots.spec import Drive
@@ -163,9 +164,24 @@ def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None
     return next((name for name in above if abs(axes[name][2]) > _UPRIGHT), None)
 
 
-def doubts(urdf: Urdf) -> tuple[str, ...]:
-    """Return warnings about a URDF: lengths or masses that are probably wrong, and telescopes."""
+def doubts(urdf: Urdf, guessed: Iterable[str] = ()) -> tuple[str, ...]:
+    """Return warnings about a URDF: shapes or masses that are probably wrong, and telescopes.
+
+    The shapes of the `guessed` links are boxes of their inertia.
+    """
     warnings = []
+    if guessed:
+        warnings.append(
+            f"{_listed(guessed)} without shapes: boxes of the same inertia stand for them"
+        )
+    bare = [
+        name
+        for name, link in urdf.links.items()
+        if (link.mass >= HEAVY or name == urdf.root)
+        and not any(urdf.links[other].shapes for other in urdf.rigid[name])
+    ]
+    if bare:
+        warnings.append(f"{_listed(bare)} without shapes: their collisions are not found")
     for leader, segments in _telescopes(urdf).items():
         warnings.append(f"{_listed(segments)} follow {leader}, as segments of a telescope")
     sizes = {

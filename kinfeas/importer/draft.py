@@ -15,7 +15,7 @@ from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer import reach
 from kinfeas.importer.arm import Arm, Hand, effort_limits, ends_of_arms, find_arm, read_hand
-from kinfeas.importer.boxed import Part, boxed_urdf, on_the_floor
+from kinfeas.importer.boxed import Part, box_masses, boxed_urdf, on_the_floor
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.text import Guesses, robot_yaml
 from kinfeas.kinematics.forward import build_chain, forward
@@ -138,7 +138,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         drive="" if drive else why,
         no_gripper=fingers.no_gripper,
         weak_fingers=not effort_limits(arm.fingers),
-        doubts=doubts(urdf),
+        doubts=doubts(urdf, boxed.guessed),
     )
     yaml = robot_yaml(spec, guesses)
     read = config.from_mapping(RobotSpec, strict_yaml.parse(yaml, source), source)
@@ -154,6 +154,7 @@ class _Boxed(NamedTuple):
     arm: Arm
     lifted: float  # metres
     originals: dict[str, list[Part]]  # parts that primitives replace, by link
+    guessed: list[str]  # links whose shape is the box of their inertia
 
 
 def _boxed(
@@ -171,8 +172,9 @@ def _boxed(
         find_arm(_parsed(write(fitted=ends), source), None, source)
     whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
     arm = find_arm(_parsed(whole, source), hand, source)
+    whole, guessed = box_masses(whole, arm, source)
     text, lifted = on_the_floor(whole, arm, source)
-    return _Boxed(text, _parsed(text, source), arm, lifted, originals)
+    return _Boxed(text, _parsed(text, source), arm, lifted, originals, guessed)
 
 
 def _parsed(text: str, source: str) -> Urdf:

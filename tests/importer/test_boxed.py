@@ -7,7 +7,14 @@ from scipy.spatial import ConvexHull
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation
 from kinfeas.importer.arm import find_arm, place, read_hand
-from kinfeas.importer.boxed import MARGIN, boxed_urdf, fit_primitives, on_the_floor
+from kinfeas.importer.boxed import (
+    MARGIN,
+    box_masses,
+    boxed_urdf,
+    fit_primitives,
+    on_the_floor,
+)
+from kinfeas.importer.description import doubts
 from kinfeas.importer.draft import spec_from_urdf
 from kinfeas.importer.reach import RELEVANT, only_fitted, touching
 from kinfeas.robots.loading import build_robot
@@ -154,3 +161,25 @@ def test_pairs_are_false_contacts_if_their_meshes_never_touch(changed, parts, fa
     assert (pair in pairs) == false
     assert pairs.items() <= fractions.items()
     assert not only_fitted(robot, {}, fractions)  # nothing was fitted
+
+
+@pytest.mark.parametrize(("izz", "mass", "sizes", "doubt"), [
+    (0.52, 12.0, [(0.6, 0.4, 0.2)], "base without shapes: boxes"),
+    (0.62, 12.0, [], "base without shapes: their"),  # the moments of no body
+    (0.52, 0.5, [], "base without shapes: their"),
+])  # fmt: skip
+def test_heavy_bases_without_shapes_get_the_box_of_their_inertia(
+    dolly, tmp_path, izz, mass, sizes, doubt
+):
+    text = dolly.read_text()
+    start, end = text.index("<collision>"), text.index("</collision>")
+    inertia = f'<mass value="{mass}"/><inertia ixx="0.2" iyy="0.4" izz="{izz}"/>'
+    inertial = f'<inertial><origin xyz="0 0 0.3"/>{inertia}</inertial>'
+    dolly.write_text(text[:start] + inertial + text[end + len("</collision>") :])
+    arm = find_arm(parse_urdf(dolly), None, "dolly")
+    whole, guessed = box_masses(dolly.read_text(), arm, "dolly")
+    dolly.write_text(whole)
+    urdf = parse_urdf(dolly)
+    assert [shape.size for shape in urdf.links["base"].shapes] == sizes
+    assert [shape.pose[2] for shape in urdf.links["base"].shapes] == [0.3] * len(sizes)
+    assert any(text.startswith(doubt) for text in doubts(urdf, guessed))
