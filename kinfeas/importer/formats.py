@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.extras import require
 from kinfeas.core.spatial import Array, compose, make_pose
 from kinfeas.robots.elements import (
@@ -48,6 +48,18 @@ def read_robot(path: Path, folder: Path, arguments: Mapping[str, str]) -> Elemen
     return _from_mjcf(path, folder) if robot.xml.tag == "mujoco" else without_base_joints(robot)
 
 
+class _Arguments(dict[str, str]):
+    """Arguments of a xacro, and the names that it has looked up."""
+
+    def __init__(self, values: Mapping[str, str]) -> None:
+        super().__init__(values)
+        self.known: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:  # by <xacro:arg>
+        self.known.add(str(name))
+        return super().__contains__(name)
+
+
 def _expanded(path: Path, arguments: Mapping[str, str]) -> Element:
     """Return the element <robot> of a xacro; packages are found as those of meshes."""
     require("xacro")
@@ -63,12 +75,15 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> Element:
         raise KinfeasError(f"there is no package {package!r}")
 
     original, substitution_args._eval_find = substitution_args._eval_find, find
+    own = _Arguments(arguments)
     try:
-        document = xacro.process_file(str(path), mappings=dict(arguments))
+        document = xacro.process_file(str(path), mappings=own)
     except Exception as error:
         raise KinfeasError(f"{path}: xacro: {type(error).__name__}: {error}") from error
     finally:
         substitution_args._eval_find = original
+    for name in sorted(arguments.keys() - own.known):
+        raise KinfeasError(f"{path}: the xacro has no argument {name!r}{no_such(name, own.known)}")
     return parse_xml(document.toxml(), "robot", str(path))
 
 

@@ -215,6 +215,8 @@ def test_a_xacro_is_expanded_with_its_arguments_and_packages(tmp_path):
     for arguments, length in (({}, 0.5), ({"length": "3"}, 1.5)):
         urdf = urdf_of(read_description(path, tmp_path, arguments=arguments))
         assert urdf.links["tool"].shapes[0].size[0] == length
+    with pytest.raises(KinfeasError, match=r"dolly\.urdf\.xacro.*'lenght'.*known are length"):
+        read_description(path, tmp_path, arguments={"lenght": "3"})
     path.write_text('<robot name="dolly"><link name="tool_${1 + 1}"/></robot>')
     assert "tool_2" in urdf_of(read_description(path, tmp_path)).links
     path.write_text(XACRO.format(name="missing.xacro"))
