@@ -11,7 +11,7 @@ from kinfeas.core.spatial import Array, rotation
 from kinfeas.importer.arm import Arm
 from kinfeas.importer.boxed import HEAVY
 from kinfeas.importer.formats import read_robot
-from kinfeas.robots.elements import Element
+from kinfeas.robots.elements import LARGEST, Element
 from kinfeas.robots.spec import Drive
 from kinfeas.robots.urdf import Joint, Urdf
 from kinfeas.robots.urdf_file import urdf_of
@@ -63,7 +63,7 @@ def read_description(
     if unused:
         raise KinfeasError(f"{path}: no address of a mesh begins with {min(unused)!r}")
     _rename_world(robot)
-    _remove_zero_efforts(robot)
+    _complete_limits(robot)
     _couple_telescopes(robot)
     return robot
 
@@ -78,12 +78,16 @@ def _rename_world(robot: Element) -> None:
             element.set(key, name)
 
 
-def _remove_zero_efforts(robot: Element) -> None:
-    """Remove effort limits of 0, which exporters write for none."""
-    for limit in robot.xml.iterfind("joint/limit[@effort]"):
+def _complete_limits(robot: Element) -> None:
+    """Write limits of effort and velocity where there are none, since other programs need them.
+
+    Exporters write an effort of 0 for none.
+    """
+    for limit in robot.xml.iterfind("joint/limit"):
         with suppress(ValueError):  # an error of the URDF, later
-            if float(limit.get("effort")) == 0.0:
-                del limit.attrib["effort"]
+            if float(limit.get("effort", "0")) == 0.0:
+                limit.set("effort", f"{LARGEST:g}")
+        limit.attrib.setdefault("velocity", f"{LARGEST:g}")
 
 
 def _couple_telescopes(robot: Element) -> None:

@@ -210,9 +210,16 @@ def _effort(model: Any, i: int) -> dict[str, float]:
     """Return the effort limit of joint `i` as an attribute, from its actuators; none without."""
     efforts = [model.jnt_actfrcrange[i][1]] if model.jnt_actfrclimited[i] else []
     for actuator in np.flatnonzero(model.actuator_trnid[:, 0] == i):
-        if model.actuator_trntype[actuator] == 0 and model.actuator_forcelimited[actuator]:
-            gear = abs(model.actuator_gear[actuator][0])
+        if model.actuator_trntype[actuator] != 0:
+            continue
+        gear = abs(model.actuator_gear[actuator][0])
+        if model.actuator_forcelimited[actuator]:
             efforts.append(model.actuator_forcerange[actuator][1] * gear)
+        if (
+            model.actuator_ctrllimited[actuator] and not model.actuator_biastype[actuator]
+        ):  # a motor
+            gain = model.actuator_gainprm[actuator][0]
+            efforts.append(model.actuator_ctrlrange[actuator][1] * gain * gear)
     return {"effort": min(efforts)} if efforts else {}
 
 

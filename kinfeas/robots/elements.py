@@ -23,7 +23,7 @@ from kinfeas.io.files import read_file
 
 MAX_BYTES = 10_000_000
 LARGEST = 1e16
-"""Joint limit that some URDFs write for no limit; squares and sums of it are still finite."""
+"""Limit that some URDFs write for no limit of a joint; squares and sums of it are finite."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.spatial import Array, compose, make_pose
-from kinfeas.robots.elements import Element, read_xml
+from kinfeas.robots.elements import LARGEST, Element, read_xml
 from kinfeas.robots.urdf import Joint, JointKind, Link, Mimic, Shape, Urdf, descendants
 
 MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
@@ -180,7 +180,8 @@ def _joint(name: str, element: Element) -> Joint:
     velocity, effort, damping, friction = math.inf, math.inf, 0.0, 0.0
     if limit is not None:
         velocity = limit.number("velocity", 0.0, minimum=0.0)
-        effort = limit.number("effort", math.inf, minimum=0.0)
+        effort = limit.number("effort", LARGEST, minimum=0.0)
+        effort = math.inf if effort == LARGEST else effort
     if dynamics is not None:
         damping = dynamics.number("damping", 0.0, minimum=0.0)
         friction = dynamics.number("friction", 0.0, minimum=0.0)

@@ -137,7 +137,8 @@ MJCF = """<mujoco model="cart">
     </body>
   </worldbody>
   <equality><joint joint1="r" joint2="l" polycoef="0 -1 0 0 0"/></equality>
-  <actuator><position joint="flex" forcerange="-3 3" gear="2"/></actuator>
+  <actuator><position joint="flex" forcerange="-3 3" gear="2"/>
+    <motor joint="l" ctrlrange="-4 4" gear="3"/></actuator>
 </mujoco>
 """
 
@@ -187,6 +188,9 @@ def test_an_mjcf_becomes_a_robot_of_primitives(cart, tmp_path):
     pan, tilt, flex = arm.joints
     assert (pan.lower, pan.upper, pan.damping) == pytest.approx((-1.4, 1.6, 0.5))
     assert (tilt.effort, flex.effort, flex.kind) == (9.0, 6.0, "continuous")
+    assert (urdf.joints["l"].effort, urdf.joints["r"].effort) == (12.0, math.inf)
+    # Other programs need both limits.
+    assert all({"effort", "velocity"} <= limit.attrib.keys() for limit in element.xml.iter("limit"))
     assert urdf.followed(urdf.joints["r"])[1:] == (-1.0, 0.0)
     kinds = {name: [shape.kind for shape in link.shapes] for name, link in urdf.links.items()}
     assert kinds["hand"] == ["cylinder", "sphere", "sphere"]
