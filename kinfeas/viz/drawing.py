@@ -1,16 +1,17 @@
 """Pictures of robots and scenes, with solids and floors in 3-D, drawn by matplotlib."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import patheffects, rc_context
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d import Axes3D
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from kinfeas.core.spatial import IDENTITY, Array, rotation
@@ -18,29 +19,30 @@ from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz import shapes
-from kinfeas.viz.shapes import CORNERS, SIDES, VisualShape, faces
+from kinfeas.viz.shapes import CORNERS, VisualShape, faces
 from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
 _AXES = {"approach": "#d1483e", "finger axis": "#3a9a52"}
-_LENGTH = 0.2  # m, of the axes
-_OPEN = 0.6  # share of a joint's range
+_LENGTH, _SHARE = 0.2, 0.3  # m, of the axes, and at most this share of the robot
+_SMALL = 0.8  # m, size of robots on a finer grid
 _CASING = [patheffects.withStroke(linewidth=3.0, foreground="white", alpha=0.9)]
 
 
 def robot_figure(robot: Robot) -> Figure:
     """Return a picture of a robot at home from two sides, with the axes of its gripper."""
     solids = shapes.robot_solids(robot, IDENTITY, robot.home["home"])
+    points = shapes.corners(solids)
+    size = float(np.ptp(points, axis=0).max())
     tip, axes_of_gripper = _gripper_axes(robot)
     with rc_context(STYLE):
         figure = Figure(figsize=(9.0, 5.6), layout="constrained")
         grid = figure.add_gridspec(1, 2)
         for column, heading in enumerate(np.deg2rad([-35.0, 55.0])):
             axes = add_axes(figure, grid[column], heading, np.deg2rad(18.0))
-            points = shapes.corners(solids)
-            floor = draw_floor(axes, points)
+            floor = draw_floor(axes, points, 0.5 if size > _SMALL else 0.1)
             draw_solids(axes, solids)
             for colour, direction in zip(_AXES.values(), axes_of_gripper, strict=True):
-                ends = np.stack([tip, tip + _LENGTH * direction])
+                ends = np.stack([tip, tip + min(_LENGTH, _SHARE * size) * direction])
                 axes.plot(*ends.T, color=colour, lw=3.0, zorder=9)
                 axes.plot(*ends[1:].T, "o", color=colour, ms=6.0, zorder=9)
             show_all(axes, np.concatenate([points, floor]))
@@ -52,39 +54,37 @@ def robot_figure(robot: Robot) -> Figure:
 
 
 def scene_figure(scene: Scene) -> Figure:
-    """Return a picture of a scene with doors and drawers open, and the paths of their handles."""
-    names = scene.objects.keys() - shapes.surrounding(scene)
-    half = np.array([*scene.size, 0.0]) / 2.0
-    opened, paths = scene, []
+    """Return a picture of a scene with the paths of its handles."""
+    # Objects as large as the room, such as its walls, hide the others.
+    names = scene.objects.keys() - shapes.surrounding(scene) or scene.objects.keys()
+    half, paths = np.array([*scene.size, 0.0]) / 2.0, []
     for name, handle in scene.handles.items():
         joint = handle.joint and scene.objects[handle.object].urdf.joints[handle.joint]
         if not joint or joint.kind == "continuous":
             continue
         at = scene.objects[handle.object].joint_positions[joint.name]
-        way = shapes.far_end(joint, at) - at
         states = [
-            scene.with_joints({handle.object: {joint.name: at + fraction * way}})
-            for fraction in np.linspace(0.0, 1.0, 30)
+            scene.with_joints({handle.object: {joint.name: position}})
+            for position in np.linspace(at, shapes.far_end(joint, at), 30).tolist()
         ]
         paths.append(np.stack([state.handle_pose(name)[:3] for state in states]))
-        opened = opened.with_joints({handle.object: {joint.name: at + _OPEN * way}})
-    solids = [solid for solid in shapes.scene_solids(opened) if solid.link[0] in names]
+    solids = [solid for solid in shapes.scene_solids(scene) if solid.link[0] in names]
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.2))
         axes = add_axes(figure, (0.0, 0.0, 1.0, 0.95), np.deg2rad(28.0), np.deg2rad(38.0))
-        draw_floor(axes, np.array([-half, half]), 1.0, 0.0)
+        points = shapes.corners(solids)
+        floor = draw_floor(axes, np.clip(points, -half, half), 1.0, 0.0)
         draw_solids(axes, solids)
         for path in paths:
             axes.plot(*path.T, color=EE, lw=2.0, zorder=7, path_effects=_CASING)
         for name in scene.handles:
             axes.plot(*scene.handle_pose(name)[:3, np.newaxis], "o", color=EE, ms=5.0, zorder=8)
         for name in names:
-            points = shapes.corners([solid for solid in solids if solid.link[0] == name])
-            position = (*points.mean(axis=0)[:2], points[:, 2].max() + 0.1)
+            own = shapes.corners([solid for solid in solids if solid.link[0] == name])
+            position = (*own.mean(axis=0)[:2], own[:, 2].max() + 0.1)
             axes.text(*position, name, fontsize=9, color=INK, ha="center", zorder=9,
                       path_effects=_CASING)  # fmt: skip
-        points = shapes.corners(solids)
-        show_all(axes, points * [1.0, 1.0, 1.2], 1.4)
+        show_all(axes, np.concatenate([points * [1.0, 1.0, 1.2], floor]), 1.4)
         axes.set_title(f"{scene.name}: {scene.size[0]:g} x {scene.size[1]:g} m, grid of 1 m")
     return figure
 
@@ -99,6 +99,7 @@ def _gripper_axes(robot: Robot) -> tuple[Array, Array]:
 
 _DARKEST = 0.55
 _LIGHT = np.array([0.48, -0.36, 0.8])  # world direction to the light
+_NOTHING = 1e-6  # m
 _FILL = 0.97  # share of the axes that is used
 
 
@@ -129,25 +130,82 @@ def show_all(axes: Axes3D, points: Array, aspect: float = 1.0) -> None:
         artist.set(clip_on=False, in_layout=False)
 
 
+class _Polygons(PolyCollection):
+    """Polygons in 3-D, each of shape (k, 3), drawn one after the other."""
+
+    def __init__(self, polygons: Sequence[Array], **looks: Any) -> None:
+        super().__init__([], **looks)
+        self._points, sizes = np.concatenate(polygons), [len(polygon) for polygon in polygons]
+        self._starts = np.cumsum(sizes)[:-1]
+
+    def do_3d_projection(self) -> float:
+        axes: Any = self.axes
+        x, y, _ = proj_transform(*self._points.T, axes.get_proj())
+        self.set_verts(np.split(np.column_stack([x, y]), self._starts))
+        return 0.0
+
+
+class Face(NamedTuple):
+    """A polygon (k, 3) in the world, its normal (3,) and its colour (4,)."""
+
+    corners: Array
+    normal: Array
+    colour: Array
+
+
 def draw_solids(axes: Axes3D, solids: Sequence[VisualShape]) -> None:
     """Draw solids, shaded and sorted by depth."""
     elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * np.cos(elevation)
     toward = level + np.array([0.0, 0.0, np.sin(elevation)])
-    polygons, colours = [], []
+    seen = []
     for solid in solids:
         for face in faces(solid.shape):
             normal = np.cross(face[1:-1] - face[0], face[2:] - face[0]).sum(axis=0)
             normal /= max(float(np.linalg.norm(normal)), 1e-12)
             if normal @ toward > 0.0:
-                # mplot3d needs the same number of corners everywhere.
-                polygons.append(np.pad(face, ((0, SIDES - len(face)), (0, 0)), mode="edge"))
                 brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * normal @ _LIGHT)
-                colours.append(np.array(to_rgba(solid.colour)) * [*[brightness] * 3, 1.0])
-    if polygons:
-        edges = [colour * [0.85, 0.85, 0.85, 1.0] for colour in colours]
-        looks: dict[str, Any] = {"facecolors": colours, "edgecolors": edges, "linewidths": 0.25}
-        axes.add_collection(Poly3DCollection(polygons, **looks, zorder=3), autolim=False)
+                colour = np.array(to_rgba(solid.colour)) * [*[brightness] * 3, 1.0]
+                seen.append(Face(face, normal, colour))
+    if seen:
+        polygons, _, colours = zip(*back_to_front(seen), strict=True)
+        # Edges hide the seams of cuts, but of translucent faces.
+        widths = [0.5 if colour[3] == 1.0 else 0.0 for colour in colours]
+        looks: dict[str, Any] = {"facecolors": colours, "edgecolors": colours, "linewidths": widths}
+        drawn = _Polygons(polygons, **looks, joinstyle="bevel", zorder=3)
+        axes.add_collection(drawn, autolim=False)
+
+
+def back_to_front(faces: list[Face]) -> list[Face]:
+    """Return faces in an order in which none hides a later one; all of them face the viewer.
+
+    The plane of a face divides the others, and cuts some of them: those behind it come first.
+    """
+    ordered, waiting = list[Face](), [faces]
+    while waiting:
+        group = waiting.pop()
+        if len(group) < 2:
+            ordered += group
+            continue
+        divider = group.pop(len(group) // 2)
+        behind, before = list[Face](), list[Face]()
+        for face in group:
+            height = (face.corners - divider.corners[0]) @ divider.normal
+            if height.max() <= _NOTHING:
+                behind.append(face)
+            elif height.min() >= -_NOTHING:
+                before.append(face)
+            else:
+                after = np.roll(height, -1)
+                share = np.where(height * after < 0.0, height, np.nan) / (height - after)
+                step = np.roll(face.corners, -1, axis=0) - face.corners
+                cuts = face.corners + share[:, np.newaxis] * step
+                corners = np.stack([face.corners, cuts], axis=1).reshape(-1, 3)
+                side = np.column_stack([height, share * 0.0]).ravel()
+                behind.append(face._replace(corners=corners[side <= 0.0]))
+                before.append(face._replace(corners=corners[side >= 0.0]))
+        waiting += [before, [divider], behind]
+    return ordered
 
 
 def draw_floor(axes: Axes3D, points: Array, cell: float = 0.5, margin: float = 0.1) -> Array:

@@ -1,0 +1,36 @@
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas.core.spatial import make_pose
+from kinfeas.robots.urdf import Shape
+from kinfeas.scenes.scene import read_scene
+from kinfeas.viz.drawing import Face, back_to_front, scene_figure
+from kinfeas.viz.shapes import faces
+
+
+def test_the_nearest_face_is_drawn_last():
+    rng, seen = np.random.default_rng(0), []
+    for kind, size in (("box", (1.0, 0.4, 0.1)), ("cylinder", (0.2, 0.9))) * 4:
+        pose = make_pose(rng.uniform(-0.5, 0.5, 3), Rotation.random(rng=rng))
+        for corners in faces(Shape(kind, size, pose)):
+            normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+            normal /= np.linalg.norm(normal)
+            if normal[2] > 1e-3:  # the viewer is above
+                seen.append(Face(corners, normal, np.ones(4)))
+    drawn = back_to_front(list(seen))
+    for point in rng.uniform(-0.7, 0.7, (300, 2)):
+        depths = [depth for face in drawn if (depth := height(face, point)) is not None]
+        assert not depths or depths[-1] >= max(depths) - 1e-9
+
+
+def height(face, point):
+    """Return how high a face is above a point, None beside it."""
+    edges = np.roll(face.corners, -1, axis=0) - face.corners
+    away = point - face.corners[:, :2]
+    if np.any(edges[:, 0] * away[:, 1] - edges[:, 1] * away[:, 0] < -1e-9):
+        return None
+    return (face.normal @ face.corners[0] - face.normal[:2] @ point) / face.normal[2]
+
+
+def test_scenes_of_walls_alone_have_a_picture():
+    assert scene_figure(read_scene("doorway")).axes
