@@ -4,6 +4,7 @@ import inspect
 import re
 import shlex
 from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from kinfeas.cli.output import print_facts, print_table, progress, write_drawing
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.core.registry import GROUPS, Plugin
+from kinfeas.io.files import is_path
 from kinfeas.templates import Kind, write_distribution
 
 if TYPE_CHECKING:
@@ -52,18 +54,28 @@ def list_plugins(json: options.JsonPath = None) -> None:
 
 
 @app.command()
-def info(name: str = argument(..., "Name of a plugin."), json: options.JsonPath = None) -> None:
+def info(
+    name: str = argument(..., "Name of a plugin, YAML file of a task, or folder of a robot."),
+    json: options.JsonPath = None,
+) -> None:
     """Show documentation and parameters of a plugin.
 
-    Robots are shown with their joints, tasks with their sub-goals.
+    Robots are shown with their joints, tasks with their sub-goals. Files are checked.
 
     Example: kinfeas plugins info linear
     """
+    if is_path(name):
+        facts = _facts_of_file(name)
+        write_json([facts], json)
+        print_facts("{kind} {name}".format(**facts), facts)
+        return
     installed = [plugin for group in GROUPS for plugin in registry.plugins(group)]
     plugins = [_facts(plugin) for plugin in installed if plugin.name == name]
     if not plugins:
-        names = {plugin.name for plugin in installed}
-        raise KinfeasError(f"unknown plugin {name!r}{no_such(name, names)}")
+        near = get_close_matches(name, {plugin.name for plugin in installed})
+        guess = f" (did you mean {' or '.join(near)}?)" if near else ""
+        hint = "`kinfeas plugins list` lists the installed ones, `pip install -e FOLDER` adds one"
+        raise KinfeasError(f"unknown plugin {name!r}{guess}; {hint}")
     write_json(plugins, json)
     for facts in plugins:
         title = "{kind} {name}, from {distribution} {version}, {target}\n\n{text}".format(**facts)
@@ -235,6 +247,17 @@ def _facts(plugin: Plugin) -> dict[str, Any]:
     if plugin.group == "kinfeas.tasks" and all("default" in parameter for parameter in parameters):
         facts |= _task_facts(plugin.name)
     return {"parameters": [], **facts, **({"parameters": parameters} if parameters else {})}
+
+
+def _facts_of_file(name: str) -> dict[str, Any]:
+    """Return the facts of the folder of a robot, or of the file of a task with its motions."""
+    from kinfeas.tasks.loading import load_task
+    from kinfeas.tasks.task import build_subgoals
+
+    if Path(name).is_dir():
+        return {"kind": "robot", "name": name, "robot": _robot_facts(name)}
+    build_subgoals(load_task(name).subgoals)
+    return {"kind": "task", "name": name, **_task_facts(name)}
 
 
 def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:

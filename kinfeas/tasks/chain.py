@@ -146,12 +146,33 @@ class ChainTask:
                 )
         for name, move in self.scene.moves.items() if self.scene else ():
             self.check_used(move.place, f"scene.moves.{name}.place")
+        if self.scene is not None:
+            self._check_grips(self.scene, scene)
+
+    def _check_grips(self, own: TaskScene, scene: Scene) -> None:
+        """Raise ValueError if the gripper closes at an object or link that it does not grasp."""
+        handles = {name: scene.handles[name] for name in scene.handles.keys() - self.places.keys()}
+        grasped = own.grasped_object
+        link = grasped and scene.objects[grasped.object].urdf.rigid[grasped.link]
+        for number, subgoal in enumerate(self.subgoals):
+            if subgoal.grip != "close":
+                continue
+            at = {name: link for name, move in own.moves.items() if move.place == subgoal.place}
+            if handle := handles.get(subgoal.place):
+                at = {handle.object: scene.objects[handle.object].urdf.rigid[handle.link]}
+            if at and (grasped is None or at.get(grasped.object) != link):
+                only = "nothing" if grasped is None else f"{grasped.link} of {grasped.object}"
+                raise ValueError(
+                    f"'subgoals.{number}.grip': the gripper grasps {only} "
+                    f"('scene.grasped_object'), not {subgoal.place!r} of {' or '.join(at)}"
+                )
 
     def check_used(self, place: str, key: str) -> None:
         """Raise ValueError about `key` if no sub-goal has the place."""
-        used = {subgoal.place for subgoal in self.subgoals} & self.places.keys()
-        if place not in used:
-            raise ValueError(f"{key!r}: no sub-goal has the place {place!r}{no_such(place, used)}")
+        used = {subgoal.place for subgoal in self.subgoals}
+        if place not in used & self.places.keys():
+            known = used if place in self.places else used & self.places.keys()
+            raise ValueError(f"{key!r}: no sub-goal has the place {place!r}{no_such(place, known)}")
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""

@@ -39,6 +39,19 @@ def test_info_on_parameters(info):
     assert len(info("hsr")["robot"]["arm"]) == 5
 
 
+def test_info_on_files_and_unknown_names(kinfeas, tmp_path):
+    task = tmp_path / "mine.yaml"
+    task.write_text("name: mine\nplaces: {up: {position: [1, 0, 1]}}\nsubgoals: [{place: up}]\n")
+    outcome = kinfeas("plugins", "info", str(task), "--json", "out.json", code=0)
+    assert [subgoal["place"] for subgoal in outcome.facts[0]["subgoals"]] == ["up"]
+    task.write_text(task.read_text().replace("place: up", "place: down"))
+    check_one_line(kinfeas("plugins", "info", str(task)), "'down'")
+    outcome = kinfeas("plugins", "info", "linaer")
+    check_one_line(outcome, "linear")
+    assert "pip install" in outcome.err
+    assert "pick_place" not in outcome.err
+
+
 @pytest.mark.parametrize(("words", "wrong", "named"), [
     (("follow_ee", "--robot", "hsr"), ("follow_ee", "--robot", "hsr", "--set", "gain=1"),
      "follow_ee"),

@@ -169,3 +169,27 @@ def test_a_handle_of_the_scene_is_a_place(write, sample):
     )
     with pytest.raises(KinfeasError, match=r"subgoals\.0\.place.*'doro'.*door.*drawer"):
         read_chain(write("places: {}", "subgoals: [{place: doro}]", scene))
+    with pytest.raises(KinfeasError, match=r"places\.unused.*known are door"):
+        places = "places: {unused: {position: [1, 0, 1]}}"
+        read_chain(write(places, "subgoals: [{place: door}]", scene))
+
+
+@pytest.mark.parametrize(("place", "grasped", "named"), [
+    ("door", "grasped_object: {object: door_shelf, link: handle}", None),
+    ("drawer", "grasped_object: {object: door_shelf, link: handle}", "drawer_shelf"),
+    ("cup", "grasped_object: {object: door_shelf, link: handle}", "box"),
+    ("cup", "grasped_object: {object: box, link: box}", None),
+    ("door", "moves: {}", "nothing"),
+])  # fmt: skip
+def test_grippers_close_at_the_grasped_object(write, place, grasped, named):
+    moves = "" if "moves" in grasped else ", moves: {box: {place: cup}}"
+    lines = (
+        "places: {cup: {position: [1, 0, 1]}}",
+        f"scene: {{name: room, {grasped}{moves}}}",
+        f"subgoals: [{{place: cup}}, {{place: {place}, grip: close}}]",
+    )
+    if named is None:
+        read_chain(write(*lines))
+    else:
+        with pytest.raises(KinfeasError, match=rf"subgoals\.1\.grip.*{named}"):
+            read_chain(write(*lines))
