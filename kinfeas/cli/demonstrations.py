@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def fit(
-    demonstrations: Path = option(..., "Folder of *.csv files."),
+    demonstrations: Path = option(..., "Folder of *.csv files, or one of them."),
     out: Path = options.file_option(..., "Model to write.", ".yaml", ".yml"),
     kind: Literal["imitation", "gaussian_mixture"] = option("imitation", "Generator of the model."),
     components: int = option(8, "Number of Gaussians.", min=1, max=50),
@@ -95,8 +95,7 @@ def dataset(
         require("pyarrow")
     check_new(out)
     with status("converting"):
-        files = [demonstration_files(source) if source.is_dir() else [source] for source in sources]
-        motions = [_read(file) for some in files for file in some]
+        motions = [_read(file) for source in sources for file in demonstration_files(source)]
         if kind == "lerobot":
             write_lerobot_dataset(motions, out, task, robot, fps)
         else:

@@ -31,11 +31,13 @@ class Demonstration:
         return not bool(np.isnan(self.base_pose).all())
 
 
-def demonstration_files(folder: Path) -> list[Path]:
-    """Return the CSV files in `folder` by name; raise KinfeasError if there are none."""
-    paths = sorted(folder.glob("*.csv"))
+def demonstration_files(source: Path) -> list[Path]:
+    """Return a file, or the CSV files of a folder by name; raise KinfeasError if it has none."""
+    if not source.is_dir():
+        return [source]
+    paths = sorted(source.glob("*.csv"))
     if not paths:
-        raise KinfeasError(f"{folder}: has no demonstrations (*.csv)")
+        raise KinfeasError(f"{source}: has no demonstrations (*.csv)")
     return paths
 
 

@@ -63,7 +63,8 @@ def test_a_fit_to_odd_demonstrations_gives_a_warning(kinfeas, tmp_path, count, c
     np.savetxt(first, table, delimiter=",", header=header, comments="")
     for other in others if change == "copy" else ():
         shutil.copy(first, other)
-    done = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml", code=0)
+    source = "shown" if others else str(first)  # a folder, or its only file
+    done = kinfeas("fit", "--demonstrations", source, "--out", "door.yaml", code=0)
     assert done.err.count("warning") == bool(warned)
     assert re.search(warned, done.err)
 
