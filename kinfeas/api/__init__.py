@@ -17,14 +17,17 @@ OnProgress = Callable[[str, float], None]
 
 
 def counter(on_progress: OnProgress | None, text: str, total: float = 1.0) -> Callable[..., None]:
-    """Return a function that takes the amount that has just been done, and reports the sum."""
+    """Return a function that takes the amount that has just been done, and reports the sum.
+
+    It also takes a `note` beside the text.
+    """
     done = 0.0
 
-    def add(amount: float = 1.0) -> None:
+    def add(amount: float = 1.0, note: str = "") -> None:
         nonlocal done
         done += amount
         if on_progress is not None:
-            on_progress(text, done / max(total, 1e-9))
+            on_progress(text + note, done / max(total, 1e-9))
 
     add(0.0)
     return add

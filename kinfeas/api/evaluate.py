@@ -1,5 +1,6 @@
 """Metrics of policies, files with one of their episodes, and the ceiling."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -77,7 +78,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
     Returns:
         Metrics by key: `success`, the fraction of episodes that reach the goal without an IK
         failure; `within_5cm`, the fraction in which the EE is always within 5 cm of its path, and
-        in the end of the goal; `failed`, the numbers of episodes without success by the reason;
+        in the end of the goal; `failed`, the numbers of failed episodes by the reason;
         `per_episode`, columns for `pandas.DataFrame`; `steps` of the policy's training, if known;
         `ceiling`, the fraction of reachable goals; each with its 95 % interval, `_low` and `_high`.
         `Metrics` of `kinfeas.core.metrics` has the others, in metres and seconds.
@@ -103,8 +104,12 @@ def evaluate(  # noqa: PLR0913 - options of the command
 
     def measure(config: EvalConfig, adapters: str) -> Summary:
         text = f"{config.episodes} episodes {adapters}".rstrip()
-        count = counter(on_progress, text, config.episodes)
-        return evaluation.evaluate(config, driver, name, processes, count)
+        count, steps = counter(on_progress, text, config.episodes), itertools.count(1)
+
+        def watch(*_: object) -> None:  # an episode may take minutes
+            count(0.0, f", {next(steps) * config.world.dt:.0f} s simulated")
+
+        return evaluation.evaluate(config, driver, name, processes, count, watch)
 
     metrics = cast("Metrics", measure(config, ""))
     metrics["steps"] = _steps(policy, driver, model)

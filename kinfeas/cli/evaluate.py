@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 _LISTED = 6  # numbers of failed episodes that the table shows
-_REASONS = {"ik_failure": "IK failure", "collision": "collision", "time": "out of time"}
+_REASONS = {
+    "ik_failure": "IK failure", "collision": "collision", "time": "out of time",
+    "task": "task not done",
+}  # fmt: skip
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument

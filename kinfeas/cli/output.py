@@ -109,7 +109,7 @@ def progress() -> Iterator["OnProgress"]:
         task = bar.add_task("", total=1.0)
 
         def show(text: str, fraction: float) -> None:
-            if fraction == 0.0:  # other work, with another speed
+            if fraction < bar.tasks[0].completed:  # other work, with another speed
                 bar.reset(task)
             bar.update(task, completed=fraction, description=escape(text))
 

@@ -15,7 +15,7 @@ from kinfeas.control.assemble import respond_late
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, summarize
 from kinfeas.core.policy import Policy
-from kinfeas.envs.episodes import OnDone, evaluate_episodes, run_episodes
+from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes, run_episodes
 from kinfeas.envs.world import World, WorldConfig, evaluation_section, evaluation_world
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.robots.robot import Robot
@@ -26,8 +26,9 @@ from kinfeas.tasks.task import StreamTask, Task
 class Summary(Metrics):
     """Metrics of a policy, what they were measured on, and the ceiling; null if not measured.
 
-    `settings` are those given. `failed` are the numbers of the episodes without success, by what
-    kept them from it; `per_episode` has a column for each field of the records.
+    `settings` are those given. `failed` are the numbers of the episodes without success, or with
+    a task that was not done, by the reason; `per_episode` has a column for each field of the
+    records.
     """
 
     robot: str
@@ -136,12 +137,14 @@ def evaluate(
     name: str = "",
     processes: int = 1,
     on_done: OnDone | None = None,
+    watch: Watch | None = None,
 ) -> Summary:
     """Return the metrics of a policy: fractions in 0-1, distances in metres.
 
-    The ceiling is null, see `add_ceiling`; further arguments as in `evaluate_episodes`.
+    The ceiling is null, see `add_ceiling`; further arguments as in `evaluate_episodes`. A single
+    process calls `watch` after each step.
     """
-    records, execution = _run(config, policy, processes, on_done)
+    records, execution = _run(config, policy, processes, on_done, watch)
     settings = config.world
     own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
@@ -168,28 +171,34 @@ def run(
 
 
 def _run(
-    config: EvalConfig, policy: Policy, processes: int, on_done: OnDone | None
+    config: EvalConfig,
+    policy: Policy,
+    processes: int,
+    on_done: OnDone | None,
+    watch: Watch | None = None,
 ) -> tuple[EpisodeRecords, ExecutionConfig]:
     """Return the record of each episode, and the execution of motions within the adapters."""
     build = partial(World, config.robot, config.task, config.world, config.seed)
     episodes = range(config.first, config.first + config.episodes)
     with closing(build()) as world:
         if processes == 1:
-            records = run_episodes(world, policy, config.episodes, on_done, first=config.first)
+            records = run_episodes(world, policy, config.episodes, on_done, watch, config.first)
         else:
             records = evaluate_episodes(build, policy, episodes, processes, on_done)
         return records, world.loop.execution
 
 
 def _failed(records: EpisodeRecords, first: int) -> dict[str, list[int]]:
-    """Return the numbers of the episodes without success by the reason, empty ones left out."""
-    collided = records.base_collisions
+    """Return the numbers of the episodes that failed by the reason, empty ones left out."""
+    collided, task_done = records.base_collisions, records.task_done
+    done = records.success if task_done is None else records.success & task_done
     reasons = np.full(len(records.reached), "time", dtype=object)
     if collided is not None:
         reasons[collided > 0] = "collision"
     reasons[records.failures > 0] = "ik_failure"
+    reasons[records.success] = "task"
     failed: dict[str, list[int]] = {}
-    for row in np.flatnonzero(~records.success).tolist():
+    for row in np.flatnonzero(~done).tolist():
         failed.setdefault(reasons[row], []).append(first + row)
     return failed
 

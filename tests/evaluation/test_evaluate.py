@@ -70,6 +70,13 @@ def test_summary(config, policy):
     assert np.mean(table["mean_deviation"]) == pytest.approx(summary["mean_deviation_m"])
 
 
+def test_undone_tasks_are_failed_episodes(config, policy, monkeypatch):
+    even, zero = np.arange(20) % 2 == 0, np.zeros(20, dtype=np.intp)
+    records = replace(run(config, policy), reached=zero == 0, failures=zero, task_done=even)
+    monkeypatch.setattr("kinfeas.evaluation.evaluate.run_episodes", lambda *_, **__: records)
+    assert evaluate(config, policy)["failed"] == {"task": np.flatnonzero(~even).tolist()}
+
+
 STUDY = Path(__file__).parents[2] / "docs" / "figures" / "study.json"
 PLANNED = ["obstacle_distance", "path_planner", "feasibility"]
 LATE = ["path_planner", "time_scaling"]
