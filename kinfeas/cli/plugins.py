@@ -73,7 +73,7 @@ def info(
     plugins = [_facts(plugin) for plugin in installed if plugin.name == name]
     if not plugins:
         near = get_close_matches(name, {plugin.name for plugin in installed})
-        guess = f" (did you mean {' or '.join(near)}?)" if near else ""
+        guess = f" (did you mean {' or '.join(map(repr, near))}?)" if near else ""
         hint = "`kinfeas plugins list` lists the installed ones, `pip install -e FOLDER` adds one"
         raise KinfeasError(f"unknown plugin {name!r}{guess}; {hint}")
     write_json(plugins, json)
