@@ -199,3 +199,8 @@ SAME = {
 def test_only_other_kinematics_have_another_fingerprint(pr2, change):
     changed = (OTHER | SAME)[change](pr2)
     assert (fingerprint(changed) == fingerprint(pr2)) == (change in SAME)
+
+
+@pytest.mark.parametrize("name", registry.names("kinfeas.robots"))
+def test_other_programs_read_shipped_robots(name):
+    assert pytest.importorskip("pinocchio").buildModelFromUrdf(str(load_robot(name).urdf_path)).nq
