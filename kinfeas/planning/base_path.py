@@ -89,7 +89,8 @@ class BasePathPlanner:
 
     def __init__(self, solver: IkSolver) -> None:
         self.robot = solver.robot
-        self._expanders = [BeamExpander(solver, width) for width in SETTINGS.widths]
+        expander = BeamExpander(solver)
+        self._expanders = [expander.wider(width) for width in SETTINGS.widths]
 
     def plan(
         self,

@@ -1,5 +1,6 @@
 """Robots with their EE at one pose of a path, and those that follow from them at the next."""
 
+import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -91,15 +92,11 @@ class BeamExpander:
     with arms far from joint limits, from self-collision and from singularities are better, and
     those that reach the pose from a base a little elsewhere, since these can make up for a base
     that is not where it should be.
-
-    Args:
-        solver: IK of the robot.
-        width: Multiplies the robots of a beam, and those that try IK.
     """
 
-    def __init__(self, solver: IkSolver, width: int = 1) -> None:
-        self.robot, self._width = solver.robot, width
-        robot = solver.robot
+    def __init__(self, solver: IkSolver) -> None:
+        self.robot = robot = solver.robot
+        self._width = 1
         options = replace(solver.options, restarts=0)
         careful = replace(
             options, joint_margin=SETTINGS.joint_margin, self_clearance=SETTINGS.clearance
@@ -114,6 +111,12 @@ class BeamExpander:
         self._middle, self._half = (lower + upper) / 2.0, np.maximum((upper - lower) / 2.0, 1e-9)
         self._bounded = np.isfinite(np.subtract(*robot.joint_limits))
         self._elbow = max(len(robot.arm) - 4, 0)
+
+    def wider(self, width: int) -> "BeamExpander":
+        """Return one of `width` times as many robots in a beam, and as many that try IK."""
+        other = copy.copy(self)
+        other._width = width
+        return other
 
     def first(self, base_pose: Array, joints: Array) -> Beam:
         """Return a beam of one robot, its base at a world pose (7,), with arm joints (j,)."""
