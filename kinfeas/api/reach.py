@@ -63,10 +63,11 @@ def reach(  # noqa: PLR0913 - options of the command
     around, names = solids_of(scene, solids, compose(goals, tool_pose(model)))
     placer = robot if isinstance(robot, BasePlacer) else BasePlacer(model)
     if origin is not None and around is not None:
-        for place, name in enumerate(names):
-            solid = around.only(np.array([place]))
-            if base_collides(placer.solver.collision, origin[np.newaxis], solid)[0]:
-                raise KinfeasError(f"at the 'start' the base touches {name}")
+        start_pose, collision = origin[np.newaxis], placer.solver.collision
+        if base_collides(collision, start_pose, around)[0]:
+            each = (around.only(np.array([place])) for place in range(around.places))
+            touched = [base_collides(collision, start_pose, solid)[0] for solid in each]
+            raise KinfeasError(f"at the 'start' the base touches {names[touched.index(True)]}")
     where = around, origin, count
     if together:
         placements = [placer.place_for_all(goals, *where)]
