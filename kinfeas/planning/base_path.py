@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, yaw
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.beam import Beam, BeamExpander
+from kinfeas.planning.placement import Postures
 
 _STRAIGHT = 1e-6  # angle of an arc, radians, that counts as none
 _ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
@@ -26,6 +28,7 @@ class BasePathSettings:
     backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on
     slow: float = 0.1  # fraction of the speed of the EE from there to where the search had ended
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
+    proposals: int = 256  # base poses tried at the EE pose where a search ends
 
 
 SETTINGS = BasePathSettings()
@@ -83,14 +86,18 @@ class BasePathPlanner:
 
     A beam search: robots of the beam at one EE pose lead to the beam at the next. Where none goes
     on, the search goes back to earlier poses; from there the EE is slow. If that does not help, a
-    search with a wider beam begins; and if that does not either, arms jump to other configurations,
-    unless the path must not have joint jumps.
+    search with a wider beam begins, unless no base reaches the pose; and if that does not either,
+    arms jump to other configurations, unless the path must not have joint jumps.
     """
 
     def __init__(self, solver: IkSolver) -> None:
-        self.robot = solver.robot
+        self._solver, self.robot = solver, solver.robot
         expander = BeamExpander(solver)
         self._expanders = [expander.wider(width) for width in SETTINGS.widths]
+
+    @cached_property
+    def _postures(self) -> Postures:
+        return Postures(self._solver)
 
     def plan(
         self,
@@ -120,7 +127,7 @@ class BasePathPlanner:
         for expander in self._expanders:
             beam = expander.first(base_pose, joints)
             search = _Search(expander, ee, step / time_scale, solids, beam)
-            if search.ends(search.slow_down):
+            if search.ends(search.slow_down) or not self._reaches(search.next_pose):
                 break
         if partial and not search.complete:
             search.ends(search.jump)
@@ -133,6 +140,11 @@ class BasePathPlanner:
         seconds = begin + step * nodes.astype(np.float64)
         until = np.concatenate([[1.0], search.scales[nodes[:-1]]])
         return BasePath(ee, step, begin, seconds, robots, until)
+
+    def _reaches(self, pose: Array) -> bool:
+        """Return whether the EE reaches a pose, (7,), from some base; solids are left out."""
+        numbers = 0, SETTINGS.proposals
+        return len(self._postures.reaching(pose, numbers, restarts=False)[0]) > 0
 
 
 class _Search:
@@ -151,6 +163,12 @@ class _Search:
     @property
     def complete(self) -> bool:
         return len(self.beams) == len(self.nodes)
+
+    @property
+    def next_pose(self) -> Array:
+        """The EE pose at which no robot goes on, shape (7,)."""
+        pose: Array = self._ee[self.nodes[len(self.beams)]]
+        return pose
 
     def ends(self, go_back: Callable[[int], None]) -> bool:
         """Add beams, and go back where no robot goes on; return whether the last one has robots."""
