@@ -4,6 +4,7 @@ import pytest
 from kinfeas.core import registry
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import planar_pose
+from kinfeas.robots.loading import load_robot
 from tests.builders import twist
 
 DT = 0.02
@@ -63,3 +64,13 @@ def test_a_saved_state_continues_to_the_bit(begun, ticks):
     home, bases = np.stack([world.robot.home["home"]] * 3), planar_pose(*np.zeros((3, 3)))
     again = [one.reset(bases, home).base_pose for one in (fresh, world)]
     np.testing.assert_array_equal(*again)
+
+
+def test_coupled_joints_without_effort_limits_are_stable(opened):
+    world = opened(load_robot("stretch4"))
+    lower, upper = world.robot.finite_joint_limits
+    arm = np.stack([lower + share * (upper - lower) for share in (0.1, 0.9)])
+    world.reset(planar_pose(*np.zeros((3, 1))), arm[:1])
+    for tick in range(300):
+        state = world.step(twist(0.1, 0.02, 0.3), arm[[tick // 150 % 2]], DT)
+    np.testing.assert_allclose(state.joint_positions[0], arm[1], atol=0.01)

@@ -173,12 +173,15 @@ class Model:
         Servos are critically damped for the inertia that they move. Their rotors are so heavy that
         damping times velocity limit is at least the effort limit: with a setpoint within
         `LAG * velocity` of its joint, a servo has its full effort at rest and keeps its velocity
-        limit, and it does not chatter where its effort is limited.
+        limit, and it does not chatter where its effort is limited. Without an effort limit, a rotor
+        is as heavy as what it moves.
         """
         engine = self.engine
         strongest = np.array([servo.effort for servo in self.servos])
-        finite = np.where(np.isfinite(strongest), strongest, 0.0)
-        engine.dof_armature[self.at[1, 3:]] = LAG / 4.0 * finite / self.velocity
+        rotors = LAG / 4.0 * strongest / self.velocity
+        if (unlimited := ~np.isfinite(strongest)).any():
+            rotors[unlimited] = self._inertia(arm)[3:][unlimited]
+        engine.dof_armature[self.at[1, 3:]] = rotors
         mujoco.mj_setConst(engine, mujoco.MjData(engine))
         inertia = self._inertia(arm)
         mass = float(engine.body_subtreemass[engine.body(OWN + self.robot.urdf.root).id])
