@@ -41,7 +41,8 @@ class PathPlanner:
     The EE slows down where the robot needs more time. A path that the robot has left, or that ends
     before its motion, is planned again. The policy acts where no path is found, and after the end
     of a path. With an executor robots begin a motion when its path is found, and move on while it
-    is planned again. With a stream of targets there is nothing to plan.
+    is planned again. In a head start the policy acts. With a stream of targets there is nothing to
+    plan.
 
     Args:
         solver: IK of the robot.
@@ -154,7 +155,7 @@ class PathPlanner:
             ee = np.stack([self._paths[row].ee_at(elapsed[row]) for row in rows.tolist()])
             due[rows] = distance(ee, motions.desired[rows])[0] > _OFF_EE
             due[rows] |= (base > _OFF_BASE) | (arm > _OFF_ARM)
-        return np.flatnonzero(due)
+        return np.flatnonzero(due & (motions.head_start == 0))
 
 
 class PathFollower:

@@ -24,11 +24,11 @@ from tests.builders import assert_near
 
 
 def world_of(
-    robot, task="ggr_restricted", filters=("path_planner", "feasibility"), adapters=(), **parameters
-):
-    config = WorldConfig(
-        max_failures=99, filters=tuple(map(PluginSpec, filters)), adapters=tuple(adapters)
-    )
+    robot, task="ggr_restricted", filters=("path_planner", "feasibility"), adapters=(),
+    execution=None, **parameters,
+):  # fmt: skip
+    filters, adapters = tuple(map(PluginSpec, filters)), tuple(adapters)
+    config = WorldConfig(max_failures=99, filters=filters, adapters=adapters, **execution or {})
     return World(load_robot(robot), load_task(task, parameters), config, seed=3)
 
 
@@ -49,9 +49,14 @@ def test_episodes_do_not_depend_on_each_other():
     assert alone.success.all()
 
 
-@pytest.mark.parametrize(("finds", "seconds"), [(False, [0, 2, 6, 14]), (True, [0, 2, 4, 6, 8])])
-def test_plans_fail_ever_more_rarely_but_pushed_robots_get_one_soon(monkeypatch, finds, seconds):
-    world, periods, plan = world_of("pr2"), [], BasePathPlanner.plan
+@pytest.mark.parametrize(("finds", "head_start", "seconds"), [
+    (False, 0.0, [0, 2, 6, 14]), (True, 0.0, [0, 2, 4, 6, 8]), (True, 3.0, [3, 5, 7]),
+])  # fmt: skip
+def test_plans_fail_ever_more_rarely_but_pushed_robots_get_one_soon(
+    monkeypatch, finds, head_start, seconds
+):
+    periods, plan = [], BasePathPlanner.plan
+    world = world_of("pr2", execution={"head_start": head_start})
     world.loop.set_policy(load_policy("stationary", world.robot))
     world.start([0])
 
