@@ -82,6 +82,16 @@ class MotionSequence(SubgoalMotions):
         """Whether each row's desired pose rests now, shape (n,)."""
         return (self.head_start > 0) | ((self.settling == 0) & (self.dwelling > 0))
 
+    @property
+    def clock(self) -> Array:
+        """Motion time of each row, shape (n,), seconds; negative in its head start."""
+        return self.elapsed - self._motion_time * self.head_start
+
+    def clock_after(self, seconds: Array) -> Array:
+        """Return `clock` a period later, in which motions go on for some seconds, shape (n,)."""
+        clock: Array = self.clock + np.where(self.head_start > 0, self._motion_time, seconds)
+        return clock
+
     def prepare(self) -> None:
         """Compute goals and the next step, which stay until something changes."""
         _ = self.goal, self.next_step, self.planned

@@ -29,6 +29,7 @@ class BasePathSettings:
     slow: float = 0.1  # fraction of the speed of the EE from there to where the search had ended
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
     proposals: int = 256  # base poses tried at the EE pose where a search ends
+    rest: float = 1.0  # motion time between beams while the EE rests first, seconds
 
 
 SETTINGS = BasePathSettings()
@@ -109,6 +110,7 @@ class BasePathPlanner:
         time_scale: float = 1.0,
         solids: Solids | None = None,
         *,
+        rest: float = 0.0,
         partial: bool = False,
     ) -> BasePath | None:
         """Return a path, or None if none is found.
@@ -118,15 +120,21 @@ class BasePathPlanner:
             joints: Arm joints now, shape (j,).
             ee: World poses of the EE from now on, shape (k, 7).
             step: Motion time from one to the next, seconds.
-            begin: Motion time now, seconds.
+            begin: Motion time of the first of these poses, seconds.
             time_scale: Fraction of its speed at which the EE moves at most.
             solids: In the world, one row.
+            rest: Motion time for which the EE rests before, seconds.
             partial: Whether arms may jump, and a path may end before the EE path, where no robot
                 goes on.
         """
+        resting = round(rest / step)
+        begin, ee = begin - resting * step, np.vstack([ee[:1].repeat(resting, axis=0), ee])
+        nodes = np.union1d(
+            np.arange(0, resting, round(SETTINGS.rest / step)), resting + _nodes(ee[resting:])
+        )
         for expander in self._expanders:
             beam = expander.first(base_pose, joints)
-            search = _Search(expander, ee, step / time_scale, solids, beam)
+            search = _Search(expander, ee, nodes, step / time_scale, solids, beam)
             if search.ends(search.slow_down) or not self._reaches(search.next_pose):
                 break
         if partial and not search.complete:
@@ -151,13 +159,19 @@ class _Search:
     """A search for one path, with a beam at each node so far."""
 
     def __init__(
-        self, expander: BeamExpander, ee: Array, step: float, solids: Solids | None, beam: Beam
+        self,
+        expander: BeamExpander,
+        ee: Array,
+        nodes: NDArray[np.intp],
+        step: float,
+        solids: Solids | None,
+        beam: Beam,
     ) -> None:
         self._expander, self._ee, self._step = expander, ee, step
         self._solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
         self._rng = np.random.default_rng(0)
         self.beams = [beam]
-        self.nodes = _nodes(ee)  # numbers of EE poses; one twice where arms jump
+        self.nodes = nodes  # numbers of EE poses; one twice where arms jump
         self.scales = np.ones(len(ee))  # fraction of its speed at which the EE moves from each pose
 
     @property

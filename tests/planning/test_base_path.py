@@ -12,6 +12,7 @@ from kinfeas.kinematics.solids import collides
 from kinfeas.planning.base_path import BasePathPlanner
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
+from tests.builders import assert_near
 
 AT_ORIGIN = planar_pose(*np.zeros((3, 1)))[0]
 
@@ -81,6 +82,16 @@ def test_arms_jump_only_where_a_partial_path_would_end(rate):
     before, after = path.robot[jump : jump + 2]
     np.testing.assert_array_equal(before[:3], after[:3])
     np.testing.assert_array_equal(path.robots_at(path.seconds[[jump]])[0], after)
+
+
+def test_the_robot_moves_already_while_the_ee_rests(planned, solver):
+    path, _ = planned([0.3, 0.0, 0.0, 0.0, 0.0, 0.5], 5.0, rest=3.0)
+    assert path.complete
+    assert path.seconds[0] == pytest.approx(2.0)
+    rests = path.robot[path.seconds < 5.0 + 1e-6]
+    ee = compose(planar_pose(*rests[:, :3].T), forward(solver.chain, rests[:, 3:]))
+    assert_near(ee, path.ee[0], 0.03, 0.1)
+    assert np.ptp(rests[:, :2], axis=0).max() > 0.02
 
 
 def test_a_slow_motion_gives_the_base_more_time(planned):

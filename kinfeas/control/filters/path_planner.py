@@ -41,8 +41,8 @@ class PathPlanner:
     The EE slows down where the robot needs more time. A path that the robot has left, or that ends
     before its motion, is planned again. The policy acts where no path is found, and after the end
     of a path. With an executor robots begin a motion when its path is found, and move on while it
-    is planned again. In a head start the policy acts. With a stream of targets there is nothing to
-    plan.
+    is planned again. Paths begin in the head start, while the EE rests. With a stream of targets
+    there is nothing to plan.
 
     Args:
         solver: IK of the robot.
@@ -136,6 +136,7 @@ class PathPlanner:
                 ee,
                 HORIZON,
                 begin=motions.elapsed[row],
+                rest=motions.elapsed[row] - motions.clock[row],
                 time_scale=self._time_scale,
                 solids=None if solids is None else solids.of(np.array([row])),
                 partial=True,
@@ -150,12 +151,12 @@ class PathPlanner:
         rows = np.array([row for row in self._paths if not due[row]], dtype=np.intp)
         rows = rows[motions.periods[rows] >= self._again_at[rows]]
         if rows.size:
-            elapsed = motions.elapsed
-            base, arm = off_path(self._robot, period, rows, robots_on(self._paths, rows, elapsed))
-            ee = np.stack([self._paths[row].ee_at(elapsed[row]) for row in rows.tolist()])
+            clock = motions.clock
+            base, arm = off_path(self._robot, period, rows, robots_on(self._paths, rows, clock))
+            ee = np.stack([self._paths[row].ee_at(clock[row]) for row in rows.tolist()])
             due[rows] = distance(ee, motions.desired[rows])[0] > _OFF_EE
             due[rows] |= (base > _OFF_BASE) | (arm > _OFF_ARM)
-        return np.flatnonzero(due & (motions.head_start == 0))
+        return np.flatnonzero(due)
 
 
 class PathFollower:
@@ -169,16 +170,16 @@ class PathFollower:
         rows = np.array(list(paths), dtype=np.intp)
         if not rows.size:
             return period
-        elapsed, scale = period.motions.elapsed, period.time_scale.copy()
-        scale[rows] *= [path.time_scale_at(elapsed[row]) for row, path in paths.items()]
-        now, base_pose = robots_on(paths, rows, elapsed), period.base_pose[rows]
+        clock, scale = period.motions.clock, period.time_scale.copy()
+        scale[rows] *= [path.time_scale_at(clock[row]) for row, path in paths.items()]
+        now, base_pose = robots_on(paths, rows, clock), period.base_pose[rows]
         if period.motion is not None:
             metres, radians = _beside(base_pose, now)
             late = np.maximum(metres / _WAITS_METRES, radians / _WAITS_RADIANS)
             scale[rows] *= np.clip(1.0 / np.maximum(late, 1.0), _LEAST, 1.0)
         if (scale != period.time_scale).any():
             period = period.slowed(scale)
-        then = robots_on(paths, rows, elapsed + period.motion_seconds)
+        then = robots_on(paths, rows, period.motions.clock_after(period.motion_seconds))
         guide = period.posture_guide
         guide = np.full_like(period.joints, np.nan) if guide is None else guide
         along = follow(self._robot.base, base_pose, now[:, :3], then[:, :3], self._dt)

@@ -49,14 +49,22 @@ def test_episodes_do_not_depend_on_each_other():
     assert alone.success.all()
 
 
-@pytest.mark.parametrize(("finds", "head_start", "seconds"), [
-    (False, 0.0, [0, 2, 6, 14]), (True, 0.0, [0, 2, 4, 6, 8]), (True, 3.0, [3, 5, 7]),
-])  # fmt: skip
-def test_plans_fail_ever_more_rarely_but_pushed_robots_get_one_soon(
-    monkeypatch, finds, head_start, seconds
-):
-    periods, plan = [], BasePathPlanner.plan
-    world = world_of("pr2", execution={"head_start": head_start})
+def test_bases_go_to_a_better_place_in_the_head_start():
+    world = world_of("pr2", execution={"head_start": 3.0})
+    world.loop.set_policy(load_policy("stationary", world.robot))
+    world.start([0])
+    start, ee = world.loop.robots.base_pose, world.loop.sequence.desired
+    for _ in range(30):
+        assert world.step().outcome.feasible.all()
+    assert (world.loop.sequence.desired == ee).all()
+    assert not world.loop.sequence.resting.any()
+    moved = np.linalg.norm((world.loop.robots.base_pose - start)[0, :2])
+    assert moved > 0.05
+
+
+@pytest.mark.parametrize(("finds", "seconds"), [(False, [0, 2, 6, 14]), (True, [0, 2, 4, 6, 8])])
+def test_plans_fail_ever_more_rarely_but_pushed_robots_get_one_soon(monkeypatch, finds, seconds):
+    world, periods, plan = world_of("pr2"), [], BasePathPlanner.plan
     world.loop.set_policy(load_policy("stationary", world.robot))
     world.start([0])
 
