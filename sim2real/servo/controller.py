@@ -97,7 +97,7 @@ class TargetController:
 
     def set_twist(self, twist: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
         """Move the EE by a twist (6,), linear and angular, along the axes of a frame."""
-        self._put(twist, stamp, None, frame)
+        self._put(twist, stamp, None, frame, is_twist=True)
 
     def set_chunk(  # noqa: PLR0913 - keywords of a public call
         self,
@@ -192,9 +192,9 @@ class TargetController:
         """Return the period, with a base at rest after the end of the stream."""
         return period if self.live[0] else period.commanded(np.zeros_like(period.command))
 
-    def _put(
+    def _put(  # noqa: PLR0913 - the fields of a message
         self, values: ArrayLike, stamp: float | None, times: ArrayLike | None, frame: str,
-        observed: float | None = None, keep: float = 0.0,
+        observed: float | None = None, keep: float = 0.0, *, is_twist: bool = False,
     ) -> None:  # fmt: skip
         arrival = self._clock()
         try:  # copies, since the sender may write into its arrays
@@ -206,6 +206,7 @@ class TargetController:
                 frame,
                 None if observed is None else float(observed),
                 float(keep),
+                is_twist,
             )
         except (TypeError, ValueError, OverflowError):
             message = Message(arrival, None, None)
@@ -260,16 +261,17 @@ class TargetController:
         if frame is None:
             self._inbox.reject(_ROW, "late")
             return
-        if times is None and values.shape == (6,):
+        if message.is_twist and values.shape == (6,):
             points = np.tile(spatial.IDENTITY, (2, 1))
             points[:, :3] = values.reshape(2, 3)
             twist = spatial.compose(np.tile(frame, (2, 1)), points)[:, :3] - frame[:3]
             self._inbox.put_twists(_ROW, now, np.array([when]), twist.reshape(1, 6))
             return
-        chunk = chunk_in_world(values, times, frame, when, offset)
+        chunk = None if message.is_twist else chunk_in_world(values, times, frame, when, offset)
         if chunk is None:
-            rule = "no twist (6,), or poses (k, 7) with unit quaternions and ascending times"
-            self._reject(f"{rule}, but shape {values.shape}")
+            poses = "pose (7,), or poses (k, 7) with unit quaternions and ascending times"
+            wanted = "twist (6,)" if message.is_twist else poses
+            self._reject(f"no {wanted}, but shape {values.shape}")
             return
         self._kept.append((when + message.keep, np.array([when]), *chunk))
         self._put_kept(now)

@@ -39,6 +39,7 @@ class Message(NamedTuple):
     frame: str = ""
     observed: float | None = None
     keep: float = 0.0
+    is_twist: bool = False
 
 
 class Frames:

@@ -195,16 +195,19 @@ def test_messages_are_counted_by_the_reason_why_they_are_ignored():
         clock.passes(0.01)
     controller.set_twist(UP, frame="nowhere")
     controller.set_twist([math.nan] * 6)
+    controller.set_twist(spatial.IDENTITY)  # a pose is no twist, nor the other way round
+    controller.set_target(UP)
+    controller.set_chunk([UP], [clock.monotonic])
     controller.set_target(np.array([9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
     step(clock, loop)
-    expected = {"accepted": 2, "repeated": 2, "late": 1, "ahead": 1, "frame": 1, "invalid": 1}
+    expected = {"accepted": 2, "repeated": 2, "late": 1, "ahead": 1, "frame": 1, "invalid": 4}
     assert controller.counts == {**expected, "jump": 1, "dropped": 0}
     for _ in range(1000):
         controller.set_twist(UP)
     step(clock, loop)
     counts = controller.counts
     assert counts["dropped"] > 0
-    assert sum(counts.values()) == 1009
+    assert sum(counts.values()) == 1012
 
 
 def test_messages_that_are_ignored_for_long_are_reported_once(caplog):
