@@ -63,7 +63,8 @@ class LinkBackend(RealTimeBackend):
         self._inbox = Inbox(robot, self._names, drift, self._clock.monotonic)
         self.arm_seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
-        self._target: Array | None = None  # of the last command
+        # The measured arm behind the last command, and the target of the latter, with turns.
+        self._last: tuple[Array, Array] | None = None
         self._opened = False
         self._scan_sources: Any = getattr(link, "scan_sources", None)
         self.scanner = self if self._scan_sources else None
@@ -83,7 +84,7 @@ class LinkBackend(RealTimeBackend):
             self._opened = True
         self._wait(self._missing)
         self._check_other_joints()
-        self.rate = self._target = None
+        self.rate = self._last = None
         return self.read()
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
@@ -92,12 +93,16 @@ class LinkBackend(RealTimeBackend):
             self.rate = Rate(dt, self._clock)
             self.rate.prepare = self.prepare
             self.rate.wait()
+        arm = self._inbox.arm  # of the state that the caller has seen and checked
         pose = self.read().base_pose
         velocity = base_velocity(self.robot.base, pose, base_twist, dt)[0]
         if self.robot.base.drive == "differential":
             velocity[1] = 0.0
         self.link.drive(velocity)
-        self._send(joint_targets[0], self._inbox.arm())
+        # Continuous joints are measured with their turns and take the shorter way.
+        target = arm + joint_displacement(self.robot, arm, joint_targets[0])
+        self._last = arm, target
+        self._move(target, arm)
         self.rate.wait()
         return self.read()
 
@@ -111,9 +116,10 @@ class LinkBackend(RealTimeBackend):
         return self._inbox.state()
 
     def stop(self) -> None:
-        """Command the base to zero and the arm to its measured position.
+        """Command the base to zero and the arm to where it was measured before the last command.
 
-        The arm is commanded even if commanding the base raises.
+        Later measurements may be false. Before the first command the arm gets none. It is commanded
+        even if commanding the base raises.
         """
         if not self._opened:
             return
@@ -169,21 +175,16 @@ class LinkBackend(RealTimeBackend):
         )
 
     def _hold(self) -> None:
-        if not any(self._inbox.missing()):
-            measured = self._inbox.arm()
-            # Where measurements have stopped, the arm is nearer to its last target.
-            self._send(measured, measured if self._target is None else self._target)
+        if self._last is not None:
+            # The arm is between the two; also after the first of several stops.
+            self._move(np.clip(self._last[0], *self.robot.joint_limits), *self._last)
 
-    def _send(self, targets: Array, start: Array) -> None:
-        """Send the arm to joint positions, shape (j,), at a limited velocity from where it is."""
-        measured = self._inbox.arm()
-        # Continuous joints are measured with their turns and take the shorter way.
-        displacement = joint_displacement(self.robot, measured, targets)
+    def _move(self, target: Array, *starts: Array) -> None:
+        """Send the arm to joint positions, shape (j,), at a limited velocity from any start."""
         # The peak velocity of a cubic from rest is 1.5 times its mean.
-        longest = 1.5 * np.abs(joint_displacement(self.robot, start, targets)) / self._joint_speed
+        longest = 1.5 * np.abs(target - np.array(starts)) / self._joint_speed
         seconds = max(self.arm_seconds, float(np.max(longest)))
-        self._target, names = measured + displacement, self._names.values()
-        self.link.move(dict(zip(names, self._target.tolist(), strict=True)), seconds)
+        self.link.move(dict(zip(self._names.values(), target.tolist(), strict=True)), seconds)
 
     def _missing(self) -> str:
         base, joints = self._inbox.missing()

@@ -12,7 +12,7 @@ import numpy as np
 from annotated_types import Interval
 
 from kinfeas.core.backend import RobotState, Scan
-from kinfeas.core.spatial import Array, planar_pose, wrap
+from kinfeas.core.spatial import planar_pose, wrap
 from kinfeas.kinematics.drive import world_twist
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Readings
@@ -72,6 +72,8 @@ class Inbox:
     Attributes:
         fault: Why measurements cannot be used any more, until `forget`: a number that is not finite
             or a stamp that went back by far. None otherwise.
+        arm: Positions of the arm joints in the last `state`, with the turns of continuous joints,
+            shape (j,).
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class Inbox:
     ) -> None:
         """Start empty; `names` are the robot's own of its arm joints, `now` is a clock."""
         self.fault: str | None = None
+        self.arm = np.empty(0)
         self._robot, self._now = robot, now
         self._names = [names[joint.name] for joint in robot.arm]
         self._lock = threading.RLock()
@@ -114,17 +117,13 @@ class Inbox:
         with self._lock:
             return {name: values[0] for name, values in self._joints.items()}
 
-    def arm(self) -> Array:
-        """Return the arm's positions as measured, with the turns of continuous joints, (j,)."""
-        with self._lock:
-            return np.array([self._joints[name][0] for name in self._names])
-
     def state(self) -> RobotState:
         """Return the newest state as a batch of one; nothing may be missing."""
         with self._lock:
             assert self._base is not None
             (base, sent), joints = self._base, [self._joints[name] for name in self._names]
         position, velocity, joint_sent = np.array(joints).T
+        self.arm = position
         pose = planar_pose(*np.array([[base.x], [base.y], [base.yaw]]))
         twist = None
         if base.velocity is not None:

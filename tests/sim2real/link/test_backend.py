@@ -1,6 +1,7 @@
 import shutil
 import socket
 import types
+from contextlib import nullcontext
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -12,6 +13,7 @@ from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.response import ResponseModel
 from kinfeas.kinematics import drive
 from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.scans import CostmapReading, LaserReading
@@ -107,6 +109,7 @@ def test_continuous_joints_go_the_short_way(ends, turns):
     measured, targets = 3.0 + turns * 2.0 * np.pi, AT_HOME.copy()
     link.readings.joints(JointReading({ARM[ROLL]: measured}))
     targets[0, ROLL] = -3.0
+    backend.read()
     backend.step(twist(), targets, DT)
     assert link.moved[-1][0][ARM[ROLL]] == pytest.approx(measured + 2.0 * np.pi - 6.0)
 
@@ -142,7 +145,10 @@ def test_steps_keep_the_rate_and_return_the_newest_state(ends, time):
 
 def test_stop_commands_zero_and_holds_the_arm(ends):
     backend, link = ends
+    backend.stop()
+    assert link.moved == []  # nothing has moved it
     link.readings.joints(JointReading({ARM[ELBOW]: -1.25, ARM[ROLL]: 9.0}))
+    backend.step(twist(), backend.read().joint_positions, DT)
     for _ in range(2):
         backend.stop()
         np.testing.assert_array_equal(link.driven[-1], np.zeros(3))
@@ -155,6 +161,24 @@ def test_stop_commands_zero_and_holds_the_arm(ends):
         with pytest.raises(Fault, match="base"):
             backend.stop()
         link.move.assert_called_once()
+
+
+def test_a_false_measurement_does_not_move_the_arm(time):
+    """One joint is measured wrong for some periods, as by a bad encoder or a second robot."""
+    link, fastest = MemoryLink(present(PR2)), PR2.max_joint_velocity
+    guard = Guarded(LinkBackend(PR2, link, clock=time.clock), PR2, clock=time.clock)
+    guard.reset(None, None)
+    for false in (0.0, 0.0, 3.0):
+        link.readings.base(BaseReading(1.0, 2.0, 0.5))
+        link.readings.joints(joints_at(PR2, AT_HOME[0] + false * np.eye(7)[ELBOW]))
+        with pytest.raises(Fault) if false else nullcontext():
+            guard.step(twist(), AT_HOME - 0.01 * np.eye(7)[ELBOW], DT)
+    guard.stop()
+    guard.close()
+    for sent, seconds in link.moved:
+        off = np.abs(np.array(list(sent.values())) - AT_HOME[0])
+        assert np.all(off <= np.minimum(0.011, fastest * seconds / 1.5))
+    assert len(link.moved) > 4  # the stop repeats
 
 
 def test_a_broken_link_or_useless_measurements_are_faults_that_send_nothing(ends):

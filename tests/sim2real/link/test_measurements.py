@@ -77,7 +77,7 @@ def test_parts_come_in_any_order_and_the_newest_of_each_counts(inbox):
     np.testing.assert_allclose(state.base_twist, [[-0.1, 0.2, 0.0, 0.0, 0.0, 0.3]], atol=1e-12)
     np.testing.assert_allclose(state.joint_velocities[0], list(speeds.values()))
     assert state.joint_positions[0, roll] == pytest.approx(7.0 - 2.0 * np.pi)
-    assert inbox.arm()[roll] == 7.0
+    assert inbox.arm[roll] == 7.0
     inbox.forget()
     assert inbox.missing() == (True, ARM)
 
@@ -128,4 +128,4 @@ def test_numbers_that_are_not_finite_are_faults_and_dropped(inbox, bad):
     assert inbox.fault is None
     readings.joints(JointReading({"r_elbow_flex_joint": bad}))
     assert "r_elbow_flex_joint" in inbox.fault
-    np.testing.assert_array_equal(inbox.arm(), PR2.home["home"])
+    np.testing.assert_array_equal(inbox.state().joint_positions[0], PR2.home["home"])
