@@ -1,6 +1,5 @@
 """Runs on a robot or a simulated one, behind guards and recorded: to a goal, or along a plan."""
 
-import logging
 import re
 import reprlib
 from collections.abc import Callable, Sequence
@@ -52,7 +51,6 @@ from kinfeas.tasks.task import MotionSpec, StagedTask, Task
 
 T = TypeVar("T", bound=DeployConfig)
 _CATCH_UP = 0.2  # least speed with which the EE may come to the start of a plan, m/s and rad/s
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -288,12 +286,13 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     backend = build_backend(backend_name, config.backend, robot=robot)
     with closed_on_error(backend):
         if backend.real_time is not None:
-            if inner:
-                raise KinfeasError(f"adapters are for simulated worlds, not for {backend_name!r}")
+            if inner or adapters:
+                raise KinfeasError(
+                    f"adapters rehearse in simulated worlds; {backend_name!r} is a robot, "
+                    "whose lag goes into the section 'response' of its robot.yaml"
+                )
             if not options.get("real_time", True):
                 raise KinfeasError(f"backend {backend_name!r} is always in real time")
-            if adapters:
-                _log.warning("the adapters change what the robot measures and is commanded")
         if backend.staging is not None:
             task = backend.staging.stage(task)
         return Setup(

@@ -186,3 +186,10 @@ def test_bad_deployments_are_errors(tmp_path, arguments):
     options = {"policy": "follow_ee", "backend": "analytic", "goal": np.array([0.9, 0.1, 0.8])}
     with pytest.raises(KinfeasError):
         kinfeas.deploy(**options | {"record": tmp_path / "a.csv"} | arguments)
+
+
+@pytest.mark.parametrize("run", [kinfeas.deploy, kinfeas.servo])
+def test_a_robot_is_no_rehearsal(tmp_path, run):
+    options = {"goal": (0.9, 0.1, 0.8)} if run is kinfeas.deploy else {}
+    with pytest.raises(KinfeasError, match="response"):
+        run("follow_ee", backend="ros2", adapters="harsh", record=tmp_path / "a.csv", **options)
