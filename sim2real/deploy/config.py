@@ -29,6 +29,8 @@ class Guards:
     # change of the measured base position, beyond what it can have driven, that stops it, metres
     pose_jump: Positive = 0.3
     heading_jump: Positive = 0.5  # the same of its heading, radians
+    # change of a measured joint, beyond twice what it can have moved, that stops it, rad or m
+    measured_joint_jump: Positive = 0.3
     # excess of a measured joint beyond its limits that stops it, radians or metres
     joint_tolerance: Positive = 0.1
     # limit of the base command, m/s; the robot's own if null

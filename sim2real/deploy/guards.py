@@ -295,7 +295,7 @@ class Guarded(BackendWrapper):
                 raise Fault("an adapter has not passed the command on")
             if self._rate is not None:
                 self._rate.wait() if self._rate.waits else self._rate.tick()
-            self._monitor.check(state)
+            self._monitor.check(state, dt)
             self.state, passed = state, True
         finally:
             if not passed:

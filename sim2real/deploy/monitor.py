@@ -9,7 +9,7 @@ from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.checks import check_state
 from kinfeas.core.errors import Fault
 from kinfeas.core.spatial import Array
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.link.rate import Clock
 
@@ -22,7 +22,7 @@ class StateMonitor:
         self._robot, self._guards, self._clock = robot, guards, clock
         self._needs_age = backend.real_time is not None
         self._start: Array | None = None
-        self._last: Array = np.empty(7)
+        self._last, self._age = RobotState(np.empty((1, 7)), np.empty((1, 0))), 0.0
         self._times = (math.nan, math.nan)
 
     def begin(self, state: RobotState) -> None:
@@ -30,19 +30,25 @@ class StateMonitor:
         self._start = None
         self._times = self._clock.monotonic(), self._clock.wall()
         self.check(state)
-        self._start = self._last
+        self._start = state.base_pose[0].copy()
 
-    def check(self, state: RobotState) -> None:
-        """Raise Fault if a measurement, or the time since the last one, exceeds a limit."""
+    def check(self, state: RobotState, dt: float = 0.0) -> None:
+        """Raise Fault if a measurement, or the time since the last one, exceeds a limit.
+
+        Worlds without a clock have moved for `dt` seconds since.
+        """
         elapsed = self._check_clocks()
         check_state(state, 1, len(self._robot.arm), self._source)
         if state.age is not None:
             self._check_age(state.age)
         elif self._needs_age:
             raise Fault(f"{self._source}: a real robot must return the age of its state")
-        self._check_pose(state.base_pose[0], elapsed)
-        self._check_joints(state.joint_positions[0])
-        self._last = state.base_pose[0].copy()
+        age = 0.0 if state.age is None else float(state.age[0])
+        between = max(elapsed, dt) + max(0.0, self._age - age)  # of the two measurements
+        self._check_pose(state.base_pose[0], between)
+        self._check_joints(state.joint_positions[0], between)
+        base, joints = state.base_pose.copy(), state.joint_positions.copy()
+        self._last, self._age = RobotState(base, joints), age
 
     def _check_clocks(self) -> float:
         before, self._times = self._times, (self._clock.monotonic(), self._clock.wall())
@@ -67,17 +73,25 @@ class StateMonitor:
             return
         away = math.dist((x, y), self._start[:2].tolist())
         check_limit("the base is {} m from its start", away, guards.max_distance)
-        metres, radians = map(float, spatial.distance(self._last, pose))
+        metres, radians = map(float, spatial.distance(self._last.base_pose[0], pose))
         jump = "the measured base pose jumped by {} "
         check_limit(f"{jump}m", metres, guards.pose_jump + base.max_velocity * elapsed)
         check_limit(f"{jump}rad", radians, guards.heading_jump + base.max_rotation * elapsed)
 
-    def _check_joints(self, joints: Array) -> None:
+    def _check_joints(self, joints: Array, elapsed: float) -> None:
         lower, upper = self._robot.joint_limits
         outside = np.maximum(lower - joints, joints - upper)
         worst = int(outside.argmax())
         sentence = f"joint {self._robot.arm[worst].name} is measured {{}} beyond its limits"
         check_limit(sentence, outside[worst], self._guards.joint_tolerance)
+        if self._start is None:
+            return
+        robot, last = self._robot, self._last.joint_positions[0]
+        moved = np.abs(joint_displacement(robot, last, joints))
+        most = self._guards.measured_joint_jump + 2.0 * robot.max_joint_velocity * elapsed
+        worst = int((moved - most).argmax())
+        sentence = f"the measured joint {robot.arm[worst].name} jumped by {{}}"
+        check_limit(sentence, moved[worst], most[worst])
 
 
 def check_limit(sentence: str, value: float, most: float) -> None:

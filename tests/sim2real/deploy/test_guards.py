@@ -130,7 +130,7 @@ def test_a_jump_of_the_arm_becomes_a_motion_at_its_speed():
 
 
 def test_joint_targets_stay_within_their_limits():
-    guard, backend = guarded(follows=True)
+    guard, backend = guarded(Guards(measured_joint_jump=math.pi), follows=True)
     targets = arm(guard, 1, 1.0)
     for _ in range(100):
         guard.step(twist(), targets, DT)
@@ -182,6 +182,7 @@ def test_only_ik_failures_in_a_row_end_the_run():
 
 TILTED = np.array([[0.0, 0.0, 0.0, 0.08, 0.0, 0.0, np.sqrt(1.0 - 0.08**2)]])  # by 0.16 rad
 BENT = PR2.home["home"] + np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+JUMPED = PR2.home["home"] + 0.8 * np.eye(7)[4]
 BELOW = np.where(np.arange(7) == 1, PR2.arm[1].lower - 0.11, PR2.home["home"])
 
 
@@ -193,6 +194,7 @@ BELOW = np.where(np.arange(7) == 1, PR2.arm[1].lower - 0.11, PR2.home["home"])
     ({"base_pose": TILTED}, "leans"),
     ({"base_pose": at(0.5)}, "jumped by 0.5 m"),
     ({"base_pose": at(yaw=1.0)}, "jumped by 1 rad"),
+    ({"joint_positions": JUMPED[np.newaxis]}, "r_forearm_roll_joint jumped by 0.8"),
     ({"age": np.array([0.21])}, "0.21 s old"),
     ({"age": np.array([-0.2])}, "in the future"),
     ({"age": np.array([np.nan])}, "old"),
