@@ -113,7 +113,7 @@ def deploy(  # noqa: PLR0913 - options of the command
 
     Returns:
         A `Deployment`, whose `outcome.code` is 0 if the goal was reached, 3 if a guard or an error
-        stopped the run, 4 if its time was over, 128 + N after the signal N.
+        stopped the run, 4 if its time was over or the task is not done, 128 + N after signal N.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.

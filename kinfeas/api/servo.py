@@ -100,6 +100,8 @@ def servo(  # noqa: PLR0913 - options of the command
     outcome = done.outcome
     if unclosed:
         outcome = replace(outcome, code=outcome.code or Code.FAULT, unclosed=unclosed)
+    if controller.hint:
+        _log.warning("%s", controller.hint)
     if outcome.code is Code.REACHED and (refusal := controller.refusal):
         outcome = replace(outcome, code=Code.TIME_OVER, reason=refusal)
     return replace(done, outcome=outcome, targets=controller.statistics())

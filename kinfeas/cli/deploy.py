@@ -50,8 +50,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     Settings: guards.KEY, time_scale, head_start, arm_settle_timeout, ik.KEY, generator.KEY,
     task.KEY, backend.KEY, scene; see docs/deploy.md.
 
-    Exit codes: 0 goal reached, 2 bad input, 3 stopped by a guard or an error, 4 --seconds exceeded,
-    128 + N signal N. The base is always stopped.
+    Exit codes: 0 goal reached, 2 bad input, 3 stopped by a guard or an error, 4 --seconds exceeded
+    or task not done, 128 + N signal N. The base is always stopped.
 
     Example: kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9
     """

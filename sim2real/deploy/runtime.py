@@ -49,7 +49,7 @@ class Code(IntEnum):
 
     REACHED = 0
     FAULT = 3
-    TIME_OVER = 4
+    TIME_OVER = 4  # also of a task that is not done
     HUNG_UP = 128 + signal.SIGHUP
     INTERRUPTED = 128 + signal.SIGINT
     QUIT = 128 + signal.SIGQUIT
@@ -90,6 +90,7 @@ class Setup:
     seed: int = 0  # seed of all random numbers
     solids: Solids | None = None  # solids around the robot, one row; None for those of the task
     real_time: bool = True  # whether a simulated world waits for the clock
+    abrupt: bool = False  # whether the base stops with its targets at once, past the guards
     clock: Clock = field(default_factory=Clock)  # clocks
 
     def __post_init__(self) -> None:
@@ -227,12 +228,14 @@ class _Run:
         done: bool | None = None
         try:
             code, reason = self.run(watchdog, signals)
-            if self.setup.live and code in (Code.REACHED, Code.TIME_OVER):
+            if code in (Code.REACHED, Code.TIME_OVER):
                 self.brake(watchdog)
             if isinstance(task := self.setup.task, StagedTask):
                 joints = (self.guarded.state.true_state or self.guarded.state).joint_positions
                 reached = code is Code.REACHED
                 done = task.task_done(0, joints, self.setup.dt, reached=reached)
+                if reached and not done:
+                    code = Code.TIME_OVER
         except (KinfeasError, OSError) as error:
             code, reason = Code.FAULT, str(error)
         except PLUGIN_ERRORS as error:  # a mistake in the code of a plugin, or in ours
@@ -284,7 +287,7 @@ class _Run:
             if watchdog is not None and (trouble := watchdog.beat()):
                 raise Fault(trouble)
             goal = loop.sequence.goal[0]
-            if loop.stream is not None:
+            if loop.stream is not None and setup.abrupt:
                 self.guarded.commands.brake = not loop.stream.live[0]
             outcome = loop.step()
             feasible, subgoal = bool(outcome.feasible[0]), int(outcome.subgoal[0])
@@ -316,7 +319,7 @@ class _Run:
     def seconds(self) -> float:
         if self.timed:
             return self.clock.monotonic() - self.began
-        return self.steps * self.setup.dt
+        return self.guarded.commands.steps * self.setup.dt
 
     def prepare(self) -> None:
         # While the robot moves; a disk may be slow.

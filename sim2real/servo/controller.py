@@ -78,6 +78,7 @@ class TargetController:
         self._sender = SenderClock(self.rules.timeout)
         self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
         self._ignored: tuple[float, float, dict[str, int]] | None = None  # since, until, before
+        self._late = 0  # accepted messages after the end of the one before
         self._failure, self._last = "", ("", "")  # rule and reason of the last ignored message
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
@@ -165,10 +166,11 @@ class TargetController:
         self.base_pose, self.pose, self.running = progress.base_pose[0], progress.desired[0], True
         self._frames.append(float(now[0]), self.base_pose, self.pose)
         if messages or self._kept:
-            before = self.counts
+            before, waited = self.counts, not self.live[0]
             for message in messages:
                 self._read(message, now)
             self._put_kept(now)
+            self._late += waited and self.counts["accepted"] > before["accepted"]
             self._watch(before, float(now[0]))
         rows, dt = progress.rows, progress.dt
         self._inbox.wait(rows, progress.time_scale, progress.desired)
@@ -234,6 +236,14 @@ class TargetController:
         """Why no message was accepted; empty if one was."""
         counts = self.counts
         return "" if counts["accepted"] else f"no message was accepted: {self._why(counts)}"
+
+    @property
+    def hint(self) -> str:
+        """Hint that most messages came after the end of the one before; empty otherwise."""
+        if self._late - 1 <= 0.5 * self.counts["accepted"]:
+            return ""
+        seconds = self.rules.timeout
+        return f"most messages came later than rules.timeout, {seconds:g} s, after the last one"
 
     def _why(self, counts: dict[str, int]) -> str:
         rules = ", ".join(f"{n} {rule}" for rule, n in counts.items() if n) or "none came"

@@ -76,7 +76,7 @@ def test_every_run_has_a_record(kinfeas, tmp_path):
     done = kinfeas("deploy", *BRIEF, "--set", "scene=room", code=4)
     assert done.err.startswith("stopped: ")
     (record,) = (tmp_path / "runs" / "deploy").glob("*-hsr-goal.csv")
-    assert len(read_record(record).time) == 5 + 2
+    assert len(read_record(record).time) == 5 + 3  # one period brakes
     assert len(read_record(record).about.solids) > 10
     before = record.read_bytes()
     kinfeas("deploy", *BRIEF, code=4)
@@ -108,7 +108,7 @@ def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):
     stopped, unwritten = done.err.splitlines()
     assert stopped.startswith("stopped: ")
     assert unwritten.startswith("--json: /dev/full")
-    assert len(read_record(tmp_path / "run.csv").time) == 5 + 2
+    assert len(read_record(tmp_path / "run.csv").time) == 5 + 3  # one period brakes
 
 
 @pytest.mark.slow

@@ -223,6 +223,16 @@ def test_messages_that_are_ignored_for_long_are_reported_once(caplog):
         step(clock, loop)
 
 
+@pytest.mark.parametrize("every", [2, 10])
+def test_streams_slower_than_their_timeout_are_reported(every):
+    controller, clock, loop = begin()
+    for period in range(60):
+        if period % every == 0:
+            controller.set_twist(UP)
+        step(clock, loop)
+    assert ("rules.timeout" in controller.hint) is (every == 10)
+
+
 @pytest.mark.parametrize(
     ("poses", "words", "reasons"),
     [
