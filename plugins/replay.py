@@ -68,7 +68,12 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
             raise KinfeasError(f"{path}: must have 2 moments at least, and their time must ascend")
         ee_pose, first = make_pose(desired[:, :3], rotation(desired)), np.full(7, np.nan)
     else:
-        demonstration = read_demonstration(path, ("base_pose", "object_pose"))
+        try:
+            demonstration = read_demonstration(path, ("base_pose", "object_pose"))
+        except KinfeasError as error:
+            if "column" not in str(error):
+                raise
+            raise KinfeasError(f"{error}; poses alone are for the motion 'waypoints'") from error
         time, ee_pose = demonstration.time, demonstration.ee_pose
         first = demonstration.object_pose[0]
     if frame == "object" and np.isnan(first).any():

@@ -95,7 +95,8 @@ def deploy(  # noqa: PLR0913 - options of the command
         robot: Name or folder; by default the robot of the policy.
         backend: `analytic`, `pybullet`, `mujoco`, `ros2`, `ros1`, or a plugin; by default PyBullet
             or, without it, MuJoCo.
-        goal: World position of the EE, shape (3,), metres.
+        goal: World position of the EE, shape (3,), metres; none for a motion with
+            `generator.frame=world`.
         rpy: Its roll, pitch and yaw, radians; unchanged by default.
         quaternion: The same as a quaternion xyzw.
         generator: Motion generator; `linear` by default, with a scene `whole_body`.
@@ -217,8 +218,10 @@ def _goal_task(
     generator: str | None,
     config: DeployConfig,
 ) -> Task:
-    if goal is None or config.task:
+    own = config.generator.get("frame") == "world"  # the motion has a goal of its own
+    if (goal is None and not own) or config.task:
         raise KinfeasError("give a goal, or a task; task.KEY are settings of the latter")
+    goal = (0.0, 0.0, 0.0) if goal is None else goal
     if rpy is not None and quaternion is not None:
         raise KinfeasError("'rpy' and 'quaternion' exclude each other")
     default = "linear" if config.scene is None else "whole_body"

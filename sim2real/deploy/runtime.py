@@ -23,12 +23,12 @@ from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, describe, pl
 from kinfeas.core.metrics import lateness
 from kinfeas.core.policy import Policy
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import IDENTITY, Array
+from kinfeas.core.spatial import IDENTITY, Array, distance
 from kinfeas.core.start import episode_rng
 from kinfeas.io.run_log import REACHED, TASK_DONE, Moment, Recorder
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards
-from kinfeas.sim2real.deploy.goal_task import begin
+from kinfeas.sim2real.deploy.goal_task import GoalTask, begin
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.sim2real.deploy.watchdog import Watchdog
@@ -220,6 +220,12 @@ class _Run:
         if self.loop.stream is None and (warning := preflight(self.loop, start, rng, setup.guards)):
             _log.warning("%s", warning)
         self.loop.start(start, [rng])
+        end = self.loop.sequence.goal[0]
+        if isinstance(setup.task, GoalTask) and distance(end, start.target_poses[0, 0])[0] > 1e-3:
+            x, y, z = end[:3].tolist()
+            _log.warning(
+                "the motion has its own goal: it ends at x %.3g, y %.3g, z %.3g m", x, y, z
+            )
         self.loop.measure(self.guarded.refresh())  # planning a motion takes time
         self.began = self.clock.monotonic()
         self.record("start")

@@ -36,6 +36,17 @@ def test_goal_is_reached_and_recorded(run):
 EE_PATH = "time,x,y,z,qx,qy,qz,qw\n0,2.6,-0.6,0.9,0,0,0,1\n8,2.6,0.6,0.9,0,0,0,1\n"
 
 
+@pytest.mark.parametrize("goal", [(), ("--goal", "9", "9", "0.2")])
+def test_a_motion_in_the_world_has_its_own_goal(kinfeas, run, tmp_path, caplog, goal):
+    (tmp_path / "ee.csv").write_text(EE_PATH)
+    words = ("--set", "generator.file=ee.csv", "--set", "generator.frame=world", *goal)
+    brief = ("pretrained", *HSR, "--backend", "analytic", "--seconds", "0.1", *words)
+    _, record = run(*brief, "--generator", "waypoints", code=4)
+    assert "ends at x 2.6, y 0.6, z 0.9 m" in caplog.text
+    np.testing.assert_allclose(record.goal[-1, :3], [2.6, 0.6, 0.9])
+    assert "'waypoints'" in kinfeas("deploy", *brief, "--generator", "replay", code=2).err
+
+
 @pytest.mark.parametrize("robot", ["hsr", "tiago"])
 def test_a_plan_is_carried_out_by_base_and_arm(kinfeas, run, tmp_path, robot):
     (tmp_path / "ee.csv").write_text(EE_PATH)
@@ -108,7 +119,7 @@ def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):
     stopped, unwritten = done.err.splitlines()
     assert stopped.startswith("stopped: ")
     assert unwritten.startswith("--json: /dev/full")
-    assert len(read_record(tmp_path / "run.csv").time) == 5 + 3  # one period brakes
+    assert len(read_record(tmp_path / "run.csv").time) == 5 + 2
 
 
 @pytest.mark.slow
