@@ -308,6 +308,10 @@ class RealTimeBackend(Backend):
     def limit_arm(self, velocity: Array) -> None:
         """Limit the velocities of the arm joints, shape (j,), rad/s or m/s, if they are sent."""
 
+    def silent(self, seconds: float) -> str:
+        """Return which source sent no measurement for some seconds; empty if none, or unknown."""
+        return ""
+
     def stop_call(self) -> StopCall | None:
         """Return the call with which another process stops the base; None if there is none."""
         return None

@@ -23,7 +23,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import base_velocity, world_twist
 from kinfeas.robots.robot import Base, Robot
 from kinfeas.sim2real.deploy.config import Guards
-from kinfeas.sim2real.deploy.monitor import StateMonitor, check_limit
+from kinfeas.sim2real.deploy.monitor import StateMonitor, check_age, check_limit
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.sim2real.link.scans import beam
 
@@ -162,7 +162,8 @@ class SafetyFilter(BackendWrapper):
         """Check the age of the measurement from which the command was computed."""
         elapsed = self._clock.monotonic() - self._measured
         age = elapsed + (0.0 if self._state.age is None else float(self._state.age[0]))
-        check_limit("the command is made of a measurement {} s old", age, self._guards.max_age)
+        sentence = "the command is made of a measurement {} s old"
+        check_age(sentence, age, self._guards.max_age, self.backend)
 
     def _arm_targets(self, targets: Array, dt: float) -> Array:
         """Return targets that the arm can reach within `dt`, or where it is to hold, shape (j,)."""

@@ -18,7 +18,7 @@ class StateMonitor:
     """Checks one measurement after the other, and the clocks they are dated by."""
 
     def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
-        self._source = f"backend {type(backend).__name__}"
+        self._backend, self._source = backend, f"backend {type(backend).__name__}"
         self._robot, self._guards, self._clock = robot, guards, clock
         self._needs_age = backend.real_time is not None
         self._start: Array | None = None
@@ -59,7 +59,8 @@ class StateMonitor:
         return elapsed
 
     def _check_age(self, age: Array) -> None:
-        check_limit("the newest measurement is {} s old", age[0], self._guards.max_age)
+        sentence = "the newest measurement is {} s old"
+        check_age(sentence, age[0], self._guards.max_age, self._backend)
         check_limit("a measurement is {} s in the future", -age[0], self._guards.max_clock_skew)
 
     def _check_pose(self, pose: Array, elapsed: float) -> None:
@@ -92,6 +93,13 @@ class StateMonitor:
         worst = int((moved - most).argmax())
         sentence = f"the measured joint {robot.arm[worst].name} jumped by {{}}"
         check_limit(sentence, moved[worst], most[worst])
+
+
+def check_age(sentence: str, age: float, most: float, backend: Backend) -> None:
+    """Raise Fault if a measurement is too old, with the source that fell silent."""
+    robot = backend.real_time
+    source = robot.silent(most) if robot is not None and not age <= most else ""
+    check_limit(f"{source}: {sentence}" if source else sentence, age, most)
 
 
 def check_limit(sentence: str, value: float, most: float) -> None:

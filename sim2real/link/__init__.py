@@ -24,6 +24,7 @@ class BaseReading:
     velocity: Array | None = None
     stamp: float | None = None  # time of the measurement by the robot's clock, seconds, or None
     age: float = 0.0  # age on arrival, seconds, as far as the transport measures it
+    fault: str = ""  # why it is not finite, as far as the transport can tell
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A robot behind a link as a backend of the loop, the same for every transport."""
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -135,6 +136,17 @@ class LinkBackend(RealTimeBackend):
         """Limit the arm's joint velocities, shape (j,), rad/s or m/s, below the robot's own."""
         self._joint_speed = np.minimum(velocity, self.robot.max_joint_velocity)
 
+    def silent(self, seconds: float) -> str:
+        """Return which source sent nothing valid for some seconds; empty if all did."""
+        base, joints = self._inbox.missing(seconds)
+        if base:
+            return f"no pose of the base came from {self.link.base_source}"
+        if len(joints) == len(self.robot.arm):
+            return f"no valid joint positions came from {self.link.joint_source}"
+        present = ", ".join(sorted(self._inbox.positions().keys() - set(joints)))
+        missing, source = ", ".join(joints), self.link.joint_source
+        return missing and f"no position of {missing} came from {source}, only of {present},"
+
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Close or open the gripper."""
         if env_ids.size:
@@ -187,15 +199,9 @@ class LinkBackend(RealTimeBackend):
         self.link.move(dict(zip(self._names.values(), target.tolist(), strict=True)), seconds)
 
     def _missing(self) -> str:
-        base, joints = self._inbox.missing()
         within = f"within {self._timeout:g} s; {_CHECK}"
-        if base:
-            return f"no pose of the base came from {self.link.base_source} {within}"
-        if len(joints) == len(self.robot.arm):
-            return f"no joint positions came from {self.link.joint_source} {within}"
-        if joints:
-            present, missing = ", ".join(sorted(self._inbox.positions())), ", ".join(joints)
-            return f"{self.link.joint_source} has no position of {missing}; it has {present}"
+        if reason := self.silent(math.inf):
+            return f"{reason} {within}"
         command = self.link.waits_for()
         return "" if command is None else f"{command} has no subscriber {within}"
 

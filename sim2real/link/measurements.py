@@ -107,10 +107,16 @@ class Inbox:
             self._joints.clear()
             self._delays.clear()
 
-    def missing(self) -> tuple[bool, list[str]]:
-        """Return whether the base pose is missing, and the names of the missing arm joints."""
+    def missing(self, seconds: float = math.inf) -> tuple[bool, list[str]]:
+        """Return whether the base pose is missing, and the names of the missing arm joints.
+
+        Those that are older than some `seconds` are missing, too.
+        """
+        since = self._now() - seconds
         with self._lock:
-            return self._base is None, [name for name in self._names if name not in self._joints]
+            sent = {name: joint[2] for name, joint in self._joints.items()}
+            joints = [name for name in self._names if not sent.get(name, -math.inf) > since]
+            return self._base is None or self._base[1] < since, joints
 
     def positions(self) -> dict[str, float]:
         """Return the newest positions of all joints by name, of the arm and others."""
@@ -157,7 +163,7 @@ class Inbox:
         now = self._now()
         with self._lock:
             if not np.isfinite([reading.x, reading.y, reading.yaw, reading.age]).all():
-                self._fail("the measured base pose is not finite")
+                self._fail(reading.fault or "the measured base pose is not finite")
             elif (sent := self._sent("the base", reading.stamp, now)) is not None:
                 self._base = reading, min(sent, now - reading.age)
 

@@ -66,8 +66,7 @@ def path(message: Any) -> JointPath | None:
 def from_odometry(message: Any) -> BaseReading:
     """Return the measurement of a nav_msgs/Odometry."""
     pose, stamp = message.pose.pose, message.header.stamp.to_sec() or None
-    x, y, heading = planar(pose_of(pose.position, pose.orientation))
-    return BaseReading(x, y, heading, velocity(message.twist), stamp)
+    return _base_reading(pose_of(pose.position, pose.orientation), velocity(message.twist), stamp)
 
 
 def from_joint_state(message: Any) -> JointReading | None:
@@ -173,6 +172,15 @@ def planar(pose: Array) -> tuple[float, float, float]:
     return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
 
 
+def _base_reading(
+    pose: Array, velocity: Array | None, stamp: float | None, age: float = 0.0
+) -> BaseReading:
+    x, y, heading = planar(pose)
+    length = float(np.linalg.norm(pose[3:]))
+    fault = f"the quaternion of the measured base pose has length {length:.4g}, not 1"
+    return BaseReading(x, y, heading, velocity, stamp, age, fault if math.isnan(x) else "")
+
+
 class TfTree:
     """The newest transforms of TF: a replacement of tf2 for the pose of one frame in another."""
 
@@ -203,7 +211,7 @@ class TfTree:
         if measured is None:
             return None
         pose, oldest, stamp = measured
-        return BaseReading(*planar(pose), stamp=stamp or None, age=max(0.0, self._now() - oldest))
+        return _base_reading(pose, None, stamp or None, max(0.0, self._now() - oldest))
 
     def pose(self, frame: str) -> Array | None:
         """Return the world pose of a frame above the base, shape (7,); None if one is missing."""

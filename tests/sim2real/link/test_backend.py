@@ -181,6 +181,24 @@ def test_a_false_measurement_does_not_move_the_arm(time):
     assert len(link.moved) > 4  # the stop repeats
 
 
+@pytest.mark.parametrize(("base", "joints", "named"), [
+    (None, joints_at(PR2), "/odometer"),
+    (BaseReading(1.0, 2.0, 0.5), None, "joint positions came from /encoders"),
+    (BaseReading(1.0, 2.0, 0.5), JointReading(dict.fromkeys(ARM[:-1], 0.0)), f"of {ARM[-1]} came"),
+])  # fmt: skip
+def test_a_source_that_falls_silent_is_named(ends, time, base, joints, named):
+    backend, link = ends
+    time.passes(0.3)
+    if base is not None:
+        link.readings.base(base)
+    if joints is not None:
+        link.readings.joints(joints)
+    assert named in backend.silent(0.2)
+    assert not backend.silent(0.4)
+    with pytest.raises(Fault, match=f"{named}.* s old"):
+        Guarded(backend, PR2, clock=time.clock).read()
+
+
 def test_a_broken_link_or_useless_measurements_are_faults_that_send_nothing(ends):
     backend, link = ends
     link.check.side_effect = Fault("cable")

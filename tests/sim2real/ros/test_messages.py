@@ -211,6 +211,14 @@ def test_a_planar_pose_has_no_tilt_and_needs_a_unit_quaternion():
         assert np.isnan(ros_messages.planar(np.array([1.0, 2.0, 0.0, *quaternion]))).all()
 
 
+@pytest.mark.parametrize(("w", "length"), [(0.0, "length 0,"), (1.04, "length 1.04"), (1.0, "")])
+def test_an_odometry_without_unit_quaternion_has_its_length(messages, w, length):
+    odometry = messages.Odometry()
+    odometry.pose.pose.orientation.w = w
+    fault = ros_messages.from_odometry(odometry).fault
+    assert length in fault if length else not fault
+
+
 TOPICS = """
 base: {command: /cmd, odometry: /odom}
 joints:
