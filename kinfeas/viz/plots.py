@@ -94,9 +94,9 @@ def velocities_figure(fit: "ResponseFit") -> Figure:
                 axes.plot(
                     time, fit.predicted[column][:, row], color=FAILURE, lw=1.2, label="predicted"
                 )
-                axes.set_ylim(*_limits(_smooth(measured)))
                 if column == 0:
                     axes.set_ylabel(label)
+                    axes.set_ylim(*_limits(fit, row))
             grid[-1, column].set_xlabel("time (s)")
         grid[0, 0].legend(loc="upper right", ncols=3, fontsize=8.0)
     return figure
@@ -106,6 +106,9 @@ def _smooth(values: Array) -> Array:
     return np.convolve(values, np.ones(_SMOOTHED) / _SMOOTHED, mode="same")
 
 
-def _limits(values: Array) -> tuple[float, float]:
-    most = 1.2 * max(0.02, float(np.quantile(np.abs(values), 0.998)))
-    return -most, most
+def _limits(fit: "ResponseFit", row: int) -> tuple[float, float]:
+    """Return limits of an axis, which rare jumps of the localisation may exceed."""
+    most = [np.quantile(np.abs(_smooth(values[:, row])), 0.97) for values in fit.measured]
+    most += [np.abs(values[:, row]).max() for values in fit.predicted]
+    limit = 1.5 * max(0.02, *map(float, most))
+    return -limit, limit
