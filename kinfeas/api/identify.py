@@ -14,16 +14,15 @@ from kinfeas.control.assemble import with_adapters
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.response import ResponseModel
-from kinfeas.io.files import check_new, write_file
+from kinfeas.io.files import check_new, is_bag, write_file
 from kinfeas.io.run_log import Moment, read_record
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters.noise import Localisation
 from kinfeas.sim2real.deploy.config import DeployConfig
-from kinfeas.sim2real.identify.bags import is_bag, read_bag
+from kinfeas.sim2real.identify.bags import read_bag
 from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
 from kinfeas.sim2real.identify.fit import ResponseFit, adapter_list, fit
-from kinfeas.sim2real.identify.log import Log, log_of
+from kinfeas.sim2real.identify.log import log_of
 from kinfeas.sim2real.identify.noise import Walk
 from kinfeas.sim2real.identify.statistics import Estimate
 
@@ -112,9 +111,18 @@ def identify(
     if out is not None and Path(out).suffix not in (".yaml", ".yml"):
         raise KinfeasError(f"{out}: must end in .yaml")
     check_new(out)
-    name = str(robot) if robot is not None else _robot_of(paths[0])
-    model, walk = load_robot(name), _walk(prior)
-    logs = [_read_log(path, model) for path in paths]
+    walk = _walk(prior)
+    runs = [None if is_bag(path) else read_record(path) for path in paths]
+    if robot is None:
+        if runs[0] is None:
+            raise KinfeasError(f"{paths[0]}: a bag needs the name of its robot")
+        robot = runs[0].about.robot
+    name = str(robot)
+    model = load_robot(name)
+    logs = [
+        read_bag(path, model) if run is None else log_of(run, model, str(path))
+        for path, run in zip(paths, runs, strict=True)
+    ]
     periods = sorted({log.dt for log in logs})
     if len(periods) > 1:
         raise KinfeasError(f"records with different control periods: {periods} s")
@@ -131,18 +139,6 @@ def identify(
 
         write_file(Path(picture), png(velocities_figure(fitted)))
     return result
-
-
-def _robot_of(path: Path) -> str:
-    if is_bag(path):
-        raise KinfeasError(f"{path}: a bag needs the name of its robot")
-    return read_record(path).about.robot
-
-
-def _read_log(path: Path, robot: Robot) -> Log:
-    if is_bag(path):
-        return read_bag(path, robot)
-    return log_of(read_record(path), robot, str(path))
 
 
 def _walk(prior: Name) -> Walk:

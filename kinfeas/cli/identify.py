@@ -10,7 +10,7 @@ from kinfeas.cli.deploy import report
 from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_paths, print_table, run_status, status, write_json
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import check_new
+from kinfeas.io.files import check_new, is_bag
 
 if TYPE_CHECKING:
     from kinfeas.api.identify import Identified
@@ -44,14 +44,18 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas identify runs/deploy/FILE.csv --out my_robot.yaml --picture fit.png
     """
+    check_new(out)
+    paths = list(records or ())
+    if drive and paths:
+        raise KinfeasError("--drive records by itself and excludes records")
+    if not drive and (backend or record or adapters or overrides):
+        raise KinfeasError("--backend, --record, --adapters and --set need --drive")
+    if paths and robot is None and is_bag(paths[0]):
+        raise KinfeasError(f"{paths[0]}: a bag needs the name of its robot: --robot")
     from kinfeas.api import DEFAULT_ROBOT
     from kinfeas.api import identify as api
 
-    check_new(out)
-    paths = list(records or ())
     if drive:
-        if paths:
-            raise KinfeasError("--drive records by itself and excludes records")
         with run_status(goal=False) as on_moment:
             done = api.drive(
                 robot or DEFAULT_ROBOT, backend=backend, record=record, adapters=adapters,
@@ -61,8 +65,6 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
         if code := report(done, None):
             raise typer.Exit(code)
         paths = [done.record]
-    elif backend or record or adapters or overrides:
-        raise KinfeasError("--backend, --record, --adapters and --set need --drive")
     with status("fitting"):
         identified = api.identify(paths, robot, out=out, picture=picture, prior=prior)
     _print(identified)

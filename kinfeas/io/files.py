@@ -30,6 +30,11 @@ def is_path(name: object) -> bool:
     return isinstance(name, Path)
 
 
+def is_bag(path: Path) -> bool:
+    """Return whether a path is a bag: a folder of ROS 2, or a file by its suffix."""
+    return path.suffix in (".bag", ".db3", ".mcap") or path.is_dir()
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Convert errors of reading into a `KinfeasError` that names `path`, no device or pipe."""

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -27,6 +28,7 @@ TASK_DONE = {True: ", task done", False: ", task not done", None: ""}
 
 _FORMAT = "kinfeas record 1"
 _ARRAYS = "base_pose", "joint_positions", "desired", "goal", "base_twist", "joint_targets"
+_log = logging.getLogger(__name__)
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
@@ -168,6 +170,8 @@ def read_record(path: Path) -> Record:
             numbers[i] = [float(entry or "nan") for entry in row[:-1]]
         except ValueError as error:
             raise KinfeasError(f"{path}, line {i + 3}: {error}") from error
+    if not text.endswith("\n"):
+        _log.warning("%s: its last line is cut, and left out", path)
     j = len(about.joints)
     time, age, *blocks, feasible, subgoal = np.split(
         numbers, np.cumsum([1, 1, 7, j, 7, 7, 6, j, 1]), axis=1

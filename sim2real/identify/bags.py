@@ -12,20 +12,14 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 from kinfeas.core.spatial import Array, interpolated_columns
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.identify.log import Log, Series, make_log
+from kinfeas.sim2real.identify.log import Log, Series, check_clock, make_log
 from kinfeas.sim2real.link import BaseReading, JointPath
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros.topics import Topics, read_topics
 
-_SUFFIXES = (".bag", ".db3", ".mcap")
 _HELD = 0.5  # s for which a velocity command holds at most: drivers stop without newer ones
 _CLOCKS = 1.0  # s by which stamps may precede the time of recording, if both have one clock
 _PERIODS = (0.005, 0.1)  # s, shortest and longest control period
-
-
-def is_bag(path: Path) -> bool:
-    """Return whether a path is a bag: a folder of ROS 2, or a file by its suffix."""
-    return path.suffix in _SUFFIXES or path.is_dir()
 
 
 def read_bag(path: Path, robot: Robot) -> Log:
@@ -36,7 +30,7 @@ def read_bag(path: Path, robot: Robot) -> Log:
 
     Raises:
         KinfeasError: If rosbags is not installed, or the bag is broken, lacks a topic, or has
-            messages out of order or numbers that are not finite.
+            messages out of order, a clock that was set, or numbers that are not finite.
     """
     require("rosbags")
     from rosbags import rosbag1, rosbag2
@@ -150,15 +144,33 @@ class _Bag:
 
     def _log(self) -> Log:
         (base, ages), (joints, _) = _measured(self._base), _measured(self._joints)
+        for times, _ in (base, joints):
+            check_clock(times - times[0], str(self._path))
         base = base[0], np.stack([*base[1].T[:2], np.unwrap(base[1][:, 2])], axis=1)
         commands = np.array(self._twists.recorded)
         dt = float(np.clip(np.median(np.diff(commands)), *_PERIODS))
-        return make_log(
+        log = make_log(
             str(self._path), self._robot, dt, self._commands(base),
             self._aimed(float(commands[0]), joints[1][0]), base, joints, ages,
             end=min(float(commands[-1]) + _HELD, float(base[0][-1]), float(joints[0][-1])),
             arm_seconds=self._arm_seconds(),
         )  # fmt: skip
+        for values in (log.base, log.joints):
+            self._check_order(values)
+        return log
+
+    def _check_order(self, values: Array) -> None:
+        """Raise KinfeasError if two motions alternate in values, shape (k, w).
+
+        Readers sort messages by their time. After a clock that was set back, those before and after
+        it come by turns: neighbours are farther apart than every other one.
+        """
+        next_one, next_but_one = (float(np.sum((values[n:] - values[:-n]) ** 2)) for n in (1, 2))
+        if next_one > 2.0 * next_but_one:
+            raise KinfeasError(
+                f"{self._path}: measurements of two motions alternate: its clock was set back, or "
+                "two nodes publish them"
+            )
 
     def _arm_seconds(self) -> float:
         """Return the usual duration of trajectories of one point; 0 without any."""

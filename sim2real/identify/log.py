@@ -12,6 +12,7 @@ from kinfeas.io.run_log import Record
 from kinfeas.robots.robot import Robot
 
 _SHORTEST = 5.0  # s of a record that is worth a fit
+_GAP = 10.0  # s without measurements, after which a clock was set
 _ON_TIME = 0.95  # fraction of the control periods of a record below which estimates are doubtful
 _log = logging.getLogger(__name__)
 
@@ -44,6 +45,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
         raise KinfeasError(
             f"{source}: its joints are {', '.join(record.about.joints)}, not those of {robot.name}"
         )
+    check_clock(record.time, source)
     kept = record.later
     time = record.time[kept]
     poses, joints = record.base_pose[kept], record.joint_positions[kept]
@@ -67,6 +69,16 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
         (measured, base), (measured, joints), ages[1:][known[1:]], end=float(time[-1]),
         arm_seconds=record.about.arm_seconds,
     )  # fmt: skip
+
+
+def check_clock(times: Array, source: str) -> None:
+    """Raise KinfeasError if times, shape (k,), go back or leave out more than a few seconds."""
+    steps = np.diff(times)
+    for row in np.flatnonzero(~((steps >= 0.0) & (steps <= _GAP)))[:1]:
+        raise KinfeasError(
+            f"{source}: its clock goes from {times[row]:.2f} s to {times[row + 1]:.2f} s; it must "
+            f"ascend by at most {_GAP:g} s: cut the record there"
+        )
 
 
 Series = tuple[Array, Array]

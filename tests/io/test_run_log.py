@@ -67,15 +67,18 @@ def test_each_line_is_in_the_file_at_once(path):
             assert len(read_record(path).time) == count
 
 
-def test_a_truncated_file_is_readable(path):
+def test_a_truncated_file_is_readable(path, caplog):
     write(path, [moment(0), moment(1)])
     whole = path.read_bytes()
     second = whole.rindex(b"\n", 0, -1) + 1
     for end in range(second, len(whole), 7):
         path.write_bytes(whole[:end])
         assert len(read_record(path).time) == 1
+    assert "last line" in caplog.text
+    caplog.clear()
     path.write_bytes(whole)
     assert len(read_record(path).time) == 2
+    assert not caplog.records
 
 
 BROKEN = {

@@ -64,6 +64,12 @@ class Bag:
         return path
 
 
+def repeat(bag, times):
+    """Send measurements of other poses at times."""
+    for bag.time in times:
+        bag.report(bag.time, x=0.5, joints=0.5)
+
+
 @pytest.fixture(scope="session", params=["odometry", "tf"])
 def robot(request, hsr, tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
@@ -103,6 +109,8 @@ def test_commands_and_measurements_are_read_with_their_times(bag, path, robot):
     (lambda bag: bag.report(8.0, x=np.nan), "not finite"),
     (lambda bag: bag.report(8.0, joints=np.inf), "not finite"),
     (lambda bag: bag.report(2.0), "out of order"),
+    (lambda bag: repeat(bag, [28.0]), "clock goes from 7.98 s to 28"),
+    (lambda bag: repeat(bag, np.arange(2.0, 4.0, DT) + 0.3 * DT), "set back"),
     (lambda bag: bag.messages.__delitem__(slice(100, None)), "shorter"),
     (lambda bag: bag.messages.__setitem__(
         slice(None), [each for each in bag.messages if "Joint" not in each[1]]), "has no"),

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, bas
 from kinfeas.sim2real.identify.log import Log, log_of
 from kinfeas.sim2real.identify.model import Delays, Track
 from kinfeas.sim2real.identify.noise import Walk, base_noise, joint_noise
+from kinfeas.viz.plots import velocities_figure
 from tests.builders import at, twist
 
 TRUTH = {
@@ -177,6 +179,16 @@ def test_record_is_of_what_adapters_were_given(record, hsr):
     assert np.unique(np.round(np.abs(log.twists[220:300, 2]), 6)).tolist() == [0.6]
 
 
+def test_jumps_of_the_localisation_do_not_set_the_scale_of_the_picture():
+    moved = np.full((1000, 3), 0.2)
+    measured = moved.copy()
+    measured[::250] += 5.0
+    figure = velocities_figure(
+        Mock(times=[np.arange(1000)], measured=[measured], predicted=[moved])
+    )
+    assert [axes.get_ylim()[1] for axes in figure.axes] == pytest.approx([0.3] * 3)
+
+
 def test_late_control_periods_are_reported(record, hsr, caplog):
     run = read_record(record)
     log_of(run, hsr, "on time")
@@ -191,6 +203,8 @@ def test_late_control_periods_are_reported(record, hsr, caplog):
     (lambda r: replace(r, about=replace(r.about, joints=("a",) * 5)), "its joints"),
     (lambda r: replace(r, base_pose=r.base_pose * np.nan), "not finite"),
     (lambda r: replace(r, time=r.time * 0.01), "shorter"),
+    *((lambda r, jump=jump: replace(r, time=r.time + jump * (r.time > 20.0)), "clock.* 20.0")
+      for jump in (-10.0, 1e4)),
 ])  # fmt: skip
 def test_records_that_show_nothing_raise(record, hsr, monkeypatch, change, named):
     changed = change(read_record(record))
