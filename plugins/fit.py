@@ -41,7 +41,7 @@ _SAMPLES = 200  # of each demonstration
 _DIGITS = 8  # significant ones in a model
 _CLOCK = 30.0  # seconds that a `gaussian_mixture` takes, as the authors' models do
 _METRES_PER_RADIAN = 0.2  # so that the index of `imitation` also advances in a rotation on the spot
-_STILL = 1e-3  # metres, below which a demonstration has no motion to learn
+_STILL = 1e-3  # metres from its start, below which a demonstration has no motion to learn
 _MAX_ROTATION = 3.0  # radians from the mean orientation; at pi the rotation vector jumps
 _FARTHEST = 30.0  # metres from the object
 _STRONG = 0.7  # silhouette from which demonstrations follow two paths
@@ -152,8 +152,9 @@ def _sampled(demonstration: Demonstration, kind: Kind, name: str) -> _Path:
     ee_pose = spatial.relative(demonstration.ee_pose, frame)
     metres, radians = spatial.distance(ee_pose[:-1], ee_pose[1:])
     steps = metres + _METRES_PER_RADIAN * radians
-    if steps.sum() < _STILL:
-        raise KinfeasError(f"{name}: the EE does not move")
+    moved, turned = (float(far.max()) for far in spatial.distance(ee_pose, ee_pose[:1]))
+    if moved + _METRES_PER_RADIAN * turned < _STILL:
+        raise KinfeasError(f"{name}: the EE hardly moves: by {moved:.1g} m and {turned:.1g} rad")
     if kind == "gaussian_mixture":
         steps = np.diff(demonstration.time)
     # The two sums round differently: the index may end a little past 1, or before it.

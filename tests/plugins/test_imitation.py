@@ -233,5 +233,8 @@ def test_other_wrong_input_raises():
     still = np.tile(IDENTITY, (100, 1))
     with pytest.raises(KinfeasError, match="3 rad"):
         fit([Demonstration(np.linspace(0.0, 5.0, 100), ee, still, still)])
+    tremor = still + 1e-5 * (np.arange(100)[:, np.newaxis] % 3) * (np.arange(7) < 3)
+    with pytest.raises(KinfeasError, match=r"3e-05 m and 0 rad"):
+        fit([Demonstration(np.linspace(0.0, 5.0, 100), tremor, still, still)])
     with pytest.raises(KinfeasError, match="demonstration"):
         fit([])
