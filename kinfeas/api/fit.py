@@ -1,6 +1,7 @@
 """EE motions learned from recorded demonstrations."""
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from kinfeas.api import Name
@@ -14,7 +15,12 @@ from kinfeas.plugins.imitation import Kind
 
 
 def fit(
-    demonstrations: Name, out: Name, *, kind: Kind = "imitation", components: int = 8, seed: int = 0
+    demonstrations: Name | Sequence[Name],
+    out: Name,
+    *,
+    kind: Kind = "imitation",
+    components: int = 8,
+    seed: int = 0,
 ) -> MotionFit:
     """Learn an EE motion from demonstrations, write its model, and return it.
 
@@ -28,15 +34,14 @@ def fit(
     require("sklearn")
     kind = checked(Kind, kind, "kind")
     components, seed = checked(Count, components, "components"), checked(Seed, seed, "seed")
-    # The model is for other machines, too: only the name of the folder.
-    source = Path(text_of(demonstrations, "demonstrations"))
+    if isinstance(demonstrations, str) or not isinstance(demonstrations, Sequence):
+        demonstrations = [demonstrations]
+    sources = [Path(text_of(source, "demonstrations")) for source in demonstrations]
     out = Path(text_of(out, "out"))
-    folder = shlex.quote(source.resolve().name)
-    command = (
-        f"kinfeas fit --demonstrations {folder} --kind {kind} "
-        f"--components {components} --seed {seed}"
-    )
-    files = demonstration_files(source)
+    # The model is for other machines, too: only the names of files and folders.
+    names = shlex.join(source.resolve().name for source in sources)
+    command = f"kinfeas fit {names} --kind {kind} --components {components} --seed {seed}"
+    files = [file for source in sources for file in demonstration_files(source)]
     motions = [read_demonstration(file) for file in files]
     fitted = learn(motions, kind, components, seed, command, [str(file) for file in files])
     write_model(fitted.model, out)

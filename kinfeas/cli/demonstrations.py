@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def fit(
-    demonstrations: Path = option(..., "Folder of *.csv files, or one of them."),
+    demonstrations: list[Path] = argument(..., "Folders of *.csv files, or such files."),
     out: Path = options.file_option(..., "Model to write.", ".yaml", ".yml"),
     kind: Literal["imitation", "gaussian_mixture"] = option("imitation", "Generator of the model."),
     components: int = option(8, "Number of Gaussians.", min=1, max=50),
@@ -31,7 +31,7 @@ def fit(
     Use the model in a task or a test as the parameter model: path/of/model.yaml of the motion
     generator --kind.
 
-    Example: kinfeas fit --demonstrations demonstrations/door/open --out my_door.yaml
+    Example: kinfeas fit demonstrations/door/open --out my_door.yaml
     """
     from kinfeas.api import fit as api
 

@@ -93,7 +93,7 @@ INPUT = {
         ("check pr2", "'pr2' is a robot"), ("check ggr", "'ggr' is a task"),
     ],
     "fit --out door.yaml": [
-        ("--demonstrations .", "demonstrations"), ("--demonstrations shown", "shown/0-still.csv"),
+        (".", "demonstrations"), ("shown", "shown/0-still.csv"),
     ],
     "robot import scout.urdf --out new": [
         ("--ee plam_link", "'palm_link'"), ("--name a/b", "--name"),

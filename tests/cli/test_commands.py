@@ -35,7 +35,7 @@ def test_export_and_check_show_the_same_metadata(kinfeas, tmp_path):
 )
 def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, components):
     write_demonstrations(tmp_path / "shown", 4)
-    words = ("--demonstrations", "shown", "--out", "door.yaml", "--json", "out.json")
+    words = ("shown", "--out", "door.yaml", "--json", "out.json")
     words += ("--kind", kind, "--components", str(components))
     figures = kinfeas("fit", *words, code=0).facts
     generator(model="./door.yaml")
@@ -43,7 +43,7 @@ def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, compone
     assert figures["components"] == components
     assert max(figures["position_residual_m"]) < 0.04
     text = (tmp_path / "door.yaml").read_text()
-    assert "kinfeas fit --demonstrations shown" in text
+    assert "kinfeas fit shown" in text
     assert str(tmp_path) not in text
 
 
@@ -63,8 +63,8 @@ def test_a_fit_to_odd_demonstrations_gives_a_warning(kinfeas, tmp_path, count, c
     np.savetxt(first, table, delimiter=",", header=header, comments="")
     for other in others if change == "copy" else ():
         shutil.copy(first, other)
-    source = "shown" if others else str(first)  # a folder, or its only file
-    done = kinfeas("fit", "--demonstrations", source, "--out", "door.yaml", code=0)
+    sources = [str(first), *map(str, others)] if change == "copy" else ["shown"]
+    done = kinfeas("fit", *sources, "--out", "door.yaml", code=0)
     assert done.err.count("warning") == bool(warned)
     assert re.search(warned, done.err)
 
