@@ -52,6 +52,7 @@ class PolicyFile:
     metadata: PolicyMetadata = field(repr=False)  # description of the policy
     # largest deviation of its actions from the trained policy's; None if not measured
     parity: float | None = None
+    robot: str | None = None  # robot that it was compared with, by name or path
 
     def facts(self) -> dict[str, object]:
         """Return the description as plain data."""
@@ -83,17 +84,26 @@ def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
 
 
 def check_export(path: Name, *, robot: Name | None = None) -> PolicyFile:
-    """Return the description of a valid ONNX file, compared with the kinematics of a robot.
+    """Return the description of a valid ONNX file, compared with a robot.
+
+    By default that is the installed robot of the name in the file, if there is one.
 
     Raises:
         KinfeasError: If the file is no valid policy, or for another robot.
     """
-    model = None if robot is None else load_robot(robot)
-    return _file(Path(path), read_policy_file(Path(path), model))
+    policy = read_policy_file(path, None)
+    if robot is None and policy.metadata.robot.name in registry.names("kinfeas.robots"):
+        robot = policy.metadata.robot.name
+    if robot is not None:
+        policy = read_policy_file(path, load_robot(robot))
+    return _file(Path(path), policy, robot=robot)
 
 
-def _file(path: Path, policy: OnnxPolicy, parity: float | None = None) -> PolicyFile:
-    return PolicyFile(path, path.stat().st_size, policy.metadata, parity)
+def _file(
+    path: Path, policy: OnnxPolicy, parity: float | None = None, robot: Name | None = None
+) -> PolicyFile:
+    compared = None if robot is None else str(robot)
+    return PolicyFile(path, path.stat().st_size, policy.metadata, parity, compared)
 
 
 def robot_of(policy: Name | None) -> str:

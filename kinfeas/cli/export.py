@@ -29,8 +29,8 @@ def export(
 
     if check is not None and policy is None and out is None:
         file = api.check_export(check, robot=robot)
-        compared = f"equal to {robot}" if robot else "not compared: no --robot"
-        title = f"valid policy file: {check}, kinematics {compared}"
+        compared = f"fits {file.robot}" if file.robot else "not compared with a robot: no --robot"
+        title = f"valid policy file: {check}, {compared}"
     elif policy is not None and out is not None and check is None:
         with status("exporting"):
             file = api.export(policy, out, robot=robot)

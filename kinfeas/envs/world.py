@@ -10,7 +10,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec, from_mapping
-from kinfeas.config.quantities import PositiveSeconds
+from kinfeas.config.quantities import ControlPeriod, PositiveSeconds
 from kinfeas.config.recipes import section
 from kinfeas.control.assemble import assemble
 from kinfeas.control.execution import ExecutionConfig
@@ -37,7 +37,7 @@ from kinfeas.tasks.task import (
 class WorldConfig(ExecutionConfig):
     """Settings of a world beside robot and task; see `ExecutionConfig` for those of motions."""
 
-    dt: Annotated[float, Interval(ge=0.001, le=1.0)] = 0.1  # control period, seconds
+    dt: ControlPeriod = 0.1  # control period, seconds
     # steps without an IK solution in one episode beyond which it ends
     max_failures: Annotated[int, Interval(ge=0)] = 19
     # motion time of one sub-goal, its dwell included, after which an episode is truncated

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas import config
+from kinfeas.config.quantities import ControlPeriod
 from kinfeas.control.observation import CLIP, HORIZON
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Observation, TermInfo
@@ -54,7 +55,7 @@ class RobotInfo:
 class Control:
     """Control period of the training (None if unknown), and `observation.HORIZON`, seconds."""
 
-    period: float | None
+    period: ControlPeriod | None
     horizon: float
 
 

@@ -9,6 +9,7 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
+from kinfeas.api.load import check_export
 from kinfeas.control.observation import (
     HORIZON,
     OBSERVATION,
@@ -147,6 +148,7 @@ SIGNED = {
     "deep metadata": (lambda m: setattr(m.metadata_props[3], "value", "[" * 100_000), "JSON"),
     "no golden pairs": (edit_entry("golden", lambda g: {key: [] for key in g}), "golden"),
     "no layers": (without_layers, "graph"),
+    "other period": (edit_entry("control", lambda c: {**c, "period": 1e-9}), "period"),
     "other horizon": (edit_entry("control", lambda c: {**c, "horizon": 0.2}), "observation or"),
 }
 
@@ -164,6 +166,8 @@ def test_changes_with_a_matching_digest(path, hsr, case):
     edit, word = SIGNED[case]
     change(path, edit)
     rejected(path, hsr, word)
+    with pytest.raises(KinfeasError, match=word):
+        check_export(path)
 
 
 ROOT = Path(__file__).parents[2]
