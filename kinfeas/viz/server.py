@@ -4,6 +4,7 @@ viser accepts websockets from every web site, sets any attribute of a control to
 publish the page through a tunnel, and searches for another port.
 """
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from html import escape
@@ -20,6 +21,17 @@ from kinfeas.config.quantities import FARTHEST
 from kinfeas.viz.access import Access
 
 _TITLE = "<title>Viser</title>"
+_log = logging.getLogger(__name__)
+
+
+def _on_one_line(record: logging.LogRecord) -> bool:
+    """Put the exception of a connection, which then closes, in place of its traceback."""
+    if record.exc_info:
+        record.msg, record.exc_info = f"{record.msg}: {record.exc_info[1]!r:.200}", None
+    return True
+
+
+_log.addFilter(_on_one_line)
 
 
 class PageServer(viser.ViserServer):
@@ -44,7 +56,8 @@ class PageServer(viser.ViserServer):
                 return self._respond(process_request, connection, request)
 
             listener = self._access.listener
-            return serve(handler, sock=listener, process_request=respond, **options)
+            options |= {"sock": listener, "process_request": respond, "logger": _log}
+            return serve(handler, **options)
 
         # The constructor starts the server, and has no arguments for these two.
         with patch.object(websockets.asyncio.server, "serve", serve_guarded):

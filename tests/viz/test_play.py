@@ -18,7 +18,7 @@ pytest.importorskip("viser")
 
 import msgspec
 import zstandard
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from kinfeas.viz.play import PlayPage
@@ -272,3 +272,13 @@ def test_the_error_of_a_choice_goes_with_it(server, join, make_page, tmp_path, m
     run_until(page, lambda: page._message.content == "**no such policy**")
     client.update("policy", value=page.choice.policy)
     run_until(page, lambda: page._message.content == "")
+
+
+def test_garbage_closes_its_connection_and_is_one_line(server, join, caplog):
+    client = join(server.url)
+    client._socket.send(b"garbage")
+    with pytest.raises(ConnectionClosed):
+        client.read(lambda: False)
+    (record,) = caplog.records
+    assert record.exc_info is None
+    assert "\n" not in record.getMessage()
