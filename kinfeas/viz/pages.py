@@ -24,7 +24,7 @@ from kinfeas.viz.shapes import (
 )
 from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, failures_text
 
-_FLOOR, _LINES = (245, 246, 248), (205, 210, 217)  # colours
+_SKY, _FLOOR, _LINES = (232, 236, 241), (214, 218, 224), (188, 194, 202)  # colours
 _VIEW = np.array([0.82, -1.18, 0.85])  # to the camera, by the radius of the content
 _STILL = 1e-4  # m, and of a quaternion
 
@@ -32,7 +32,8 @@ _STILL = 1e-4  # m, and of a quaternion
 def draw_floor(
     server: Any, size: Sequence[float], cell: float, position: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> Any:
-    """Draw a floor of a size (2,) with a grid; return its handle."""
+    """Draw a sky and a floor of a size (2,) with a grid; return the handle of the floor."""
+    server.scene.set_background_image(np.full((1, 1, 3), _SKY, dtype=np.uint8), "png")
     return server.scene.add_grid(
         "/floor", size[0], size[1], cell_size=cell, cell_color=_LINES, section_color=_LINES,
         plane_color=_FLOOR, plane_opacity=1, position=position,

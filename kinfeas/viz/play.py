@@ -263,6 +263,7 @@ class PlayPage:
     def _arrange(self) -> None:
         for drawn in self._shown[1:]:
             drawn.root.position = _BESIDE * self._beside.value
+        self._beside.visible = len(self._shown) > 1
 
     def _draw_scene(self, name: str) -> list[Any]:
         scene = None if name == NONE else read_scene(name)
@@ -279,20 +280,26 @@ class PlayPage:
         deviations = zip(policies, (EE, GOAL), self._shown, strict=False)
         joints = [(joint.name, ARM) for joint in self._robot.arm]
         self._plots = [
-            self._add_plot("Deviation, mm", [(name, colour) for name, colour, _ in deviations]),
-            self._add_plot("Joint speeds, % of limits", joints),
+            self._add_plot(
+                "Deviation, mm", 1.0, [(name, colour) for name, colour, _ in deviations]
+            ),
+            self._add_plot("Joint speeds, % of limits", 10.0, joints),
         ]
         self._draw_plots()
 
-    def _add_plot(self, title: str, lines: list[tuple[str, str]]) -> Any:
+    def _add_plot(self, title: str, top: float, lines: list[tuple[str, str]]) -> Any:
+        """Add a plot from zero to `top` at least; uPlot labels ticks of tiny numbers with 0."""
         hue = len(lines) if len(lines) > 2 else 0
         series = [
             {"label": name, "stroke": f"hsl({360 * n // hue}, 60%, 45%)" if hue else colour}
             for n, (name, colour) in enumerate(lines)
         ]
+        zero: dict[str, float] = {"soft": 0.0, "mode": 1, "pad": 0.1}
+        limits = {"range": {"min": zero, "max": zero | {"soft": top}}}
         return self.server.gui.add_uplot(
             (np.zeros(1), *np.zeros((len(lines), 1))), ({}, *series), title=title, aspect=2.0,
-            scales={"x": {"time": False}}, legend={"show": not hue}, padding=(12, 8, 0, 0),
+            scales={"x": {"time": False}, "y": limits}, legend={"show": not hue},
+            padding=(12, 8, 0, 0),
         )  # fmt: skip
 
     def _draw_plots(self) -> None:

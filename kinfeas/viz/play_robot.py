@@ -71,7 +71,10 @@ class ShownRobot:
             f"{name}/footprint", np.stack([outline, np.roll(outline, -1, axis=0)], axis=1),
             rgb(colours[1] if second else BASE), thickness=3.0, thickness_units="screen",
         )  # fmt: skip
-        server.scene.add_label(f"{name}/footprint/label", self._name)
+        front = outline.min(axis=0) * [0.0, 1.0, 0.0]  # beside the base, which it would cover
+        server.scene.add_label(
+            f"{name}/footprint/label", self._name, position=front, anchor="top-center"
+        )
         self.times: deque[float] = deque(maxlen=_TRAIL)
         self.deviations: deque[float] = deque(maxlen=_TRAIL)
         self.speeds: deque[Array] = deque(maxlen=_TRAIL)

@@ -160,7 +160,7 @@ def test_web_sites_get_neither_page_nor_websocket(server, join, path, headers):
 
 
 def test_the_page_is_shown_with_its_title_but_in_no_frame(server, join, make_page):
-    make_page()
+    assert not make_page()._beside.visible  # there is one robot
     for url in (server.url, f"http://localhost:{server.get_port()}"):
         join(url)
         assert "<title>kinfeas: pr2</title>" in get(url)
@@ -220,6 +220,7 @@ def test_a_port_in_use_is_an_error(server):
 
 def test_robots_of_two_policies_follow_the_handle_and_the_motion_is_saved(make_page, tmp_path):
     page = make_page(second_policy="follow_ee")
+    assert page._beside.visible
     page.record()
     page.handle.position = page.handle.position + np.array([0.5, 0.3, 0.1])
     for _ in range(150):
