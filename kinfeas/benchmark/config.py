@@ -10,9 +10,10 @@ from kinfeas import config
 from kinfeas.config import PluginSpec, Settings, nested
 from kinfeas.config.quantities import Count, Episodes, Positive, Seed
 from kinfeas.config.recipes import find_recipe
+from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.evaluation.evaluate import read_settings
-from kinfeas.policies.loading import BASELINES
+from kinfeas.policies.loading import GROUP
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 from kinfeas.tasks.task import StreamTask, build_subgoals
@@ -71,7 +72,8 @@ class BenchmarkConfig:
     note: str = ""  # a sentence above the tables
     robots: tuple[str, ...] = ("pr2", "tiago", "hsr")  # names or folders
     tasks: tuple[str, ...] = ("ggr", "ggr_restricted")  # names or YAML files
-    baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)  # tasks of each baseline
+    # tasks of each baseline, a policy by name or `module:Class`
+    baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)
     rows: tuple[Row, ...] = ()  # further rows of the learned policies
     # whether to `train` the learned policies, to take the shipped ones (`pretrained`), or to train
     # only robots without a shipped one (`either`)
@@ -89,9 +91,10 @@ class BenchmarkConfig:
 
     def __post_init__(self) -> None:
         """Check the names of the baselines and that no row of a table is there twice."""
+        policies = registry.names(GROUP)
         for name in self.baselines:
-            if name not in BASELINES:
-                raise ValueError(f"'baselines': unknown {name!r}{no_such(name, BASELINES)}")
+            if name not in policies and ":" not in name:
+                raise ValueError(f"'baselines': unknown {name!r}{no_such(name, policies)}")
         cells = [(r, t) for r in self.robots for t in self.tasks]
         entries: dict[str, Sequence[object]] = {
             "robots": self.robots,

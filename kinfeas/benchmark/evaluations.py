@@ -18,12 +18,14 @@ from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import is_path, reading
 from kinfeas.io.policy_metadata import WEIGHTS, policy_folder
 from kinfeas.jobs.job import Job, Result
-from kinfeas.policies.loading import BASELINES, PRETRAINED, load_policy, trained_folder
+from kinfeas.policies.loading import PRETRAINED, load_policy, trained_folder
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 
 RunJobs = Callable[[Sequence[Job], str], list[Result]]
 """Returns the results of jobs of a kind, such as `trainings`."""
+
+LEARNED_POLICIES = ("sac", PRETRAINED)
 
 CEILING = "ceiling"
 """Policy of an evaluation that measures the reachability of a task's goals."""
@@ -105,14 +107,17 @@ def run_benchmark(
         world = ",".join(worlds)
         raise KinfeasError(f"{name}: its 'backend', {backend}, does not fit --world {world}")
     trainings = [] if runs else plan_runs(benchmark, out)
+    if "seeds" in settings and not trainings:
+        raise KinfeasError("'seeds' is for trainings, and this benchmark has none")
     if not all(job.path.exists() for job in trainings):
         require("torch", "stable_baselines3")
     planned = plan_evaluations(benchmark, runs)
+    _check_table(out / "table.json", planned)
     missing = [case for case in planned if not case.job(out / "results").path.exists()]
     # A missing extra is an error before hours of work.
-    for source, robot in dict.fromkeys((case.source, case.robot) for case in missing):
-        if source in BASELINES:
-            load_policy(source, load_robot(robot))
+    others = [case for case in missing if case.policy not in (*LEARNED_POLICIES, CEILING)]
+    for source, robot in dict.fromkeys((case.source, case.robot) for case in others):
+        load_policy(source, load_robot(robot))
     if trainings:
         run_jobs(trainings, "trainings")
         runs = [read_run(job.path.parent) for job in trainings]
@@ -121,6 +126,21 @@ def run_benchmark(
     unique = {(case.name, case.row, case.variant): case for cases in plans for case in cases}
     jobs = [case.job(out / "results") for case in unique.values()]
     return benchmark, runs, list(zip(unique.values(), run_jobs(jobs, "evaluations"), strict=True))
+
+
+def _check_table(path: Path, planned: Sequence[Evaluation]) -> None:
+    """Raise KinfeasError if a table has robots or tasks without an evaluation."""
+    if not path.exists():
+        return
+    with reading(path):
+        content = path.read_bytes()
+    try:
+        before = {(cell["robot"], cell["task"]) for cell in json.loads(content)}
+    except (ValueError, TypeError, KeyError) as error:
+        raise KinfeasError(f"{path}: no table of a benchmark; use another --out") from error
+    if others := before - {(case.robot_name, case.task_name) for case in planned}:
+        names = ", ".join(f"{robot} on {task}" for robot, task in sorted(others))
+        raise KinfeasError(f"{path}: a table that also has {names}; use another --out")
 
 
 def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[TrainedRun]) -> list[Evaluation]:
@@ -170,7 +190,8 @@ def _of_task(
     """Return a ceiling and what is beside it: learned policies, rows and baselines."""
     base = replace(case, settings=benchmark.settings)
     own = [run for run in runs if run.robot == case.robot_name]
-    learned = [replace(base, policy="sac", source=str(run.folder), training_seed=run.seed)
+    learned = [replace(base, policy="sac", source=str(run.folder), training_seed=run.seed,
+                       row=run.label)
                for run in own]  # fmt: skip
     if not own and takes_pretrained(benchmark, case.robot):
         learned = [replace(base, policy=PRETRAINED, source=PRETRAINED)]
@@ -178,7 +199,10 @@ def _of_task(
     for row in benchmark.rows:
         if not case.variant and row.has(case.robot, case.task):
             settings = nested(benchmark.settings, row.settings, _filters(row.filters))
-            rows += [replace(learner, row=row.label, settings=settings) for learner in learned]
+            rows += [
+                replace(learner, row=f"{learner.row} {row.label}".strip(), settings=settings)
+                for learner in learned
+            ]
     baselines = [_unplanned(benchmark, replace(base, policy=name, source=name))
                  for name, tasks in benchmark.baselines.items() if case.task in tasks]  # fmt: skip
     policies = [*learned, *rows, *baselines]
@@ -216,7 +240,7 @@ def _filters(filters: tuple[PluginSpec, ...] | None) -> dict[str, object]:
 
 def _weights(case: Evaluation) -> str:
     """Return the digest of a learned policy, which may be trained anew in the same folder."""
-    if case.source == CEILING or case.source in BASELINES:
+    if case.policy not in LEARNED_POLICIES:
         return ""
     folder = trained_folder(case.source, load_robot(case.robot))
     path = policy_folder(folder) / WEIGHTS

@@ -14,7 +14,8 @@ _HOW = """\
 Each cell is the percentage of episodes that reach the goal **without an IK failure**. In \
 brackets: EE deviation below 5 cm throughout, and goal reached. `±` is the standard deviation over \
 training seeds. The *ceiling* is the percentage of goals that are reachable from at least one base \
-pose, with its 95 % interval. Rows in italics are the paper's figures, from its own program."""
+pose, with its 95 % interval. Rows in italics are the paper's figures, from its own program, \
+without our command filters."""
 
 _PHYSICS = """\
 *without physics*: the same policy in the same episodes of the analytic world. *head start*: the \
@@ -72,7 +73,7 @@ def success_tables(cells: Sequence[Cell]) -> list[str]:
     lines = []
     for robot, variant in groups(cells):
         own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
-        lines += [f"## {title(robot, variant)}", "", *_success_table(own), ""]
+        lines += [f"## {title(robot, variant)}", "", *_success_table(own), "", *_filters(own), ""]
     return lines
 
 
@@ -121,6 +122,14 @@ def _success_table(cells: Sequence[Cell]) -> list[str]:
     ceilings = {cell.task: cell for cell in cells}
     rows.append(["**ceiling**", *_entries(ceilings, tasks, _ceiling)])
     return table(["", *tasks], rows)
+
+
+def _filters(cells: Sequence[Cell]) -> list[str]:
+    """Return a line for each set of command filters, with the rows that have it."""
+    rows: dict[str, dict[str, None]] = {}
+    for cell in cells:
+        rows.setdefault(", ".join(cell.filters) or "none", {})[label(cell)] = None
+    return [f"* Filters {names}: {'; '.join(labels)}" for names, labels in rows.items()]
 
 
 def _metric_table(cells: Sequence[Cell], entry: Entry) -> list[str]:

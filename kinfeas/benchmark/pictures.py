@@ -14,10 +14,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
 from kinfeas.benchmark.config import BenchmarkConfig
-from kinfeas.benchmark.evaluations import Evaluation
+from kinfeas.benchmark.evaluations import LEARNED_POLICIES, Evaluation
 from kinfeas.benchmark.markdown import groups, label, rows_of, title, to_markdown
 from kinfeas.benchmark.runs import TrainedRun
-from kinfeas.benchmark.table import LEARNED_POLICIES, Cell
+from kinfeas.benchmark.table import Cell
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures

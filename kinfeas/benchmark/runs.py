@@ -1,5 +1,6 @@
 """Training runs of a benchmark, and the best of them made ready to be shipped."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +26,7 @@ class TrainedRun:
     robot: str
     seed: int
     task: str
+    label: str = ""  # of its rows; runs without one are averaged over their seeds
 
 
 def read_run(folder: Path) -> TrainedRun:
@@ -35,18 +37,24 @@ def read_run(folder: Path) -> TrainedRun:
 
 
 def find_runs(folders: Sequence[Path]) -> list[TrainedRun]:
-    """Return the runs in `folders` and one level below, by robot and seed."""
-    runs: dict[tuple[str, int], TrainedRun] = {}
+    """Return the runs in `folders` and one level below, by robot and seed.
+
+    Those of a robot that has two of one seed are labelled with the names of their folders.
+    """
+    runs: dict[Path, TrainedRun] = {}
     for folder in folders:
         below = sorted(path.parent for path in folder.glob("*/config.yaml"))
         for path in [folder] if (folder / "config.yaml").is_file() or not below else below:
-            run = read_run(path)
-            same = runs.setdefault((run.robot, run.seed), run)
-            if same.folder != run.folder:
-                raise KinfeasError(
-                    f"{same.folder} and {run.folder}: both {run.robot} with seed {run.seed}"
-                )
-    return [runs[key] for key in sorted(runs)]
+            runs[path] = read_run(path)
+    seeds = Counter((run.robot, run.seed) for run in runs.values())
+    several = {robot for (robot, _), count in seeds.items() if count > 1}
+    found: dict[tuple[str, int, str], TrainedRun] = {}
+    for path, run in runs.items():
+        label = path.name if run.robot in several else ""
+        same = found.setdefault((run.robot, run.seed, label), replace(run, label=label))
+        if same.folder != path:
+            raise KinfeasError(f"{same.folder} and {path}: both {run.robot} with seed {run.seed}")
+    return [found[key] for key in sorted(found)]
 
 
 def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:

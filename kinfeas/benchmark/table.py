@@ -7,13 +7,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from kinfeas.benchmark.evaluations import CEILING, Evaluation
+from kinfeas.benchmark.evaluations import CEILING, LEARNED_POLICIES, Evaluation
 from kinfeas.core.metrics import Proportion, wilson
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.jobs.job import Result
-from kinfeas.policies.loading import PRETRAINED
-
-LEARNED_POLICIES = ("sac", PRETRAINED)
 
 _MEANS = (
     "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",

@@ -75,7 +75,7 @@ def demo(
         write_file(folder / name, picture)
     write_file(folder / "report.html", page(results, pictures, commands).encode())
     rows = [row[:3] for row in rows_of(results)]
-    print_table(f"{config.robot.name} on {task.name}", HEADS[:3], rows)
+    print_table(f"{config.robot.name} on {task.name}, without filters", HEADS[:3], rows)
     typer.echo(f"report: {folder / 'report.html'}")
 
 

@@ -287,7 +287,7 @@ class Loop:
     def _policy_action(self) -> Array:
         assert self.policy is not None, "without a policy a step needs an action"
         with self._policy_note:
-            action = self.policy.act(self.observation)
+            action = self.policy.act(_read_only(self.observation))
         # Before a filter can replace it.
         check_array(action, self.previous_command.shape, f"{self._policy_note.plugin}: the action")
         return action
@@ -368,3 +368,16 @@ class Loop:
             ee_pose = spatial.compose(robots.base_pose, ee_in_base)
             robots = replace(robots, joint_positions=joints)
         self.observation = self.observer.observe(robots, ee_in_base, ee_pose, self.previous_command)
+
+
+def _read_only(observation: Observation) -> Observation:
+    """Return an observation whose arrays are read-only, but for `values`, which no other part has.
+
+    They are views, since kernels are compiled again for read-only arrays.
+    """
+    shown = dict(vars(observation))
+    for name, array in shown.items():
+        if isinstance(array, np.ndarray) and name != "values":
+            shown[name] = array.view()
+            shown[name].flags.writeable = False
+    return Observation(**shown)

@@ -37,7 +37,9 @@ def test_runs_are_found_and_not_trained_again(run, tmp_path):
     with pytest.raises(KinfeasError, match="tiny"):
         training_job(tiny({"seed": 77}), run)
     shutil.copytree(run, tmp_path / "other")
-    with pytest.raises(KinfeasError, match="other"):
+    assert [found.label for found in find_runs([run, tmp_path])] == ["other", "tiny"]
+    shutil.copytree(run, tmp_path / "tiny")
+    with pytest.raises(KinfeasError, match="tiny"):
         find_runs([run, tmp_path])
     with pytest.raises(KinfeasError, match=r"config\.yaml"):
         find_runs([tmp_path / "none"])

@@ -251,6 +251,7 @@ def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     pytest.importorskip("viser")
     outputs = ("--video", "four.png", "--replay", "page.html", "--picture", "episode.png")
     outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "0", code=0)
+    assert "path_planner" in outcome.out
     assert set(outcome.out.splitlines()[-3:]) == {"four.png", "page.html", "episode.png"}
     for name in ("four.png", "episode.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")

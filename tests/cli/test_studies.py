@@ -18,7 +18,7 @@ PHYSICS = f"""
 robots: [hsr]
 tasks: [ggr]
 policies: pretrained
-baselines: {{follow_ee: [ggr]}}
+baselines: {{"kinfeas.policies.baselines.following:follow_ee": [ggr]}}
 backend: {default_engine()}
 rows: [{{label: late, settings: {{world.head_start: 0.1}}}}]
 settings: {{world.max_seconds: 0.3}}
@@ -64,11 +64,16 @@ def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, mo
 def test_physics_beside_the_analytic_world(run):
     engine = default_engine()
     words = ("--config", "physics.yaml", "--world", f" {engine}", "--episodes", "1")
-    entries = run(*words, "--json", "out.json", code=0).facts
+    outcome = run(*words, "--json", "out.json", code=0)
+    entries = outcome.facts
+    assert "path_planner, feasibility: learned, pretrained" in outcome.out
     rows = [(entry["policy"], entry["row"]) for entry in entries]
-    assert rows == [("pretrained", ""), ("pretrained", "late"), ("follow_ee", "")]
+    assert rows[:2] == [("pretrained", ""), ("pretrained", "late")]
+    assert rows[2][0].endswith(":follow_ee")
     assert {entry["world"] for entry in entries} == {engine}
     assert None not in [entry["analytic_success"] for entry in entries]
+    for setting, named in (("tasks=[door]", "hsr on ggr"), ("seeds=[1]", "seeds")):
+        check_one_line(run(*words, "--set", setting), named)
 
 
 SWEEP = f"""

@@ -234,6 +234,17 @@ def test_ik_starts_from_the_last_joint_command(solver):
     np.testing.assert_array_equal(loop.backend.steps[-1][1], expected.backend.steps[-1][1])
 
 
+@pytest.mark.parametrize("name", ["base_pose", "joint_positions", "planned"])
+def test_a_policy_cannot_write_into_its_observation(solver, name):
+    def act(observation):
+        getattr(observation, name)[:, 0] = 0.0
+
+    loop = make_loop(solver, 2)
+    loop.set_policy(SimpleNamespace(act=act))
+    with pytest.raises(ValueError, match="read-only"):
+        loop.step()
+
+
 def test_base_and_motion_pause_while_an_arm_reconfigures(solver):
     first_arm = np.zeros((2, len(solver.robot.arm)))
     first_arm[0, 1] = 1.0
