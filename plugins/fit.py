@@ -6,6 +6,7 @@ unit quaternions xyzw::
     time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw,base_x,...,base_qw,object_x,...,object_qw
     0.00,0.71,0.02,0.80,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
     0.05,0.72,0.02,0.80,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
+    0.10,0.74,0.02,0.81,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
 
 The motion is learned in the frame of the object in the first line: how the EE moves the object
 afterwards is part of the motion.
@@ -47,6 +48,8 @@ _FARTHEST = 30.0  # metres from the object
 _STRONG = 0.7  # silhouette from which demonstrations follow two paths
 _APART = 0.1  # of the learned length, the distance from which they do
 _OUTLIER, _OFF = 3.0, 0.1  # medians, and metres, beyond which a residual is one of an outlier
+_PART, _TURNED = 0.25, 0.3  # of its path, and radians, beyond which it is one in any case
+_FEWEST = 3  # samples of a demonstration
 _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a thousandth of the path
 
 
@@ -66,14 +69,7 @@ class MotionFit:
     sides: tuple[int, ...]  # 0 or 1 for each demonstration
     names: tuple[str, ...]  # names of the demonstrations
     has_base: tuple[bool, ...]  # whether each demonstration has poses of the base
-
-    @property
-    def outliers(self) -> tuple[str, ...]:
-        """Names of demonstrations that are far from the path, unlike most of the others."""
-        residuals = np.array(self.position_residual)
-        # The median of all is hardly above that of the others, and there is one of a single take.
-        far = residuals > max(_OUTLIER * np.median(residuals), _OFF)
-        return tuple(name for name, off in zip(self.names, far, strict=True) if off)
+    outliers: tuple[str, ...]  # names of those that are far from the path
 
 
 @dataclass(frozen=True)
@@ -103,7 +99,8 @@ def fit(
     are those of the demonstrations in errors, by default their numbers.
 
     Raises:
-        KinfeasError: If there are none, one does not move or moves too far, or they turn too far.
+        KinfeasError: If there are none, one has fewer than three samples, does not move or moves
+            too far, or they turn too far.
     """
     if not demonstrations:
         raise KinfeasError("there must be at least one demonstration to learn from")
@@ -133,12 +130,20 @@ def fit(
     learned = learned_path(model).at(np.linspace(0.0, 1.0, _SAMPLES))
     apart = np.array([spatial.distance(learned, path.ee_pose) for path in paths])
     metres, radians = apart.mean(axis=2).T.tolist()
-    length, turned = (float(step.sum()) for step in spatial.distance(learned[:-1], learned[1:]))
-    sides = _sides(features, len(paths), length + _METRES_PER_RADIAN * turned)
+    length, whole = _length(learned)
+    sides = _sides(features, len(paths), whole)
+    # The median of all is hardly above that of the others, and there is one of a single take.
+    common = max(_OUTLIER * np.median(metres), _OFF)
+    outliers = tuple(
+        name
+        for name, path, off, turned in zip(called, paths, metres, radians, strict=True)
+        if off > min(common, _PART * _length(path.ee_pose)[1]) or turned > _TURNED
+    )
     bases = tuple(demonstration.has_base for demonstration in demonstrations)
     return MotionFit(
-        model, duration, length, tuple(metres), tuple(radians), sides, tuple(called), bases
-    )
+        model, duration, length, tuple(metres), tuple(radians), sides, tuple(called), bases,
+        outliers,
+    )  # fmt: skip
 
 
 def write_model(model: Model, path: Path) -> None:
@@ -148,6 +153,8 @@ def write_model(model: Model, path: Path) -> None:
 
 def _sampled(demonstration: Demonstration, kind: Kind, name: str) -> _Path:
     """Return a demonstration at even steps of the index; `name` is its name in errors."""
+    if (count := len(demonstration.time)) < _FEWEST:
+        raise KinfeasError(f"{name}: has {count} samples, at least {_FEWEST} are needed")
     frame = demonstration.object_pose[:1]
     ee_pose = spatial.relative(demonstration.ee_pose, frame)
     metres, radians = spatial.distance(ee_pose[:-1], ee_pose[1:])
@@ -166,9 +173,17 @@ def _sampled(demonstration: Demonstration, kind: Kind, name: str) -> _Path:
     planar = _planar(demonstration.base_pose, frame)
     base = spatial.interpolated_columns(even, index, planar[moves])
     if np.nanmax(np.abs([sampled[:, :3], base])) > _FARTHEST:
-        raise KinfeasError(f"{name}: leads more than {_FARTHEST:g} m from the object")
+        raise KinfeasError(
+            f"{name}: leads more than {_FARTHEST:g} m from the object (are these millimetres?)"
+        )
     duration = float(demonstration.time[-1] - demonstration.time[0])
     return _Path(sampled, base, duration)
+
+
+def _length(ee_pose: Array) -> tuple[float, float]:
+    """Return the length of a path, (m, 7), in metres, and that with rotations."""
+    metres, radians = spatial.distance(ee_pose[:-1], ee_pose[1:])
+    return float(metres.sum()), float((metres + _METRES_PER_RADIAN * radians).sum())
 
 
 def _planar(base_pose: Array, frame: Array) -> Array:

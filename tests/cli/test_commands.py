@@ -48,7 +48,7 @@ def test_generator_follows_the_model(kinfeas, tmp_path, generator, kind, compone
 
 @pytest.mark.parametrize(("count", "change", "warned"), [
     (1, None, "one demonstration"), (6, "copy", "copies"), (6, "far", "far from.*: 0.csv"),
-    (6, "base", "no base motion"), (6, None, ""),
+    (6, "base", "no base motion"), (6, None, ""), (3, "reversed", "far from.*: 0.csv"),
 ])  # fmt: skip
 def test_a_fit_to_odd_demonstrations_gives_a_warning(kinfeas, tmp_path, count, change, warned):
     write_demonstrations(tmp_path / "shown", count)
@@ -57,6 +57,8 @@ def test_a_fit_to_odd_demonstrations_gives_a_warning(kinfeas, tmp_path, count, c
     header = first.read_text().partition("\n")[0]
     if change == "far":
         table[:, 2] += 3.0
+    if change == "reversed":
+        table[:, 1:8] = table[::-1, 1:8]
     if change == "base":
         header = header.replace("base", "hand")
     np.savetxt(first, table, delimiter=",", header=header, comments="")
@@ -229,6 +231,7 @@ def test_options_of_physics(evaluate):
     figures = evaluate(*SHORT, *words, "--head-start", "0.2", "--time-scale", "0.5")
     assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
     assert (figures["task_success"], figures["filters"]) == (None, PLANNED)
+    assert figures["dt"] == 0.02
     assert figures["base_collisions"] is not None
     names = ["obstacle_distance", "feasibility"]
     assert evaluate(*SHORT, *words, "--filters", ",".join(names))["filters"] == names

@@ -236,5 +236,11 @@ def test_other_wrong_input_raises():
     tremor = still + 1e-5 * (np.arange(100)[:, np.newaxis] % 3) * (np.arange(7) < 3)
     with pytest.raises(KinfeasError, match=r"3e-05 m and 0 rad"):
         fit([Demonstration(np.linspace(0.0, 5.0, 100), tremor, still, still)])
+    ee[:, 0] = 900.0
+    far = Demonstration(*(values[:3] for values in (np.arange(3.0), ee, still, still)))
+    with pytest.raises(KinfeasError, match="millimetres"):
+        fit([far])
+    with pytest.raises(KinfeasError, match="2 samples"):
+        fit([Demonstration(*(values[:2] for values in vars(far).values()))])
     with pytest.raises(KinfeasError, match="demonstration"):
         fit([])
