@@ -26,7 +26,7 @@ from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
 from kinfeas.cli.view import play, view
-from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, raised_by
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_frames, raised_by
 from kinfeas.core.extras import missing_extra
 
 
@@ -77,7 +77,8 @@ def main() -> None:
         if message is None and raised_by(error) is None:
             raise
         if message is None:
-            traceback.print_exc()  # for the author of the plugin
+            # For the author of the plugin.
+            traceback.print_exception(error, limit=-plugin_frames(error))
             message = describe(error)
     if message:
         sys.stderr.write(f"error: {' '.join(message.split())}\n")

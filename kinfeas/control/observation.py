@@ -120,6 +120,8 @@ limit."""
 
 def observe(state: ObservedState, terms: Sequence[str] = OBSERVATION) -> Array:
     """Return the observation of n robots, shape (n, d); `terms` are names in `TERMS`."""
+    if not terms:
+        return np.empty((len(state.ee), 0))
     return np.concatenate([TERMS[name].values(state) for name in terms], axis=1)
 
 

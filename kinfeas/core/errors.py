@@ -2,6 +2,8 @@
 
 import difflib
 from collections.abc import Collection
+from traceback import walk_tb
+from types import TracebackType
 
 
 class KinfeasError(ValueError):
@@ -26,7 +28,7 @@ def no_such(word: str, names: Collection[str]) -> str:
 PLUGIN_ERRORS = (Exception, SystemExit)
 """Exceptions that the code of a plugin may raise."""
 
-_RAISED_BY = "raised by "
+_RAISED_BY, _FRAMES = "raised by ", "plugin_frames"
 
 
 class plugin_note:  # noqa: N801 - used like contextlib.suppress, and faster than a generator
@@ -37,15 +39,23 @@ class plugin_note:  # noqa: N801 - used like contextlib.suppress, and faster tha
 
     def __enter__(self) -> None: ...
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(
+        self, kind: object, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if isinstance(error, PLUGIN_ERRORS):
             error.add_note(_RAISED_BY + self.plugin)
+            vars(error).setdefault(_FRAMES, len(list(walk_tb(trace))) - 1)
 
 
 def raised_by(error: BaseException) -> str | None:
     """Return the plugin that raised an exception, by its `plugin_note`; None if there is none."""
     notes = [note for note in getattr(error, "__notes__", ()) if note.startswith(_RAISED_BY)]
     return notes[0].removeprefix(_RAISED_BY) if notes else None
+
+
+def plugin_frames(error: BaseException) -> int:
+    """Return how many of an exception's last frames are those of a plugin, from its code on."""
+    return int(vars(error).get(_FRAMES, 0))
 
 
 def describe(error: BaseException) -> str:

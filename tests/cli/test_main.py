@@ -7,7 +7,7 @@ import pytest
 
 from kinfeas.cli import main as module
 from kinfeas.cli.output import progress, status
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, plugin_note
 
 HEAVY = """
 import sys
@@ -76,14 +76,21 @@ def test_an_interrupted_command_says_so(kinfeas, monkeypatch, command, called):
 
 
 @pytest.mark.parametrize("error", [KeyError("x"), SystemExit(0)])
-def test_errors_of_plugins_have_a_traceback_and_the_code_of_bad_input(monkeypatch, capsys, error):
-    error.add_note("raised by adapter Mine")
-    monkeypatch.setattr(module, "app", raising(error))
+def test_errors_of_plugins_have_their_own_traceback_only(monkeypatch, capsys, error):
+    def broken():
+        raise error
+
+    def app(**_):
+        with plugin_note("adapter Mine"):
+            broken()
+
+    monkeypatch.setattr(module, "app", app)
     with pytest.raises(SystemExit) as end:
         module.main()
     printed = capsys.readouterr().err
     assert end.value.code == 2
-    assert "Traceback" in printed
+    assert "in broken" in printed
+    assert "in app" not in printed
     assert "adapter Mine" in printed.splitlines()[-1]
 
 
