@@ -36,6 +36,7 @@ class Summary(Metrics):
     policy: str
     seed: int
     world: str
+    dt: float
     time_scale: float
     head_start: float
     adapters: list[str]
@@ -150,7 +151,7 @@ def evaluate(
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
     return {
         "robot": config.robot.name, "task": config.task.name, "policy": name, "seed": config.seed,
-        "world": settings.backend,
+        "world": settings.backend, "dt": settings.dt,
         "time_scale": execution.time_scale, "head_start": execution.head_start,
         "adapters": [adapter.name for adapter in settings.adapters],
         "filters": list(dict.fromkeys(filters)),

@@ -72,7 +72,7 @@ def search_figure(results: Sequence[Mapping[str, Any]], importances: Mapping[str
         history.step(numbers, best, where="post", color=EE, lw=1.6, zorder=1.5, label="best")
         history.set(xlabel="trial", title="score")
         history.xaxis.get_major_locator().set_params(integer=True)
-        history.legend(loc="lower right")
+        history.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
         names = sorted(importances, key=lambda key: importances[key])
         bars.barh(names, [importances[name] for name in names], color=BASE)
         bars.grid(axis="y", visible=False)

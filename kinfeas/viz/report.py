@@ -18,7 +18,8 @@ HEADS = (
 
 _VERSIONS = ("kinfeas", "numpy", "numba", "torch", "stable-baselines3")
 _STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;color:#2b2f36;max-width:1100px;margin:2.5rem auto}
+body{font:16px/1.5 system-ui,sans-serif;color:#2b2f36;max-width:1100px;margin:2.5rem auto;
+padding:0 1.5rem}
 .note,figcaption,dt,th{color:#6b727d;font-size:.9rem}
 table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
 tr{border-bottom:1px solid #e3e6ea}th,td{text-align:right;padding:.4rem .6rem}
