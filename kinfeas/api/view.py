@@ -51,7 +51,9 @@ def view(  # noqa: PLR0913 - options of the command
         from kinfeas.viz.replay import as_recording, replay_of
         from kinfeas.viz.style import png
 
-        replay = replay_of(as_recording(run, robot), robot, robot.name)
+        # Records have no later poses of objects.
+        title = f"{robot.name}, furniture as at the start" if run.about.scene else robot.name
+        replay = replay_of(as_recording(run, robot), robot, title)
     if picture is not None:
         write_file(Path(picture), png(record_figure(run, robot), dpi=110))
     if video is not None:

@@ -26,7 +26,7 @@ _COLOURS = 128  # of a GIF
 _PANELS = (2, 2)  # of a PNG
 _ELEVATION, _STEEP = np.deg2rad([30.0, 55.0])  # without and among solids, which hide the robot
 _AROUND, _HEIGHT = 0.7, 1.6  # m, of the view beyond the paths, and above the floor
-_BEYOND = 3.0  # m, of floor beyond the view
+_BEYOND, _HORIZON = 3.0, 40.0  # m, of lines beyond the view, and of floor around them
 _CELL, _LINE, _FLOOR = 0.5, 0.012, 0.01  # m, cells of the floor, width of lines, thickness
 _FINE = 3  # pixels of the paths' layer in a pixel of the picture
 
@@ -118,7 +118,7 @@ def _floor(low: Array, high: Array) -> list[tuple[Shape, str]]:
 
     low, high = np.floor(low / _CELL) * _CELL, np.ceil(high / _CELL) * _CELL
     middle, size = (low + high) / 2.0, high - low
-    shapes = [box(middle, size, -0.004, "#f5f6f8")]
+    shapes = [box(middle, size + _HORIZON, -0.004, "#f5f6f8")]
     for axis in (0, 1):
         for at in np.arange(low[axis], high[axis] + _CELL / 2.0, _CELL):
             centre, length = middle.copy(), size.copy()

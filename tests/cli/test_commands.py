@@ -87,8 +87,11 @@ def test_replay_of_a_run(kinfeas, tmp_path):
     assert facts["filters"] == [{"name": "time_scaling", "parameters": {}}]
     assert facts["generators"] == [{"name": "linear", "parameters": {"gain": 0.5}}]
     record = tmp_path / "run.csv"
-    record.write_bytes(record.read_bytes()[:-300])
+    record.write_bytes(record.read_bytes()[:-300].replace(b'"scene": ""', b'"scene": "room"'))
     kinfeas("view", "--record", "run.csv", code=0)
+    pytest.importorskip("viser")
+    kinfeas("view", "--record", "run.csv", "--html", "run.html", code=0)
+    assert "furniture as at the start" in (tmp_path / "run.html").read_text()
 
 
 SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"
