@@ -200,7 +200,11 @@ def _of_task(
         if not case.variant and row.has(case.robot, case.task):
             settings = nested(benchmark.settings, row.settings, _filters(row.filters))
             rows += [
-                replace(learner, row=f"{learner.row} {row.label}".strip(), settings=settings)
+                replace(
+                    learner,
+                    row=", ".join(filter(None, [learner.row, row.label])),
+                    settings=settings,
+                )
                 for learner in learned
             ]
     baselines = [_unplanned(benchmark, replace(base, policy=name, source=name))
