@@ -240,7 +240,7 @@ class _Run:
                 joints = (self.guarded.state.true_state or self.guarded.state).joint_positions
                 reached = code is Code.REACHED
                 done = task.task_done(0, joints, self.setup.dt, reached=reached)
-                if reached and not done:
+                if reached and done is False:
                     code = Code.TIME_OVER
         except (KinfeasError, OSError) as error:
             code, reason = Code.FAULT, str(error)
