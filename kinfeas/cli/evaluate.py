@@ -130,9 +130,9 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _show(summary: "Summary") -> None:
-    title = "{policy} on {task}, robot {robot}, {episodes} episodes of seed {seed}, {world}, "
+    title = "{policy} on {task}, robot {robot}, {episodes} episodes of seed {seed}, {world}"
     used = ", ".join(summary["filters"])
-    title += f"filters: {used}; --filters none is the policy alone" if used else "without filters"
+    title += f"\n{used} (--filters none: policy alone)" if used else "\nwithout filters"
     rows = [
         ["success: goal reached, no IK failure", _fraction(summary, "success")],
         ["EE always within 5 cm of path and goal", _fraction(summary, "within_5cm")],
