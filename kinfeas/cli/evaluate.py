@@ -5,6 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+
 from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.options import option
@@ -131,8 +133,6 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 def _show(summary: "Summary") -> None:
     title = "{policy} on {task}, robot {robot}, {episodes} episodes of seed {seed}, {world}"
-    used = ", ".join(summary["filters"])
-    title += f"\n{used} (--filters none: policy alone)" if used else "\nwithout filters"
     rows = [
         ["success: goal reached, no IK failure", _fraction(summary, "success")],
         ["EE always within 5 cm of path and goal", _fraction(summary, "within_5cm")],
@@ -168,6 +168,8 @@ def _show(summary: "Summary") -> None:
         numbers = ", ".join(map(str, failed[:_LISTED])) + ", ..." * (len(failed) > _LISTED)
         rows.append([f"failed: {_REASONS[reason]}", numbers])
     print_table(title.format(**summary), ["", " fraction (95 % interval) or mean"], rows)
+    used = ", ".join(summary["filters"])
+    typer.echo(f"filters: {used} (--filters none is the policy alone)" if used else "no filters")
 
 
 def _fraction(summary: Mapping[str, Any], key: str) -> str:
