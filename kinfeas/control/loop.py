@@ -116,8 +116,9 @@ class Loop:
         if isinstance(own_robot, Robot) and own_robot is not self.robot:
             check_same_robot(self.robot, own_robot.name, fingerprint(own_robot), name)
         terms = getattr(policy, "observation_terms", OBSERVATION)
-        checked = check_terms(terms, f"{name}: 'observation_terms'") if terms != () else ()
-        self.policy, self.observer.terms = policy, checked
+        if terms not in ((), []):
+            terms = check_terms(terms, f"{name}: 'observation_terms'")
+        self.policy, self.observer.terms = policy, tuple(terms)
         self._policy_note = plugin_note(name)
         names = getattr(policy, "filters", ()) if self.stream is None else ()
         own = [self._build_filter(name) for name in names]

@@ -167,6 +167,8 @@ def read_record(path: Path) -> Record:
     numbers = np.empty((len(rows) - 1, len(names) - 1))
     for i, row in enumerate(rows[1:]):
         try:
+            if len(row) != len(names):
+                raise ValueError(f"{len(row)} columns, not {len(names)}")
             numbers[i] = [float(entry or "nan") for entry in row[:-1]]
         except ValueError as error:
             raise KinfeasError(f"{path}, line {i + 3}: {error}") from error

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -145,8 +146,10 @@ def check_robot(
     expected = (*describe_observation(robot, names), describe_action(robot))
     own, ours = ([(t.name, t.size, t.scale) for t in terms] for terms in (described, expected))
     if own != ours:
+        entry, other = next(pair for pair in zip_longest(own, ours) if pair[0] != pair[1])
         raise KinfeasError(
-            f"{source}: its observation or action differs from this version's of kinfeas: {own}"
+            f"{source}: name, size and scale of an observation or action are {entry}, those of "
+            f"{robot.name!r} in this version of kinfeas {other}"
         )
 
 

@@ -76,7 +76,7 @@ def check_clock(times: Array, source: str) -> None:
     steps = np.diff(times)
     for row in np.flatnonzero(~((steps >= 0.0) & (steps <= _GAP)))[:1]:
         raise KinfeasError(
-            f"{source}: its clock goes from {times[row]:.2f} s to {times[row + 1]:.2f} s; it must "
+            f"{source}: its clock goes from {times[row]:.3f} s to {times[row + 1]:.3f} s; it must "
             f"ascend by at most {_GAP:g} s: cut the record there"
         )
 

@@ -145,7 +145,7 @@ class LinkBackend(RealTimeBackend):
             return f"no valid joint positions came from {self.link.joint_source}"
         present = ", ".join(sorted(self._inbox.positions().keys() - set(joints)))
         missing, source = ", ".join(joints), self.link.joint_source
-        return missing and f"no position of {missing} came from {source}, only of {present},"
+        return missing and f"no position of {missing} came from {source}, but of {present}"
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Close or open the gripper."""
