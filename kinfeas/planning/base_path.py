@@ -29,7 +29,7 @@ class BasePathSettings:
     slow: float = 0.1  # fraction of the speed of the EE from there to where the search had ended
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
     proposals: int = 256  # base poses tried at the EE pose where a search ends
-    rest: float = 1.0  # motion time between beams while the EE rests first, seconds
+    rest: float = 3.0  # longest motion time, while the EE rests first, in which a robot moves, s
 
 
 SETTINGS = BasePathSettings()
@@ -127,11 +127,9 @@ class BasePathPlanner:
             partial: Whether arms may jump, and a path may end before the EE path, where no robot
                 goes on.
         """
-        resting = round(rest / step)
+        resting = round(min(rest, SETTINGS.rest) / step)
+        nodes = np.union1d(0, resting + _nodes(ee))
         begin, ee = begin - resting * step, np.vstack([ee[:1].repeat(resting, axis=0), ee])
-        nodes = np.union1d(
-            np.arange(0, resting, round(SETTINGS.rest / step)), resting + _nodes(ee[resting:])
-        )
         for expander in self._expanders:
             beam = expander.first(base_pose, joints)
             search = _Search(expander, ee, nodes, step / time_scale, solids, beam)

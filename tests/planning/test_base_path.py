@@ -90,7 +90,7 @@ def test_the_robot_moves_already_while_the_ee_rests(planned, solver):
     assert path.seconds[0] == pytest.approx(2.0)
     rests = path.robot[path.seconds < 5.0 + 1e-6]
     ee = compose(planar_pose(*rests[:, :3].T), forward(solver.chain, rests[:, 3:]))
-    assert_near(ee, path.ee[0], 0.03, 0.1)
+    assert_near(ee, path.ee[0], 0.1, 0.21)
     assert np.ptp(rests[:, :2], axis=0).max() > 0.02
 
 
