@@ -308,7 +308,7 @@ class RealTimeBackend(Backend):
     def limit_arm(self, velocity: Array) -> None:
         """Limit the velocities of the arm joints, shape (j,), rad/s or m/s, if they are sent."""
 
-    def silent(self, seconds: float) -> str:
+    def silent_source(self, seconds: float) -> str:
         """Return which source sent no measurement for some seconds; empty if none, or unknown."""
         return ""
 

@@ -118,7 +118,7 @@ class BasePathPlanner:
         Args:
             base_pose: World pose of the base now, shape (7,).
             joints: Arm joints now, shape (j,).
-            ee: World poses of the EE from now on, shape (k, 7).
+            ee: World poses of the EE from now, or from the end of its rest, on, shape (k, 7).
             step: Motion time from one to the next, seconds.
             begin: Motion time of the first of these poses, seconds.
             time_scale: Fraction of its speed at which the EE moves at most.

@@ -98,7 +98,7 @@ class StateMonitor:
 def check_age(sentence: str, age: float, most: float, backend: Backend) -> None:
     """Raise Fault if a measurement is too old, with the source that fell silent."""
     robot = backend.real_time
-    source = robot.silent(most) if robot is not None and not age <= most else ""
+    source = robot.silent_source(most) if robot is not None and not age <= most else ""
     check_limit(f"{source}: {sentence}" if source else sentence, age, most)
 
 

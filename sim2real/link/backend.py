@@ -136,7 +136,7 @@ class LinkBackend(RealTimeBackend):
         """Limit the arm's joint velocities, shape (j,), rad/s or m/s, below the robot's own."""
         self._joint_speed = np.minimum(velocity, self.robot.max_joint_velocity)
 
-    def silent(self, seconds: float) -> str:
+    def silent_source(self, seconds: float) -> str:
         """Return which source sent nothing valid for some seconds; empty if all did."""
         base, joints = self._inbox.missing(seconds)
         if base:
@@ -200,7 +200,7 @@ class LinkBackend(RealTimeBackend):
 
     def _missing(self) -> str:
         within = f"within {self._timeout:g} s; {_CHECK}"
-        if reason := self.silent(math.inf):
+        if reason := self.silent_source(math.inf):
             return f"{reason} {within}"
         command = self.link.waits_for()
         return "" if command is None else f"{command} has no subscriber {within}"

@@ -193,8 +193,8 @@ def test_a_source_that_falls_silent_is_named(ends, time, base, joints, named):
         link.readings.base(base)
     if joints is not None:
         link.readings.joints(joints)
-    assert named in backend.silent(0.2)
-    assert not backend.silent(0.4)
+    assert named in backend.silent_source(0.2)
+    assert not backend.silent_source(0.4)
     with pytest.raises(Fault, match=f"{named}.* s old"):
         Guarded(backend, PR2, clock=time.clock).read()
 
