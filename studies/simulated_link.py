@@ -113,7 +113,7 @@ def drive(name: str, adapters: str, seed: int, record: Path, dt: float, step: fl
     warm_up(solver, policy, excitation, dt, filters=[excitation])
     setup = Setup(
         solver=solver, policy=policy, task=excitation, dt=dt, seconds=SECONDS,
-        backend=LinkBackend(robot, link, clock=link.clock), leading=(excitation,), abrupt=True,
+        backend=LinkBackend(robot, link, clock=link.clock), leading=(excitation,),
         config=replace(config, filters=(), arm_settle_timeout=0.0), clock=link.clock,
     )  # fmt: skip
     outcome = recorded(setup, name, "stationary", "simulated_link", record).outcome

@@ -181,6 +181,6 @@ def drive(  # noqa: PLR0913 - options of the command
     setup = make_setup(
         "stationary", model, backend, excitation, config, record, rate=rate, seconds=SECONDS,
         seed=checked(Seed, seed, "seed"), real_time=real_time, inner=around,
-        leading=(excitation,), abrupt=True,
+        leading=(excitation,),
     )  # fmt: skip
     return recorded(setup, str(robot), "stationary", backend, record, on_moment, adapters=around)

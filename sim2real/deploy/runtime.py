@@ -90,7 +90,6 @@ class Setup:
     seed: int = 0  # seed of all random numbers
     solids: Solids | None = None  # solids around the robot, one row; None for those of the task
     real_time: bool = True  # whether a simulated world waits for the clock
-    abrupt: bool = False  # whether the base stops with its targets at once, past the guards
     clock: Clock = field(default_factory=Clock)  # clocks
 
     def __post_init__(self) -> None:
@@ -293,7 +292,7 @@ class _Run:
             if watchdog is not None and (trouble := watchdog.beat()):
                 raise Fault(trouble)
             goal = loop.sequence.goal[0]
-            if loop.stream is not None and setup.abrupt:
+            if loop.stream is not None:
                 self.guarded.commands.brake = not loop.stream.live[0]
             outcome = loop.step()
             feasible, subgoal = bool(outcome.feasible[0]), int(outcome.subgoal[0])

@@ -30,7 +30,6 @@ from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
 from kinfeas.sim2real.link.rate import Rate
-from kinfeas.sim2real.servo.controller import TargetController
 from kinfeas.tasks.task import MotionSpec
 
 DT = 0.02
@@ -205,15 +204,6 @@ def test_a_long_start_does_not_age_the_first_command(run, time, monkeypatch, rea
     outcome, record = run(backend, Drive(), seconds=0.4)
     assert (outcome.code, outcome.timing.misses) == (Code.TIME_OVER, 0)
     assert record.time[-1] == pytest.approx(0.5, abs=0.03)  # it brakes
-
-
-def test_a_base_without_messages_stops_within_its_acceleration(run, time):
-    controller = TargetController(PR2.robot, clock=time.clock.monotonic)
-    driver = Drive(at=5, do=lambda: controller.set_twist([0.0] * 6))
-    _, record = run(RealTimeRobot(time), driver, controller, seconds=0.6, leading=(controller,))
-    speeds = record.base_twist[:, 0]
-    assert speeds.max() > 0.1
-    assert np.abs(np.diff(speeds)).max() <= PR2.robot.base.max_acceleration * DT + 1e-9
 
 
 def test_a_simulated_world_waits_for_the_clock_or_has_none(run, time):
