@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.spatial import Array, integrate, make_pose
 
 ROOT = Path(__file__).parents[1]

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas.config import PluginSpec
-from kinfeas.core import registry
+from kinfeas.config import PluginSpec, registry
 from kinfeas.io.run_log import About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy

@@ -4,7 +4,8 @@ import argparse
 
 import numpy as np
 
-from kinfeas.core import registry, spatial
+from kinfeas.config import registry
+from kinfeas.core import spatial
 from kinfeas.core.single_motion import batched
 from kinfeas.evaluation.evaluate import EvalConfig, evaluate
 from kinfeas.policies.loading import load_policy

@@ -30,11 +30,11 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import strict_yaml
-from kinfeas.config.quantities import Count, Positive, PositiveFraction
 from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.core.files import is_path
 from kinfeas.core.motion import State, TwistAndState
+from kinfeas.core.quantities import Count, Positive, PositiveFraction
 from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
-from kinfeas.io.files import is_path
 from kinfeas.plugins.path import PathMotion, PosePath, slowed
 
 Kind = Literal["imitation", "gaussian_mixture"]

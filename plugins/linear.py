@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rngs, State, TwistAndState
+from kinfeas.core.quantities import Positive
 from kinfeas.core.spatial import Array, twist_between
 from kinfeas.plugins.path import norm
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from kinfeas.config.quantities import Positive
 from kinfeas.core.motion import Rngs, State, TwistAndState
+from kinfeas.core.quantities import Positive
 from kinfeas.core.spatial import Array, integrate, twist_between
 from kinfeas.plugins.path import norm, slowed
 

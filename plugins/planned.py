@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Positive
 from kinfeas.core.metrics import GOAL_METRES
 from kinfeas.core.motion import Rngs, State, WholeBodyPath, merged, of_rows
+from kinfeas.core.quantities import Count, Distance, Metres, NotNegative, Positive
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import (
     Array,

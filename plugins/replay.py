@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import Positive
 from kinfeas.core.spatial import Array, interpolated, make_pose, rotation
 from kinfeas.io.demonstrations import read_demonstration
 from kinfeas.io.run_log import is_record, read_record

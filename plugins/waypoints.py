@@ -24,11 +24,11 @@ from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import RotationSpline
 
 from kinfeas import config
-from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import read_csv
+from kinfeas.core.quantities import Positive
 from kinfeas.core.spatial import IDENTITY, POSE_COLUMNS, Array, make_pose, rotation, twist_between
 from kinfeas.io.demonstrations import check_samples
-from kinfeas.io.files import read_csv
 from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame, norm
 
 _FINE = 2000  # samples of a spline, or 20 between waypoints if these are more

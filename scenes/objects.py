@@ -7,7 +7,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
-from kinfeas.config.quantities import FARTHEST, Position, Radians
+from kinfeas.core.quantities import FARTHEST, Position, Radians
 from kinfeas.core.spatial import Array, compose
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import Settings
-from kinfeas.config.quantities import Vector
 from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.core.files import is_path, reading
+from kinfeas.core.quantities import Vector
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
-from kinfeas.io.files import is_path, reading
 from kinfeas.robots.elements import read_xml
 from kinfeas.robots.urdf import Shape, Urdf
 from kinfeas.robots.urdf_file import urdf_of

@@ -12,10 +12,10 @@ import argparse
 
 import numpy as np
 
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, registry
 from kinfeas.control.assemble import assemble
 from kinfeas.control.targets import TargetRules
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.envs.world import World, WorldConfig

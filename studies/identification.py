@@ -22,8 +22,8 @@ import simulated_link
 
 from kinfeas.api.identify import drive, identify
 from kinfeas.api.load import load_robot, read_adapters
-from kinfeas.control.assemble import with_adapters
-from kinfeas.core.backend import BackendWrapper, build_backend
+from kinfeas.control.assemble import build_backend, with_adapters
+from kinfeas.core.backend import BackendWrapper
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.core.start import episode_rng
 from kinfeas.sim2real.adapters.adapter import Adapter

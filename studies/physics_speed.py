@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.spatial import planar_pose
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene

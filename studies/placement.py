@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas.control.subgoal_motions import subgoal_ends
+from kinfeas.core.files import write_json
 from kinfeas.core.metrics import wilson
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, planar_pose, relative
 from kinfeas.core.start import stacked
-from kinfeas.io.files import write_json
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import base_collides, in_base
 from kinfeas.planning.reach import BasePlacer

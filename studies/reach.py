@@ -22,10 +22,10 @@ import numpy as np
 import pinocchio
 from scipy.spatial.transform import Rotation
 
+from kinfeas.core.files import write_json
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, make_pose, planar_pose, rotation
-from kinfeas.io.files import write_json
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import checked_links

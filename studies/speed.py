@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from kinfeas.config import registry
 from kinfeas.config.recipes import load_section
 from kinfeas.control.observation import HORIZON
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig

@@ -20,9 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas.cli.options import read_settings
-from kinfeas.config import Settings
+from kinfeas.config import Settings, registry
 from kinfeas.config.recipes import load_section
-from kinfeas.core import registry
 from kinfeas.evaluation.paper import LEARNED, paper_figures
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.robots.loading import load_robot

@@ -13,7 +13,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 from hypothesis import settings
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kinfeas.cli.main import app
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.templates import Kind, write_distribution
 from kinfeas.testing import check_motion_generator

@@ -14,7 +14,7 @@ from markdown_it import MarkdownIt
 from typer.testing import CliRunner
 
 from kinfeas.cli.main import app
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator

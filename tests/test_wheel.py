@@ -29,7 +29,7 @@ LOAD_ALL = """
 import importlib.util, sys
 from pathlib import Path
 from kinfeas.config.recipes import load_section
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 

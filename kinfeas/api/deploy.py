@@ -24,17 +24,17 @@ from kinfeas.api.load import (
 from kinfeas.api.plan import load_plan
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, strict_yaml
 from kinfeas.config import load as load_config
-from kinfeas.config.quantities import NotNegative, Quaternion, Rate, Seed, Vector
 from kinfeas.config.recipes import default_engine, section
-from kinfeas.control.assemble import respond_late, with_adapters
+from kinfeas.config.registry import from_anywhere
+from kinfeas.control.assemble import build_backend, respond_late, with_adapters
 from kinfeas.control.filters.path_planner import PlanFollower
 from kinfeas.control.period import CommandFilter
-from kinfeas.core.backend import build_backend, closed_on_error
+from kinfeas.core.backend import closed_on_error
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.registry import from_anywhere
+from kinfeas.core.files import check_new, writing
+from kinfeas.core.quantities import NotNegative, Quaternion, Rate, Seed, Vector
 from kinfeas.core.spatial import distance
 from kinfeas.core.start import episode_rng
-from kinfeas.io.files import check_new, writing
 from kinfeas.io.run_log import About, Moment, Recorder
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_path import BasePath

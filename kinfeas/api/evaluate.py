@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, cast
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
 from kinfeas.api.load import Adapters, checked, load_robot, plugin_settings, robot_of, text_of
 from kinfeas.config import Settings, from_mapping, nested
-from kinfeas.config.quantities import Episodes, Processes, Seed
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
+from kinfeas.core.quantities import Episodes, Processes, Seed
 from kinfeas.evaluation import evaluate as evaluation
 from kinfeas.evaluation.evaluate import EvalConfig, Summary
 from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
@@ -145,8 +145,8 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
     on_progress: OnProgress | None = None,
 ) -> None:
     """Run an episode of an evaluation again and write it as picture, film and page."""
+    from kinfeas.core.files import write_file
     from kinfeas.envs.world import World
-    from kinfeas.io.files import write_file
     from kinfeas.viz.episodes import episodes_figure
     from kinfeas.viz.replay import run_episode
     from kinfeas.viz.style import png

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from kinfeas.api import Name
 from kinfeas.api.load import checked, text_of
-from kinfeas.config.quantities import Count, Seed
 from kinfeas.core.extras import require
+from kinfeas.core.quantities import Count, Seed
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
 from kinfeas.plugins.fit import MotionFit, write_model
 from kinfeas.plugins.fit import fit as learn

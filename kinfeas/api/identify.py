@@ -8,13 +8,12 @@ from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.api.deploy import Deployment, make_setup, recorded
 from kinfeas.api.load import checked, load_robot, read_adapters, text_of
 from kinfeas.config import PluginSpec, Settings, strict_yaml
-from kinfeas.config.quantities import Rate, Seed
 from kinfeas.config.recipes import default_engine, load_section
-from kinfeas.control.assemble import with_adapters
-from kinfeas.core.backend import build_backend
+from kinfeas.control.assemble import build_backend, with_adapters
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import check_new, is_bag, write_file
+from kinfeas.core.quantities import Rate, Seed
 from kinfeas.core.response import ResponseModel
-from kinfeas.io.files import check_new, is_bag, write_file
 from kinfeas.io.run_log import Moment, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.sim2real.adapters.noise import Localisation

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any, cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name
-from kinfeas.config import PluginSpec, to_mapping, validated
+from kinfeas.config import PluginSpec, registry, to_mapping, validated
 from kinfeas.control.assemble import read_sim2real
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import is_path
 from kinfeas.core.policy import Policy
-from kinfeas.io.files import is_path
 from kinfeas.io.policy_metadata import read_trained
 from kinfeas.policies import loading
 from kinfeas.policies.onnx_policy import OnnxPolicy, PolicyMetadata, read_policy_file

@@ -15,12 +15,13 @@ from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot, text_of
 from kinfeas.api.reach import base_pose, solids_of
 from kinfeas.config import Settings, nested
-from kinfeas.config.quantities import FARTHEST
 from kinfeas.control.execution import tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.subgoal_motions import LONGEST, begin_motions
 from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import check_new, read_csv, replacing, write_file
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import (
     IDENTITY,
@@ -35,7 +36,6 @@ from kinfeas.core.spatial import (
 from kinfeas.core.start import Start
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.demonstrations import check_samples, columns
-from kinfeas.io.files import check_new, read_csv, replacing, write_file
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.reach import BasePlacer

@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike
 
 from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot
-from kinfeas.config.quantities import Count, Position
 from kinfeas.control.execution import tool_pose
 from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import Count, Position
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, planar_pose
 from kinfeas.kinematics.solids import base_collides

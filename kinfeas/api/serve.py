@@ -19,8 +19,8 @@ from kinfeas.api.load import load_robot
 from kinfeas.api.plan import Plan, plan
 from kinfeas.api.reach import facts, reach
 from kinfeas.config import from_mapping
-from kinfeas.config.quantities import Metres, Vector
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import Metres, Vector
 from kinfeas.core.solids import MOST_SOLIDS
 from kinfeas.planning.reach import BasePlacer, Placement
 from kinfeas.scenes.scene import read_scene

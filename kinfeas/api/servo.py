@@ -9,9 +9,8 @@ from dataclasses import replace
 from kinfeas.api import Name
 from kinfeas.api.deploy import Deployment, make_setup, read_config, recorded
 from kinfeas.api.load import Adapters, load_robot, read_adapters, robot_of
-from kinfeas.config import Settings
+from kinfeas.config import Settings, registry
 from kinfeas.config.recipes import default_engine
-from kinfeas.core import registry
 from kinfeas.core.backend import closed_on_error
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_note
 from kinfeas.io.run_log import Moment

@@ -8,9 +8,9 @@ from typing import Any, TypedDict, Unpack
 from kinfeas.api import Name
 from kinfeas.api.load import Adapters, load_robot, read_adapters, robot_of, text_of
 from kinfeas.config import Settings, nested
+from kinfeas.config.registry import from_anywhere
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.registry import from_anywhere
-from kinfeas.io.files import write_json
+from kinfeas.core.files import write_json
 from kinfeas.training import run as training
 from kinfeas.training.config import TrainConfig, duration, load_recipe
 from kinfeas.training.run import Progress

@@ -7,7 +7,7 @@ from kinfeas.api.evaluate import draw_film
 from kinfeas.api.load import load_robot
 from kinfeas.config import Settings
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import write_file
+from kinfeas.core.files import write_file
 from kinfeas.io.run_log import Record, read_record
 from kinfeas.scenes.scene import Scene, read_scene
 

@@ -7,11 +7,10 @@ from typing import Annotated, Literal
 from annotated_types import MinLen
 
 from kinfeas import config
-from kinfeas.config import PluginSpec, Settings, nested
-from kinfeas.config.quantities import Count, Episodes, Positive, Seed
+from kinfeas.config import PluginSpec, Settings, nested, registry
 from kinfeas.config.recipes import find_recipe
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.core.quantities import Count, Episodes, Positive, Seed
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.policies.loading import GROUP
 from kinfeas.robots.loading import load_robot

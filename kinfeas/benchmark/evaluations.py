@@ -13,9 +13,9 @@ from kinfeas.config import PluginSpec, Settings, nested
 from kinfeas.config.recipes import robot_file
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
+from kinfeas.core.files import is_path, reading
 from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
-from kinfeas.io.files import is_path, reading
 from kinfeas.io.policy_metadata import WEIGHTS, policy_folder
 from kinfeas.jobs.job import Job, Result
 from kinfeas.policies.loading import PRETRAINED, load_policy, trained_folder

@@ -18,11 +18,11 @@ from kinfeas.benchmark.evaluations import LEARNED_POLICIES, Evaluation
 from kinfeas.benchmark.markdown import groups, label, rows_of, title, to_markdown
 from kinfeas.benchmark.runs import TrainedRun
 from kinfeas.benchmark.table import Cell
+from kinfeas.core.files import read_csv, to_json, write_file
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
 from kinfeas.evaluation.recording import Recording, record_episodes
-from kinfeas.io.files import read_csv, to_json, write_file
 from kinfeas.jobs.job import Result
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot

@@ -41,9 +41,9 @@ def demo(
     """
     require("torch", "stable_baselines3", "matplotlib")
     from kinfeas.api.train import configure
+    from kinfeas.core.files import write_file
     from kinfeas.envs.world import evaluation_world
     from kinfeas.evaluation.evaluate import EvalConfig
-    from kinfeas.io.files import write_file
     from kinfeas.robots.loading import load_robot
     from kinfeas.tasks.loading import load_task
     from kinfeas.tasks.task import StreamTask

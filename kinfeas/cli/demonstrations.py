@@ -87,8 +87,8 @@ def dataset(
 
     Example: kinfeas dataset demonstrations --out datasets/reach --task "Reach the shelf."
     """
+    from kinfeas.core.files import check_new, write_folder
     from kinfeas.io.demonstrations import demonstration_files, write_demonstration
-    from kinfeas.io.files import check_new, write_folder
     from kinfeas.io.lerobot import write_lerobot_dataset
 
     if kind == "lerobot":
@@ -115,8 +115,8 @@ def _read(path: Path) -> "Demonstration":
 
     from kinfeas.control.execution import tool_pose
     from kinfeas.core import spatial
+    from kinfeas.core.files import reading
     from kinfeas.io.demonstrations import Demonstration, check_samples, read_demonstration
-    from kinfeas.io.files import reading
     from kinfeas.io.run_log import is_record, read_record
     from kinfeas.kinematics.forward import build_chain, forward
     from kinfeas.robots.loading import load_robot

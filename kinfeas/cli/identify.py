@@ -10,7 +10,7 @@ from kinfeas.cli.deploy import report
 from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_paths, print_table, run_status, status, write_json
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import check_new, is_bag
+from kinfeas.core.files import check_new, is_bag
 
 if TYPE_CHECKING:
     from kinfeas.api.identify import Identified

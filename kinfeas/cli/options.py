@@ -11,9 +11,9 @@ import typer
 
 from kinfeas.cli.output import STDOUT, check_file_path, progress
 from kinfeas.config import strict_yaml
-from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
+from kinfeas.core.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 
 if TYPE_CHECKING:
     from kinfeas.config import Settings

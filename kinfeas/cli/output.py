@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from kinfeas.config import strict_yaml
-from kinfeas.io import files
-from kinfeas.io.files import replacement_target, writing
+from kinfeas.core import files
+from kinfeas.core.files import replacement_target, writing
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -13,10 +13,10 @@ import typer
 from kinfeas.cli import options
 from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_facts, print_table, progress, write_drawing, write_json
-from kinfeas.core import registry
+from kinfeas.config import registry
+from kinfeas.config.registry import GROUPS, Plugin
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
-from kinfeas.core.registry import GROUPS, Plugin
-from kinfeas.io.files import is_path
+from kinfeas.core.files import is_path
 from kinfeas.templates import Kind, write_distribution
 
 if TYPE_CHECKING:

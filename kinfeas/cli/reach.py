@@ -16,7 +16,7 @@ from kinfeas.cli.output import (
     write_json,
 )
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import check_new
+from kinfeas.core.files import check_new
 
 Pose = tuple[float, float, float, float, float, float]
 Planar = tuple[float, float, float]

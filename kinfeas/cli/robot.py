@@ -44,9 +44,9 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas robot import fetch.urdf --out robots/fetch --picture fetch.png
     """
     from kinfeas.core.errors import check_name
+    from kinfeas.core.files import write_file, writing
     from kinfeas.importer.draft import draft_robot
     from kinfeas.importer.text import warnings
-    from kinfeas.io.files import write_file, writing
 
     called = out.resolve().name if name is None else name
     try:

@@ -55,7 +55,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     require("viser", "fcl")
     from kinfeas.api.load import filter_names, load_policy, robot_of
-    from kinfeas.core import registry
+    from kinfeas.config import registry
     from kinfeas.scenes.scene import read_scene
     from kinfeas.viz.choice import NONE, Choice
     from kinfeas.viz.server import serving

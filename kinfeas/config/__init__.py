@@ -1,8 +1,9 @@
 """Configuration: YAML files and settings as frozen dataclasses, and back.
 
 A dataclass is the schema. Pydantic validates its fields in strict mode: unknown keys, values of
-another type, NaN and infinity raise an error with the path of the key. `quantities` has numbers
-with bounds. A dataclass checks relations of its fields in `__post_init__` and raises ValueError.
+another type, NaN and infinity raise an error with the path of the key. `core.quantities` has
+numbers with bounds. A dataclass checks relations of its fields in `__post_init__` and raises
+ValueError.
 
 Settings are values by key, which change a file before it is validated. Keys are nested, or joined
 by dots as in `world.dt`; `layers.0` is the first entry of a list of the file. An empty mapping

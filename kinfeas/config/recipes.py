@@ -6,10 +6,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kinfeas.config import Settings, from_mapping, merged, strict_yaml
-from kinfeas.core import registry
+from kinfeas.config import Settings, from_mapping, merged, registry, strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.io.files import is_path
+from kinfeas.core.files import is_path
 
 T = TypeVar("T")
 

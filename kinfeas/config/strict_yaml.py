@@ -13,7 +13,7 @@ from pathlib import Path
 import yaml
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import read_file, reading, write_file
+from kinfeas.core.files import read_file, reading, write_file
 
 MAX_BYTES = 1_000_000
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from kinfeas import config
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, registry
 from kinfeas.config.recipes import find_recipe
 from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
 from kinfeas.control.loop import Loop
@@ -14,8 +14,7 @@ from kinfeas.control.observation import HORIZON
 from kinfeas.control.period import CommandFilter
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.control.targets import TargetStream
-from kinfeas.core import registry
-from kinfeas.core.backend import Backend, BackendWrapper
+from kinfeas.core.backend import Backend, BackendWrapper, RealTimeBackend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
 from kinfeas.kinematics.ik import IkSolver
@@ -95,6 +94,36 @@ def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot
                 f"adapter {adapter.name!r} needs a backend with {needed}; {backend.name} has none"
             )
     return backend
+
+
+def build_backend(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
+    """Return a backend by its entry point and the keyword parameters of its constructor.
+
+    Objects of the run, such as `robot`, are `offered`: passed on if the constructor names them.
+
+    Raises:
+        KinfeasError: If the backend is unknown or derives from another class than `Backend`, or a
+            parameter is wrong or offered by the run.
+    """
+    backend = registry.build_with("kinfeas.backends", name, parameters, offered)
+    if not isinstance(backend, Backend):
+        raise KinfeasError(f"backend {name!r} must derive from kinfeas.core.backend.Backend")
+    return backend
+
+
+def build_simulator(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
+    """Return a simulated backend, for programs without guards; otherwise as `build_backend`.
+
+    Raises:
+        KinfeasError: Also if the backend moves a robot in real time; its class is not called.
+    """
+    factory = registry.load("kinfeas.backends", name)
+    if not (isinstance(factory, type) and issubclass(factory, RealTimeBackend)):
+        backend = build_backend(name, parameters, **offered)
+        if backend.real_time is None:
+            return backend
+        backend.close()
+    raise KinfeasError(f"backend {name!r} is for deployment; only simulators are possible here")
 
 
 def respond_late(adapters: Sequence[PluginSpec]) -> bool:

@@ -5,10 +5,10 @@ from typing import Literal
 
 import numpy as np
 
-from kinfeas.config.quantities import Seconds, TimeScale
 from kinfeas.core import spatial
 from kinfeas.core.backend import Grip
 from kinfeas.core.motion import MotionGenerator
+from kinfeas.core.quantities import Seconds, TimeScale
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot

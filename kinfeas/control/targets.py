@@ -7,10 +7,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import REMOTEST, Positive, PositiveSeconds
 from kinfeas.core import spatial
 from kinfeas.core.errors import check_ascending
 from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.quantities import REMOTEST, Positive, PositiveSeconds
 from kinfeas.core.spatial import Array
 
 

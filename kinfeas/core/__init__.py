@@ -1,4 +1,4 @@
-"""Poses and twists, errors, the plugin registry, and the protocols of all plugins.
+"""Poses and twists, errors, files, and the protocols of all plugins.
 
-Every package may import it; it imports config and io alone.
+Every package may import it; it imports none of them.
 """

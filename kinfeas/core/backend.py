@@ -9,7 +9,6 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.pose_kernels import obstacles_are_finite
 from kinfeas.core.response import ResponseModel
@@ -362,33 +361,3 @@ def closed_on_error(backend: Backend) -> Iterator[None]:
         opened.callback(backend.close)
         yield
         opened.pop_all()
-
-
-def build_backend(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
-    """Return a backend by its entry point and the keyword parameters of its constructor.
-
-    Objects of the run, such as `robot`, are `offered`: passed on if the constructor names them.
-
-    Raises:
-        KinfeasError: If the backend is unknown or derives from another class than `Backend`, or a
-            parameter is wrong or offered by the run.
-    """
-    backend = registry.build_with("kinfeas.backends", name, parameters, offered)
-    if not isinstance(backend, Backend):
-        raise KinfeasError(f"backend {name!r} must derive from kinfeas.core.backend.Backend")
-    return backend
-
-
-def build_simulator(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
-    """Return a simulated backend, for programs without guards; otherwise as `build_backend`.
-
-    Raises:
-        KinfeasError: Also if the backend moves a robot in real time; its class is not called.
-    """
-    factory = registry.load("kinfeas.backends", name)
-    if not (isinstance(factory, type) and issubclass(factory, RealTimeBackend)):
-        backend = build_backend(name, parameters, **offered)
-        if backend.real_time is None:
-            return backend
-        backend.close()
-    raise KinfeasError(f"backend {name!r} is for deployment; only simulators are possible here")

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import (
@@ -22,6 +21,7 @@ from kinfeas.core.motion import (
     TwistAndState,
     WholeBodyPath,
 )
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import UNIT, Array, distance, integrate, twist_between
 

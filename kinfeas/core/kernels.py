@@ -23,7 +23,7 @@ import numba
 from numba import njit
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import try_lock
+from kinfeas.core.files import try_lock
 
 # Explicit, because a kernel without an option inherits its first caller's.
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}

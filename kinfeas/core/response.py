@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from annotated_types import Interval
 
-from kinfeas.config.quantities import Positive
+from kinfeas.core.quantities import Positive
 
 Delay = Annotated[float, Interval(ge=0.0, le=60.0)]  # commands are kept as long
 

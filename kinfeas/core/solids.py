@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinfeas.config.quantities import FARTHEST
 from kinfeas.core import solid_kernels
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.spatial import Array, planar_pose
 
 MOST_SOLIDS = 64

@@ -5,10 +5,10 @@ from typing import Literal
 
 import numpy as np
 
-from kinfeas.config.quantities import NotNegative, PositiveFraction
 from kinfeas.control.loop import Outcome
 from kinfeas.core.kernels import exact
 from kinfeas.core.metrics import WITHIN
+from kinfeas.core.quantities import NotNegative, PositiveFraction
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 

@@ -10,14 +10,14 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec, from_mapping
-from kinfeas.config.quantities import ControlPeriod, PositiveSeconds
 from kinfeas.config.recipes import section
-from kinfeas.control.assemble import assemble
+from kinfeas.control.assemble import assemble, build_simulator
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Outcome
-from kinfeas.core.backend import build_simulator, closed_on_error
+from kinfeas.core.backend import closed_on_error
 from kinfeas.core.checks import check_array
 from kinfeas.core.motion import Rows
+from kinfeas.core.quantities import ControlPeriod, PositiveSeconds
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import episode_rng, stacked
 from kinfeas.envs.reward import RewardConfig, reward

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.extras import require
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.importer.arm import Arm, place
 from kinfeas.robots.elements import Element, find_mesh, numbers_text, parse_xml, set_origin

@@ -1,4 +1,1 @@
-"""Files: folders, tables, run logs, demonstrations and policy metadata.
-
-May import core and config.
-"""
+"""Run logs, demonstrations and policy metadata."""

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import LONGEST, REMOTEST
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import read_csv, replacing
+from kinfeas.core.quantities import LONGEST, REMOTEST
 from kinfeas.core.spatial import POSE_COLUMNS, UNIT, Array
-from kinfeas.io.files import read_csv, replacing
 
 _POSES = ("ee_pose", "base_pose", "object_pose")
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import check_new, write_folder
 from kinfeas.core.spatial import Array, continuous, interpolated
 from kinfeas.io.demonstrations import Demonstration, columns
-from kinfeas.io.files import check_new, write_folder
 
 EE = tuple(f"{name}.pos" for name in columns("ee_pose"))
 """Names of a pose of the EE in features; LeRobot's rollout needs these endings."""

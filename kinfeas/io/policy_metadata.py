@@ -10,10 +10,10 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
 from kinfeas import config
-from kinfeas.config.quantities import Count, Episodes
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import check_undamaged, find_folder, read_json, reading
 from kinfeas.core.policy import TermInfo
-from kinfeas.io.files import check_undamaged, find_folder, read_json, reading
+from kinfeas.core.quantities import Count, Episodes
 
 WEIGHTS = "policy.safetensors"
 

@@ -15,10 +15,10 @@ from annotated_types import Len
 from numpy.typing import NDArray
 
 from kinfeas import config
-from kinfeas.config.quantities import NotNegative, Positive
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import reading, writing
+from kinfeas.core.quantities import NotNegative, Positive
 from kinfeas.core.spatial import POSE_COLUMNS, Array
-from kinfeas.io.files import reading, writing
 
 REACHED = "goal reached"
 """Last event of a successful run; an entry of `TASK_DONE` may follow."""

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 from kinfeas import config
 from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.core.files import write_json, writing
 from kinfeas.envs.episodes import WorkerDiedError, worker_pool
-from kinfeas.io.files import write_json, writing
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.run import SETTINGS, read_evaluation
 

@@ -19,11 +19,11 @@ from optuna.trial import Trial, TrialState
 
 from kinfeas import config
 from kinfeas.config import Settings, nested
-from kinfeas.config.quantities import Count, Seed
 from kinfeas.config.recipes import find_recipe
+from kinfeas.config.registry import from_anywhere
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.registry import from_anywhere
-from kinfeas.io.files import reading, writing
+from kinfeas.core.files import reading, writing
+from kinfeas.core.quantities import Count, Seed
 from kinfeas.jobs.job import Job, Result, finish_training
 from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import Progress

@@ -7,8 +7,8 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import Fraction, NotNegative, Positive
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import Fraction, NotNegative, Positive
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.descent import Descent, Limits

@@ -8,8 +8,8 @@ from pydantic_core import to_json
 from kinfeas import __version__, config
 from kinfeas.control.observation import CLIP, HORIZON, describe_action, describe_observation
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import read_json, write_file
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import read_json, write_file
 from kinfeas.io.policy_metadata import Trained, read_trained
 from kinfeas.policies import onnx_policy
 from kinfeas.policies.network import Network, read_network

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.policy import Policy
 from kinfeas.policies.network import read_network

@@ -21,9 +21,9 @@ from kinfeas.control.observation import (
     scaled,
 )
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import file_hash, write_folder
 from kinfeas.core.policy import Observation, TermInfo
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import file_hash, write_folder
 from kinfeas.io.policy_metadata import WEIGHTS, Trained, read_policy, write_trained
 from kinfeas.robots.robot import Robot, check_same_robot, fingerprint
 

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from kinfeas import config
-from kinfeas.config.quantities import ControlPeriod
 from kinfeas.control.observation import CLIP, HORIZON
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import read_file
 from kinfeas.core.policy import Observation, TermInfo
+from kinfeas.core.quantities import ControlPeriod
 from kinfeas.core.spatial import Array
-from kinfeas.io.files import read_file
 from kinfeas.policies.network import Network, check_network, check_robot
 from kinfeas.robots.robot import Robot, fingerprint
 

@@ -16,10 +16,10 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import read_file
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.spatial import Array, make_pose, rpy
-from kinfeas.io.files import read_file
 
 MAX_BYTES = 10_000_000
 LARGEST = 1e16

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from kinfeas.config.quantities import Metres
 from kinfeas.core.backend import Grip
 from kinfeas.core.errors import check_name
+from kinfeas.core.quantities import Metres
 from kinfeas.core.response import ResponseModel
 
 Drive = Literal["omnidirectional", "differential"]

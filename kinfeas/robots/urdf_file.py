@@ -10,7 +10,7 @@ from typing import Any, cast, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config.quantities import FARTHEST
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.spatial import Array, compose, make_pose
 from kinfeas.robots.elements import LARGEST, Element, read_xml
 from kinfeas.robots.urdf import Joint, JointKind, Link, Mimic, Shape, Urdf, descendants

@@ -9,8 +9,8 @@ import numpy as np
 from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config.quantities import Distance, Metres, Position, Radians
 from kinfeas.core.errors import KinfeasError, check_ascending, check_name, no_such
+from kinfeas.core.quantities import Distance, Metres, Position, Radians
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose
 from kinfeas.core.start import Start

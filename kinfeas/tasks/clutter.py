@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import Distance, Fraction, NotNegative
 from kinfeas.core.errors import check_ascending
+from kinfeas.core.quantities import Distance, Fraction, NotNegative
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, planar_pose
 from kinfeas.core.start import Start

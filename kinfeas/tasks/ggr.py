@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config.quantities import Distance, Metres
 from kinfeas.core.errors import check_ascending, check_name
+from kinfeas.core.quantities import Distance, Metres
 from kinfeas.core.spatial import Array, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from kinfeas import config
-from kinfeas.config import strict_yaml
-from kinfeas.core import registry
+from kinfeas.config import registry, strict_yaml
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import is_path
+from kinfeas.core.files import is_path
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import Task
 

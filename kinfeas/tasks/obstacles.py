@@ -4,8 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kinfeas.config.quantities import Count, Distance, Fraction, NotNegative
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import Count, Distance, Fraction, NotNegative
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import compose
 from kinfeas.core.start import Start

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from kinfeas.config.quantities import Fraction, Positive, PositiveSeconds, Seconds
 from kinfeas.control.targets import StreamProgress, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.errors import check_ascending
 from kinfeas.core.motion import Rows
+from kinfeas.core.quantities import Fraction, Positive, PositiveSeconds, Seconds
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver

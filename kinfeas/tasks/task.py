@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import config
-from kinfeas.config.quantities import Seconds
+from kinfeas.config import registry
 from kinfeas.control.execution import Frame, SubgoalMotion
 from kinfeas.control.targets import TargetStream
-from kinfeas.core import registry
 from kinfeas.core.backend import Grip
 from kinfeas.core.checks import are_unit, check_array
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import MotionGenerator
+from kinfeas.core.quantities import Seconds
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import IDENTITY, Array, compose
 from kinfeas.core.start import Start

@@ -7,9 +7,9 @@ from enum import StrEnum
 from pathlib import Path
 from string import Template
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.io.files import writing
+from kinfeas.core.files import writing
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 # The suffix hides templates from tools that check Python files.

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.assemble import with_adapters
-from kinfeas.core.backend import ABILITIES, Backend, BackendWrapper, RobotState, build_simulator
+from kinfeas.control.assemble import build_simulator, with_adapters
+from kinfeas.core.backend import ABILITIES, Backend, BackendWrapper, RobotState
 from kinfeas.core.checks import ConformanceError, check_array, check_state
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.robots.robot import Robot

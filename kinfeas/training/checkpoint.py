@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
-from kinfeas.io.files import check_undamaged, file_hash, reading
+from kinfeas.core.files import check_undamaged, file_hash, reading
 from kinfeas.training.fast_sac import FastSAC
 from kinfeas.training.run import STATE, loading, read_state, write_state
 

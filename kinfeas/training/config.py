@@ -6,7 +6,9 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested
-from kinfeas.config.quantities import (
+from kinfeas.config.recipes import read_recipe, section
+from kinfeas.control.observation import OBSERVATION, check_terms
+from kinfeas.core.quantities import (
     Count,
     Episodes,
     Fraction,
@@ -16,8 +18,6 @@ from kinfeas.config.quantities import (
     Processes,
     Seed,
 )
-from kinfeas.config.recipes import read_recipe, section
-from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.envs.world import WorldConfig
 
 

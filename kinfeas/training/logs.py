@@ -11,7 +11,7 @@ from kinfeas import __version__, config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
-from kinfeas.io.files import reading, replacing, writing
+from kinfeas.core.files import reading, replacing, writing
 from kinfeas.training.config import TrainConfig
 
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")

@@ -18,9 +18,9 @@ from safetensors import SafetensorError
 
 from kinfeas import config as configuration
 from kinfeas.config import Settings
-from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import MAX_JSON_BYTES, find_folder, is_path, read_file, writing
+from kinfeas.core.files import MAX_JSON_BYTES, find_folder, is_path, read_file, writing
+from kinfeas.core.quantities import NotNegative
 from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policies
 from kinfeas.policies.network import Network, read_network

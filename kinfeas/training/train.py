@@ -20,9 +20,9 @@ from kinfeas import config as configuration
 from kinfeas.config import Settings
 from kinfeas.control.observation import surroundings_columns
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import find_folder, locked, write_folder, writing
 from kinfeas.core.metrics import summarize
 from kinfeas.envs.episodes import worker_pool
-from kinfeas.io.files import find_folder, locked, write_folder, writing
 from kinfeas.io.policy_metadata import read_trained
 from kinfeas.policies.network import Network, copy_network, read_network, write_network
 from kinfeas.training.checkpoint import load_learner, save_learner

@@ -9,9 +9,8 @@ from functools import partial
 from operator import methodcaller
 from typing import Any
 
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, registry
 from kinfeas.control.assemble import respond_late
-from kinfeas.core import registry
 from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.envs.batch import Batch
 from kinfeas.envs.episodes import OnDone, begin_worker, evaluate_episodes, evaluate_within

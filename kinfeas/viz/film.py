@@ -10,9 +10,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from kinfeas.backends.pybullet.camera import Camera, View
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import replacing
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.evaluation.recording import Recording
-from kinfeas.io.files import replacing
 from kinfeas.robots.urdf import Shape
 from kinfeas.viz.replay import EpisodeReplay, result
 from kinfeas.viz.shapes import placed, side_heading

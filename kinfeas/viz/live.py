@@ -6,9 +6,9 @@ import numpy as np
 
 from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import load_section
-from kinfeas.control.assemble import assemble
+from kinfeas.control.assemble import assemble, build_simulator
 from kinfeas.core import spatial
-from kinfeas.core.backend import build_simulator, closed_on_error
+from kinfeas.core.backend import closed_on_error
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, stacked
 from kinfeas.kinematics.ik import IkSolver

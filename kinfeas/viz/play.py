@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinfeas.core import registry, spatial
+from kinfeas.config import registry
+from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import writing
 from kinfeas.core.spatial import Array
 from kinfeas.io.demonstrations import Demonstration, write_demonstration
-from kinfeas.io.files import writing
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.choice import DT, NONE, Choice

@@ -17,7 +17,7 @@ import numpy as np
 import viser
 import websockets.asyncio.server
 
-from kinfeas.config.quantities import FARTHEST
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.viz.access import Access
 
 _TITLE = "<title>Viser</title>"

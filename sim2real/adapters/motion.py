@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from kinfeas.config.quantities import TIME_SCALES
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.backend import Backend
+from kinfeas.core.quantities import TIME_SCALES
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters.adapter import Adapter, Number
 

@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass, field, replace
 
 from kinfeas.config import PluginSpec
-from kinfeas.config.quantities import Count, Positive, PositiveFraction, PositiveSeconds
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.targets import TargetRules
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import Count, Positive, PositiveFraction, PositiveSeconds
 from kinfeas.kinematics.ik import IkOptions
 
 

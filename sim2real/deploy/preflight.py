@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinfeas.config import PluginSpec
-from kinfeas.control.assemble import assemble
+from kinfeas.config import PluginSpec, registry
+from kinfeas.control.assemble import assemble, build_backend
 from kinfeas.control.loop import Loop
 from kinfeas.control.period import CommandFilter
 from kinfeas.control.subgoal_motions import subgoal_ends
-from kinfeas.core import registry, spatial
-from kinfeas.core.backend import build_backend
+from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.policy import Policy

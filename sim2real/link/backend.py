@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.core.backend import Grip, RealTimeBackend, RobotState, Scan
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
+from kinfeas.core.quantities import PositiveSeconds
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import base_velocity
 from kinfeas.robots.robot import Robot, joint_displacement

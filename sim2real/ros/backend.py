@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.core.backend import SCAN_RANGE, Grip, RobotState, StopCall
 from kinfeas.core.errors import Fault
+from kinfeas.core.quantities import PositiveSeconds
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings, RobotLink

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.spatial import Array, compose, distance, interpolated, planar_pose
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver

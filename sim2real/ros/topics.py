@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from kinfeas import config
-from kinfeas.config.quantities import Positive
 from kinfeas.core.backend import Grip
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import Positive
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link.scans import OCCUPIED
 from kinfeas.sim2real.ros.bus import Version

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinfeas.config.quantities import REMOTEST
 from kinfeas.control.targets import interpolated
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import REMOTEST
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link.measurements import DRIFT

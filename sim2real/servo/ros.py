@@ -4,7 +4,7 @@ import time
 from functools import partial
 from typing import Any, ClassVar
 
-from kinfeas.config.quantities import Seconds
+from kinfeas.core.quantities import Seconds
 from kinfeas.sim2real.ros.bus import Version, make_bus
 from kinfeas.sim2real.ros.messages import pose_of
 from kinfeas.sim2real.servo.controller import TargetController

@@ -11,18 +11,10 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from kinfeas.backends.physics.backend import PhysicsBackend
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, registry
 from kinfeas.config.recipes import default_engine
-from kinfeas.control.assemble import with_adapters
-from kinfeas.core import registry
-from kinfeas.core.backend import (
-    Backend,
-    BackendWrapper,
-    Grip,
-    RobotState,
-    build_backend,
-    closed_on_error,
-)
+from kinfeas.control.assemble import build_backend, with_adapters
+from kinfeas.core.backend import Backend, BackendWrapper, Grip, RobotState, closed_on_error
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.core.start import episode_rng
@@ -268,7 +260,7 @@ def spawn(  # noqa: PLR0913 - the parts of a world
         seeds = np.array([deepcopy(rng).integers(2**64, dtype=np.uint64)])
         outer.seed(seeds, np.array([0]))
         if task is not None:
-            start = world.stage(task).sample(IkSolver(robot), rng)
+            start = world.staging.stage(task).sample(IkSolver(robot), rng)
             base, joints = start.base_pose, start.joint_positions
             state = outer.reset(base[np.newaxis], joints[np.newaxis])
             world.place_solids(start.solids, np.array([0]))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
 from tests.builders import at, twist

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import planar_pose
 from kinfeas.robots.loading import load_robot

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas.core.registry import GROUPS
+from kinfeas.config.registry import GROUPS
 from tests.cli.conftest import check_one_line
 
 

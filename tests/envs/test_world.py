@@ -5,9 +5,8 @@ import pytest
 
 from kinfeas import config
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, registry
 from kinfeas.control.assemble import read_sim2real
-from kinfeas.core import registry
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, RealTimeBackend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import FollowsPath
 from kinfeas.core.spatial import IDENTITY, compose, distance, integrate, make_pose, relative

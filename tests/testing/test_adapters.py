@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.config import PluginSpec
-from kinfeas.core import registry
+from kinfeas.config import PluginSpec, registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.adapters.adapter import Adapter, measured

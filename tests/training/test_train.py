@@ -12,10 +12,10 @@ from safetensors.numpy import load_file
 
 from kinfeas import __version__, config
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.files import locked
 from kinfeas.envs.episodes import evaluate_episodes
-from kinfeas.io.files import locked
 from kinfeas.training import checkpoint, logs, vec_env, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig

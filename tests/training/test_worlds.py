@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas import config
-from kinfeas.config.quantities import LAST_SEED
+from kinfeas.core.quantities import LAST_SEED
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.loading import load_robot

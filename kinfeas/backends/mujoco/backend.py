@@ -11,6 +11,7 @@ from kinfeas.backends.mujoco.model import ROBOT, Model
 from kinfeas.backends.mujoco.simulations import Simulations
 from kinfeas.backends.physics.backend import LinkName, Motion, PhysicsBackend
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
+from kinfeas.backends.physics.stage import Staging
 from kinfeas.core.backend import Contacts, Grip, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
@@ -34,6 +35,11 @@ class MuJoCoBackend(PhysicsBackend):
     def sims(self) -> Simulations:
         """The simulations; `reset` and `place` add the missing ones."""
         return Simulations(self.model, self.config, 1)
+
+    @cached_property
+    def staging(self) -> Staging:  # type: ignore[override]  # never replaced
+        """Sets up the scenes of tasks."""
+        return Staging(self)
 
     def open(self) -> None:
         """Build the first simulation; a second call does nothing."""

@@ -10,8 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinfeas.backends.physics.config import PhysicsConfig
-from kinfeas.backends.physics.stage import Stage, StreamStage
-from kinfeas.core.backend import Backend, Contacts, Grip, ObstacleDistances, RobotState, Scan
+from kinfeas.core.backend import (
+    Backend,
+    Contacts,
+    Grip,
+    ObstacleDistances,
+    RobotState,
+    Scan,
+    Staging,
+)
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.solids import MovingSolids, Solids
@@ -19,9 +26,7 @@ from kinfeas.core.spatial import Array, compose, planar_pose, wrap
 from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.sensing import base_obstacles, fine_base_prisms, scan
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import Scene, read_scene, solids_around
-from kinfeas.tasks.chain import ChainTask
-from kinfeas.tasks.task import StreamTask, Task
+from kinfeas.scenes.scene import Scene, solids_around
 
 _FLAT = 1e-6
 _MAX_BATCH = 8  # simulations of ended episodes cost as much as others until the last one ends
@@ -46,9 +51,11 @@ class PhysicsBackend(Backend):
         scene: Room and furniture; None for a floor only.
         furniture: Number of the first places of solids that hold the furniture of the scene, which
             is in the engine already.
+        objects: Whether `staging` sets up the scene of a task.
     """
 
     engine: ClassVar[str]
+    staging: Staging
     solids: MovingSolids
     _handled: tuple[str, str, bool] | None = None
     _standing: Solids | None = None  # links that no robot moves, since the last reset
@@ -62,26 +69,14 @@ class PhysicsBackend(Backend):
         gui: bool = False,
         physics: PhysicsConfig | None = None,
     ) -> None:
-        """Keep the settings; physics, in a window if `gui`, starts with the first use.
-
-        Without `objects`, `stage` leaves the scene of a task out.
-        """
+        """Keep the settings; physics, in a window if `gui`, starts with the first use."""
         self.robot, self.scene, self.config = robot, scene, physics or PhysicsConfig()
         self.arm_seconds = self.config.arm_horizon
-        self._objects, self._gui = objects, gui
+        self.objects, self._gui = objects, gui
         self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
         self.solids, self.furniture = MovingSolids(), 0
         self.gripper = self.scanner = self.obstacles = self.contacts = self.dynamics = self
-        self.staging, self.max_batch = self, 1 if gui else _MAX_BATCH
-
-    def stage(self, task: Task) -> Stage:
-        """Return a task whose episodes also place its objects; call it before any other method."""
-        if self._objects:
-            scene = task.scene if isinstance(task, ChainTask) else None
-            self.scene = read_scene(scene.name) if scene else None
-        stage = StreamStage(task, task, self) if isinstance(task, StreamTask) else Stage(task, self)
-        self.open()  # shows errors early
-        return stage
+        self.max_batch = 1 if gui else _MAX_BATCH
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: Rows | None = None

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from annotated_types import Interval
 
-from kinfeas.config.quantities import NotNegative, Positive
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import NotNegative, Positive
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config.quantities import NotNegative
 from kinfeas.control.period import KinematicInputs, KinematicStep, Move, Period
 from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.quantities import NotNegative
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.drive import command_size

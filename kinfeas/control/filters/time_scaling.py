@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinfeas.config.quantities import NotNegative
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.period import Period
 from kinfeas.core.motion import Rows, with_rows
+from kinfeas.core.quantities import NotNegative
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkSolver

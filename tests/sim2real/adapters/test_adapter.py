@@ -6,9 +6,8 @@ import pytest
 from scipy.stats import kstest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.config import PluginSpec
+from kinfeas.config import PluginSpec, registry
 from kinfeas.control.assemble import read_sim2real, with_adapters
-from kinfeas.core import registry
 from kinfeas.core.backend import ABILITIES
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.adapter import Adapter

@@ -3,8 +3,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from kinfeas.config import registry
 from kinfeas.control.assemble import read_sim2real
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import planar_pose
 from kinfeas.envs.world import World, WorldConfig

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.config import PluginSpec
-from kinfeas.core import registry, spatial
+from kinfeas.config import PluginSpec, registry
+from kinfeas.core import spatial
 from kinfeas.core.backend import SCAN_BEAMS, Backend, RobotState, Scan
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.kinematics.drive import base_velocity

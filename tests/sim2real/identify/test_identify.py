@@ -12,8 +12,7 @@ from kinfeas.api.load import read_adapters
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import default_engine
-from kinfeas.control.assemble import with_adapters
-from kinfeas.core.backend import build_backend
+from kinfeas.control.assemble import build_backend, with_adapters
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import interpolated_columns
 from kinfeas.io.run_log import read_record

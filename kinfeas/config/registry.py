@@ -18,7 +18,7 @@ from kinfeas.config import convert
 from kinfeas.config.strict_yaml import CODE
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.core.extras import missing_extra
-from kinfeas.io.files import is_path
+from kinfeas.core.files import is_path
 
 GROUPS = {
     "kinfeas.motion_generators": "motion generator",

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas.core import registry
+from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import EXTRAS
 from kinfeas.plugins.linear import Linear

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from kinfeas.core import files
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io import files
 
 
 def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):
