@@ -27,7 +27,7 @@ from kinfeas.core.backend import BackendWrapper
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.core.start import episode_rng
 from kinfeas.sim2real.adapters.adapter import Adapter
-from kinfeas.sim2real.identify.chain import arm_delay
+from kinfeas.sim2real.identify.model import arm_delay
 
 ROBOTS = ("hsr", "pr2", "tiago")
 ADAPTERS = "harsh"

@@ -1,5 +1,7 @@
 """The base class of adapters."""
 
+import math
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
@@ -7,6 +9,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
+from numba import njit
 from numpy.typing import NDArray
 
 from kinfeas.config import convert
@@ -17,7 +20,6 @@ from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import with_rows
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapters import random_numbers
 
 Memory = dict[str, NDArray[Any]]
 
@@ -26,6 +28,10 @@ Number = float | tuple[float, float]
 
 _HOOKS = ("on_reset", "modify_command", "on_step", "modify_state")
 _ALLOWED = Interval(ge=0.0, le=10_000.0)  # seconds, metres or radians
+
+# Of seeds: for numbers that are constant during an episode, for uniform ones, and between classes.
+_EPISODE, _UNIFORM = np.uint64(0x8CB92BA72F3D8DD7), 0xD1B54A32D192ED03
+_SPREAD, _MASK = 0x9FB21C651E98DF25, 2**64 - 1
 
 
 class Range(NamedTuple):
@@ -90,7 +96,7 @@ class Adapter(BackendWrapper):
         while isinstance(inner, BackendWrapper):
             number, inner = number + (type(inner) is type(self)), inner.backend
         stream = type(self).__name__ if self.stream is None else self.stream
-        self._salt = random_numbers.salt(stream, number)
+        self._salt = np.uint64((zlib.crc32(stream.encode()) * _SPREAD + number) & _MASK)
         self._prefix = f"{type(self).__name__}.{number}."
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
@@ -126,11 +132,11 @@ class Adapter(BackendWrapper):
 
     def normal(self, width: int) -> Array:
         """Return standard normal numbers for this step, shape (n, width)."""
-        return random_numbers.normal(self._seeds + self._salt, self._steps, width)
+        return normal(self._seeds + self._salt, self._steps, width)
 
     def uniform(self, width: int) -> Array:
         """Return uniform numbers in (0, 1] for this step, shape (n, width)."""
-        return random_numbers.uniform(self._seeds + self._salt, self._steps, width)
+        return uniform(self._seeds + self._salt, self._steps, width)
 
     def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
         """Set the seeds of new episodes, shape (m,), in the m `env_ids`."""
@@ -206,8 +212,8 @@ class Adapter(BackendWrapper):
 
     def _draw(self) -> None:
         """Draw the parameters of all episodes; those of running episodes do not change."""
-        seeds, steps = self._seeds + self._salt + random_numbers.EPISODE, np.zeros_like(self._seeds)
-        fractions = random_numbers.uniform(seeds, steps, len(self.ranges))
+        seeds, steps = self._seeds + self._salt + _EPISODE, np.zeros_like(self._seeds)
+        fractions = uniform(seeds, steps, len(self.ranges))
         for (name, (low, high)), fraction in zip(self.ranges.items(), fractions.T, strict=True):
             self._values[name] = low + (high - low) * fraction[:, np.newaxis]
 
@@ -220,3 +226,40 @@ class Adapter(BackendWrapper):
 def measured(state: RobotState, **changes: Array) -> RobotState:
     """Return a changed measurement that keeps the true state."""
     return replace(state, true_state=state.true_state or state, **changes)
+
+
+# Random numbers are hashes of seed and step: rows of a batch are independent, and a run can resume
+# at any step.
+@njit(cache=True)
+def _hash(seed: Any, counter: Any) -> Any:
+    """Return a number in (0, 1]: SplitMix64 (Steele, Lea and Flood, OOPSLA 2014)."""
+    z = seed + (counter + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return (np.float64(z >> np.uint64(11)) + 1.0) / 9007199254740992.0
+
+
+@njit(cache=True)
+def normal(seeds: NDArray[np.uint64], steps: NDArray[np.uint64], width: int) -> Array:
+    """Return standard normal numbers, shape (n, width), for seeds and steps of shape (n,)."""
+    out = np.empty((len(seeds), width))
+    for i in range(len(out)):
+        for k in range(width):
+            # Each step has sixteen counters of a seed, for eight numbers; Box-Muller transform.
+            seed = seeds[i] + np.uint64(k // 8) * np.uint64(0xA0761D6478BD642F)
+            counter = steps[i] * np.uint64(16) + np.uint64(2 * (k % 8))
+            first, second = _hash(seed, counter), _hash(seed, counter + np.uint64(1))
+            out[i, k] = math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
+    return out
+
+
+@njit(cache=True)
+def uniform(seeds: NDArray[np.uint64], steps: NDArray[np.uint64], width: int) -> Array:
+    """Return numbers in (0, 1], shape (n, width), for seeds and steps of shape (n,)."""
+    out = np.empty((len(seeds), width))
+    for i in range(len(out)):
+        for k in range(width):
+            counter = steps[i] * np.uint64(width) + np.uint64(k)
+            out[i, k] = _hash(seeds[i] + np.uint64(_UNIFORM), counter)
+    return out

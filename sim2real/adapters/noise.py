@@ -18,8 +18,8 @@ from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number, measured
-from kinfeas.sim2real.adapters.latency import filled, pushed
-from kinfeas.sim2real.adapters.limits import shortened
+from kinfeas.sim2real.adapters.dynamics import shortened
+from kinfeas.sim2real.adapters.timing import filled, pushed
 
 
 class BaseNoise(Adapter):

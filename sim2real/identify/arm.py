@@ -10,10 +10,16 @@ import numpy as np
 from scipy.optimize import Bounds, least_squares
 
 from kinfeas.core.spatial import Array, interpolated_columns
-from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.base import LATENCIES, LATENCY_UNIT, TIMES
 from kinfeas.sim2real.identify.log import Log
-from kinfeas.sim2real.identify.model import Delays
+from kinfeas.sim2real.identify.model import (
+    Delays,
+    delayed,
+    drawn_commands,
+    drawn_delays,
+    moved_arm,
+    uniform_numbers,
+)
 from kinfeas.sim2real.identify.noise import joint_noise, overlap
 from kinfeas.sim2real.identify.statistics import (
     MOVES,
@@ -115,8 +121,8 @@ class ArmProblem:
     def _positions(self, delays: Delays, lag: float) -> Iterator[Positions]:
         for log, at in zip(self._logs, self._at, strict=True):
             targets = log.targets[:, self._joints]
-            active = chain.delayed(targets, delays.weights(log.dt))
-            ends = chain.moved_arm(active, log.dt, lag, log.arm_seconds)
+            active = delayed(targets, delays.weights(log.dt))
+            ends = moved_arm(active, log.dt, lag, log.arm_seconds)
             ends = np.concatenate([targets[:1], ends])
             periods, measured = np.arange(float(len(ends))), log.joints[:, self._joints]
             predicted = interpolated_columns(at, periods, ends)
@@ -175,10 +181,10 @@ class ArmProblem:
         for log, at, speed in zip(self._logs, self._at, speeds, strict=True):
             targets, squared = log.targets[:, self._joints], _moving_square(speed)
             late = []
-            for numbers in chain.uniform_numbers(_DRAWS, len(targets)):
-                drawn = chain.drawn_delays(numbers, log.dt, latency, delays.jitter, delays.lost)
-                active = chain.drawn_commands(targets, *drawn)
-                ends = chain.moved_arm(active, log.dt, self.lag, log.arm_seconds)
+            for numbers in uniform_numbers(_DRAWS, len(targets)):
+                drawn = drawn_delays(numbers, log.dt, latency, delays.jitter, delays.lost)
+                active = drawn_commands(targets, *drawn)
+                ends = moved_arm(active, log.dt, self.lag, log.arm_seconds)
                 ends = np.concatenate([targets[:1], ends])
                 positions = interpolated_columns(at, np.arange(float(len(ends))), ends)
                 late.append(-np.sum(positions * speed, axis=1) / squared)

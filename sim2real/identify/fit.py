@@ -1,6 +1,6 @@
 """The fit of a robot's response and noise to logs of its commands and measurements.
 
-The chain of `kinfeas.sim2real.identify.chain` is carried out for the recorded commands. Compared
+The response of `kinfeas.sim2real.identify.model` is carried out for the recorded commands. Compared
 are the displacements of the base between two measurements, and the positions of the arm; the rest
 is noise. Intervals are of 95 % and treat blocks of two seconds as independent.
 """
@@ -23,9 +23,8 @@ from kinfeas.sim2real.identify.base import (
     BaseProblem,
     Parameter,
 )
-from kinfeas.sim2real.identify.chain import arm_delay
 from kinfeas.sim2real.identify.log import Log
-from kinfeas.sim2real.identify.model import Delays, Track
+from kinfeas.sim2real.identify.model import Delays, Track, arm_delay
 from kinfeas.sim2real.identify.noise import Walk, base_noise, sensor_ages
 from kinfeas.sim2real.identify.statistics import (
     DRIVE,

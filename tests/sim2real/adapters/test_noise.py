@@ -8,8 +8,8 @@ from scipy.stats import kstest
 from kinfeas.core.backend import LOCALISATION_SPEED, SCAN_BEAMS, SCAN_RANGE, Scan
 from kinfeas.core.spatial import distance, yaw
 from kinfeas.kinematics.forward import build_chain, forward
+from kinfeas.sim2real.adapters.adapter import normal, uniform
 from kinfeas.sim2real.adapters.noise import BaseNoise, EeNoise, JointNoise, Localisation, ScanNoise
-from kinfeas.sim2real.adapters.random_numbers import normal, uniform
 
 STILL = {"drift": 0.0, "turn_drift": 0.0, "jump": 0.0, "turn_jump": 0.0, "rate": 0.0}
 

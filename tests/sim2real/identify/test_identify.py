@@ -17,10 +17,16 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import interpolated_columns
 from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.sim2real.identify import chain
 from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, base_pattern
 from kinfeas.sim2real.identify.log import Log, log_of
-from kinfeas.sim2real.identify.model import Delays, Track
+from kinfeas.sim2real.identify.model import (
+    Delays,
+    Track,
+    arm_delay,
+    delayed,
+    moved_arm,
+    moved_base,
+)
 from kinfeas.sim2real.identify.noise import Walk, base_noise, joint_noise
 from kinfeas.viz.plots import velocities_figure
 from tests.builders import at, twist
@@ -111,19 +117,19 @@ def test_chain_is_that_of_the_adapters(hsr):
     steps = zip(sent, targets, strict=True)
     states = [backend.step(twist(*velocity), target[np.newaxis], DT) for velocity, target in steps]
     weights, before = Delays(0.05).weights(DT), np.zeros((1, 5))
-    active = chain.delayed(np.concatenate([before[:, :3], sent]), weights)
-    means = chain.moved_base(active, DT, 0.1, np.array([0.5, 1.0]), np.array([5.0, 10.0]))[1:]
+    active = delayed(np.concatenate([before[:, :3], sent]), weights)
+    means = moved_base(active, DT, 0.1, np.array([0.5, 1.0]), np.array([5.0, 10.0]))[1:]
     way = np.array([state.base_pose[0, :2] for state in states])
     np.testing.assert_allclose(np.cumsum(means, axis=0)[:, :2] * DT, way, atol=1e-4)
-    arm = chain.moved_arm(chain.delayed(np.concatenate([before, targets]), weights), DT, 0.05)[1:]
+    arm = moved_arm(delayed(np.concatenate([before, targets]), weights), DT, 0.05)[1:]
     np.testing.assert_allclose(arm, [s.joint_positions[0] for s in states], atol=1e-3)
 
 
 @pytest.mark.parametrize("seconds", [0.0, DT, 0.1, 0.5])
 def test_delay_of_cubics_is_that_at_constant_velocity(seconds):
     times = np.arange(500)[:, np.newaxis] * DT
-    late = (times - chain.moved_arm(times, DT, 0.0, seconds))[-1, 0]
-    assert chain.arm_delay(DT, seconds) == pytest.approx(late, abs=1e-9)
+    late = (times - moved_arm(times, DT, 0.0, seconds))[-1, 0]
+    assert arm_delay(DT, seconds) == pytest.approx(late, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -135,7 +141,7 @@ def test_latency_is_found_behind_an_arm_on_trajectories(tmp_path):
     assert seconds > DT
     found, delays = identify(record).estimates, TRUTH["command_latency"]
     assert found["command_latency.seconds"].value == pytest.approx(delays["seconds"], abs=0.015)
-    lag = TRUTH["actuator_lag"]["arm"] + chain.arm_delay(DT, seconds)
+    lag = TRUTH["actuator_lag"]["arm"] + arm_delay(DT, seconds)
     assert found["actuator_lag.arm"].value == pytest.approx(lag, abs=0.015)
 
 

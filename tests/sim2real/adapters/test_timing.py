@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.spatial import yaw
-from kinfeas.sim2real.adapters.latency import CommandLatency, DroppedCommands, SensorLatency
+from kinfeas.sim2real.adapters.timing import CommandLatency, DroppedCommands, SensorLatency
 
 
 def targets(steps, seed=0):
