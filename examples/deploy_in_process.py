@@ -11,9 +11,8 @@ from kinfeas.io.run_log import About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.deploy.goal_task import make_goal_task
-from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Setup, deploy
+from kinfeas.sim2real.deploy.start import make_goal_task, warm_up
 from kinfeas.tasks.task import MotionSpec
 
 

@@ -20,13 +20,13 @@ from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.sim2real.deploy.config import DeployConfig
-from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Setup
+from kinfeas.sim2real.deploy.start import warm_up
 from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
 from kinfeas.sim2real.link import JointPath, Readings
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.rate import Clock
-from kinfeas.sim2real.simulator.simulation import SimulatedRobot, spawn
+from kinfeas.sim2real.simulator import SimulatedRobot, spawn
 
 DELAY, WORK, MORE_WORK = 0.001, 0.002, 0.0005
 """Seconds of a message, and of computing a command: at least, and on average beyond that."""

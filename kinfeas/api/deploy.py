@@ -42,10 +42,9 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import furniture_solids, read_scene
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards
-from kinfeas.sim2real.deploy.goal_task import GoalTask, make_goal_task
-from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import RunOutcome, Setup
 from kinfeas.sim2real.deploy.runtime import deploy as run
+from kinfeas.sim2real.deploy.start import GoalTask, make_goal_task, warm_up
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, StagedTask, Task
 

@@ -1,4 +1,4 @@
-"""`kinfeas deploy` and `kinfeas servo`: run a policy on a robot or a simulated one."""
+"""`kinfeas deploy`, `servo` and `simulate`: run a policy on a robot, and simulate one."""
 
 import sys
 from contextlib import suppress
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from kinfeas.api import DEFAULT_ROBOT
 from kinfeas.cli import options
 from kinfeas.cli.options import option
 from kinfeas.cli.output import print_facts, run_status, write_json
@@ -100,6 +101,62 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
             settings=options.read_settings(overrides), on_moment=on_moment,
         )  # fmt: skip
     raise typer.Exit(report(done, json))
+
+
+def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
+    backend: str = option("ros2", "Bus: ros2, ros1, or a plugin with topics."),
+    robot: options.RobotName = DEFAULT_ROBOT,
+    task: str | None = option(None, "Begin as in an episode of this task."),
+    episode: int = option(0, "Number of the episode.", min=0),
+    seed: options.Seed = 0,
+    scene: str | None = option(None, "Scene by name or YAML file.  [default: that of --task]"),
+    adapters: options.AdapterList = None,
+    topics: str | None = option(None, "YAML of the topics.  [default: those of the robot]"),
+    rate: float = option(100.0, "Measurement rate, Hz.", min=10.0, max=1000.0),
+    seconds: float | None = option(None, "Duration.  [default: unlimited]", min=0.0),
+    command_timeout: float = option(0.25, "The base stops after these seconds.", min=0.0),
+    world: str | None = option(None, "pybullet or mujoco.  [default: the installed one]"),
+    gui: bool = option(False, "PyBullet: show a window.", "--gui"),
+    json: options.JsonPath = None,
+) -> None:
+    """Simulate a robot behind ROS topics, with physics in real time.
+
+    Programs for the real robot, such as kinfeas deploy, can drive it. Ctrl-C or SIGTERM ends it,
+    with code 0. Adapters lie around the robot: what drives it meets their noise, latency and
+    limits.
+
+    Example: kinfeas simulate --backend ros2 --robot pr2 --task door
+    """
+    from kinfeas.api.load import read_adapters
+    from kinfeas.core.start import episode_rng
+    from kinfeas.robots.loading import load_robot
+    from kinfeas.sim2real import simulator
+    from kinfeas.sim2real.deploy.runtime import Signals
+    from kinfeas.tasks.loading import load_task
+
+    if task is not None and scene is not None:
+        raise KinfeasError("--task has its own scene and excludes --scene")
+    model = load_robot(robot)
+    link = simulator.robot_link(backend, model, topics)
+    drawn_by = load_task(task) if task is not None else None
+    rng = episode_rng(seed, episode)
+    with Signals():  # SIGINT also in the background of a script, where it is ignored
+        room, state = simulator.spawn(
+            model, drawn_by, scene, rng=rng, engine=world, gui=gui, adapters=read_adapters(adapters)
+        )
+        player = simulator.SimulatedRobot(room, state, command_timeout)
+
+        def ready() -> None:
+            x, y = state.base_pose[0, :2]
+            typer.echo(f"{model.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
+
+        try:
+            duration = float("inf") if seconds is None else seconds
+            played = simulator.simulate(player, link, ready, rate, duration)
+        finally:
+            room.close()
+    write_json(asdict(played), json)
+    print_facts("simulated robot", asdict(played))
 
 
 def report(done: "Deployment", json: Path | None) -> int:

@@ -15,14 +15,13 @@ from kinfeas import __version__
 from kinfeas.cli.benchmark import benchmark
 from kinfeas.cli.demo import demo
 from kinfeas.cli.demonstrations import dataset, fit
-from kinfeas.cli.deploy import deploy, servo
+from kinfeas.cli.deploy import deploy, servo, simulate
 from kinfeas.cli.evaluate import ceiling, evaluate
 from kinfeas.cli.export import export
 from kinfeas.cli.identify import identify
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.reach import plan, reach, serve
 from kinfeas.cli.robot import app as robot
-from kinfeas.cli.simulate import simulate
 from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
 from kinfeas.cli.view import play, view

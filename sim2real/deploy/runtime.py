@@ -28,9 +28,8 @@ from kinfeas.core.start import episode_rng
 from kinfeas.io.run_log import REACHED, TASK_DONE, Moment, Recorder
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards
-from kinfeas.sim2real.deploy.goal_task import GoalTask, begin
 from kinfeas.sim2real.deploy.guards import Guarded
-from kinfeas.sim2real.deploy.preflight import preflight
+from kinfeas.sim2real.deploy.start import GoalTask, begin, preflight
 from kinfeas.sim2real.deploy.watchdog import Watchdog
 from kinfeas.sim2real.link.rate import Clock, Rate, Timing
 from kinfeas.tasks.task import StagedTask, Task, build_subgoals, target_stream

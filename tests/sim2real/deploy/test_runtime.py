@@ -26,9 +26,8 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy import runtime
 from kinfeas.sim2real.deploy.config import DeployConfig, Guards
-from kinfeas.sim2real.deploy.goal_task import make_goal_task
-from kinfeas.sim2real.deploy.preflight import warm_up
 from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
+from kinfeas.sim2real.deploy.start import make_goal_task, warm_up
 from kinfeas.sim2real.link.rate import Rate
 from kinfeas.tasks.task import MotionSpec
 

@@ -11,7 +11,7 @@ from kinfeas.core.backend import SCAN_RANGE
 from kinfeas.core.spatial import yaw
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
-from kinfeas.sim2real.simulator.simulation import (
+from kinfeas.sim2real.simulator import (
     JointSetpoints,
     SimulatedRobot,
     simulate,

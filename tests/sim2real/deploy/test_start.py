@@ -14,8 +14,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.placement import reachable
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.config import Guards
-from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
-from kinfeas.sim2real.deploy.preflight import preflight
+from kinfeas.sim2real.deploy.start import begin, make_goal_task, preflight
 from kinfeas.sim2real.link.rate import Clock, Rate
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, build_subgoals

@@ -1,1 +1,0 @@
-"""Simulated robots behind the topics of real ones, for rehearsals of a deployment."""
