@@ -7,40 +7,31 @@ from pathlib import Path
 from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.api.deploy import Deployment, make_setup, recorded
 from kinfeas.api.load import checked, load_robot, read_adapters, text_of
-from kinfeas.config import PluginSpec, Settings, strict_yaml
+from kinfeas.config import Settings, strict_yaml
 from kinfeas.config.recipes import default_engine, load_section
 from kinfeas.control.assemble import build_backend, with_adapters
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import check_new, is_bag, write_file
 from kinfeas.core.quantities import Rate, Seed
-from kinfeas.core.response import ResponseModel
 from kinfeas.io.run_log import Moment, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.sim2real.adapters.noise import Localisation
 from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.sim2real.identify.bags import read_bag
 from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
-from kinfeas.sim2real.identify.fit import ResponseFit, adapter_list, fit
+from kinfeas.sim2real.identify.fit import ResponseFit, fit
 from kinfeas.sim2real.identify.log import log_of
 from kinfeas.sim2real.identify.noise import Walk
-from kinfeas.sim2real.identify.statistics import Estimate
 
 _LEAST = 2e-3  # smallest number of a response that is worth a line
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
+class Identified(ResponseFit):
     """A robot identified from records."""
 
     robot: str  # its name, or the path of its YAML
     records: tuple[str, ...]  # files of the records
-    # with 95 % intervals, by adapter and parameter, such as `actuator_lag.base`, in SI units
-    estimates: dict[str, Estimate]
-    response: ResponseModel  # response of the robot: what does not show is left out
-    # the same as adapters, with the intervals as ranges, the first one innermost
-    adapters: tuple[PluginSpec, ...]
-    missing: tuple[str, ...]  # what the records do not show, in sentences
-    fit: ResponseFit  # measured and predicted velocities
 
     @property
     def response_lines(self) -> str:
@@ -125,18 +116,14 @@ def identify(
     periods = sorted({log.dt for log in logs})
     if len(periods) > 1:
         raise KinfeasError(f"records with different control periods: {periods} s")
-    fitted = fit(logs, walk)
-    result = Identified(
-        name, tuple(map(str, paths)), fitted.estimates, fitted.response,
-        adapter_list(fitted.estimates), fitted.missing, fitted,
-    )  # fmt: skip
+    result = Identified(**vars(fit(logs, walk)), robot=name, records=tuple(map(str, paths)))
     if out is not None:
         write_file(Path(out), result.adapter_lines.encode())
     if picture is not None:
         from kinfeas.viz.plots import velocities_figure
         from kinfeas.viz.style import png
 
-        write_file(Path(picture), png(velocities_figure(fitted)))
+        write_file(Path(picture), png(velocities_figure(result)))
     return result
 
 
@@ -147,7 +134,7 @@ def _walk(prior: Name) -> Walk:
             world = build_backend("analytic", {})
             adapter = with_adapters(world, (spec,), load_robot(DEFAULT_ROBOT))
             assert isinstance(adapter, Localisation)
-            return Walk(*(sum(adapter.ranges[key]) / 2.0 for key in ("drift", "turn_drift")))
+            return Walk(adapter.mean("drift"), adapter.mean("turn_drift"))
     return Walk(0.0, 0.0)
 
 

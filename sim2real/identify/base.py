@@ -75,14 +75,6 @@ class BaseFit:
     agrees: bool = False  # whether base and arm show the same latency
 
 
-@dataclass(frozen=True)
-class Prior:
-    """A latency that is known, and its standard error, seconds."""
-
-    latency: float
-    error: float
-
-
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """How models are compared with measured tracks."""
@@ -90,6 +82,7 @@ class Comparison:
     draws: int  # of delays; 0 for the mean active commands
     deviation: Array  # noise of each axis, shape (3,), m/s and rad/s
     kept: Sequence[NDArray[np.bool_]]  # displacements of each track without jumps, shape (k,)
+    latency: tuple[float, float] | None = None  # one that is known, and its error, seconds
 
 
 class BaseProblem:
@@ -114,7 +107,7 @@ class BaseProblem:
             for part in np.flatnonzero(self._parts).tolist()
             for kind in ("acceleration", "jerk")
         ]
-        free, prior = [LATENCY, LAG, *limits], None
+        free = [LATENCY, LAG, *limits]
         comparison = self.comparison(model, 0)
         starts = self._starts(model, (0.03, 0.1, 0.2) if arm is None else (arm.latency,))
         tried = [self.solve(start, free[1:], comparison, loss="soft_l1") for start in starts]
@@ -126,17 +119,17 @@ class BaseProblem:
             errors = self.errors(best, free, comparison)
             apart = abs(best.delays.latency - arm.latency)
             if apart <= max(0.015, 3.0 * np.hypot(errors[LATENCY], error)):
-                prior = Prior(arm.latency, max(error, 0.001))
-                best, least = self.solve(best, free, comparison, prior)
-        errors = self.errors(best, free, comparison, prior)
+                comparison = replace(comparison, latency=(arm.latency, max(error, 0.001)))
+                best, least = self.solve(best, free, comparison)
+        errors = self.errors(best, free, comparison)
         for limit in limits:
             if errors[limit] > _VAGUE:
                 fewer = [other for other in free if other != limit]
-                without, cost = self.solve(limit.put(best, np.inf), fewer, comparison, prior)
+                without, cost = self.solve(limit.put(best, np.inf), fewer, comparison)
                 if cost - least < _SHOWN:
                     best, least, free = without, cost, fewer
-                    errors = self.errors(best, free, comparison, prior)
-        return BaseFit(best, errors, agrees=prior is not None)
+                    errors = self.errors(best, free, comparison)
+        return BaseFit(best, errors, agrees=comparison.latency is not None)
 
     def _starts(self, model: BaseModel, latencies: Sequence[float]) -> list[BaseModel]:
         return [
@@ -166,16 +159,12 @@ class BaseProblem:
         model: BaseModel,
         free: Sequence[Parameter],
         comparison: Comparison,
-        prior: Prior | None = None,
         loss: Literal["linear", "soft_l1"] = "linear",
     ) -> tuple[BaseModel, float]:
         """Return a model with the best values of its free parameters, and half the squares' sum."""
         lower, upper = np.array([_BOUNDS[parameter.kind] for parameter in free]).T
         start = np.clip([each.of(model) for each in free], lower + 1e-6, upper - 1e-6)
-
-        def residuals(z: Array) -> Array:
-            return self.residuals(_changed(model, free, z), comparison, prior)
-
+        residuals = partial(self.residuals, model, free, comparison)
         solution = least_squares(
             residuals, start, jac=partial(derivatives, residuals), bounds=Bounds(lower, upper),
             loss=loss, f_scale=3.0, max_nfev=20, xtol=1e-3, ftol=1e-6,
@@ -183,26 +172,25 @@ class BaseProblem:
         return _changed(model, free, solution.x), float(solution.cost)
 
     def errors(
-        self,
-        model: BaseModel,
-        free: Sequence[Parameter],
-        comparison: Comparison,
-        prior: Prior | None = None,
+        self, model: BaseModel, free: Sequence[Parameter], comparison: Comparison
     ) -> dict[Parameter, float]:
         """Return the standard errors of the free parameters, relative but for times."""
         z = np.array([parameter.of(model) for parameter in free])
-
-        def residuals(z: Array) -> Array:
-            return self.residuals(_changed(model, free, z), comparison, prior)
-
-        beside = np.arange(len(_prior_residuals(model, prior))) + self._blocks.max() + 1
+        residuals = partial(self.residuals, model, free, comparison)
+        beside = np.arange(len(_prior_residuals(model, comparison))) + self._blocks.max() + 1
         blocks = np.concatenate([self._blocks, beside])
         units = np.array([LATENCY_UNIT if each == LATENCY else 1.0 for each in free])
         errors = units * standard_errors(residuals(z), derivatives(residuals, z), blocks)
         return dict(zip(free, errors.tolist(), strict=True))
 
-    def residuals(self, model: BaseModel, comparison: Comparison, prior: Prior | None) -> Array:
-        """Return the normalised residuals of all displacements, then those of priors."""
+    def residuals(
+        self, model: BaseModel, free: Sequence[Parameter], comparison: Comparison, z: Array
+    ) -> Array:
+        """Return the normalised residuals of all displacements, then those of priors.
+
+        Free parameters of the model have the values `z`.
+        """
+        model = _changed(model, free, z)
         predicted = self._predicted(model, comparison.draws)
         parts = [
             ((p - track.moved) / (scale * comparison.deviation) * kept[:, np.newaxis]).ravel()
@@ -210,20 +198,21 @@ class BaseProblem:
                 predicted, self._tracks, self._scale, comparison.kept, strict=True
             )
         ]
-        return np.concatenate([*parts, _prior_residuals(model, prior)])
+        return np.concatenate([*parts, _prior_residuals(model, comparison)])
 
     def _predicted(self, model: BaseModel, draws: int) -> list[Array]:
         return [track.predicted(model.velocities(track.log, draws)) for track in self._tracks]
 
 
-def _prior_residuals(model: BaseModel, prior: Prior | None) -> Array:
+def _prior_residuals(model: BaseModel, comparison: Comparison) -> Array:
     """Return the residuals of priors, of a fixed number."""
     parts = []
     for values, usual in ((model.acceleration, _USUAL_LIMIT), (model.jerk, _USUAL_JERK)):
         limited = np.isfinite(values)
         parts.append(np.where(limited, np.log(np.where(limited, values, usual) / usual), 0.0))
-    if prior is not None:
-        parts.append(np.array([(model.delays.latency - prior.latency) / prior.error]))
+    if comparison.latency is not None:
+        latency, error = comparison.latency
+        parts.append(np.array([(model.delays.latency - latency) / error]))
     return np.concatenate(parts)
 
 

@@ -31,9 +31,9 @@ from kinfeas.sim2real.identify.statistics import (
     NORMAL,
     SLACK,
     SLACK_JERK,
-    SLACK_SECONDS,
     Estimate,
     lag_estimate,
+    time_estimate,
 )
 
 _FAST = 0.8  # m/s^2 and rad/s^2 of a fast start or turn
@@ -52,12 +52,30 @@ _OF_ROBOT = ("velocity_clamp", "joint_limit_clamp")
 class ResponseFit:
     """A fitted robot."""
 
-    estimates: dict[str, Estimate]  # those that are known, by names as `actuator_lag.base`
-    response: ResponseModel  # without what the logs do not show
-    missing: tuple[str, ...]  # what they do not show, in sentences
+    # with 95 % intervals, by adapter and parameter, such as `actuator_lag.base`, in SI units
+    estimates: dict[str, Estimate]
+    response: ResponseModel  # response of the robot: what does not show is left out
+    missing: tuple[str, ...]  # what the logs do not show, in sentences
     times: tuple[Array, ...]  # of measured velocities, seconds, shape (k,) for each log
     measured: tuple[Array, ...]  # velocities of the base in world axes, (k, 3), m/s and rad/s
     predicted: tuple[Array, ...]  # velocities that the fitted robot has
+
+    @property
+    def adapters(self) -> tuple[PluginSpec, ...]:
+        """The estimates as adapters, with their intervals as ranges, the first one innermost.
+
+        Those whose parameters are all zero are left out.
+        """
+        specs = []
+        for name in _ORDER:
+            parameters: dict[str, object] = {
+                key.partition(".")[2]: _range(estimate)
+                for key, estimate in self.estimates.items()
+                if key.partition(".")[0] == name
+            }
+            if any(parameters.values()) or name in _OF_ROBOT:
+                specs.append(PluginSpec(name, parameters))
+        return tuple(specs)
 
 
 def fit(logs: Sequence[Log], walk: Walk) -> ResponseFit:
@@ -117,15 +135,12 @@ def _delays(
     delays: Delays, error: float, spread: tuple[Estimate, Estimate, float] | None, dt: float
 ) -> dict[str, Estimate]:
     if spread is None:
-        half = NORMAL * error + SLACK_SECONDS
-        mean = delays.mean(dt)
-        return {"command_latency.seconds": Estimate(mean, max(0.0, mean - half), mean + half)}
+        return {"command_latency.seconds": time_estimate(delays.mean(dt), error)}
     jitter, lost, more = spread
-    half = NORMAL * float(np.hypot(error, more)) + SLACK_SECONDS
-    value = max(0.0, delays.spread(jitter.value, lost.value, dt).latency)
+    latency = max(0.0, delays.spread(jitter.value, lost.value, dt).latency)
     return {
         "dropped_commands.probability": lost,
-        "command_latency.seconds": Estimate(value, max(0.0, value - half), value + half),
+        "command_latency.seconds": time_estimate(latency, float(np.hypot(error, more))),
         "command_latency.jitter": jitter,
     }
 
@@ -178,23 +193,6 @@ def _response(estimates: Mapping[str, Estimate], latency: float) -> ResponseMode
         jitter = estimates["sensor_latency.jitter"].value
         values["sensor_latency"] = estimates["sensor_latency.seconds"].value + jitter / 2.0
     return ResponseModel(command_latency=max(0.0, latency), **values)
-
-
-def adapter_list(estimates: Mapping[str, Estimate]) -> tuple[PluginSpec, ...]:
-    """Return the adapters of a robot, with the intervals of the estimates as ranges.
-
-    Those whose parameters are all zero are left out.
-    """
-    specs = []
-    for name in _ORDER:
-        parameters: dict[str, object] = {
-            key.partition(".")[2]: _range(estimate)
-            for key, estimate in estimates.items()
-            if key.partition(".")[0] == name
-        }
-        if any(parameters.values()) or name in _OF_ROBOT:
-            specs.append(PluginSpec(name, parameters))
-    return tuple(specs)
 
 
 def _range(estimate: Estimate) -> float | list[float]:

@@ -14,9 +14,9 @@ from kinfeas.sim2real.identify.statistics import (
     DRIVE,
     NORMAL,
     SLACK,
+    SLACK_JOINTS,
     SLACK_SECONDS,
     Estimate,
-    joint_deviation,
 )
 
 Flags = NDArray[np.bool_]
@@ -95,7 +95,10 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
         noise = _long_run(rest, np.ones(len(rest), dtype=np.bool_))
         samples = round(samples / (1.0 + 2.0 * _NEIGHBOURS))
     noise = noise if noise > _ROUNDING**2 else 0.0
-    return joint_deviation(noise, samples), variance + _LEAST_POSITION**2, interpolated
+    value = float(np.sqrt(noise))
+    margin = NORMAL / np.sqrt(2.0 * samples / 1.6) + SLACK_JOINTS
+    deviation = Estimate(value, value * (1.0 - margin), value * (1.0 + margin))
+    return deviation, variance + _LEAST_POSITION**2, interpolated
 
 
 def overlap(at: Array, lag: int = 0) -> Array:

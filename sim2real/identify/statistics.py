@@ -38,6 +38,12 @@ class Estimate:
     high: float
 
 
+def time_estimate(value: float, error: float) -> Estimate:
+    """Return the estimate of a time with a standard error, seconds."""
+    half = NORMAL * error + SLACK_SECONDS
+    return Estimate(value, max(0.0, value - half), value + half)
+
+
 def lag_estimate(value: float, error: float, dt: float) -> Estimate:
     """Return the estimate of a time constant with a standard error, seconds.
 
@@ -45,15 +51,7 @@ def lag_estimate(value: float, error: float, dt: float) -> Estimate:
     """
     if value < 0.5 * dt:
         return Estimate(value, 0.0, 0.5 * dt)
-    half = NORMAL * error + SLACK_SECONDS
-    return Estimate(value, max(0.0, value - half), value + half)
-
-
-def joint_deviation(variance: float, count: int) -> Estimate:
-    """Return the estimate of the noise of joints by the variance of `count` numbers."""
-    value = float(np.sqrt(variance))
-    margin = NORMAL / np.sqrt(2.0 * count / 1.6) + SLACK_JOINTS
-    return Estimate(value, value * (1.0 - margin), value * (1.0 + margin))
+    return time_estimate(value, error)
 
 
 def posterior(values: Array, weights: Array) -> Estimate:
