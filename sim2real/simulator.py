@@ -266,12 +266,11 @@ def spawn(  # noqa: PLR0913 - the parts of a world
             world.place_solids(start.solids, np.array([0]))
             return outer, state
         state = outer.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
-        if room is None:
-            return outer, state
-        if touched := world.touched():
-            names = ", ".join(map(repr, touched))
-            raise KinfeasError(f"scene {room.name}: the robot would touch {names}")
-        furniture = furniture_solids(room)  # for scans
-        world.furniture = furniture.places
-        world.place_solids(furniture, np.array([0]))
+        if room is not None:
+            if touched := world.touched():
+                names = ", ".join(map(repr, touched))
+                raise KinfeasError(f"scene {room.name}: the robot would touch {names}")
+            furniture = furniture_solids(room)  # for scans
+            world.furniture = furniture.places
+            world.place_solids(furniture, np.array([0]))
         return outer, state

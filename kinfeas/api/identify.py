@@ -105,7 +105,7 @@ def identify(
     runs = [None if is_bag(path) else read_record(path) for path in paths]
     if robot is None:
         if runs[0] is None:
-            raise KinfeasError(f"{paths[0]}: a bag needs the name of its robot")
+            raise KinfeasError(f"{paths[0]}: a bag needs the name of its 'robot'")
         robot = runs[0].about.robot
     name = str(robot)
     model = load_robot(name)

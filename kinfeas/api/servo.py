@@ -103,7 +103,7 @@ def servo(  # noqa: PLR0913 - options of the command
         _log.warning("%s", controller.hint)
     if outcome.code is Code.REACHED and (refusal := controller.refusal):
         outcome = replace(outcome, code=Code.TIME_OVER, reason=refusal)
-    return replace(done, outcome=outcome, targets=controller.statistics())
+    return replace(done, outcome=outcome, targets={"messages": controller.counts})
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from kinfeas.cli.deploy import report
 from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_paths, print_table, run_status, status, write_json
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.files import check_new, is_bag
+from kinfeas.core.files import check_new
 
 if TYPE_CHECKING:
     from kinfeas.api.identify import Identified
@@ -50,8 +50,6 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
         raise KinfeasError("--drive records by itself and excludes records")
     if not drive and (backend or record or adapters or overrides):
         raise KinfeasError("--backend, --record, --adapters and --set need --drive")
-    if paths and robot is None and is_bag(paths[0]):
-        raise KinfeasError(f"{paths[0]}: a bag needs the name of its robot: --robot")
     from kinfeas.api import DEFAULT_ROBOT
     from kinfeas.api import identify as api
 

@@ -150,11 +150,8 @@ class Localisation(Adapter):
         now = state.localised
         if now is None:
             now = (state.true_state or state).base_pose
-        base, localised = (
-            self._displaced(state.base_pose, "error"),
-            self._displaced(now, "followed"),
-        )
-        return measured(state, base_pose=base, localised=localised)
+        base = self._displaced(state.base_pose, "error")
+        return measured(state, base_pose=base, localised=self._displaced(now, "followed"))
 
     def _displaced(self, pose: Array, name: str) -> Array:
         """Return poses, shape (n, 7), displaced by an error of the memory."""

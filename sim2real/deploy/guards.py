@@ -54,11 +54,7 @@ class SafetyFilter(BackendWrapper):
         self._robot, self._guards, self._clock, self._rate = robot, guards, clock, rate
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity
         self._base_limits = _base_limits(robot.base, guards)
-        self._velocity, self._dt = np.zeros(3), 0.0
-        self._state, self._measured = RobotState(np.empty((0, 7)), np.empty((0, 0))), np.nan
-        self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
-        self.hold, self.brake, self.stopped, self.steps = "", False, True, 0
-        self._blind = np.zeros(SCAN_BEAMS, dtype=np.bool_)
+        self._dt, self.stopped, self.steps = 0.0, True, 0
         self._inner_scanner, self.scanner = backend.scanner, backend.scanner and self
         self._inner_gripper, self.gripper = backend.gripper, backend.gripper and self
 

@@ -160,29 +160,26 @@ class RosLink:
         """Send the velocity in the base frame, shape (3,), m/s and rad/s."""
         base = self._topics.base
         stamp = time.time() if base.stamped else None
-        self._send(base.command, ros_messages.drive_command(self._bus.messages, velocity, stamp))
+        message = ros_messages.drive_command(self._bus.messages, velocity, stamp)
+        self._publishers[base.command].publish(message)
 
     def move(self, positions: Mapping[str, float], seconds: float) -> None:
         """Send each controller its joints."""
         for controller in self._topics.joints.controllers:
             targets = {name: positions[name] for name in controller.joints}
             message = ros_messages.trajectory(self._bus.messages, targets, seconds)
-            self._send(controller.command, message)
+            self._publishers[controller.command].publish(message)
 
     def grip(self, grip: Grip) -> None:
         """Close or open the gripper, if the file names one."""
         gripper = self._topics.gripper
         if gripper is not None:
             message = ros_messages.gripper_command(self._bus.messages, gripper, grip)
-            self._send(gripper.command, message)
+            self._publishers[gripper.command].publish(message)
 
     def close(self) -> None:
         """Deliver what was sent and release the topics; it may be called twice."""
         self._bus.close()
-
-    def _send(self, topic: str, message: Any) -> None:
-        self._bus.check_sending()
-        self._publishers[topic].publish(message)
 
     def _listen_to_scans(self, readings: Readings, pose_of: FramePose) -> None:
         topics, messages = self._topics, self._bus.messages

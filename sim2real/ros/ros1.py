@@ -71,14 +71,10 @@ class Ros1Bus:
 
     def check(self) -> None:
         """Raise Fault if the node was shut down or the master has died."""
-        self.check_sending()
-        if self._master is not None:
-            self._master.check()
-
-    def check_sending(self) -> None:
-        """Raise Fault if the node was shut down: rospy then drops messages without an error."""
         if _shut_down():
             raise Fault(_SHUT_DOWN)
+        if self._master is not None:
+            self._master.check()
 
     def close(self) -> None:
         """Deliver what was sent and release the topics; the node stays."""
@@ -97,6 +93,8 @@ class _Ros1Publisher:
         self._publisher = publisher
 
     def publish(self, message: Any) -> None:
+        if _shut_down():  # rospy then drops messages without an error
+            raise Fault(_SHUT_DOWN)
         try:
             self._publisher.publish(message)
         except ros("rospy").ROSException as error:

@@ -162,9 +162,6 @@ class Ros2Bus:
     def check(self) -> None:
         """Do nothing: DDS has no master, and silence shows as the age of measurements."""
 
-    def check_sending(self) -> None:
-        """Do nothing: `publish` raises if the queue of the sender is full."""
-
     def close(self) -> None:
         """Deliver what was sent and leave the domain; it may be called twice."""
         for publisher in self._publishers:

@@ -52,7 +52,6 @@ class TargetController:
         subgoals: The sub-goal of the EE frame.
         rules: Limits of targets.
         pose: World pose of the EE that is desired now, shape (7,), once `running`.
-        base_pose: World pose of the base, shape (7,), likewise.
         running: Whether the loop reads the messages.
     """
 
@@ -68,8 +67,7 @@ class TargetController:
         """Take chunks of at most 64 poses, at the seconds of a `clock`; `servo` moves the EE."""
         self.subgoals = (Subgoal(motion or MotionSpec("servo")),)
         self.robot, self.rules, self._clock = robot, rules or TargetRules(), clock
-        self.pose = self.base_pose = spatial.IDENTITY
-        self.running = False
+        self.pose, self.running = spatial.IDENTITY, False
         self._inbox = TargetInbox(self.rules, _MOST_POSES)
         self._queue: deque[Message] = deque(maxlen=_QUEUE)
         self._kept: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_QUEUE)
@@ -139,10 +137,6 @@ class TargetController:
         counts = dict(zip(RULES, self._inbox.counts.sum(axis=0).tolist(), strict=True))
         return counts | self._others
 
-    def statistics(self) -> dict[str, object]:
-        """Return the counts for the results of a run."""
-        return {"messages": self.counts}
-
     def fail(self, reason: str) -> None:
         """Let the next period raise Fault with a reason, from any thread."""
         self._failure = reason
@@ -163,8 +157,8 @@ class TargetController:
             messages = list(self._queue)
             self._queue.clear()
         now = np.array([self._clock()])
-        self.base_pose, self.pose, self.running = progress.base_pose[0], progress.desired[0], True
-        self._frames.append(float(now[0]), self.base_pose, self.pose)
+        self.pose, self.running = progress.desired[0], True
+        self._frames.append(float(now[0]), progress.base_pose[0], self.pose)
         if messages or self._kept:
             before, waited = self.counts, not self.live[0]
             for message in messages:

@@ -73,7 +73,7 @@ INPUT = {
         ("--task door --scene room", "--scene"), ("--scene office.yaml", "'desk'"),
     ],
     "identify": [
-        ("", "record"), ("adapters.yaml", "adapters.yaml"), ("run.bag", "--robot"),
+        ("", "record"), ("adapters.yaml", "adapters.yaml"), ("run.bag", "'robot'"),
         ("run.bag --robot hsr", "run.bag"),
         ("none.csv --backend analytic", "--drive"), ("none.csv --out fit.txt", "fit.txt"),
         ("none.csv --out adapters.yaml", "adapters.yaml"),
