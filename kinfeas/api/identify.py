@@ -21,7 +21,6 @@ from kinfeas.sim2real.identify.bags import read_bag
 from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
 from kinfeas.sim2real.identify.fit import ResponseFit, fit
 from kinfeas.sim2real.identify.log import log_of
-from kinfeas.sim2real.identify.noise import Walk
 
 _LEAST = 2e-3  # smallest number of a response that is worth a line
 
@@ -127,15 +126,15 @@ def identify(
     return result
 
 
-def _walk(prior: Name) -> Walk:
+def _walk(prior: Name) -> tuple[float, float]:
     """Return the drift of the localisation in a list of adapters, none without one."""
     for spec in read_adapters(prior):
         if spec.name == "localisation":
             world = build_backend("analytic", {})
             adapter = with_adapters(world, (spec,), load_robot(DEFAULT_ROBOT))
             assert isinstance(adapter, Localisation)
-            return Walk(adapter.mean("drift"), adapter.mean("turn_drift"))
-    return Walk(0.0, 0.0)
+            return adapter.mean("drift"), adapter.mean("turn_drift")
+    return 0.0, 0.0
 
 
 def drive(  # noqa: PLR0913 - options of the command

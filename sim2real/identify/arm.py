@@ -20,11 +20,12 @@ from kinfeas.sim2real.identify.model import (
     moved_arm,
     uniform_numbers,
 )
-from kinfeas.sim2real.identify.noise import joint_noise, overlap
 from kinfeas.sim2real.identify.statistics import (
     MOVES,
     Estimate,
     derivatives,
+    joint_noise,
+    overlap,
     posterior,
     standard_errors,
     time_blocks,

@@ -12,8 +12,15 @@ from scipy.optimize import Bounds, least_squares
 
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.identify.model import BaseModel, Delays, Track
-from kinfeas.sim2real.identify.noise import jumps, spread_of, widened
-from kinfeas.sim2real.identify.statistics import MOVES, derivatives, standard_errors, time_blocks
+from kinfeas.sim2real.identify.statistics import (
+    MOVES,
+    derivatives,
+    jumps,
+    spread_of,
+    standard_errors,
+    time_blocks,
+    widened,
+)
 
 LATENCY_UNIT = 0.05
 """Unit of a latency in fits, seconds; other parameters are logarithms."""

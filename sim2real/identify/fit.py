@@ -25,14 +25,15 @@ from kinfeas.sim2real.identify.base import (
 )
 from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.model import Delays, Track, arm_delay
-from kinfeas.sim2real.identify.noise import Walk, base_noise, sensor_ages
 from kinfeas.sim2real.identify.statistics import (
     DRIVE,
     NORMAL,
     SLACK,
     SLACK_JERK,
     Estimate,
+    base_noise,
     lag_estimate,
+    sensor_ages,
     time_estimate,
 )
 
@@ -78,11 +79,11 @@ class ResponseFit:
         return tuple(specs)
 
 
-def fit(logs: Sequence[Log], walk: Walk) -> ResponseFit:
+def fit(logs: Sequence[Log], walk: Sequence[float]) -> ResponseFit:
     """Return the robot of some logs with equal control periods.
 
     The measured base pose is a random walk, of noise on the base and of its localisation. Both look
-    alike: the part `walk` is taken as known.
+    alike: the part `walk`, standard deviations after 1 s in metres and radians, is taken as known.
     """
     dt, estimates, missing = logs[0].dt, dict[str, Estimate](), list[str]()
     arm, tracks = ArmProblem(logs), [Track(log) for log in logs]

@@ -1,12 +1,15 @@
-"""Estimates, and the statistics of fits."""
+"""Estimates and their errors: statistics of fits, noise beside the predicted motion, and ages."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from kinfeas.core.spatial import Array
+from kinfeas.sim2real.identify.log import Log
+from kinfeas.sim2real.identify.model import Track
 
 DRIVE = "drive the pattern of `kinfeas identify --drive`"
 """End of the sentences on what records do not show."""
@@ -27,6 +30,18 @@ A link between robot and record smooths jerk, and noise of joints, by as much.
 """
 
 _STEP = 0.02  # of parameters, for derivatives
+
+Flags = NDArray[np.bool_]
+
+_JUMP, _LEAST_JUMP = 4.5, 0.004  # of a jump: standard deviations, and m or rad
+_LATE = 0.01  # s by which the time of a measurement may be off
+_LEAST_VELOCITY = 1e-3  # m/s and rad/s, noise of the base at least in fits
+_ROUNDING = 1e-7  # rad and m, of the numbers of a record
+_LEAST_POSITION = 1e-4  # rad and m, the same of joints
+_CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
+_ENOUGH, _MORE = 200, 1.4  # measurements for a variance, and its factor that motion explains
+_NEIGHBOURS = 2  # measurements whose noise may depend
+_ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
 
 
 @dataclass(frozen=True)
@@ -89,3 +104,222 @@ def derivatives(function: Callable[[Array], Array], z: Array) -> Array:
     steps = _STEP * np.eye(len(z))
     columns = [(function(z + step) - function(z - step)) / (2.0 * _STEP) for step in steps]
     return np.stack(columns, axis=1)
+
+
+def spread_of(rest: Array) -> Array:
+    """Return robust standard deviations of columns, (k, w) -> (w,), m/s or rad/s."""
+    return np.maximum(1.4826 * np.median(np.abs(rest), axis=0), _LEAST_VELOCITY)
+
+
+def jumps(rest: Array, deviation: Array, speed: Array) -> Flags:
+    """Return which rests of displacements are jumps, shape (k,).
+
+    Standard deviations and predicted speeds have the shape of the rests, (k, 3). The times of
+    measurements may be off by some milliseconds.
+    """
+    least = np.maximum(_JUMP * deviation, _LEAST_JUMP + _LATE * np.abs(speed))
+    return np.max(np.abs(rest) / least, axis=1) > 1.0
+
+
+def widened(flags: Flags) -> Flags:
+    """Return the flags and their neighbours: an interpolated jump is in two displacements."""
+    wide = flags.copy()
+    wide[1:] |= flags[:-1]
+    wide[:-1] |= flags[1:]
+    return wide
+
+
+def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | None, float, bool]:
+    """Return the noise of joint positions, its variance, and whether `overlap` scales it.
+
+    That is so where measurements are interpolated between periods; `at` are their times in periods.
+    Without a rest, the variance is a guess.
+    """
+    rests, overlaps = [], []
+    for log, moments in zip(logs, at, strict=True):
+        settled = round(_ARM_SETTLES / log.dt)
+        still = np.concatenate([[True], (np.diff(log.targets, axis=0) == 0.0).all(axis=1)])
+        count = np.cumsum(still)
+        last = np.minimum(moments.astype(np.intp), len(still) - 1)
+        first = np.maximum(last - settled, 0)
+        quiet = count[last] - count[first] >= last - first
+        begins = np.flatnonzero(np.diff(quiet, prepend=False) & quiet)
+        ends = np.flatnonzero(np.diff(quiet, append=False) & quiet) + 1
+        for begin, end in zip(begins, ends, strict=True):
+            if end - begin > 10:
+                part = log.joints[begin:end]
+                rests.append((part - part.mean(axis=0)) * np.sqrt(len(part) / (len(part) - 1.0)))
+                overlaps.append(overlap(moments[begin:end]))
+    if not rests:
+        steps = np.concatenate([np.diff(log.joints, n=2, axis=0) for log in logs])
+        guess = float(np.median(np.abs(steps)) / 0.6745 / np.sqrt(6.0)) + 1e-6
+        return None, guess**2, False
+    rest, scale = np.concatenate(rests), np.concatenate(overlaps)
+    variance, interpolated = _variance(rest, scale, np.ones(len(scale)))
+    noise, samples = variance, rest.size
+    if not interpolated:
+        noise = _long_run(rest, np.ones(len(rest), dtype=np.bool_))
+        samples = round(samples / (1.0 + 2.0 * _NEIGHBOURS))
+    noise = noise if noise > _ROUNDING**2 else 0.0
+    value = float(np.sqrt(noise))
+    margin = NORMAL / np.sqrt(2.0 * samples / 1.6) + SLACK_JOINTS
+    deviation = Estimate(value, value * (1.0 - margin), value * (1.0 + margin))
+    return deviation, variance + _LEAST_POSITION**2, interpolated
+
+
+def overlap(at: Array, lag: int = 0) -> Array:
+    """Return the covariance of interpolated values of unit variance, (k,) -> (k - lag,).
+
+    `at` are places between values, ascending; pairs have a `lag` between them.
+    """
+    first, second = at[: len(at) - lag], at[lag:]
+    apart = np.floor(second) - np.floor(first)
+    f, g = np.mod(first, 1.0), np.mod(second, 1.0)
+    same = (1.0 - f) * (1.0 - g) + f * g
+    return np.where(apart == 0.0, same, np.where(apart == 1.0, f * (1.0 - g), 0.0))
+
+
+def _variance(rest: Array, first: Array, second: Array) -> tuple[float, bool]:
+    """Return the variance in units of that one of two shapes, (k,), that fits; whether it is first.
+
+    `rest` has shape (k, w) and is Gaussian.
+    """
+    squared = np.mean(rest**2, axis=1)
+    variances = [float(np.mean(squared / shape)) for shape in (first, second)]
+    logs = [
+        np.log(max(variance, 1e-300)) + float(np.mean(np.log(shape)))
+        for variance, shape in zip(variances, (first, second), strict=True)
+    ]
+    best = int(np.argmin(logs))
+    return variances[best], best == 0
+
+
+def base_noise(
+    tracks: Sequence[Track], velocities: Sequence[Array], walk: Sequence[float], missing: list[str]
+) -> dict[str, Estimate]:
+    """Return the noise of the base, and drift and jumps of its localisation.
+
+    `walk` is the standard deviation of the drift after 1 s, metres and radians.
+    """
+    dt = tracks[0].log.dt
+    predicted = [track.predicted(v) for track, v in zip(tracks, velocities, strict=True)]
+    rests = [track.moved - p for track, p in zip(tracks, predicted, strict=True)]
+    rest = np.concatenate(rests)
+    shape = np.concatenate([track.squares for track in tracks])
+    constant = np.concatenate([track.seconds * dt for track in tracks])
+    quiet = np.concatenate([_quiet(track, v) for track, v in zip(tracks, velocities, strict=True)])
+    scale = np.sqrt(shape)[:, np.newaxis]
+    seconds = np.concatenate([track.seconds for track in tracks])[:, np.newaxis]
+    speed = np.concatenate(predicted) / seconds
+    jump = jumps(rest, scale * spread_of(rest / scale), speed)
+    used = ~widened(jump) & quiet
+    estimates: dict[str, Estimate] = {}
+    if used.sum() < 50:
+        missing.append(f"no time at constant velocity: noise of the base unknown; {DRIVE}")
+        return estimates
+    used = _calmest(rest, shape, used, np.abs(speed).max(axis=1) < _CHANGES)
+    drifts = []
+    for name, axes, drift in (("linear", [0, 1], walk[0]), ("angular", [2], walk[1])):
+        variance, in_periods = _variance(rest[used][:, axes], shape[used], constant[used])
+        shared = 1.6  # neighbours share a period
+        if not in_periods:
+            variance = _long_run(rest[:, axes] / np.sqrt(constant)[:, np.newaxis], used)
+            shared = 1.0 + 2.0 * _NEIGHBOURS
+        count = len(axes) * used.sum() / shared
+        error = variance * (np.sqrt(2.0 / count) + SLACK / 2.0)
+        drift_variance = min(drift**2 / dt, variance)
+        value, low, high = (
+            float(np.sqrt(max(0.0, each - drift_variance)))
+            for each in (variance, variance - NORMAL * error, variance + NORMAL * error)
+        )
+        estimates[f"base_noise.{name}"] = Estimate(value, low, high)
+        drifts.append(float(np.sqrt(drift_variance * dt)))
+    for name, drift in zip(("drift", "turn_drift"), drifts, strict=True):
+        estimates[f"localisation.{name}"] = Estimate(drift, drift, drift)
+    missing.append(
+        "noise of the base and drift of its localisation look alike: a drift of "
+        f"{drifts[0]:.3g} m and {drifts[1]:.3g} rad after 1 s is assumed"
+    )
+    return estimates | _localisation_jumps(tracks, rests, jump, drifts)
+
+
+def _long_run(rest: Array, used: Flags) -> float:
+    """Return the variance, in a long time, of rests whose neighbours may depend, shape (k, w).
+
+    They do where a base or a filter evens out its noise, in periods of its own.
+    """
+    variance = float(np.mean(rest[used] ** 2))
+    for lag in range(1, _NEIGHBOURS + 1):
+        both = used[lag:] & used[:-lag]
+        variance += 2.0 * float(np.mean((rest[lag:] * rest[:-lag])[both]))
+    return max(variance, 0.0)
+
+
+def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:
+    """Return the rests to use, (k,): those of a base at rest where motion adds to them.
+
+    It does where the times of measurements are off.
+    """
+    both = [used & still, used & ~still]
+    if min(flags.sum() for flags in both) < _ENOUGH:
+        return used
+    calm, moving = (np.mean(rest[f] ** 2 / shape[f][:, np.newaxis], axis=0) for f in both)
+    return both[0] if np.any(moving > _MORE * calm) else used
+
+
+def _quiet(track: Track, velocities: Array) -> Flags:
+    """Return in which displacements the predicted velocity is constant, shape (k,)."""
+    number = np.minimum((track.times / track.log.dt).astype(np.intp), len(velocities) - 1)
+    wide = max(1, round(0.1 / track.log.dt))
+    padded = np.pad(velocities, ((wide, wide), (0, 0)), mode="edge")
+    change = np.abs(padded[2 * wide :] - padded[: -2 * wide]).max(axis=1)
+    return change[number] < _CHANGES
+
+
+def _localisation_jumps(
+    tracks: Sequence[Track], rests: Sequence[Array], jump: Flags, drifts: Sequence[float]
+) -> dict[str, Estimate]:
+    """Return rate and size of jumps, each of which draws a new error, none at first."""
+    seconds = sum(track.log.seconds for track in tracks)
+    sums, walked, count, first = np.zeros(3), np.zeros(3), 0, 0
+    ends = np.cumsum([len(rest) for rest in rests])[:-1]
+    for track, rest, flags in zip(tracks, rests, np.split(jump, ends), strict=True):
+        starts = np.flatnonzero(flags & ~np.concatenate([[False], flags[:-1]]))
+        last = 0.0
+        for start in starts:
+            # An interpolated jump lies in several displacements.
+            end = start + int(np.argmin(np.append(flags[start:], False)))
+            sums += rest[max(0, start - 1) : end + 1].sum(axis=0) ** 2
+            walked += (track.times[start] - last) * np.array([drifts[0], drifts[0], drifts[1]]) ** 2
+            last = float(track.times[start])
+        count, first = count + len(starts), first + bool(len(starts))
+    if not count:
+        keys = "localisation.jump", "localisation.turn_jump", "localisation.rate"
+        return dict.fromkeys(keys, Estimate(0.0, 0.0, 0.0))
+    low = chi2.ppf(0.025, 2.0 * count) / 2.0 / seconds
+    high = chi2.ppf(0.975, 2.0 * count + 2.0) / 2.0 / seconds
+    rate = Estimate(count / seconds, float(low), float(high))
+    variances = np.maximum(sums - walked, 0.05 * sums) / (2.0 * count - first)
+    sizes = {"jump": (float(variances[:2].mean()), 2.0), "turn_jump": (float(variances[2]), 1.0)}
+    estimates = {}
+    for name, (variance, axes) in sizes.items():
+        degrees = max(1.0, count * axes / 2.0)
+        ends_of: Array = np.sqrt(variance * degrees / chi2.ppf([0.975, 0.025], degrees))
+        estimates[f"localisation.{name}"] = Estimate(float(np.sqrt(variance)), *ends_of.tolist())
+    return {**estimates, "localisation.rate": rate}
+
+
+def sensor_ages(logs: Sequence[Log], missing: list[str]) -> dict[str, Estimate]:
+    """Return the latency of measurements, from their ages."""
+    ages = np.concatenate([log.ages for log in logs])
+    if len(ages) < 20 or not np.any(ages > 1e-4):
+        missing.append("no ages of measurements: a sensor latency counts as command latency")
+        return {}
+    low, high = np.quantile(ages, [0.05, 0.95])
+    width = float(high - low) / 0.9
+    begin = max(0.0, float(low) - 0.05 * width)
+    slack = 0.5 * SLACK_SECONDS + 0.02 * width
+    return {
+        "sensor_latency.seconds": Estimate(begin, max(0.0, begin - slack), begin + slack),
+        "sensor_latency.jitter": Estimate(width, max(0.0, width - 2 * slack), width + 2 * slack),
+    }

@@ -27,7 +27,7 @@ from kinfeas.sim2real.identify.model import (
     moved_arm,
     moved_base,
 )
-from kinfeas.sim2real.identify.noise import Walk, base_noise, joint_noise
+from kinfeas.sim2real.identify.statistics import base_noise, joint_noise
 from kinfeas.viz.plots import velocities_figure
 from tests.builders import at, twist
 
@@ -158,7 +158,7 @@ def test_noise_is_found_with_periods_of_its_own():
     base, joints, rest = measured(np.cumsum(drawn * DT, axis=0)), measured(drawn), np.zeros((n, 3))
     log = Log("record", DT, rest, rest, times, base, times, joints, np.empty(0), 0.0)
     assert joint_noise([log], [times / DT])[0].value == pytest.approx(noise, rel=0.05)
-    found = base_noise([Track(log)], [rest], Walk(0.0, 0.0), [])
+    found = base_noise([Track(log)], [rest], (0.0, 0.0), [])
     for axis in ("linear", "angular"):
         assert found[f"base_noise.{axis}"].value == pytest.approx(noise, rel=0.08)
 
