@@ -54,8 +54,7 @@ class Adapter(BackendWrapper):
     the same class within: adding an adapter does not change the random numbers of the others.
 
     Attributes:
-        backend: The wrapped backend.
-        robot: The robot.
+        robot: Robot model.
         continuous: Whether each arm joint is continuous, shape (j,).
         ranges: Numeric parameters by name.
         memory: Arrays with leading axis n, by name; replaced and never written into.
@@ -101,7 +100,7 @@ class Adapter(BackendWrapper):
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
         self._subject, self._unchecked = f"adapter {type(self).__name__}", True
-        self._inner_state, self.resumable = backend.resumable, backend.resumable and self
+        self.resumable = backend.resumable and self
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return the memory at the start of an episode in each row of `state`."""
@@ -187,14 +186,14 @@ class Adapter(BackendWrapper):
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return memory, seeds and steps with the backend's snapshot, if it is resumable."""
-        assert self._inner_state is not None
+        assert self.backend.resumable is not None
         own = {"seeds": self._seeds, "steps": self._steps, **self.memory}
         named = {f"{self._prefix}{key}": values.copy() for key, values in own.items()}
-        return {**self._inner_state.snapshot(), **named}
+        return {**self.backend.resumable.snapshot(), **named}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Restore a snapshot and return the changed state."""
-        assert self._inner_state is not None
+        assert self.backend.resumable is not None
         own = {
             name.removeprefix(self._prefix): values.copy()
             for name, values in snapshot.items()
@@ -203,7 +202,7 @@ class Adapter(BackendWrapper):
         self._seeds, self._steps = own.pop("seeds"), own.pop("steps")
         self.memory = own
         self._draw()
-        return self.modify_state(self._inner_state.restore(snapshot))
+        return self.modify_state(self.backend.resumable.restore(snapshot))
 
     def _fit(self, n: int) -> None:
         """Resize seeds and steps to n rows; the seed of a new row is 0."""

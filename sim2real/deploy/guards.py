@@ -34,9 +34,8 @@ _ROUNDING = 1e-12  # m, rad and their rates up to which the limits change a comm
 class SafetyFilter(BackendWrapper):
     """Limits and checks each command before the backend of one robot gets it.
 
-    Commands are finite and made of a recent measurement.
-
-    After `stop` nothing is sent until the next reset.
+    Commands are finite and made of a recent measurement. After `stop` nothing is sent until the
+    next reset.
 
     Attributes:
         base_twist: Last world twist that was sent, shape (1, 6).
@@ -55,8 +54,7 @@ class SafetyFilter(BackendWrapper):
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity
         self._base_limits = _base_limits(robot.base, guards)
         self._dt, self.stopped, self.steps = 0.0, True, 0
-        self._inner_scanner, self.scanner = backend.scanner, backend.scanner and self
-        self._inner_gripper, self.gripper = backend.gripper, backend.gripper and self
+        self.scanner, self.gripper = backend.scanner and self, backend.gripper and self
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -120,8 +118,8 @@ class SafetyFilter(BackendWrapper):
 
         Ranges that are no finite numbers are a Fault, too.
         """
-        assert self._inner_scanner is not None
-        scan = self._inner_scanner.scan()
+        assert self.backend.scanner is not None
+        scan = self.backend.scanner.scan()
         check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
         if scan.blind is not None:
             if scan.blind.all():
@@ -133,8 +131,8 @@ class SafetyFilter(BackendWrapper):
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Close or open the gripper; raise Fault after a stop."""
         self._check_running()
-        assert self._inner_gripper is not None
-        self._inner_gripper.grip(grip, env_ids)
+        assert self.backend.gripper is not None
+        self.backend.gripper.grip(grip, env_ids)
 
     def stop(self) -> None:
         """Command the base to zero and the arm to hold; it may be called at any time."""
@@ -232,7 +230,7 @@ class Guarded(BackendWrapper):
         self.guards, clock = guards or Guards(), clock or Clock()
         self.commands = SafetyFilter(backend, robot, self.guards, clock, rate)
         super().__init__(with_adapters(self.commands, adapters, robot))
-        self._inner_scanner, self.scanner = self.backend.scanner, self.backend.scanner and self
+        self.scanner = self.backend.scanner and self
         self._rate = rate
         self._name = f"backend {type(backend).__name__}"
         self._monitor = StateMonitor(backend, robot, self.guards, clock)
@@ -301,9 +299,9 @@ class Guarded(BackendWrapper):
 
     def scan(self) -> Scan:
         """Return the newest ranges; before any error the robot is stopped."""
-        assert self._inner_scanner is not None
+        assert self.backend.scanner is not None
         try:
-            return self._inner_scanner.scan()
+            return self.backend.scanner.scan()
         except PLUGIN_ERRORS:
             self.stop()
             raise

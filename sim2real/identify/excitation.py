@@ -1,8 +1,4 @@
-"""A minute of commands that show how a robot responds: steps and chirps of base and arm.
-
-One object is the task, its targets and the command filter of a run: it replaces the command of the
-base and the targets of the arm, and a deployment limits, sends and records them.
-"""
+"""A minute of commands that show how a robot responds: steps and chirps of base and arm."""
 
 import math
 from collections.abc import Sequence
@@ -110,9 +106,9 @@ def arm_amplitude(solver: IkSolver, joints: Array, dt: float) -> Array:
 class Excitation:
     """The pattern for one robot: task, target stream and command filter of a run.
 
+    It replaces the commands of base and arm, and a deployment limits, sends and records them.
+
     Attributes:
-        name: Task name.
-        seconds: Duration.
         live: False where the base stops at once in the next period, shape (1,).
     """
 

@@ -46,16 +46,11 @@ class TargetController:
     sent when it arrives.
 
     Attributes:
-        name: Task name.
-        seconds: Motion time; the run has its own limit.
-        robot: Robot model.
-        subgoals: The sub-goal of the EE frame.
-        rules: Limits of targets.
         pose: World pose of the EE that is desired now, shape (7,), once `running`.
         running: Whether the loop reads the messages.
     """
 
-    name, seconds = "servo", math.inf
+    name, seconds = "servo", math.inf  # the run has its own limit
 
     def __init__(
         self,
