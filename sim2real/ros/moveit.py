@@ -248,58 +248,5 @@ def _transform(pose: Array) -> Any:
     return MOVEIT.Transform(MOVEIT.Vector3(x, y, z), MOVEIT.Quaternion(*rotation))
 
 
-_DEFINITIONS = """
-geometry_msgs/Point32 float32 x float32 y float32 z
-geometry_msgs/Polygon Point32[] points
-geometry_msgs/Wrench Vector3 force Vector3 torque
-shape_msgs/SolidPrimitive uint8 type float64[<=3] dimensions Polygon polygon
-shape_msgs/MeshTriangle uint32[3] vertex_indices
-shape_msgs/Mesh MeshTriangle[] triangles Point[] vertices
-shape_msgs/Plane float64[4] coef
-sensor_msgs/MultiDOFJointState Header header string[] joint_names Transform[] transforms \
-Twist[] twist Wrench[] wrench
-trajectory_msgs/MultiDOFJointTrajectoryPoint Transform[] transforms Twist[] velocities \
-Twist[] accelerations Duration time_from_start
-trajectory_msgs/MultiDOFJointTrajectory Header header string[] joint_names \
-MultiDOFJointTrajectoryPoint[] points
-object_recognition_msgs/ObjectType string key string db
-moveit_msgs/CollisionObject Header header Pose pose string id ObjectType type \
-SolidPrimitive[] primitives Pose[] primitive_poses Mesh[] meshes Pose[] mesh_poses \
-Plane[] planes Pose[] plane_poses string[] subframe_names Pose[] subframe_poses uint8 operation
-moveit_msgs/AttachedCollisionObject string link_name CollisionObject object string[] touch_links \
-JointTrajectory detach_posture float64 weight
-moveit_msgs/RobotState JointState joint_state MultiDOFJointState multi_dof_joint_state \
-AttachedCollisionObject[] attached_collision_objects bool is_diff
-moveit_msgs/RobotTrajectory JointTrajectory joint_trajectory \
-MultiDOFJointTrajectory multi_dof_joint_trajectory
-moveit_msgs/JointConstraint string joint_name float64 position float64 tolerance_above \
-float64 tolerance_below float64 weight
-moveit_msgs/BoundingVolume SolidPrimitive[] primitives Pose[] primitive_poses Mesh[] meshes \
-Pose[] mesh_poses
-moveit_msgs/PositionConstraint Header header string link_name Vector3 target_point_offset \
-BoundingVolume constraint_region float64 weight
-moveit_msgs/OrientationConstraint Header header Quaternion orientation string link_name \
-float64 absolute_x_axis_tolerance float64 absolute_y_axis_tolerance \
-float64 absolute_z_axis_tolerance uint8 parameterization float64 weight
-moveit_msgs/VisibilityConstraint float64 target_radius PoseStamped target_pose int32 cone_sides \
-PoseStamped sensor_pose float64 max_view_angle float64 max_range_angle \
-uint8 sensor_view_direction float64 weight
-moveit_msgs/Constraints string name JointConstraint[] joint_constraints \
-PositionConstraint[] position_constraints OrientationConstraint[] orientation_constraints \
-VisibilityConstraint[] visibility_constraints
-moveit_msgs/MoveItErrorCodes int32 val string message string source
-moveit_msgs/PositionIKRequest string group_name RobotState robot_state Constraints constraints \
-bool avoid_collisions string ik_link_name PoseStamped pose_stamped string[] ik_link_names \
-PoseStamped[] pose_stamped_vector Duration timeout
-moveit_msgs/srv/GetPositionIK_Request PositionIKRequest ik_request
-moveit_msgs/srv/GetPositionIK_Response RobotState solution MoveItErrorCodes error_code
-moveit_msgs/srv/GetCartesianPath_Request Header header RobotState start_state string group_name \
-string link_name Pose[] waypoints float64 max_step float64 jump_threshold \
-float64 prismatic_jump_threshold float64 revolute_jump_threshold bool avoid_collisions \
-Constraints path_constraints
-moveit_msgs/srv/GetCartesianPath_Response RobotState start_state RobotTrajectory solution \
-float64 fraction MoveItErrorCodes error_code
-"""
-
-MOVEIT = message_classes(_DEFINITIONS, vars(MESSAGES))
+MOVEIT = message_classes("moveit_messages.txt", vars(MESSAGES))
 """Message classes by name."""

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from threading import Thread
 from types import SimpleNamespace, new_class
 from typing import Any
@@ -234,13 +235,13 @@ def _to_sec(message: Any) -> float:
     return message.sec + message.nanosec / _NANO
 
 
-def message_classes(definitions: str, known: Mapping[str, Any] | None = None) -> SimpleNamespace:
+def message_classes(file: str, known: Mapping[str, Any] | None = None) -> SimpleNamespace:
     """Return classes of messages, and of requests and replies of services, with those `known`.
 
-    The lines of `definitions` are a name, and types and names of fields, in the notation of ROS.
+    The lines of a file beside this one are a name, and types and names of fields, as in ROS.
     """
     classes = dict(known or {})
-    for line in definitions.strip().splitlines():
+    for line in Path(__file__).with_name(file).read_text(encoding="utf-8").splitlines():
         name, *fields = line.split()
         package, *folder, short = name.split("/")
         fields = [*(_HEADER if folder else ()), *fields]
@@ -279,36 +280,5 @@ _PRIMITIVES: dict[str, Any] = {
     "float32": (float32, float), "float64": (float64, float),
 }  # fmt: skip
 
-_MESSAGES = """
-builtin_interfaces/Time int32 sec uint32 nanosec
-builtin_interfaces/Duration int32 sec uint32 nanosec
-std_msgs/Header Time stamp string frame_id
-geometry_msgs/Vector3 float64 x float64 y float64 z
-geometry_msgs/Point float64 x float64 y float64 z
-geometry_msgs/Quaternion float64 x float64 y float64 z float64 w
-geometry_msgs/Pose Point position Quaternion orientation
-geometry_msgs/PoseStamped Header header Pose pose
-geometry_msgs/Twist Vector3 linear Vector3 angular
-geometry_msgs/TwistStamped Header header Twist twist
-geometry_msgs/PoseWithCovariance Pose pose float64[36] covariance
-geometry_msgs/TwistWithCovariance Twist twist float64[36] covariance
-geometry_msgs/Transform Vector3 translation Quaternion rotation
-geometry_msgs/TransformStamped Header header string child_frame_id Transform transform
-nav_msgs/Odometry Header header string child_frame_id \
-PoseWithCovariance pose TwistWithCovariance twist
-nav_msgs/Path Header header PoseStamped[] poses
-nav_msgs/MapMetaData Time map_load_time float32 resolution uint32 width uint32 height Pose origin
-nav_msgs/OccupancyGrid Header header MapMetaData info int8[] data
-sensor_msgs/JointState Header header string[] name float64[] position float64[] velocity \
-float64[] effort
-sensor_msgs/LaserScan Header header float32 angle_min float32 angle_max float32 angle_increment \
-float32 time_increment float32 scan_time float32 range_min float32 range_max float32[] ranges \
-float32[] intensities
-tf2_msgs/TFMessage TransformStamped[] transforms
-trajectory_msgs/JointTrajectoryPoint float64[] positions float64[] velocities \
-float64[] accelerations float64[] effort Duration time_from_start
-trajectory_msgs/JointTrajectory Header header string[] joint_names JointTrajectoryPoint[] points
-"""
-
-MESSAGES = message_classes(_MESSAGES)
+MESSAGES = message_classes("ros2_messages.txt")
 """Message classes by name."""
