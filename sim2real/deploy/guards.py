@@ -245,8 +245,6 @@ class Guarded(BackendWrapper):
         """Start a run; shapes as in `Backend`. Raises KinfeasError if a limit is exceeded."""
         with plugin_note(self._name):
             self.state = self.backend.reset(base_pose, joint_positions, env_ids)
-        if self._rate is not None and self._rate.waits:
-            self._rate.wait()
         self._monitor.begin(self.state)
         self._failures, self._commanded, self.unstopped = 0, None, ""
         return self.state
@@ -289,7 +287,7 @@ class Guarded(BackendWrapper):
             if self.commands.steps == steps:
                 raise Fault("an adapter has not passed the command on")
             if self._rate is not None:
-                self._rate.wait() if self._rate.waits else self._rate.tick()
+                self._rate.wait()
             self._monitor.check(state, dt)
             self.state, passed = state, True
         finally:

@@ -48,7 +48,7 @@ class Rate:
     """
 
     def __init__(self, dt: float, clock: Clock | None = None, *, waits: bool = True) -> None:
-        """Start at the first `wait` or `tick`; periods take `dt` seconds."""
+        """Start at the first `wait`; periods take `dt` seconds."""
         if not 0.0 < dt < math.inf:
             raise KinfeasError(f"the control period must be above 0 s and finite, not {dt}")
         self.dt, self._clock, self.waits = dt, clock or Clock(), waits
@@ -64,15 +64,25 @@ class Rate:
         self._deadline = self._last + self.dt
 
     def wait(self) -> float:
-        """Wait for the end of the control period; return its length in seconds, at first 0."""
+        """Return the length of the control period that ends now, in seconds, at first 0.
+
+        Waits for its end, unless the robot times it.
+        """
         if math.isnan(self._last):
             self.restart()
             return 0.0
-        self._misses += self._clock.monotonic() > self._deadline
-        self._prepare()
-        now = self._sleep(self._deadline)
-        self._deadline += self.dt * (1 + math.floor(max(0.0, now - self._deadline) / self.dt))
-        return self._measure(now)
+        now = self._clock.monotonic()
+        if self.waits:
+            self._misses += now > self._deadline
+            self._prepare()
+            now = self._sleep(self._deadline)
+            self._deadline += self.dt * (1 + math.floor(max(0.0, now - self._deadline) / self.dt))
+        else:
+            self._misses += now - self._last > _LATE * self.dt
+        period, self._last = now - self._last, now
+        self._periods.append(period)
+        self._count, self._longest = self._count + 1, max(self._longest, period)
+        return period
 
     def _prepare(self) -> None:
         """Do the work of `prepare` so that it ends before the deadline, but not long before it.
@@ -95,15 +105,6 @@ class Rate:
         if not math.isnan(self._last):
             self._work.append(self._clock.monotonic() - self._last)
 
-    def tick(self) -> float:
-        """Return the length of a period that ends now and that the robot times, at first 0."""
-        now = self._clock.monotonic()
-        if math.isnan(self._last):
-            self._last = now
-            return 0.0
-        self._misses += now - self._last > _LATE * self.dt
-        return self._measure(now)
-
     def timing(self) -> Timing:
         """Return the statistics so far; zeros without a period."""
         if not self._count:
@@ -111,9 +112,3 @@ class Rate:
         p50, p99 = np.percentile(self._periods, (50.0, 99.0)).tolist()
         work = np.percentile(self._work, (50.0, 99.0)).tolist() if self._work else ()
         return Timing(self._count, p50, p99, self._longest, self._misses, *work)
-
-    def _measure(self, now: float) -> float:
-        period, self._last = now - self._last, now
-        self._periods.append(period)
-        self._count, self._longest = self._count + 1, max(self._longest, period)
-        return period
