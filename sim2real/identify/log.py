@@ -32,11 +32,6 @@ class Log:
     ages: Array  # ages on arrival, shape (a,), seconds; empty if unknown
     arm_seconds: float  # duration of the cubic to each target, as of a `Backend`
 
-    @property
-    def seconds(self) -> float:
-        """Duration."""
-        return len(self.twists) * self.dt
-
 
 def log_of(record: Record, robot: Robot, source: str) -> Log:
     """Return the log of a run; raise KinfeasError if it is of another robot or too short."""

@@ -280,7 +280,7 @@ def _localisation_jumps(
     tracks: Sequence[Track], rests: Sequence[Array], jump: Flags, drifts: Sequence[float]
 ) -> dict[str, Estimate]:
     """Return rate and size of jumps, each of which draws a new error, none at first."""
-    seconds = sum(track.log.seconds for track in tracks)
+    seconds = sum(len(track.log.twists) * track.log.dt for track in tracks)
     sums, walked, count, first = np.zeros(3), np.zeros(3), 0, 0
     ends = np.cumsum([len(rest) for rest in rests])[:-1]
     for track, rest, flags in zip(tracks, rests, np.split(jump, ends), strict=True):

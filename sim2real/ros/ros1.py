@@ -24,14 +24,6 @@ _FLUSH = 0.05  # s for rospy's writing threads before their connections are clos
 _SHUT_DOWN = "this node was shut down, as rosnode kill does it"
 _LOCAL = {"localhost", "127.0.0.1", "::1"}
 
-_PACKAGES = {
-    **dict.fromkeys(("Twist", "TwistStamped", "PoseStamped", "TransformStamped"), "geometry_msgs"),
-    **dict.fromkeys(("Odometry", "OccupancyGrid", "Path"), "nav_msgs"),
-    **dict.fromkeys(("JointState", "LaserScan"), "sensor_msgs"),
-    **dict.fromkeys(("JointTrajectory", "JointTrajectoryPoint"), "trajectory_msgs"),
-    "TFMessage": "tf2_msgs",
-}
-
 _lock = threading.Lock()
 
 
@@ -115,10 +107,12 @@ def ros1_message_classes() -> Any:
     rospy, gripper = ros("rospy"), "pr2_controllers_msgs/Pr2GripperCommand"
     # Debian has no package of PR2's messages.
     made = ros("genpy.dynamic").generate_dynamic(gripper, "float64 position\nfloat64 max_effort\n")
-    classes = {name: getattr(ros(f"{package}.msg"), name) for name, package in _PACKAGES.items()}
-    return SimpleNamespace(
-        Time=rospy.Time, Duration=rospy.Duration, Pr2GripperCommand=made[gripper], **classes
-    )
+    classes = {"Pr2GripperCommand": made[gripper], "Time": rospy.Time, "Duration": rospy.Duration}
+    for line in Path(__file__).with_name("messages.txt").read_text(encoding="utf-8").splitlines():
+        package, _, name = line.split()[0].partition("/")
+        if name not in classes:
+            classes[name] = getattr(ros(f"{package}.msg"), name)
+    return SimpleNamespace(**classes)
 
 
 def ros(module: str) -> Any:

@@ -280,5 +280,5 @@ _PRIMITIVES: dict[str, Any] = {
     "float32": (float32, float), "float64": (float64, float),
 }  # fmt: skip
 
-MESSAGES = message_classes("ros2_messages.txt")
+MESSAGES = message_classes("messages.txt")
 """Message classes by name."""
