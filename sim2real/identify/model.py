@@ -84,18 +84,10 @@ def uniform_numbers(draws: int, n: int) -> Array:
 
 @njit(cache=True)
 def drawn_delays(uniform, dt, latency, jitter, lost):
-    """Return one draw of `Delays` with these parameters, for n periods.
+    """Return one draw of `Delays` for n periods, by uniform numbers in [0, 1), shape (n, 2).
 
-    Args:
-        uniform: Uniform numbers in [0, 1), shape (n, 2).
-        dt: Control period, seconds.
-        latency: Minimum delay of a command, seconds.
-        jitter: Maximum additional delay, seconds.
-        lost: Probability that a command is lost.
-
-    Returns:
-        Weights of the commands of which the active one is mixed, the newest last, shape (n, k);
-        and whether it was not lost, (n,).
+    It consists of the weights of the commands of which the active one is mixed, the newest last,
+    shape (n, k), and whether it was not lost, (n,).
     """
     n, slots = len(uniform), int(np.ceil((latency + jitter) / dt)) + 2
     begins = np.zeros((n, slots))

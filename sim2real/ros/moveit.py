@@ -50,15 +50,10 @@ class MoveItServices:
         reach: Callable[..., Sequence[Placement]],
         plan: Callable[..., Moments],
     ) -> None:
-        """Join the domain of `ROS_DOMAIN_ID` and answer from a thread.
+        """Join the domain of `ROS_DOMAIN_ID` and answer from a thread, for the robot of a solver.
 
-        Args:
-            solver: Of the robot.
-            reach: `kinfeas.reach` for the robot; raises KinfeasError.
-            plan: `kinfeas.plan` for the robot; raises KinfeasError.
-
-        Raises:
-            KinfeasError: If there is no such domain, or the robot's `ros2.yaml` is invalid.
+        `reach` and `plan` are those of `kinfeas` for this robot. Raises KinfeasError if there is no
+        such domain, or the robot's `ros2.yaml` is invalid.
         """
         robot = solver.robot
         known = (robot.folder / "ros2.yaml").is_file()
