@@ -1,4 +1,4 @@
-"""The base class of adapters."""
+"""The base class of adapters, and their random numbers."""
 
 import math
 import zlib

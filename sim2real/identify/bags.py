@@ -75,14 +75,12 @@ class _Bag:
         self._tree = ros_messages.TfTree(base.world_frame, base.frame, now=lambda: self._now)
 
     def read(self, reader: Any) -> Log:
-        streams = self._twists, self._joints, self._base
+        streams = self._twists, self._base, self._joints
+        arm = (controller.command for controller in self._topics.joints.controllers)
         takes: dict[str, Callable[[Any], None]] = {
             self._twists.topic: self._take_twist,
             self._joints.topic: self._take_joints,
-            **{
-                controller.command: self._take_path
-                for controller in self._topics.joints.controllers
-            },
+            **dict.fromkeys(arm, self._take_path),
             self._base.topic: self._take_odometry,
         }
         if self._topics.base.measured_by == "tf":
@@ -96,7 +94,7 @@ class _Bag:
         for connection, nanoseconds, raw in reader.messages(connections=connections):
             self._now = nanoseconds / 1e9
             takes[connection.topic](reader.deserialize(raw, connection.msgtype))
-        for stream in (self._twists, self._base, self._joints):
+        for stream in streams:
             if len(stream.values) < 2:
                 raise KinfeasError(f"{self._path}: has no {stream.content} in {stream.topic}")
         return self._log()
