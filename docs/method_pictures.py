@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative
-from kinfeas.evaluation.paper import TITLES
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.planning.placement import reachable
 from kinfeas.robots.loading import load_robot
@@ -28,7 +27,7 @@ from kinfeas.viz.drawing import (
     show_all,
 )
 from kinfeas.viz.shapes import corners, faces, robot_solids
-from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
+from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, TITLES, png
 
 IMAGES = Path(__file__).parent / "images"
 ROBOTS = ("pr2", "tiago", "hsr")

@@ -19,13 +19,13 @@ from kinfeas.core import spatial
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.recording import Recording, record_episodes
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.servo.controller import TargetController
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import build_subgoals
+from kinfeas.viz.replay import Recording, record_episodes
 
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR", "lekiwi": "LeKiwi"}
 SCALING = (PluginSpec("time_scaling"),)

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinfeas.benchmark.table import LEARNED, paper_figures
 from kinfeas.cli.options import read_settings
 from kinfeas.config import Settings, registry
 from kinfeas.config.recipes import load_section
-from kinfeas.evaluation.paper import LEARNED, paper_figures
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from annotated_types import Interval
@@ -34,7 +34,6 @@ from kinfeas.core.spatial import (
     rotation,
 )
 from kinfeas.core.start import Start
-from kinfeas.evaluation.recording import Recording
 from kinfeas.io.demonstrations import check_samples, columns
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import IkSolver
@@ -44,6 +43,9 @@ from kinfeas.plugins.waypoints import read_waypoints
 from kinfeas.robots.robot import Base, Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
+
+if TYPE_CHECKING:
+    from kinfeas.viz.replay import Recording
 
 _BASE = ("x", "y", "yaw")
 _AT_START = 0.02  # distance of the EE from the first pose of a path, metres
@@ -127,7 +129,9 @@ class Plan(Moments):
     def _title(self) -> str:
         return f"{self.robot.name}, plan of {self.time[-1]:.0f} s"
 
-    def _recording(self) -> Recording:
+    def _recording(self) -> "Recording":
+        from kinfeas.viz.replay import Recording
+
         feasible = np.ones(len(self.time), dtype=np.bool_)
         return Recording(
             0, self.time, self.base_pose, self.joint_positions, self.ee_pose, self.reached,

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from kinfeas.benchmark.table import Cell
-from kinfeas.evaluation.paper import TITLES
+from kinfeas.viz.style import TITLES
 
 NOTHING = "-"
 """Entry of a table where nothing was measured."""

@@ -17,18 +17,17 @@ from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.evaluations import LEARNED_POLICIES, Evaluation
 from kinfeas.benchmark.markdown import groups, label, rows_of, title, to_markdown
 from kinfeas.benchmark.runs import TrainedRun
-from kinfeas.benchmark.table import Cell
+from kinfeas.benchmark.table import LEARNED, Cell, paper_figures
 from kinfeas.core.files import read_csv, to_json, write_file
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
-from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
-from kinfeas.evaluation.recording import Recording, record_episodes
 from kinfeas.jobs.job import Result
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.viz.episodes import episodes_figure
-from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, failures_text, png
+from kinfeas.viz.replay import Recording, record_episodes
+from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, TITLES, failures_text, png
 
 _PLOTTED = ("steps", "train/success", "evaluation/success")
 _CURVE_INCHES = 4.9

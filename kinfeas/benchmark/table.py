@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from kinfeas.benchmark.evaluations import CEILING, LEARNED_POLICIES, Evaluation
+from kinfeas.config import strict_yaml
+from kinfeas.config.recipes import find_recipe
 from kinfeas.core.metrics import Proportion, wilson
-from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.jobs.job import Result
 
 _MEANS = (
@@ -18,6 +20,30 @@ _MEANS = (
     "collision_free_rate",
 )  # fmt: skip
 """Metrics that are means over episodes."""
+
+LEARNED = "policy"
+"""Name of the paper's learned policy."""
+
+
+@dataclass(frozen=True)
+class PaperFigures:
+    """The paper's fractions for one robot, task and policy, 0-1."""
+
+    success: float
+    within_5cm: float
+
+
+@cache
+def paper_figures(robot: str, task: str, world: str = "analytic") -> dict[str, PaperFigures]:
+    """Return the paper's figures by policy; none for an unknown robot or task.
+
+    The world is `analytic` or `physics`.
+    """
+    table: dict[str, Any] = strict_yaml.read(find_recipe("benchmark/paper", "benchmark"))
+    return {
+        policy: PaperFigures(round(success / 100.0, 4), round(within / 100.0, 4))
+        for policy, (success, within) in table[world].get(robot, {}).get(task, {}).items()
+    }
 
 
 @dataclass(frozen=True)

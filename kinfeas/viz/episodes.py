@@ -20,12 +20,11 @@ from scipy.spatial import ConvexHull
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.evaluation.recording import Recording
 from kinfeas.io.run_log import Record
 from kinfeas.planning.reach import Placement
 from kinfeas.robots.robot import Robot
 from kinfeas.viz import drawing, shapes
-from kinfeas.viz.replay import as_recording, result
+from kinfeas.viz.replay import Recording, as_recording, result, side_heading
 from kinfeas.viz.shapes import VisualShape
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, failures_text
 
@@ -52,7 +51,7 @@ def episodes_figure(
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
         grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
         for column, (recording, title) in enumerate(zip(recordings, titles, strict=True)):
-            furniture, heading = _furniture_near(recording), shapes.side_heading(recording)
+            furniture, heading = _furniture_near(recording), side_heading(recording)
             side = drawing.add_axes(figure, grid[0, column], heading, _ELEVATION)
             _draw_side(side, robot, recording, [*chain.from_iterable(furniture)])
             side.set_title(title)

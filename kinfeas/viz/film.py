@@ -12,10 +12,9 @@ from kinfeas.backends.pybullet.camera import Camera, View
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import replacing
 from kinfeas.core.spatial import IDENTITY, Array
-from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.urdf import Shape
-from kinfeas.viz.replay import EpisodeReplay, result
-from kinfeas.viz.shapes import placed, side_heading
+from kinfeas.viz.replay import EpisodeReplay, Recording, result, side_heading
+from kinfeas.viz.shapes import placed
 from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, failures_text
 
 SUFFIXES = (".gif", ".mp4", ".png")

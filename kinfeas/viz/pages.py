@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from kinfeas.backends.physics.backend import LinkName
 from kinfeas.core.spatial import Array
-from kinfeas.evaluation.recording import Recording
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz.replay import EpisodeReplay, result
+from kinfeas.viz.replay import EpisodeReplay, Recording, result
 from kinfeas.viz.server import serving
 from kinfeas.viz.shapes import (
     VisualShape,

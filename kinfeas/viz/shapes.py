@@ -14,7 +14,6 @@ from kinfeas.backends.physics.backend import ROBOT, LinkName
 from kinfeas.backends.physics.robot import physics_urdf
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
-from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.elements import Element, parse_xml, read_xml
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Shape
@@ -36,7 +35,6 @@ LOW, HIGH, HIGHEST = "#d8c7a6", "#9fa9b580", 1.2
 
 _SOLID = "/solid"  # stands for a solid in place of the name of an object
 _RANGE = 3.0  # rad to either side, of a joint without limits
-_TURN = np.deg2rad(12.0)  # of a side view, so that the arm is in front
 _STICK = 0.03  # m, width of lines in place of links without shapes
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
@@ -179,15 +177,6 @@ def solid_shapes(solids: Solids | None) -> list[VisualShape]:
             shape = Shape("box", (2.0 * x, 2.0 * y, height), centre)
         shapes.append(VisualShape((_SOLID, str(slot)), shape, HIGH if high > HIGHEST else LOW))
     return shapes
-
-
-def side_heading(recording: Recording) -> float:
-    """Return the world heading to the right of a side view in which the arm is in front."""
-    travel = recording.goal[:2] - recording.base_pose[0, :2]
-    heading = float(np.arctan2(travel[1], travel[0]))
-    arm = (recording.ee_pose[:, :2] - recording.base_pose[:, :2]).mean(axis=0)
-    headings = (heading + _TURN, heading + np.pi - _TURN)
-    return max(headings, key=lambda angle: float(arm @ [np.sin(angle), -np.cos(angle)]))
 
 
 def surrounding(scene: Scene) -> set[str]:

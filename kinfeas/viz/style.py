@@ -14,6 +14,9 @@ BODY, ARM = "#c3c9d2", "#5b93cf"
 
 INK, FAINT = "#2b2f36", "#8a919c"
 
+TITLES = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
+"""Names of the shipped robots in tables and pictures."""
+
 STYLE: Any = {  # Any: matplotlib types each key by name
     "font.size": 10.0,
     "font.family": "DejaVu Sans",

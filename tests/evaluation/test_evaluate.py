@@ -27,13 +27,13 @@ from kinfeas.evaluation.evaluate import (
     run,
 )
 from kinfeas.evaluation.reachability import WAYPOINTS, draw_waypoints
-from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 from kinfeas.tasks.loading import load_task
+from kinfeas.viz.replay import record_episodes
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,6 @@ from kinfeas.core.backend import RealTimeBackend, StopCall
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import configure
-from kinfeas.evaluation.recording import record_episodes
 from kinfeas.io.run_log import REACHED, About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
@@ -30,6 +29,7 @@ from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
 from kinfeas.sim2real.deploy.start import make_goal_task, warm_up
 from kinfeas.sim2real.link.rate import Rate
 from kinfeas.tasks.task import MotionSpec
+from kinfeas.viz.replay import record_episodes
 
 DT = 0.02
 QUICK = MotionSpec("linear", {"gain": 1.0})
