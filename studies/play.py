@@ -44,8 +44,7 @@ def first_picture(browser: Browser, out: Path) -> tuple[float, float]:
 
 def frame_rates(browser: Browser, out: Path, seconds: float = 10.0) -> tuple[float, float]:
     """Return frames per second, of the robot and of the browser, while the target is dragged."""
-    from kinfeas.viz.choice import Choice
-    from kinfeas.viz.play import PlayPage
+    from kinfeas.viz.play import Choice, PlayPage
     from kinfeas.viz.server import serving
 
     with serving("kinfeas play") as server:

@@ -57,21 +57,21 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.api.load import filter_names, load_policy, robot_of
     from kinfeas.config import registry
     from kinfeas.scenes.scene import read_scene
-    from kinfeas.viz.choice import NONE, Choice
     from kinfeas.viz.server import serving
 
     names, robot = filter_names(filters), robot or robot_of(policy)
     # So that errors come before the address.
-    for each in {policy, second_policy} - {NONE}:
+    for each in {policy, second_policy} - {"none"}:
         load_policy(each, robot=robot)
     registry.load("kinfeas.motion_generators", generator)
     registry.load("kinfeas.backends", backend)
     for name in names:
         registry.load("kinfeas.filters", name)
-    if scene != NONE:
+    if scene != "none":
         read_scene(scene)
     with serving("kinfeas play", host, port) as server:
         typer.echo(server.url)  # browsers load while the rest is imported
+        from kinfeas.viz.play import Choice
         from kinfeas.viz.play import play as run
 
         choice = Choice(robot, policy, second_policy, generator, names, backend, scene)

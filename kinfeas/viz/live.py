@@ -1,5 +1,6 @@
 """A simulated robot that follows live targets step by step, for pages and programs."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,9 @@ from kinfeas.scenes.scene import Scene
 from kinfeas.sim2real.deploy.config import ServoConfig
 from kinfeas.sim2real.servo.controller import TargetController
 from kinfeas.tasks.task import MotionSpec, build_subgoals, start_at_home
-from kinfeas.viz.choice import DT, Choice
+
+DT = 0.02
+"""Control period, seconds."""
 
 _NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
 _UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
@@ -36,28 +39,39 @@ class Episode:
         joint_speeds: Joint speeds of the last step as fractions of their limits, shape (j,).
     """
 
-    def __init__(self, choice: Choice, policy: str, robot: Robot, scene: Scene | None) -> None:
-        """Build the parts of a choice with one of its policies.
+    def __init__(
+        self,
+        robot: Robot,
+        policy: str = "pretrained",
+        scene: Scene | None = None,
+        *,
+        generator: str = "servo",
+        filters: Sequence[str] = ("time_scaling",),
+        backend: str = "analytic",
+    ) -> None:
+        """Build a robot, by the names of policy, motion generator, command filters and backend.
+
+        The generator `servo` follows each target, others start when it is no longer held.
 
         Raises:
             KinfeasError: If a part cannot be built, or the backend is no simulator.
         """
         config = load_section(ServoConfig, "servo", robot.folder)
-        self.follows = choice.generator == "servo"
+        self.follows = generator == "servo"
         rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
         limits: dict[str, object] = {**rules.generator_limits}
         if not self.follows:
             rules = replace(rules, max_velocity=_UNLIMITED, max_angular_velocity=_UNLIMITED)
         self._steps = 0
-        spec = MotionSpec(choice.generator, limits if self.follows else {})
+        spec = MotionSpec(generator, limits if self.follows else {})
         self.controller = TargetController(robot, rules, lambda: self.seconds, spec)
         self._solver = IkSolver(robot, config.ik)
-        self.backend = build_simulator(choice.backend, config.backend, robot=robot, scene=scene)
+        self.backend = build_simulator(backend, config.backend, robot=robot, scene=scene)
         with closed_on_error(self.backend):
             self.loop = assemble(
                 self._solver, build_subgoals(self.controller.subgoals), self.backend, dt=DT,
                 execution=config, stream=self.controller, policy=load_policy(policy, robot),
-                filters=(self.controller, *(PluginSpec(name) for name in choice.filters)),
+                filters=(self.controller, *(PluginSpec(name) for name in filters)),
             )  # fmt: skip
             self.restart()
 

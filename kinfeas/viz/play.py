@@ -4,6 +4,7 @@ import queue
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,9 +19,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.io.demonstrations import Demonstration, write_demonstration
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
-from kinfeas.viz.choice import DT, NONE, Choice
-from kinfeas.viz.pages import Bodies, draw_floor
-from kinfeas.viz.play_robot import ShownRobot
+from kinfeas.viz.pages import Bodies, ShownRobot, draw_floor
 from kinfeas.viz.shapes import robot_solids, scene_solids
 from kinfeas.viz.style import ARM, EE, GOAL
 
@@ -33,6 +32,22 @@ _BESIDE = np.array([0.0, 1.6, 0.0])  # m, where the second robot is drawn
 _HELP = "**Drag the arrows and rings at the gripper**: base and arm follow."
 _NO_PLOTS = "<style>@media (max-width: 36em) {.uplot-container {display: none}}</style>"
 """Hides plots where the controls lie below the picture, as on phones."""
+
+NONE = "none"
+"""Choice of no second policy and of no scene."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the page shows."""
+
+    robot: str  # robot by name or path
+    policy: str = "pretrained"  # policy by name or path
+    second_policy: str = NONE  # policy of a second robot with the same target, or `none`
+    generator: str = "servo"  # motion generator
+    filters: tuple[str, ...] = ("time_scaling",)  # names of the command filters, in order
+    backend: str = "analytic"  # backend by name
+    scene: str = "room"  # scene by name or path, or `none`
 
 
 class PlayPage:
@@ -88,6 +103,8 @@ class PlayPage:
 
     def run(self, seconds: float = np.inf) -> None:
         """Run in real time; slower where the computer is too slow."""
+        from kinfeas.viz.live import DT
+
         ends, due = time.monotonic() + seconds, time.monotonic()
         while (now := time.monotonic()) < ends:
             with suppress(queue.Empty):
@@ -224,8 +241,12 @@ class PlayPage:
         with ExitStack() as opened:
             for policy in (choice.policy, choice.second_policy):
                 if policy != NONE:
-                    fresh.append(Episode(choice, policy, robot, scene))
-                    opened.callback(fresh[-1].close)
+                    episode = Episode(
+                        robot, policy, scene, generator=choice.generator,
+                        filters=choice.filters, backend=choice.backend,
+                    )  # fmt: skip
+                    fresh.append(episode)
+                    opened.callback(episode.close)
             opened.pop_all()
         self.save()
         for episode in self._episodes:

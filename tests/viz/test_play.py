@@ -12,7 +12,6 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance
 from kinfeas.io.demonstrations import read_demonstration
-from kinfeas.viz.choice import Choice
 
 pytest.importorskip("viser")
 
@@ -21,7 +20,7 @@ import zstandard
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from kinfeas.viz.play import PlayPage
+from kinfeas.viz.play import Choice, PlayPage
 from kinfeas.viz.server import serving
 
 
@@ -264,7 +263,7 @@ def test_a_recording_is_kept_until_it_is_saved(server, join, make_page, tmp_path
 
 
 def test_the_error_of_a_choice_goes_with_it(server, join, make_page, tmp_path, monkeypatch):
-    def broken(self, choice, policy, *rest):
+    def broken(*_, **__):
         raise KinfeasError("no such policy")
 
     page, client = make_page(), join(server.url)

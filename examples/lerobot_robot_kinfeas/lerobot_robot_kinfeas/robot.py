@@ -11,8 +11,7 @@ from kinfeas.core import spatial
 from kinfeas.io.lerobot import BASE, EE, TWIST
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
-from kinfeas.viz.choice import DT, NONE, Choice
-from kinfeas.viz.live import Episode
+from kinfeas.viz.live import DT, Episode
 
 
 @RobotConfig.register_subclass("kinfeas")
@@ -34,7 +33,7 @@ class KinfeasConfig(RobotConfig):
     robot: str = "pr2"
     policy: str = "pretrained"
     backend: str = "analytic"
-    scene: str = NONE
+    scene: str = "none"
     filters: list[str] = field(default_factory=lambda: ["time_scaling"])
     action: Literal["pose", "twist"] = "pose"
     fps: float = 30.0
@@ -89,12 +88,10 @@ class Kinfeas(Robot):
     def connect(self, calibrate: bool = True) -> None:
         """Compile and begin a simulation, with the base at the origin and the arm at home."""
         config, robot = self.config, load_robot(self.config.robot)
-        scene = None if config.scene == NONE else read_scene(config.scene)
-        choice = Choice(
-            config.robot, config.policy, filters=tuple(config.filters),
-            backend=config.backend, scene=config.scene,
-        )  # fmt: skip
-        self._episode = Episode(choice, config.policy, robot, scene)
+        scene = None if config.scene == "none" else read_scene(config.scene)
+        self._episode = Episode(
+            robot, config.policy, scene, filters=config.filters, backend=config.backend
+        )
         for _ in range(3):  # compiles the kernels, for which LeRobot's loops would wait
             ahead = spatial.planar_pose(0.1, 0.0, 0.0)
             self._episode.step(spatial.compose(self._episode.ee_pose, ahead))
