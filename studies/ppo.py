@@ -26,7 +26,7 @@ from kinfeas.training.config import TrainConfig
 from kinfeas.training.fast_sac import linear_layers
 from kinfeas.training.learner import without_denormals
 from kinfeas.training.vec_env import WorldVecEnv
-from kinfeas.training.worlds import periodic_evaluator, training_world
+from kinfeas.training.worlds import evaluate_network, training_world
 
 
 def main() -> None:
@@ -43,11 +43,10 @@ def main() -> None:
     torch.set_num_threads(1)
     recipe = {"seed": options.seed, "num_envs": 256, "action_repeat": 2}
     config = recipe_of(options.robot, recipe)
-    evaluate = periodic_evaluator(config)
     for seconds in options.seconds:
         env = _Squashed(config, bootstrap=options.bootstrap)
         network, steps = _trained(env, seconds, options.seed)
-        figures = summarize(evaluate(network, options.episodes))
+        figures = summarize(evaluate_network(config, network, options.episodes))
         print(
             f"{options.robot}, {seconds:g} s, {steps / 1e6:.2f} million control steps: success "
             f"{figures['success']:.1%}, within 5 cm {figures['within_5cm']:.1%}",

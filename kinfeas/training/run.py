@@ -3,10 +3,10 @@
 import hashlib
 import json
 import math
-from collections import defaultdict, deque
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Annotated, Any
@@ -42,6 +42,7 @@ EVALUATIONS = 0.25
 _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
 _FORMAT = 3
+_SAVED = ("steps", "seconds", "best", "evaluations", "recent", "other_seconds", "analytic")
 _BROKEN = (
     ArithmeticError, LookupError, OSError, RuntimeError, SafetensorError, TypeError, ValueError
 )  # fmt: skip
@@ -51,22 +52,22 @@ _BROKEN = (
 class Progress:
     """Progress of a run."""
 
-    steps: int = 0  # environment steps so far
-    seconds: float = 0.0  # wall-clock time of training so far, over all parts of the run
+    steps: _Tally = 0  # environment steps so far
+    seconds: NotNegative = 0.0  # wall-clock time of training so far, over all parts of the run
     fraction: float = 0.0  # fraction of the run that is done, 0-1
     # score of the best checkpoint, the mean of success and of the share of episodes with tracking
     # errors below 5 cm, 0-1; -1 before the first one
-    best: float = -1.0
-    evaluations: int = 0  # number of evaluations
+    best: Annotated[float, Interval(ge=-1.0, le=1.0)] = -1.0
+    evaluations: _Tally = 0  # number of evaluations
     # whether each of the last training episodes was without a failure
-    recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    recent: tuple[bool, ...] = ()
     # episodes done and episodes in all of the evaluation that runs now
     evaluating: tuple[int, int] | None = None
     # wall-clock seconds of parts in this process: `step`, of which `update` of the networks and
     # `waiting` for the environments; `evaluation` and `checkpoint`
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     # wall-clock time of start and evaluations, where `schedule.minutes` has it
-    other_seconds: float = 0.0
+    other_seconds: NotNegative = 0.0
     # whether the run is in its part in the analytic world; see `ScheduleConfig`
     analytic: bool = False
     left_seconds: float = 0.0  # wall-clock time to the end of the run, as far as its speed stays
@@ -76,23 +77,13 @@ class Progress:
         """Share of recent training episodes without a failure, NaN before the first has ended."""
         return float(np.mean(self.recent)) if self.recent else float("nan")
 
+    def ended(self, successes: Iterable[bool]) -> None:
+        """Count training episodes that have ended."""
+        self.recent = (*self.recent, *successes)[-_RECENT:]
+
     def saved(self) -> dict[str, object]:
         """Return the fields of a checkpoint."""
-        names = ("steps", "seconds", "best", "evaluations", "other_seconds", "analytic")
-        return {**{name: getattr(self, name) for name in names}, "recent": list(self.recent)}
-
-
-@dataclass(frozen=True)
-class _Saved:
-    """Fields of a checkpoint."""
-
-    steps: _Tally
-    seconds: NotNegative
-    best: Annotated[float, Interval(ge=-1.0, le=1.0)]
-    evaluations: _Tally
-    recent: tuple[bool, ...]
-    other_seconds: NotNegative = 0.0
-    analytic: bool = False
+        return {name: getattr(self, name) for name in _SAVED}
 
 
 def check_run_folder(out: Path) -> None:
@@ -173,10 +164,8 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
                 f"{last}: a checkpoint of another run: its {its}, "
                 f"but {last.parents[1] / SETTINGS} has {others}"
             )
-        names = {entry.name for entry in fields(_Saved)}
-        entries = {key: value for key, value in state["progress"].items() if key in names}
-        saved = configuration.from_mapping(_Saved, entries, str(last / STATE))
-    progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
+        entries = {key: value for key, value in state["progress"].items() if key in _SAVED}
+        progress = configuration.from_mapping(Progress, entries, str(last / STATE))
     # The schedule may have been made longer.
     progress.fraction = fraction_done(config, progress)
     progress.evaluations = min(progress.evaluations, evaluations_due(config, progress))

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +54,11 @@ from kinfeas.training.run import (
 )
 from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv
 from kinfeas.training.worlds import (
+    EVALUATION_SEED,
     FRESH_SEED,
-    PeriodicEvaluator,
+    evaluate_network,
     has_first_part,
     part_of,
-    periodic_evaluator,
     training_world,
 )
 
@@ -124,6 +123,7 @@ class _Run:
         self.learner = make_learner(config.learner, self.env, config.seed)
         self.observation: NDArray[np.float32] | None = None
         self.evaluated_at = -1
+        self.pool: Executor | None = None
 
     def begin(self) -> None:
         """Take the weights of the initial policy, if there is one."""
@@ -156,13 +156,13 @@ class _Run:
         """Run to the end; an interruption leaves a checkpoint behind."""
         self.begun -= self.progress.seconds + self.progress.other_seconds
         with (
-            Logs(self.out, self.config, self.progress.steps) as logs,
+            Logs(self.out, self.config, self.progress.steps) as self.logs,
             without_denormals(),
-            worker_pool(self.config.processes) if self.limited else nullcontext() as pool,
+            worker_pool(self.config.processes) if self.limited else nullcontext() as self.pool,
         ):
             try:
-                self._loop(logs, pool)
-                self._evaluate_best(logs, pool)
+                self._loop()
+                self._evaluate_best()
             except KeyboardInterrupt:
                 if self.observation is not None:
                     self._save()
@@ -171,17 +171,16 @@ class _Run:
                 self.env.close()
         return self.progress
 
-    def _loop(self, logs: Logs, pool: Executor | None) -> None:
+    def _loop(self) -> None:
         if self.observation is None:
             self._first()
-        evaluator = partial(periodic_evaluator(self.config), pool=pool)
         start = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
         while True:
             # First, so that an interrupted evaluation is repeated.
             if evaluations_due(self.config, self.progress) > self.progress.evaluations:
                 with self._timed("evaluation"):
-                    self._evaluate(evaluator, logs)
+                    self._evaluate()
                 self._clock()
                 self._save()
                 # Evaluations do not count as training time.
@@ -207,7 +206,7 @@ class _Run:
                 self._save()
                 saved = now
             if now - logged >= LOG_SECONDS:
-                logs.write(self._row())
+                self.logs.write(self._row())
                 logged = now
                 self.report(self.progress)
         self.report(self.progress)
@@ -267,9 +266,9 @@ class _Run:
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = following
         progress.steps += self.part.num_envs * self.part.action_repeat
-        progress.recent.extend(infos[row]["is_success"] for row in ended)
+        progress.ended(infos[row]["is_success"] for row in ended)
 
-    def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs) -> None:
+    def _evaluate(self) -> None:
         """Evaluate the policy on fixed episodes; keep it as `best` if none was better."""
         self._losses()
         schedule, due = self.config.schedule, evaluations_due(self.config, self.progress)
@@ -279,11 +278,11 @@ class _Run:
         late = self.progress.best >= 0.0 and left <= 0.0 and self.progress.fraction < 1.0
         if late or self._is_evaluated(network):
             self.progress.evaluations = due
-            logs.write(self._row())
+            self.logs.write(self._row())
             return
         if self.limited and self.progress.fraction >= 1.0:
             left = self._left() - evaluation_seconds(self.config, schedule.final_episodes)
-        figures = self._measure(evaluator, network, schedule.evaluation_episodes, left)
+        figures = self._measure(network, schedule.evaluation_episodes, EVALUATION_SEED, left)
         self.evaluated_at = self.progress.steps
         with uninterrupted():
             self.progress.evaluations = due
@@ -297,7 +296,7 @@ class _Run:
                 }
                 self._write("best", lambda folder: self._write_policy(folder, about))
             row = {f"evaluation/{key}": float(value) for key, value in figures.items()}
-            logs.write(self._row() | row)
+            self.logs.write(self._row() | row)
 
     def _is_evaluated(self, network: Network) -> bool:
         """Return whether nothing has been learned since an evaluation, or since the best one."""
@@ -312,7 +311,7 @@ class _Run:
         return 60.0 * self.config.schedule.minutes - (time.monotonic() - self.begun)
 
     def _measure(
-        self, evaluator: PeriodicEvaluator, network: Network, episodes: int, seconds: float
+        self, network: Network, episodes: int, seed_offset: int, seconds: float
     ) -> dict[str, int | float]:
         """Return the metrics of episodes, and report how many have ended about once a second."""
         done, reported = 0, -math.inf
@@ -325,25 +324,27 @@ class _Run:
                 reported = time.monotonic()
 
         count(0)
-        metrics: Mapping[str, Any] = summarize(evaluator(network, episodes, count, seconds))
+        records = evaluate_network(
+            self.config, network, episodes, seed_offset, count, seconds, self.pool
+        )
+        metrics: Mapping[str, Any] = summarize(records)
         # Not all backends measure all of them.
         return {key: value for key, value in metrics.items() if value is not None}
 
-    def _evaluate_best(self, logs: Logs, pool: Executor | None) -> None:
+    def _evaluate_best(self) -> None:
         """Evaluate the best policy on episodes that did not select it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:
             return
-        evaluator = partial(periodic_evaluator(self.config, FRESH_SEED), pool=pool)
         left = self._left() if self.limited else math.inf
         episodes = self.config.schedule.final_episodes
-        figures = self._measure(evaluator, network, episodes, left)
+        figures = self._measure(network, episodes, FRESH_SEED, left)
         self._clock()
         updated = replace(trained, fresh_evaluation=figures)
         copy_network(best, updated, self.out / "checkpoints" / "best")
         fresh = {f"fresh/{key}": float(value) for key, value in figures.items()}
-        logs.track(fresh, self.progress.steps)
+        self.logs.track(fresh, self.progress.steps)
 
     def _row(self) -> dict[str, float]:
         p = self.progress

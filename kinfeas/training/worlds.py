@@ -2,7 +2,6 @@
 
 import math
 import signal
-from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -30,9 +29,6 @@ TRAINING = (1,)
 """Stream of training episodes; evaluations of any seed use other episodes."""
 
 _WAITING = "time_scaling"  # filter with which the EE waits
-
-PeriodicEvaluator = Callable[..., EpisodeRecords]
-"""Returns the records of a number of episodes, always the same ones; see `periodic_evaluator`."""
 
 
 def training_world(config: TrainConfig) -> World:
@@ -96,32 +92,30 @@ def _is_of_robots(adapter: PluginSpec) -> bool:
     return bool(needs) or respond_late([adapter])
 
 
-def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
-    """Return the evaluation of policies in the world of a run, with its `evaluation_adapters`.
+def evaluate_network(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
+    config: TrainConfig,
+    network: Network,
+    episodes: int,
+    offset: int = EVALUATION_SEED,
+    on_done: OnDone | None = None,
+    seconds: float = math.inf,
+    pool: Executor | None = None,
+) -> EpisodeRecords:
+    """Return the records of a policy in the world of a run, with its `evaluation_adapters`.
 
     IK searches at least as hard as by default, and episodes end as in `evaluation_world`. Their
-    seed is that of training plus `offset`. The evaluation takes the policy, the number of episodes,
-    a function for those that have ended, and a time limit with the pool for it.
+    seed is that of training plus `offset`. `seconds` limit an evaluation in a pool; further
+    arguments as in `evaluate_episodes`.
     """
     config = in_evaluation(config)
     failures, ik = evaluation_world(config.world.backend).max_failures, config.world.ik.thorough()
     world = replace(config.world, max_failures=failures, ik=ik)
     robot, task = load_robot(config.robot), load_task(config.task, config.task_parameters)
-
-    def evaluated(
-        network: Network,
-        episodes: int,
-        on_done: OnDone | None = None,
-        seconds: float = math.inf,
-        pool: Executor | None = None,
-    ) -> EpisodeRecords:
-        build = partial(World, robot, task, world, config.seed + offset)
-        if pool is None:
-            return evaluate_episodes(build, network, range(episodes), config.processes, on_done)
-        limits = seconds, pool, config.processes
-        return evaluate_within(*limits, build, network, range(episodes), on_done)
-
-    return evaluated
+    build = partial(World, robot, task, world, config.seed + offset)
+    if pool is None:
+        return evaluate_episodes(build, network, range(episodes), config.processes, on_done)
+    limits = seconds, pool, config.processes
+    return evaluate_within(*limits, build, network, range(episodes), on_done)
 
 
 _worker: tuple[TrainConfig, int, int] | Batch  # of a worker process

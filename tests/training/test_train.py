@@ -211,14 +211,14 @@ def test_a_run_with_physics_begins_in_the_analytic_world(tiny, tmp_path, monkeyp
 
 def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monkeypatch):
     successes, original = iter([0.5, 0.25, 0.5, 0.4, 0.3]), training.summarize
-    evaluator = Mock(side_effect=training.periodic_evaluator)
+    evaluator = Mock(side_effect=training.evaluate_network)
 
     def scored(records):
         success = next(successes)
         return {**original(records), "success": success, "tracked_5cm": success}
 
     monkeypatch.setattr(training, "summarize", scored)
-    monkeypatch.setattr(training, "periodic_evaluator", evaluator)
+    monkeypatch.setattr(training, "evaluate_network", evaluator)
     out = tmp_path / "run"
     train(tiny({"schedule.evaluations": 4}), out)
     about = json.loads((out / "checkpoints/best/policy.json").read_text())
@@ -226,9 +226,10 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
     assert about["fresh_evaluation"]["success"] == 0.3
     assert about["steps"] == 240  # of equals the later one
     assert about["config"]["robot"] == "hsr"
-    assert [call.args[1:] for call in evaluator.call_args_list] == [(), (worlds.FRESH_SEED,)]
+    seeds = [call.args[3] for call in evaluator.call_args_list]
+    assert seeds == [worlds.EVALUATION_SEED] * 4 + [worlds.FRESH_SEED]
     resume(out)
-    assert evaluator.call_args.args[1:] == ()
+    assert evaluator.call_count == len(seeds)
     assert finished(out)
 
 

@@ -59,7 +59,7 @@ def test_an_evaluation_keeps_the_tolerances_and_filters_of_its_run(monkeypatch, 
     world["adapters"] = ["base_noise"]
     data = {"robot": "hsr", "world": world, "evaluation_adapters": ["ee_noise"]}
     settings = config.from_mapping(TrainConfig, data, "world")
-    worlds.periodic_evaluator(settings)(None, 3)
+    worlds.evaluate_network(settings, None, 3)
     (world,) = used
     assert world.backend == backend
     assert world.ik == IkOptions(**{**ik, "restarts": 24})
