@@ -14,9 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
 from kinfeas.benchmark.config import BenchmarkConfig
-from kinfeas.benchmark.evaluations import LEARNED_POLICIES, Evaluation
+from kinfeas.benchmark.evaluations import LEARNED_POLICIES, Evaluation, TrainedRun
 from kinfeas.benchmark.markdown import groups, label, rows_of, title, to_markdown
-from kinfeas.benchmark.runs import TrainedRun
 from kinfeas.benchmark.table import LEARNED, Cell, paper_figures
 from kinfeas.core.files import read_csv, to_json, write_file
 from kinfeas.envs.world import World

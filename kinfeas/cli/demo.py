@@ -117,8 +117,8 @@ def _evaluated(config: "EvalConfig", run: Path) -> "list[Summary]":
 
 def _pictures(config: "EvalConfig", run: Path, results: "list[Summary]") -> dict[str, bytes]:
     """Return the learning curve and the first episodes, which need not be the best, by caption."""
+    from kinfeas.benchmark.evaluations import read_run
     from kinfeas.benchmark.pictures import curves_figure
-    from kinfeas.benchmark.runs import read_run
     from kinfeas.envs.world import World
     from kinfeas.policies.loading import load_policy
     from kinfeas.viz.episodes import episodes_figure

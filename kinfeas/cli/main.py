@@ -12,18 +12,15 @@ from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from kinfeas import __version__
-from kinfeas.cli.benchmark import benchmark
 from kinfeas.cli.demo import demo
 from kinfeas.cli.demonstrations import dataset, fit
 from kinfeas.cli.deploy import deploy, servo, simulate
-from kinfeas.cli.evaluate import ceiling, evaluate
-from kinfeas.cli.export import export
+from kinfeas.cli.evaluate import benchmark, ceiling, evaluate
 from kinfeas.cli.identify import identify
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.reach import plan, reach, serve
 from kinfeas.cli.robot import app as robot
-from kinfeas.cli.sweep import sweep
-from kinfeas.cli.train import train
+from kinfeas.cli.train import export, sweep, train
 from kinfeas.cli.view import play, view
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_frames, raised_by
 from kinfeas.core.extras import missing_extra

@@ -1,23 +1,32 @@
-"""`kinfeas train`: train a base policy."""
+"""`kinfeas train`, `sweep` and `export`: trainings, and their policies as ONNX files."""
 
 import shlex
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.options import option
-from kinfeas.cli.output import percent, print_table, progress
+from kinfeas.cli.options import argument, option
+from kinfeas.cli.output import (
+    percent,
+    print_facts,
+    print_table,
+    progress,
+    status,
+    write_drawing,
+    write_json,
+)
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.api.train import OnTraining, Run
+    from kinfeas.jobs.job import Result
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.run import Progress
 
@@ -146,3 +155,89 @@ def _show(run: "Run", adapters: str | None) -> None:
     command += [] if adapters is None else ["--adapters", adapters]
     command += to_options({f"task.{key}": value for key, value in task.items()})
     typer.echo(f"evaluate it with the robot's filters: {shlex.join(command)}")
+
+
+def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
+    config: str = argument(..., "YAML file, or a name such as sweep/pr2."),
+    out: Path | None = option(None, "Folder of the sweep.  [default: runs/sweep/NAME]"),
+    engine: options.EngineName = "local",
+    address: options.EngineAddress = None,
+    processes: options.AllProcesses = None,
+    overrides: options.Overrides = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Search keys of a training recipe with Optuna. The same command continues after a stop.
+
+    Each trial is a training, pruned by its evaluations. The best trial is written as a recipe for
+    train --config. Settings: every key of the configuration, such as trials=40, which extends a
+    sweep, or pruner=none.
+
+    Example: kinfeas sweep sweep/pr2
+
+    Example: kinfeas train --config runs/sweep/pr2/best.yaml --minutes 3
+    """
+    require("torch", "stable_baselines3", "matplotlib", "optuna")
+    from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best
+    from kinfeas.viz.plots import search_figure
+    from kinfeas.viz.style import png
+
+    settings = read_sweep(config, options.read_settings(overrides))
+    folder = out or Path("runs/sweep") / Path(config).stem
+    trials = plan_trials(settings, folder)
+    results = options.run_jobs(trials, "trials", engine, processes, address)
+    columns = [" trial", "state", " score", "values"]
+    print_table(
+        "score: mean of success and of tracking errors below 5 cm", columns, _trials(results)
+    )
+    best = write_best(folder, results)
+    figure = search_figure(results, importances(folder))
+    write_drawing(lambda: png(figure, 110), folder / "sweep.png")
+    write_json(results, folder / "sweep.json")
+    write_json(results, json)
+    typer.echo(f"best: trial {best['number']}, score {best['score']:.3f}")
+    typer.echo(f"train it: kinfeas train --config {shlex.quote(str(folder / BEST))}")
+
+
+def _trials(results: "Sequence[Result]") -> list[list[str]]:
+    """Return the rows of a table of trials, the best ones first."""
+    rows = []
+    for trial in sorted(results, key=lambda trial: -trial.get("score", -1.0)):
+        score = f"{trial['score']:.3f}" if "score" in trial else "-"
+        values = ", ".join(f"{key}={value}" for key, value in trial["values"].items())
+        rows.append([str(trial["number"]), trial["state"], score, values])
+    return rows
+
+
+def export(
+    policy: str | None = argument(None, "Folder of a run or checkpoint, or pretrained."),
+    out: Path | None = options.file_option(None, "File to write.", ".onnx"),
+    check: Path | None = option(None, "Verify this file, write nothing.", metavar="FILE.onnx"),
+    robot: options.PolicyRobotName = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Write or verify a policy as ONNX file. The file describes itself.
+
+    The file answers as the training policy does, to 1e-5. It runs with onnxruntime alone, and
+    --policy of other commands takes it.
+
+    Example: kinfeas export runs/pr2 --out pr2.onnx
+
+    Example: kinfeas export --check pr2.onnx --robot pr2
+    """
+    from kinfeas.api import load as api
+
+    if check is not None and policy is None and out is None:
+        file = api.check_export(check, robot=robot)
+        compared = f"fits {file.robot}" if file.robot else "not compared with a robot: no --robot"
+        title = f"valid policy file: {check}, {compared}"
+    elif policy is not None and out is not None and check is None:
+        with status("exporting"):
+            file = api.export(policy, out, robot=robot)
+        title = f"exported: {out}"
+    else:
+        raise KinfeasError("give POLICY and --out FILE to export, or --check FILE to verify")
+    facts: dict[str, Any] = file.facts()
+    write_json(facts, json)
+    for terms in ("observation", "action"):
+        facts[terms] = [{k: v for k, v in term.items() if v != []} for term in facts[terms]]
+    print_facts(title, {k: v for k, v in facts.items() if k not in ("training", "golden")})

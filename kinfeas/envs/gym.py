@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from kinfeas.config import merged, nested, to_mapping, validated
 from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS, check_terms
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.batch import Batch
-from kinfeas.envs.world import World, WorldConfig, evaluation_world
+from kinfeas.envs.world import Batch, World, WorldConfig, evaluation_world
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 

@@ -14,9 +14,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from kinfeas.control import observation
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.batch import Batch, BatchStep
 from kinfeas.envs.episodes import terminate, workers_alive
-from kinfeas.envs.world import World
+from kinfeas.envs.world import Batch, BatchStep, World
 from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot

@@ -11,9 +11,8 @@ from typing import Any
 from kinfeas.config import PluginSpec, registry
 from kinfeas.control.assemble import respond_late
 from kinfeas.core.metrics import EpisodeRecords
-from kinfeas.envs.batch import Batch
 from kinfeas.envs.episodes import OnDone, begin_worker, evaluate_episodes, evaluate_within
-from kinfeas.envs.world import World, WorldConfig, evaluation_world
+from kinfeas.envs.world import Batch, World, WorldConfig, evaluation_world
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from kinfeas.control.observation import OBSERVATION
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.batch import step_info
 from kinfeas.envs.gym import (
     action_space,
     check_reset,
@@ -23,7 +22,7 @@ from kinfeas.envs.gym import (
     seed_world,
     world_config,
 )
-from kinfeas.envs.world import WorldConfig
+from kinfeas.envs.world import WorldConfig, step_info
 
 if TYPE_CHECKING:
     from kinfeas.viz.film import FilmCamera

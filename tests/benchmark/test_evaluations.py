@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 
 from kinfeas.benchmark.config import read_benchmark
-from kinfeas.benchmark.evaluations import CEILING, PART, plan_evaluations
-from kinfeas.benchmark.runs import TrainedRun
+from kinfeas.benchmark.evaluations import CEILING, PART, TrainedRun, plan_evaluations
 from kinfeas.config.recipes import robot_file
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import configure, evaluate

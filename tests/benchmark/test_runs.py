@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from kinfeas import config
-from kinfeas.benchmark.runs import TrainedRun, find_runs, plan_runs, publish, read_run
+from kinfeas.benchmark.evaluations import TrainedRun, find_runs, plan_runs, publish, read_run
 from kinfeas.core.errors import KinfeasError
 from kinfeas.jobs.job import training_job
 from kinfeas.policies.network import read_network, write_network

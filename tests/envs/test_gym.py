@@ -16,9 +16,8 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs import PHYSICS_ENVIRONMENTS
-from kinfeas.envs.batch import step_info
 from kinfeas.envs.gym import BaseMotionVectorEnv
-from kinfeas.envs.world import WorldConfig, evaluation_world
+from kinfeas.envs.world import WorldConfig, evaluation_world, step_info
 from kinfeas.viz.gym import BaseMotionEnv
 
 NOISY = WorldConfig(
