@@ -170,10 +170,9 @@ def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
 
 def draw_film(replay: "EpisodeReplay", path: Name, on_progress: OnProgress | None = None) -> None:
     """Write an episode as a film."""
-    from kinfeas.viz.film import count_pictures, write_film
+    from kinfeas.viz.film import write_film
 
-    count = counter(on_progress, "drawing", count_pictures(replay, Path(path)))
-    write_film(replay, Path(path), count)
+    write_film(replay, Path(path), counter(on_progress, "drawing"))
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.viz.episodes import episodes_figure
-from kinfeas.viz.replay import Recording, record_episodes
-from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, TITLES, failures_text, png
+from kinfeas.viz.replay import Recording, caption, record_episodes
+from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, TITLES, png
 
 _PLOTTED = ("steps", "train/success", "evaluation/success")
 _CURVE_INCHES = 4.9
@@ -203,7 +203,7 @@ def write_results(
         for robot in benchmark.robots:
             if examples := _examples(robot, [case for case, _ in results]):
                 model = load_robot(robot)
-                titles = [_example_title(task, example) for task, example in examples.items()]
+                titles = [f"{task}: {caption(example)}" for task, example in examples.items()]
                 figure = episodes_figure(model, list(examples.values()), titles)
                 pictures[f"examples-{model.name}.png"] = png(figure, 80)
     files = dict(pictures)
@@ -237,9 +237,3 @@ def _examples(robot: str, cases: Sequence[Evaluation]) -> dict[str, Recording]:
             policy = load_policy(case.source, model)
             (examples[case.task_name],) = record_episodes(world, policy, 1, first=len(examples))
     return examples
-
-
-def _example_title(task: str, recording: Recording) -> str:
-    end = "goal reached" if recording.reached else "goal missed"
-    failures = failures_text(int(np.sum(~recording.feasible)))
-    return f"{task}: {end}, {failures}, {recording.times[-1]:.0f} s"

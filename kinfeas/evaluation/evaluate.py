@@ -145,7 +145,7 @@ def evaluate(
     The ceiling is null, see `add_ceiling`; further arguments as in `evaluate_episodes`. A single
     process calls `watch` after each step.
     """
-    records, execution = _run(config, policy, processes, on_done, watch)
+    records, execution = run(config, policy, processes, on_done, watch)
     settings = config.world
     own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
@@ -165,20 +165,16 @@ def evaluate(
 
 
 def run(
-    config: EvalConfig, policy: Policy, processes: int = 1, on_done: OnDone | None = None
-) -> EpisodeRecords:
-    """Return the record of each episode; further arguments as in `evaluate_episodes`."""
-    return _run(config, policy, processes, on_done)[0]
-
-
-def _run(
     config: EvalConfig,
     policy: Policy,
-    processes: int,
-    on_done: OnDone | None,
+    processes: int = 1,
+    on_done: OnDone | None = None,
     watch: Watch | None = None,
 ) -> tuple[EpisodeRecords, ExecutionConfig]:
-    """Return the record of each episode, and the execution of motions within the adapters."""
+    """Return the record of each episode, and the execution of motions within the adapters.
+
+    Further arguments as in `evaluate`.
+    """
     build = partial(World, config.robot, config.task, config.world, config.seed)
     episodes = range(config.first, config.first + config.episodes)
     with closing(build()) as world:

@@ -10,7 +10,6 @@ from typing import Any, Protocol
 from kinfeas import __version__, config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.extras import require
 from kinfeas.core.files import reading, replacing, writing
 from kinfeas.training.config import TrainConfig
 
@@ -87,11 +86,6 @@ TRACKERS: dict[str, Callable[[Path, TrainConfig, int], Tracker]] = {
     "tensorboard": TensorBoard,
     "wandb": Wandb,
 }
-
-
-def check_trackers(settings: TrainConfig) -> None:
-    """Check that the libraries of a run's trackers are installed."""
-    require(*settings.trackers)
 
 
 class Logs:

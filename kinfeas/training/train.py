@@ -19,6 +19,7 @@ from kinfeas import config as configuration
 from kinfeas.config import Settings
 from kinfeas.control.observation import surroundings_columns
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 from kinfeas.core.files import find_folder, locked, write_folder, writing
 from kinfeas.core.metrics import summarize
 from kinfeas.envs.episodes import worker_pool
@@ -35,7 +36,7 @@ from kinfeas.training.learner import (
     take_network,
     without_denormals,
 )
-from kinfeas.training.logs import LEARNER, Logs, check_trackers
+from kinfeas.training.logs import LEARNER, Logs
 from kinfeas.training.run import (
     SETTINGS,
     Progress,
@@ -110,7 +111,7 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
 class _Run:
     def __init__(self, config: TrainConfig, out: Path, report: Report | None) -> None:
         self.begun = time.monotonic()
-        check_trackers(config)
+        require(*config.trackers)  # packages of their names
         self.config, self.out, self.report = config, out, report or (lambda _: None)
         self.limited = evaluation_seconds(config, 1) < math.inf
         analytic = has_first_part(config)

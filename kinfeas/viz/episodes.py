@@ -24,9 +24,9 @@ from kinfeas.io.run_log import Record
 from kinfeas.planning.reach import Placement
 from kinfeas.robots.robot import Robot
 from kinfeas.viz import drawing, shapes
-from kinfeas.viz.replay import Recording, as_recording, result, side_heading
+from kinfeas.viz.replay import Recording, as_recording, caption, side_heading
 from kinfeas.viz.shapes import VisualShape
-from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, failures_text
+from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE
 
 _ELEVATION = np.deg2rad(28.0)
 _PALEST = 0.62
@@ -43,9 +43,7 @@ def episodes_figure(
     """Return a picture with a column for each episode: from the side, and from above."""
     count = len(recordings)
     titles = titles or [
-        f"Episode {recording.episode}: {result(recording)[0]}\n"
-        f"{failures_text(int(np.sum(~recording.feasible)))}, {recording.times[-1]:.0f} s"
-        for recording in recordings
+        f"Episode {recording.episode}: {caption(recording)}" for recording in recordings
     ]
     with rc_context(STYLE):
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
@@ -54,7 +52,7 @@ def episodes_figure(
             furniture, heading = _furniture_near(recording), side_heading(recording)
             side = drawing.add_axes(figure, grid[0, column], heading, _ELEVATION)
             _draw_side(side, robot, recording, [*chain.from_iterable(furniture)])
-            side.set_title(title)
+            side.set_title(fill(title, 50))
             top = figure.add_subplot(grid[1, column])
             for solids in furniture:
                 draw_outline(top, shapes.corners(solids), _FURNITURE, 1.8)
@@ -106,7 +104,7 @@ def record_figure(record: Record, robot: Robot) -> Figure:
     """Return a picture of a recorded run with the furniture near it."""
     seconds = record.time[-1] - record.time[0]
     end = record.event[-1] or "the record breaks off"
-    title = fill(f"{robot.name}, {record.about.task}, {seconds:.0f} s: {end}", 50)
+    title = f"{robot.name}, {record.about.task}, {seconds:.0f} s: {end}"
     return episodes_figure(robot, [as_recording(record, robot)], [title])
 
 

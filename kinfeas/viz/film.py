@@ -1,11 +1,11 @@
 """Films of episodes as GIF or MP4 files, or as a PNG with some of their pictures."""
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from kinfeas.backends.pybullet.camera import Camera, View
@@ -13,16 +13,16 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import replacing
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.robots.urdf import Shape
-from kinfeas.viz.replay import EpisodeReplay, Recording, result, side_heading
+from kinfeas.viz.replay import EpisodeReplay, Recording, result, shown_moments, side_heading
 from kinfeas.viz.shapes import placed
 from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, failures_text
 
-SUFFIXES = (".gif", ".mp4", ".png")
-
-_RATES = {".gif": (8.0, 56), ".mp4": (25.0, 300)}  # pictures per second, largest number
 _REST_SECONDS = 1.5  # of the last picture
 _COLOURS = 128  # of a GIF
 _PANELS = (2, 2)  # of a PNG
+_RATES = {".gif": (8.0, 56), ".mp4": (25.0, 300), ".png": (0.0, _PANELS[0] * _PANELS[1])}
+"""Pictures per second, and their largest number, by suffix."""
+
 _ELEVATION, _STEEP = np.deg2rad([30.0, 55.0])  # without and among solids, which hide the robot
 _AROUND, _HEIGHT = 0.7, 1.6  # m, of the view beyond the paths, and above the floor
 _BEYOND, _HORIZON = 3.0, 40.0  # m, of lines beyond the view, and of floor around them
@@ -64,29 +64,29 @@ class FilmCamera:
 
 
 def write_film(
-    replay: EpisodeReplay, path: Path, on_done: Callable[[int], None] | None = None
+    replay: EpisodeReplay, path: Path, on_done: Callable[[float], None] | None = None
 ) -> None:
     """Write an episode as GIF or MP4, or four of its pictures as PNG.
 
-    `on_done` is called with 1 after each picture, `count_pictures` times.
+    `on_done` is called with the fraction of the pictures that has just been drawn.
 
     Raises:
         KinfeasError: If the suffix is another one, or PyBullet is not installed.
     """
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise KinfeasError(f"{path}: a film must end in one of: {', '.join(SUFFIXES)}")
-    moments = _moments(replay, path)
-    rate, _ = _RATES.get(suffix, (0.0, 0))
-    times = replay.recording.times
-    speed = max(1.0, float(times[-1] - times[0]) * rate / len(moments))
+    if suffix not in _RATES:
+        raise KinfeasError(f"{path}: a film must end in one of: {', '.join(_RATES)}")
+    (rate, most), times = _RATES[suffix], replay.recording.times
+    seconds = float(times[-1] - times[0])
+    shown = shown_moments(times, min(most, math.ceil(seconds * rate)) if rate else most)
+    speed = max(1.0, seconds * rate / len(shown))
     pictures = []
     with closing(FilmCamera(replay)) as film:
-        for moment in moments.tolist():
+        for moment in shown:
             pictures.append(film.of(replay, moment))
             _caption(pictures[-1], replay, moment, speed)
             if on_done is not None:
-                on_done(1)
+                on_done(1.0 / len(shown))
     with replacing(path) as fresh:
         if suffix == ".png":
             _write_png(pictures, fresh)
@@ -94,19 +94,6 @@ def write_film(
             _write_gif(pictures, fresh, rate)
         else:
             _write_mp4(pictures, fresh, rate)
-
-
-def count_pictures(replay: EpisodeReplay, path: Path) -> int:
-    """Return the number of pictures that `write_film` draws."""
-    return len(_moments(replay, path))
-
-
-def _moments(replay: EpisodeReplay, path: Path) -> NDArray[np.intp]:
-    times = replay.recording.times - replay.recording.times[0]
-    rate, most = _RATES.get(path.suffix.lower(), (0.0, 0))
-    count = min(most, int(np.ceil(times[-1] * rate))) if rate else _PANELS[0] * _PANELS[1]
-    moments = np.searchsorted(times, np.linspace(0.0, times[-1], max(2, count)))
-    return np.unique(moments.clip(0, len(times) - 1))
 
 
 def _floor(low: Array, high: Array) -> list[tuple[Shape, str]]:

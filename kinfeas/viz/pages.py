@@ -1,11 +1,11 @@
 """Robots, scenes and episodes in 3-D pages, made by viser; saved pages need no server."""
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from kinfeas.backends.physics.backend import LinkName
@@ -13,7 +13,7 @@ from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz.replay import EpisodeReplay, Recording, result
+from kinfeas.viz.replay import EpisodeReplay, Recording, caption, shown_moments
 from kinfeas.viz.server import serving
 from kinfeas.viz.shapes import (
     VisualShape,
@@ -27,7 +27,7 @@ from kinfeas.viz.shapes import (
     scene_solids,
     surrounding,
 )
-from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
+from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
 
 if TYPE_CHECKING:
     from kinfeas.viz.live import Episode
@@ -136,29 +136,23 @@ def scene_html(scene: Scene) -> str:
         return server.titled(film.as_html())
 
 
-def moments(times: Array) -> NDArray[np.intp]:
-    """Return indices of the moments to show, at most 15 per second, with the last one."""
-    seconds = float(times[-1] - times[0])
-    count = int(np.clip(np.ceil(seconds * _RATE), 1, min(_MOST, len(times))))
-    moment_times = np.linspace(times[0], times[-1], count)
-    return np.unique(np.append(np.searchsorted(times, moment_times), len(times) - 1))
-
-
 def replay_html(replay: EpisodeReplay) -> str:
     """Return the page of an episode, on which everything moves as it did."""
     recording, times = replay.recording, replay.recording.times
     with serving(f"kinfeas: {replay.title}") as server:
         _draw_paths(server, recording)
         bodies = Bodies(server, "/bodies", replay.shapes)
-        text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
         position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
-        label = server.scene.add_label("/result", text, position=position, visible=False)
-        film, shown_moments = server.get_scene_serializer(), moments(times).tolist()
-        for moment, after in zip(
-            shown_moments, [*shown_moments[1:], shown_moments[-1]], strict=True
-        ):
+        label = server.scene.add_label(
+            "/result", caption(recording), position=position, visible=False
+        )
+        film, shown = (
+            server.get_scene_serializer(),
+            shown_moments(times, min(_MOST, math.ceil((times[-1] - times[0]) * _RATE))),
+        )
+        for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
             bodies.move(replay.links(moment))
-            label.visible = moment == shown_moments[-1]
+            label.visible = moment == shown[-1]
             film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
         return server.titled(film.as_html())
 

@@ -31,7 +31,7 @@ from kinfeas.viz.shapes import (
     surrounding,
     visual_shapes,
 )
-from kinfeas.viz.style import TITLES
+from kinfeas.viz.style import TITLES, failures_text
 
 _WALL = 4.0  # m; longer boxes hide the room
 _TURN = np.deg2rad(12.0)  # of a side view, so that the arm is in front
@@ -215,6 +215,12 @@ def present(world: World) -> EpisodeReplay:
     return _with_solids(EpisodeReplay(now, "", shapes, lambda _: links))
 
 
+def shown_moments(times: Array, count: int) -> list[int]:
+    """Return indices of up to `count` times, evenly spaced, at least of the first and the last."""
+    evenly = np.linspace(times[0], times[-1], max(2, count))
+    return np.unique(np.searchsorted(times, evenly)).tolist()
+
+
 def side_heading(recording: Recording) -> float:
     """Return the world heading to the right of a side view in which the arm is in front."""
     travel = recording.goal[:2] - recording.base_pose[0, :2]
@@ -229,6 +235,12 @@ def result(recording: Recording) -> tuple[str, bool]:
     text = "goal reached" if recording.reached else "goal not reached"
     succeeded = recording.reached and recording.task_done is not False
     return text + TASK_DONE[recording.task_done], succeeded
+
+
+def caption(recording: Recording) -> str:
+    """Return result, IK failures and duration of an episode as a text."""
+    failures = failures_text(int(np.sum(~recording.feasible)))
+    return f"{result(recording)[0]}, {failures}, {recording.times[-1]:.0f} s"
 
 
 def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]]:

@@ -72,7 +72,7 @@ def test_summary(config, policy):
 
 def test_undone_tasks_are_failed_episodes(config, policy, monkeypatch):
     even, zero = np.arange(20) % 2 == 0, np.zeros(20, dtype=np.intp)
-    records = replace(run(config, policy), reached=zero == 0, failures=zero, task_done=even)
+    records = replace(run(config, policy)[0], reached=zero == 0, failures=zero, task_done=even)
     monkeypatch.setattr("kinfeas.evaluation.evaluate.run_episodes", lambda *_, **__: records)
     assert evaluate(config, policy)["failed"] == {"task": np.flatnonzero(~even).tolist()}
 
@@ -123,7 +123,7 @@ def test_packaged_policies_keep_their_success_rate(name):
         for cell in cells
         if (cell["robot"], cell["task"], cell["policy"]) == (name, "ggr", "pretrained")
     )
-    records = run(configure(robot, "ggr", episodes=episodes), load_policy("pretrained", robot))
+    records, _ = run(configure(robot, "ggr", episodes=episodes), load_policy("pretrained", robot))
     deviation = math.sqrt(rate * (1.0 - rate) / episodes)
     assert records.success.mean() >= rate - 3.0 * deviation
 
