@@ -2,16 +2,19 @@
 
 import itertools
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
 from kinfeas.api.load import Adapters, checked, load_robot, plugin_settings, robot_of, text_of
+from kinfeas.api.view import write_files
 from kinfeas.config import Settings, from_mapping, nested
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
 from kinfeas.core.quantities import Episodes, Processes, Seed
+from kinfeas.envs.world import World
 from kinfeas.evaluation import evaluate as evaluation
 from kinfeas.evaluation.evaluate import EvalConfig, Summary
 from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
@@ -122,7 +125,9 @@ def evaluate(  # noqa: PLR0913 - options of the command
     summaries = (metrics, *metrics.get("ablation", {}).values())
     evaluation.add_ceiling(summaries, config, counter(on_progress, "ceiling"))
     if picture or video or replay:
-        show_episode(config, driver, episode, picture, video, replay, on_progress)
+        counter(on_progress, f"episode {episode}")
+        shown = _shown(config, driver, episode)
+        write_files(shown, model, picture, video, replay, on_progress=on_progress)
     return metrics
 
 
@@ -135,44 +140,12 @@ def _steps(policy: Name | Policy, driver: Policy, robot: Robot) -> int | None:
     return None
 
 
-def show_episode(  # noqa: PLR0913, PLR0917 - an episode and its files
-    config: EvalConfig,
-    policy: Policy,
-    episode: int,
-    picture: Name | None,
-    video: Name | None,
-    replay: Name | None,
-    on_progress: OnProgress | None = None,
-) -> None:
-    """Run an episode of an evaluation again and write it as picture, film and page."""
-    from kinfeas.core.files import write_file
-    from kinfeas.envs.world import World
-    from kinfeas.viz.episodes import episodes_figure
+def _shown(config: EvalConfig, policy: Policy, episode: int) -> "EpisodeReplay":
+    """Run an episode of an evaluation again and return it with everything visible."""
     from kinfeas.viz.replay import run_episode
-    from kinfeas.viz.style import png
 
-    counter(on_progress, f"episode {episode}")
-    world = World(config.robot, config.task, config.world, config.seed)
-    try:
-        film = run_episode(world, policy, episode)
-    finally:
-        world.close()
-    if video is not None:
-        draw_film(film, video, on_progress)
-    counter(on_progress, "drawing files")
-    if replay is not None:
-        from kinfeas.viz.pages import replay_html  # needs viser
-
-        write_file(Path(replay), replay_html(film).encode())
-    if picture is not None:
-        write_file(Path(picture), png(episodes_figure(config.robot, [film.recording]), dpi=110))
-
-
-def draw_film(replay: "EpisodeReplay", path: Name, on_progress: OnProgress | None = None) -> None:
-    """Write an episode as a film."""
-    from kinfeas.viz.film import write_film
-
-    write_film(replay, Path(path), counter(on_progress, "drawing"))
+    with closing(World(config.robot, config.task, config.world, config.seed)) as world:
+        return run_episode(world, policy, episode)
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,14 @@ from numpy.typing import ArrayLike
 from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot, text_of
 from kinfeas.api.reach import base_pose, solids_of
+from kinfeas.api.view import write_files
 from kinfeas.config import Settings, nested
 from kinfeas.control.execution import tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.control.subgoal_motions import LONGEST, begin_motions
 from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.files import check_new, read_csv, replacing, write_file
+from kinfeas.core.files import check_new, read_csv, replacing
 from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import (
@@ -45,7 +46,7 @@ from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
 
 if TYPE_CHECKING:
-    from kinfeas.viz.replay import Recording
+    from kinfeas.viz.replay import EpisodeReplay
 
 _BASE = ("x", "y", "yaw")
 _AT_START = 0.02  # distance of the EE from the first pose of a path, metres
@@ -112,31 +113,22 @@ class Plan(Moments):
 
     def picture(self, path: Name) -> None:
         """Draw the plan from the side and from above as PNG."""
-        from kinfeas.viz.episodes import episodes_figure
-        from kinfeas.viz.style import png
-
-        figure = episodes_figure(self.robot, [self._recording()], [self._title()])
-        write_file(Path(path), png(figure, dpi=110))
+        replay = self._replay()
+        write_files(replay, self.robot, picture=path, title=replay.title)
 
     def html(self, path: Name) -> None:
         """Write an interactive page on which the robot moves as planned."""
-        from kinfeas.viz.pages import replay_html
-        from kinfeas.viz.replay import replay_of
+        write_files(self._replay(), self.robot, html=path)
 
-        replay = replay_of(self._recording(), self.robot, self._title())
-        write_file(Path(path), replay_html(replay).encode())
-
-    def _title(self) -> str:
-        return f"{self.robot.name}, plan of {self.time[-1]:.0f} s"
-
-    def _recording(self) -> "Recording":
-        from kinfeas.viz.replay import Recording
+    def _replay(self) -> "EpisodeReplay":
+        from kinfeas.viz.replay import Recording, replay_of
 
         feasible = np.ones(len(self.time), dtype=np.bool_)
-        return Recording(
+        recording = Recording(
             0, self.time, self.base_pose, self.joint_positions, self.ee_pose, self.reached,
             feasible, self.ee_pose[-1:], reached=True, solids=self.solids,
         )  # fmt: skip
+        return replay_of(recording, self.robot, f"{self.robot.name}, plan of {self.time[-1]:.0f} s")
 
 
 def plan(  # noqa: PLR0913 - options of the command

@@ -1,15 +1,19 @@
 """Scenes and recorded runs as tables, pictures and pages."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from kinfeas.api import Name, OnProgress, counter
-from kinfeas.api.evaluate import draw_film
 from kinfeas.api.load import load_robot
 from kinfeas.config import Settings
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import write_file
 from kinfeas.io.run_log import Record, read_record
+from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
+
+if TYPE_CHECKING:
+    from kinfeas.viz.replay import EpisodeReplay
 
 
 def view(  # noqa: PLR0913 - options of the command
@@ -44,25 +48,46 @@ def view(  # noqa: PLR0913 - options of the command
     if scene is not None or settings:
         raise KinfeasError("'record' excludes 'scene' and settings")
     run = read_record(Path(record))
-    robot = load_robot(run.about.robot)
+    robot, facts = load_robot(run.about.robot), _run_facts(run)
     if picture is not None or video is not None or html is not None:
-        counter(on_progress, "drawing")
-        from kinfeas.viz.episodes import record_figure
         from kinfeas.viz.replay import as_recording, replay_of
-        from kinfeas.viz.style import png
 
         # Records have no later poses of objects.
         title = f"{robot.name}, furniture as at the start" if run.about.scene else robot.name
         replay = replay_of(as_recording(run, robot), robot, title)
+        end = run.event[-1] or "the record breaks off"
+        about = f"{robot.name}, {run.about.task}, {facts['seconds']:.0f} s: {end}"
+        write_files(replay, robot, picture, video, html, title=about, on_progress=on_progress)
+    return facts
+
+
+def write_files(  # noqa: PLR0913 - an episode and its files
+    replay: "EpisodeReplay",
+    robot: Robot,
+    picture: Name | None = None,
+    video: Name | None = None,
+    html: Name | None = None,
+    *,
+    title: str | None = None,
+    on_progress: OnProgress | None = None,
+) -> None:
+    """Write an episode as picture, film and page; the picture has the title."""
+    count = counter(on_progress, "drawing")
     if picture is not None:
-        write_file(Path(picture), png(record_figure(run, robot), dpi=110))
+        from kinfeas.viz.episodes import episodes_figure
+        from kinfeas.viz.style import png
+
+        titles = None if title is None else [title]
+        figure = episodes_figure(robot, [replay.recording], titles)
+        write_file(Path(picture), png(figure, dpi=110))
     if video is not None:
-        draw_film(replay, video, on_progress)
+        from kinfeas.viz.film import write_film
+
+        write_film(replay, Path(video), count)
     if html is not None:
-        from kinfeas.viz.pages import replay_html
+        from kinfeas.viz.pages import replay_html  # needs viser
 
         write_file(Path(html), replay_html(replay).encode())
-    return _run_facts(run)
 
 
 def _draw_scene(scene: Scene, picture: Name | None, html: Name | None) -> None:
@@ -77,7 +102,7 @@ def _draw_scene(scene: Scene, picture: Name | None, html: Name | None) -> None:
         write_file(Path(html), scene_html(scene).encode())
 
 
-def _run_facts(run: Record) -> dict[str, object]:
+def _run_facts(run: Record) -> dict[str, Any]:
     from pydantic_core import to_jsonable_python
 
     periods, events = run.time[1:] - run.time[:-1], zip(run.time.tolist(), run.event, strict=True)

@@ -61,8 +61,7 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         if render_mode is not None:
             raise KinfeasError(f"render_mode must be None side by side, not {render_mode!r}")
         self.num_envs = num_envs
-        config = world_config(world, backend, robot)
-        self.world = make_world(robot, task, task_parameters, config, observation)
+        self.world = make_world(robot, task, task_parameters, world, backend, observation)
         self._batch = Batch(self.world, num_envs, infos=True)
         self.single_observation_space = observation_space(self.world)
         self.single_action_space = action_space(self.world)
@@ -117,41 +116,38 @@ def _masked(infos: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[
     return batched
 
 
-def learning_world(backend: str, robot: str) -> WorldConfig:
-    """Return the default world of the environments: rewards belong to the commanded actions.
-
-    The analytic world has the defaults of `WorldConfig`. Others have the settings of the robot's
-    evaluations without filters of the commands.
-    """
-    if backend == "analytic":
-        return WorldConfig()
-    return replace(evaluation_world(backend, robot), filters=())
-
-
-def world_config(
-    world: WorldConfig | Mapping[str, object] | None, backend: str, robot: str
-) -> WorldConfig:
-    """Return the settings of a world; a mapping changes those of `learning_world`."""
-    if isinstance(world, WorldConfig):
-        return world
-    if world is not None and not isinstance(world, Mapping):
-        raise KinfeasError(f"world must be a WorldConfig or a mapping, not {world!r}")
-    default, changes = learning_world(backend, robot), nested(world)
-    return validated(WorldConfig, merged(to_mapping(default), changes), "arguments", "world")
-
-
-def make_world(
+def make_world(  # noqa: PLR0913 - as in `BaseMotionEnv`
     robot: str,
     task: str,
     task_parameters: Mapping[str, object] | None,
-    config: WorldConfig,
+    world: WorldConfig | Mapping[str, object] | None,
+    backend: str,
     observation: Sequence[str],
+    *,
+    gui: bool = False,
 ) -> World:
-    """Return a world of seed 0; arguments as in `BaseMotionEnv`."""
+    """Return a world of seed 0, in which rewards belong to the commanded actions.
+
+    The analytic world has the defaults of `WorldConfig`, others have the settings of the robot's
+    evaluations without filters of the commands; a mapping changes these. Arguments as in
+    `BaseMotionEnv`; `gui` opens a window.
+    """
     terms = check_terms(observation, "observation")
-    world = World(load_robot(robot), load_task(task, task_parameters), config, seed=0)
-    world.loop.observer.terms = terms
-    return world
+    if isinstance(world, WorldConfig):
+        config = world
+    elif world is None or isinstance(world, Mapping):
+        default = WorldConfig()
+        if backend != "analytic":
+            default = replace(evaluation_world(backend, robot), filters=())
+        changes = merged(to_mapping(default), nested(world))
+        config = validated(WorldConfig, changes, "arguments", "world")
+    else:
+        raise KinfeasError(f"world must be a WorldConfig or a mapping, not {world!r}")
+    if gui:
+        config = replace(config, backend_parameters={**config.backend_parameters, "gui": True})
+    made = World(load_robot(robot), load_task(task, task_parameters), config, seed=0)
+    made.loop.observer.terms = terms
+    return made
 
 
 def observation_space(world: World) -> "spaces.Box[np.float32]":

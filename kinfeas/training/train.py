@@ -25,14 +25,15 @@ from kinfeas.core.metrics import summarize
 from kinfeas.envs.episodes import worker_pool
 from kinfeas.io.policy_metadata import read_trained
 from kinfeas.policies.network import Network, copy_network, read_network, write_network
-from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import (
-    check_losses,
+    check_finite,
     explore,
     learn,
+    load_learner,
     make_learner,
     network_of,
+    save_learner,
     take_network,
     without_denormals,
 )
@@ -356,7 +357,7 @@ class _Run:
         """Return the figures that the learner logged last."""
         values = self.learner.logger.name_to_value
         losses = {key: float(values[key]) for key in LEARNER if key in values}
-        check_losses(losses, self.config.learner)
+        check_finite(all(map(math.isfinite, losses.values())), self.config.learner)
         return losses
 
     def _save(self) -> None:

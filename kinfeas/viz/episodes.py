@@ -20,11 +20,10 @@ from scipy.spatial import ConvexHull
 from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
-from kinfeas.io.run_log import Record
 from kinfeas.planning.reach import Placement
 from kinfeas.robots.robot import Robot
 from kinfeas.viz import drawing, shapes
-from kinfeas.viz.replay import Recording, as_recording, caption, side_heading
+from kinfeas.viz.replay import Recording, caption, side_heading
 from kinfeas.viz.shapes import VisualShape
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE
 
@@ -98,14 +97,6 @@ def reach_figure(
         text = f"{count} base poses reach" if placement.reachable else "none for"
         axes.set_title(f"{robot.name}: {text} the EE pose at a height of {goal[2]:.2f} m")
     return figure
-
-
-def record_figure(record: Record, robot: Robot) -> Figure:
-    """Return a picture of a recorded run with the furniture near it."""
-    seconds = record.time[-1] - record.time[0]
-    end = record.event[-1] or "the record breaks off"
-    title = f"{robot.name}, {record.about.task}, {seconds:.0f} s: {end}"
-    return episodes_figure(robot, [as_recording(record, robot)], [title])
 
 
 def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArray[np.intp]:

@@ -3,7 +3,6 @@
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -20,7 +19,6 @@ from kinfeas.envs.gym import (
     make_world,
     observation_space,
     seed_world,
-    world_config,
 )
 from kinfeas.envs.world import WorldConfig, step_info
 
@@ -61,7 +59,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         Args:
             robot: Name or folder of the robot.
             task: Entry-point name or YAML file of the task.
-            world: `WorldConfig`, or changes by key to the default, that of `learning_world`.
+            world: `WorldConfig`, or changes by key to the default, as of `make_world`.
             task_parameters: Keyword parameters of the task, or changes to its file.
             backend: Backend of the default settings.
             render_mode: `human` (a window of PyBullet; for the analytic world Gymnasium needs
@@ -73,13 +71,11 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if render_mode not in (None, "human", "rgb_array"):
             raise KinfeasError(f"render_mode must be human, rgb_array or None, not {render_mode!r}")
-        config = world_config(world, backend, robot)
-        if render_mode == "human":
-            parameters = {**config.backend_parameters, "gui": True}
-            config = replace(config, backend_parameters=parameters)
         self.render_mode = render_mode
-        self.world = make_world(robot, task, task_parameters, config, observation)
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / config.dt)}
+        self.world = make_world(
+            robot, task, task_parameters, world, backend, observation, gui=render_mode == "human"
+        )
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.world.config.dt)}
         self.observation_space = observation_space(self.world)
         self.action_space = action_space(self.world)
 

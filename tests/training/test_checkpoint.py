@@ -11,8 +11,7 @@ from kinfeas.envs.world import World
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
-from kinfeas.training.checkpoint import load_learner, save_learner
-from kinfeas.training.learner import explore, make_learner
+from kinfeas.training.learner import explore, load_learner, make_learner, save_learner
 from kinfeas.training.train import resume
 from kinfeas.training.vec_env import WorldVecEnv
 

@@ -16,7 +16,8 @@ from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import locked
 from kinfeas.envs.episodes import evaluate_episodes
-from kinfeas.training import checkpoint, logs, vec_env, worlds
+from kinfeas.training import learner as learners
+from kinfeas.training import logs, vec_env, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.run import finished
@@ -283,7 +284,7 @@ def test_a_folder_in_use_raises(half, tiny, tmp_path):
 def test_a_full_disk_raises_and_loses_nothing(half, monkeypatch):
     before = contents(half / "checkpoints" / "last")
     with monkeypatch.context() as patch, pytest.raises(KinfeasError, match=r"last: .*No space"):
-        patch.setattr(checkpoint, "save_file", Mock(side_effect=OSError(28, "No space left")))
+        patch.setattr(learners, "save_file", Mock(side_effect=OSError(28, "No space left")))
         resume(half)
     assert contents(half / "checkpoints" / "last") == before
 
