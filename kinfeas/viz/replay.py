@@ -147,21 +147,17 @@ def run_episode(world: World, policy: Policy, episode: int) -> EpisodeReplay:
     """Run one episode of a world and return it with everything visible."""
     backend = world.backend
     title = f"{TITLES.get(world.robot.name, world.robot.name)}, {world.task.name}"
-    shapes: list[VisualShape] = []
-    names: list[LinkName] = []
-    moments: list[Array] = []
+    if not isinstance(backend, PhysicsBackend):
+        (recording,) = record_episodes(world, policy, 1, episode)
+        return replay_of(recording, world.robot, title)
+    world.task.sample(world.solver, world.rng(episode))
+    shapes, names = _visible(backend)
+    moments = [backend.link_poses(0, names)]
 
     def watch(*_: object) -> None:
-        if isinstance(backend, PhysicsBackend):
-            moments.append(backend.link_poses(0, names))
+        moments.append(backend.link_poses(0, names))
 
-    if isinstance(backend, PhysicsBackend):
-        world.task.sample(world.solver, world.rng(episode))
-        shapes, names = _visible(backend)
-        watch()
     (recording,) = record_episodes(world, policy, 1, episode, watch)
-    if not isinstance(backend, PhysicsBackend):
-        return replay_of(recording, world.robot, title)
 
     def links(moment: int) -> Mapping[LinkName, Array]:
         return dict(zip(names, moments[moment], strict=True))
@@ -204,14 +200,15 @@ def present(world: World) -> EpisodeReplay:
         0, np.zeros(1), state.base_pose[:1], state.joint_positions[:1], loop.desired[:1],
         loop.ee_pose[:1], np.array([True]), loop.sequence.goal[:1], reached=False,
     )  # fmt: skip
-    if not isinstance(backend, PhysicsBackend):
+    if isinstance(backend, PhysicsBackend):
+        solids = backend.solid_bodies()
+    else:
         solids = None if backend.solids is None else backend.solids.after()
-        now = replace(now, solids=None if solids is None else solids.of(np.array([0])))
+    now = replace(now, solids=None if solids is None else solids.of(np.array([0])))
+    if not isinstance(backend, PhysicsBackend):
         return replay_of(now, world.robot, "")
     shapes, names = _visible(backend)
     links = dict(zip(names, backend.link_poses(0, names), strict=True))
-    solids = backend.solid_bodies()
-    now = replace(now, solids=None if solids is None else solids.of(np.array([0])))
     return _with_solids(EpisodeReplay(now, "", shapes, lambda _: links))
 
 
