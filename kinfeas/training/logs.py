@@ -2,10 +2,10 @@
 
 import csv
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from kinfeas import __version__, config
 from kinfeas.config import strict_yaml
@@ -25,16 +25,6 @@ COLUMNS = (
     "steps", "seconds", "train/success", *LEARNER, *(f"evaluation/{name}" for name in _EVALUATED)
 )  # fmt: skip
 """Columns of `metrics.csv`, in order."""
-
-
-class Tracker(Protocol):
-    """Shows figures of a run; made of its folder, its settings and the steps it resumes from."""
-
-    def log(self, figures: Mapping[str, float], steps: int) -> None:
-        """Add figures by name."""
-
-    def close(self) -> None:
-        """End the run."""
 
 
 class TensorBoard:
@@ -82,10 +72,8 @@ class Wandb:
         self._run.finish()
 
 
-TRACKERS: dict[str, Callable[[Path, TrainConfig, int], Tracker]] = {
-    "tensorboard": TensorBoard,
-    "wandb": Wandb,
-}
+TRACKERS: dict[str, type[TensorBoard | Wandb]] = {"tensorboard": TensorBoard, "wandb": Wandb}
+"""Classes that show figures of a run, made of its folder, settings and first step, by name."""
 
 
 class Logs:

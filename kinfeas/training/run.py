@@ -164,7 +164,9 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
                 f"{last}: a checkpoint of another run: its {its}, "
                 f"but {last.parents[1] / SETTINGS} has {others}"
             )
-        entries = {key: value for key, value in state["progress"].items() if key in _SAVED}
+        # Older checkpoints lack two of the fields.
+        written = {"other_seconds": 0.0, "analytic": False, **state["progress"]}
+        entries = {name: written[name] for name in _SAVED}
         progress = configuration.from_mapping(Progress, entries, str(last / STATE))
     # The schedule may have been made longer.
     progress.fraction = fraction_done(config, progress)
