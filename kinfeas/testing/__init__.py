@@ -4,6 +4,7 @@ import pickle
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -96,23 +97,18 @@ def check_policy(policy: Policy, robot: Robot) -> None:
     Raises:
         ConformanceError: If a rule is broken.
     """
-    together = _run(policy, robot, range(_ROWS))
+    run = partial(_run, policy, robot)
+    together = _check_rows(policy, run, "repeats its actions after reset")
     try:
         copy = pickle.loads(pickle.dumps(policy))  # noqa: S301 - in memory, nothing is read
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise ConformanceError(f"{_subject(policy)} cannot be pickled: {error}") from error
-    for rule, again in (
-        ("repeats its actions after reset", _run(policy, robot, range(_ROWS))),
-        ("acts alike as a copy by pickle", _run(copy, robot, range(_ROWS))),
-    ):
-        if not np.array_equal(together, again):
-            raise ConformanceError(f"{_subject(policy)} breaks the rule: {rule}")
-    alone = _run(policy, robot, [_ROWS - 1])
-    if not np.allclose(alone[:, 0], together[:, -1], atol=1e-6):
-        raise ConformanceError(f"{_subject(policy)} breaks the rule: no row depends on the others")
+    same = np.array_equal(together, _run(copy, robot, range(_ROWS)))
+    _require(same, policy, "acts alike as a copy by pickle")
 
 
-def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
+def _run(policy: Policy, robot: Robot, episodes: Sequence[int]) -> Array:
+    """Return the actions of each step, shape (steps, n, a)."""
     world = World(robot, load_task("ggr"), WorldConfig(max_failures=10**6), seed=0)
     world.loop.set_policy(policy)
     world.start(list(episodes))
@@ -145,14 +141,8 @@ def check_adapter(adapter: PluginSpec, robot: Robot, world: str = "analytic") ->
     Raises:
         KinfeasError: If the adapter cannot be built, or a rule is broken.
     """
-    together = _measured(adapter, robot, world, range(_ROWS))
-    if not np.array_equal(together, _measured(adapter, robot, world, range(_ROWS))):
-        raise ConformanceError(
-            f"{_subject(adapter)} breaks the rule: repeats an episode of its seed"
-        )
-    alone = _measured(adapter, robot, world, [_ROWS - 1])
-    if not np.allclose(alone[:, 0], together[:, -1], atol=1e-6):
-        raise ConformanceError(f"{_subject(adapter)} breaks the rule: no row depends on the others")
+    run = partial(_measured, adapter, robot, world)
+    _check_rows(adapter, run, "repeats an episode of its seed")
 
 
 class _Checked(BackendWrapper):
@@ -211,6 +201,22 @@ def _check_effect(backend: Backend, inner: Backend, name: str) -> None:
     replaced = [key for key in ABILITIES if getattr(backend, key) is not getattr(inner, key)]
     if base is not type(backend) and not own and set(replaced) <= {"resumable"}:
         raise ConformanceError(f"{name} overrides no method of {base.__name__}")
+
+
+def _check_rows(
+    plugin: Policy | PluginSpec, run: Callable[[Sequence[int]], Array], repeats: str
+) -> Array:
+    """Check that episodes repeat, and are alone as in a batch; return those of the batch."""
+    together = run(range(_ROWS))
+    _require(np.array_equal(together, run(range(_ROWS))), plugin, repeats)
+    same = np.allclose(run([_ROWS - 1])[:, 0], together[:, -1], atol=1e-6)
+    _require(same, plugin, "no row depends on the others")
+    return together
+
+
+def _require(holds: bool, plugin: Policy | PluginSpec, rule: str) -> None:
+    if not holds:
+        raise ConformanceError(f"{_subject(plugin)} breaks the rule: {rule}")
 
 
 def _subject(plugin: Policy | PluginSpec) -> str:
