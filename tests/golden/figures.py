@@ -40,7 +40,7 @@ def episodes(robot, task, count, filters=None, backend="analytic"):
     known = load_robot(robot)
     settings = {} if filters is None else {"world.filters": filters}
     config = configure(known, task, backend, episodes=count, seed=SEED, settings=settings)
-    return _records(run(config, load_policy("pretrained", known)))
+    return _records(run(config, load_policy("pretrained", known))[0])
 
 
 def obstacle_filter(robot, count=300, obstacles=3):

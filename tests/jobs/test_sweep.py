@@ -91,15 +91,15 @@ def test_a_broken_journal_is_an_error_that_names_it(tmp_path, line):
 
 
 def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
-    losses = training.check_losses
+    check = training.check_finite
 
-    def diverged(values, learner):
-        losses(values, learner)
+    def diverged(finite, learner):
+        check(finite, learner)
         if learner.batch_size == 32:
             raise DivergedError("diverged")
 
     monkeypatch.setattr(training, "LOG_SECONDS", 0.0)
-    monkeypatch.setattr(training, "check_losses", diverged)
+    monkeypatch.setattr(training, "check_finite", diverged)
     monkeypatch.setattr(optuna.Trial, "should_prune", lambda trial: trial.number == 2)
     space = {"learner.batch_size": {"choices": [16, 32]}}
     settings = SWEEP["settings"] | {"schedule.evaluations": 2}
