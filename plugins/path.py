@@ -22,6 +22,9 @@ from kinfeas.core.spatial import (
 Frame = Literal["object", "goal", "world"]
 """Frame of a path: the target as the grasped object, the target as its end, or the world."""
 
+FIRST = 0.2
+"""`PathMotion.first` of paths whose first pose counts: 1 cm and 0.06 rad."""
+
 _END_SECONDS = 1.0
 """Longest rest of a path that counts as its end, if it is within the tolerances of a goal, too."""
 
@@ -103,6 +106,7 @@ class PathMotion:
     # the length a: the error at which the phase slows down by e, in metres
     position_scale: float = 0.05
     rotation_scale: float = 0.3  # the same angle b in radians
+    first: float = math.inf  # error, in units of a and b, with which an EE leaves the first pose
     max_velocity: float = 0.1  # upper limit of the speed in m/s
     max_angular_velocity: float = 0.1  # upper limit of the angular speed in rad/s
     _end: float = field(init=False, repr=False)
@@ -140,14 +144,23 @@ class PathMotion:
         here = compose(frame, self.path.at(phase))
         error = twist_between(here, ee_pose, 1.0)
         metres, radians = norm(error[:, :3]), norm(error[:, 3:])
-        psi = np.exp(-((metres / self.position_scale) ** 2) - (radians / self.rotation_scale) ** 2)
+        away = (metres / self.position_scale) ** 2 + (radians / self.rotation_scale) ** 2
+        psi = np.where((phase == 0.0) & (away > self.first**2), 0.0, np.exp(-away))
         advance = np.minimum(psi * dt / self.duration, 1.0 - phase)
-        there = compose(frame, self.path.at(phase + advance))
         # A step longer than 1 / gain would overshoot the path.
-        gain = np.minimum(self.gain, 1.0 / dt)[:, np.newaxis]
-        twist = twist_between(here, there, dt) - gain * error
-        scale = slowed(twist, self.max_velocity, self.max_angular_velocity)
+        correction = error * np.minimum(self.gain, 1.0 / dt)[:, np.newaxis]
+        twist, scale = self._along(here, frame, phase + advance, dt, correction)
+        if (scale < 1.0).any():  # the chord of the whole advance would leave a curved path
+            advance, correction = scale * advance, correction * scale[:, np.newaxis]
+            twist, scale = self._along(here, frame, phase + advance, dt, correction)
         return twist * scale[:, np.newaxis], {"phase": phase + scale * advance}
+
+    def _along(
+        self, here: Array, frame: Array, phase: Array, dt: Array, correction: Array
+    ) -> tuple[Array, Array]:
+        """Return twists from poses to those at a phase, corrected, and how they must shrink."""
+        twist = twist_between(here, compose(frame, self.path.at(phase)), dt) - correction
+        return twist, slowed(twist, self.max_velocity, self.max_angular_velocity)
 
     def _frame(self, target_pose: Array) -> Array:
         return np.broadcast_to(IDENTITY, target_pose.shape) if self.in_world else target_pose

@@ -9,7 +9,7 @@ from kinfeas.core.quantities import Positive
 from kinfeas.core.spatial import Array, interpolated, make_pose, rotation
 from kinfeas.io.demonstrations import read_demonstration
 from kinfeas.io.run_log import is_record, read_record
-from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame
+from kinfeas.plugins.path import FIRST, Frame, PathMotion, PosePath, even_fractions, in_frame
 
 
 class Replay(PathMotion):
@@ -50,6 +50,7 @@ class Replay(PathMotion):
             gain=gain,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
+            first=FIRST,
             **scales,
         )
 

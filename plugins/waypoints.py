@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import RotationSpline
 
@@ -29,7 +29,15 @@ from kinfeas.core.files import read_csv
 from kinfeas.core.quantities import Positive
 from kinfeas.core.spatial import IDENTITY, POSE_COLUMNS, Array, make_pose, rotation, twist_between
 from kinfeas.io.demonstrations import check_samples
-from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_fractions, in_frame, norm
+from kinfeas.plugins.path import (
+    FIRST,
+    Frame,
+    PathMotion,
+    PosePath,
+    even_fractions,
+    in_frame,
+    norm,
+)  # fmt: skip
 
 _FINE = 2000  # samples of a spline, or 20 between waypoints if these are more
 _REPEATED = 1e-9  # metres and radians
@@ -67,8 +75,7 @@ class Waypoints(PathMotion):
             limits = max_velocity, max_angular_velocity
             knots, duration = _at_full_speed(Path(file), poses, limits, ramp)
         else:
-            duration = float(time[-1] - time[0])
-            knots = _spline(time, poses)(time[0] + even_fractions(duration) * duration)
+            knots, duration = _in_time(poses, time)
         super().__init__(
             path=PosePath(in_frame(knots, frame, IDENTITY)),
             duration=duration,
@@ -76,7 +83,24 @@ class Waypoints(PathMotion):
             gain=gain,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
+            first=FIRST,
         )
+
+
+def _in_time(poses: Array, time: Array) -> tuple[Array, float]:
+    """Return knots at even steps of time, shape (m + 1, 7), and their duration in seconds.
+
+    The EE rests between equal waypoints: time is interpolated monotonically along the spline.
+    """
+    apart = _seconds(poses, (1.0, 1.0))
+    reached = np.concatenate([[0.0], np.cumsum(np.where(apart > _REPEATED, apart, 0.0))])
+    parameter, first = np.unique(reached, return_index=True)
+    duration = float(time[-1] - time[0])
+    fractions = even_fractions(duration)
+    if len(parameter) == 1:
+        return poses[:1].repeat(len(fractions), axis=0), duration
+    at = PchipInterpolator(time, reached)(time[0] + fractions * duration)
+    return _spline(parameter, poses[first])(at.clip(0.0, reached[-1])), duration
 
 
 def _spline(parameter: Array, poses: Array) -> Callable[[Array], Array]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.control.execution import SubgoalMotion
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.subgoal_motions import SubgoalMotions, begin_motions, subgoal_ends
+from kinfeas.control.subgoal_motions import LONGEST, SubgoalMotions, begin_motions, subgoal_ends
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
@@ -27,8 +27,7 @@ WAYPOINT_STAGES = STAGES[:4]
 WAYPOINTS = 16
 """Poses along a sub-goal."""
 
-_MAX_PERIODS = 1500
-"""Longest motion of a sub-goal, in control periods."""
+_MAX_PERIODS = round(LONGEST / HORIZON)
 
 OnDone = Callable[[float], None]
 

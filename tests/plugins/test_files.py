@@ -48,11 +48,28 @@ def test_meets_the_times_of_the_file_and_rests_at_repeated_waypoints(tmp_path):
     poses, _ = from_the_first(Waypoints(file=file, max_angular_velocity=10.0), 50.0)
     for moment, waypoint in zip(TIME, WAYPOINTS, strict=True):
         assert_near(poses[round(moment / DT)], waypoint, 2e-3, 1e-2)
-    rest = WAYPOINTS[[0, 0, 1]]
-    file = write_waypoints(tmp_path / "rest.csv", rest, [0.0, 5.0, 20.0])
-    assert distance(from_the_first(Waypoints(file=file), 4.0)[0], rest[0])[0].max() < 0.02
-    with pytest.raises(KinfeasError, match="waypoint 2"):
+    rest = WAYPOINTS[[0, 1, 1, 2]]
+    file = write_waypoints(tmp_path / "rest.csv", rest, [0.0, 20.0, 80.0, 100.0])
+    poses, _ = from_the_first(Waypoints(file=file, max_angular_velocity=10.0), 100.0)
+    assert distance(poses[round(22.0 / DT) : round(78.0 / DT)], rest[1])[0].max() < 2e-3
+    with pytest.raises(KinfeasError, match="waypoint 3"):
         Waypoints(file=write_waypoints(tmp_path / "untimed.csv", rest))
+
+
+@pytest.mark.parametrize("dt", [0.02, DT])
+@pytest.mark.parametrize("seconds", [1.0, 20.0])
+def test_path_is_the_same_at_any_speed_and_rate(tmp_path, seconds, dt):
+    angle = np.linspace(0.0, 2.0 * np.pi, 100)
+    poses = IDENTITY + 0.1 * np.stack([np.cos(angle), np.sin(angle), *np.zeros((5, 100))], axis=1)
+    write_waypoints(tmp_path / "circle.csv", poses, np.linspace(0.0, seconds, 100))
+    generator = Waypoints(file=str(tmp_path / "circle.csv"), frame="world")
+    path, _, _ = run(generator, poses[:1] + 0.3 * np.eye(1, 7), IDENTITY[np.newaxis], 30.0, dt)
+    away = np.linalg.norm(path[:, 0, :3] - poses[0, :3], axis=1)
+    begun = int(np.argmax(away < 0.011))  # from afar, the EE comes to the first waypoint first
+    assert away[begun] < 0.011
+    np.testing.assert_allclose(
+        np.linalg.norm(path[begun + round(8.0 / dt) :, 0, :2], axis=1), 0.1, atol=1e-3
+    )
 
 
 @pytest.mark.parametrize(
