@@ -110,6 +110,7 @@ def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainCon
 
 def begin(config: TrainConfig, folder: Path, on_progress: OnTraining | None = None) -> Run:
     """Train in a new folder and return the run."""
+    training.check_run_folder(folder)  # before torch, which is slow to import
     from kinfeas.training.train import train as run
 
     return _ended(folder, run(config, folder, on_progress))
