@@ -11,7 +11,7 @@ from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, RealTimeBackend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import relative, yaw
-from kinfeas.envs.world import World, WorldConfig
+from kinfeas.envs.world import Batch, World, WorldConfig
 from kinfeas.policies.baselines.following import FollowBase, FollowEe
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
@@ -148,6 +148,16 @@ def test_the_end_of_the_last_sub_goal_is_success_unless_the_base_touches(world):
     transition = world.step(idle(world, 3))
     assert transition.reached.tolist() == [False, True, False]
     assert transition.terminated.tolist() == [True, True, False]
+
+
+def test_a_goal_that_is_reached_after_a_failure_is_no_success_of_a_batch(world):
+    batch = Batch(world, 2)
+    batch.start()
+    pretend(world, feasible=[True, False], finished=False)
+    batch.step(idle(world, 2))
+    pretend(world, feasible=True, finished=True)
+    ends = batch.step(idle(world, 2)).ends
+    assert [ends[row].success for row in range(2)] == [True, False]
 
 
 @pytest.mark.parametrize(("changes", "steps"), [
