@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import (
+    OPTIONAL,
     WAYPOINTS,
     AvoidsSolids,
     Demonstrated,
@@ -26,6 +27,9 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import UNIT, Array, distance, integrate, twist_between
 
 _COMPUTED = 1e-6  # largest deviation of the norm of a quaternion that nobody normalises
+# Largest tilt of a base, radians. Ramps and localisation tilt less; in another order of the
+# quaternion, an upright base of yaw a is tilted by pi - |a|.
+_MAX_TILT = 0.5
 
 Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
 
@@ -43,7 +47,7 @@ def check_array(
         raise error(f"{name} is a {type(value).__name__}, not an array of shape {shape}")
     if value.shape != shape:
         raise error(f"{name} has shape {value.shape}, not {shape}")
-    if value.dtype.kind not in "iuf":
+    if value.dtype.kind not in "iuf" or value.dtype.char in "eg":  # Numba has no other floats
         raise error(f"{name} is an array of {value.dtype}")
     if finite and not np.isfinite(value).all():
         raise error(f"{name} is not finite")
@@ -77,12 +81,18 @@ def ee_poses(poses: ArrayLike, name: str) -> Array:
 def check_state(state: object, robots: int, joints: int, source: str) -> None:
     """Raise KinfeasError unless a backend or adapter returns a valid `RobotState`.
 
-    Poses and joint positions must be finite. The message begins with `source`.
+    Poses and joint positions must be finite, and bases upright. The message begins with `source`.
     """
     if not isinstance(state, RobotState):
         raise KinfeasError(f"{source} must return a RobotState, not a {type(state).__name__}")
     poses, arms = (robots, 7), (robots, joints)
     check_array(state.base_pose, poses, f"{source}: base_pose")
+    if not are_unit(state.base_pose, UNIT):
+        raise KinfeasError(f"{source}: base_pose has no unit quaternion xyzw")
+    tilt = 2.0 * np.hypot(*state.base_pose[:, 3:5].T).max(initial=0.0)
+    if tilt > _MAX_TILT:
+        text = f"leans by {tilt:.2g} rad, at most {_MAX_TILT} is allowed; quaternions are xyzw"
+        raise KinfeasError(f"{source}: base_pose {text}")
     check_array(state.joint_positions, arms, f"{source}: joint_positions")
     if state.ee_in_base is not None:
         check_array(state.ee_in_base, poses, f"{source}: ee_in_base")
@@ -125,6 +135,10 @@ class CheckedMotion:
         self, generator: MotionGenerator, name: str = "", *, every_step: bool = False
     ) -> None:
         self.generator = generator
+        self.subject = f"motion generator {name or type(generator).__name__}"
+        for method in OPTIONAL:  # `isinstance` looks for attributes only
+            if not callable(getattr(generator, method, self.start)):
+                raise self.error(f"has an attribute {method!r} that is no method; rename it")
         # Once, since protocols are checked by looking up each of their members.
         self._finished = generator.finished if isinstance(generator, FollowsPath) else None
         self._ahead = generator.ahead if isinstance(generator, LooksAhead) else None
@@ -132,7 +146,6 @@ class CheckedMotion:
         self._follower = generator if isinstance(generator, FollowsWholeBodyPath) else None
         self.avoids_solids = isinstance(generator, AvoidsSolids)
         self.follows_whole_body = self._follower is not None
-        self.subject = f"motion generator {name or type(generator).__name__}"
         self._every_step, self._checked = every_step, set[str]()
         self._layout: Layout | None = None
 
@@ -187,6 +200,8 @@ class CheckedMotion:
             pose = self._base_pose(state, target_pose)
         if self._due("base_pose"):
             self._check_array("base_pose", pose, (n, 7), finite=False)
+            given = pose[~np.isnan(pose).all(axis=1)]
+            self._check_array("base_pose", given, given.shape)
         return pose
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:

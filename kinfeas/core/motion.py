@@ -135,6 +135,10 @@ class LooksAhead(Protocol):
         """
 
 
+OPTIONAL = ("finished", "base_pose", "replan", "follow", "robot_ahead", "ahead")
+"""Names of the optional methods of motion generators."""
+
+
 def with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:
     """Return a copy of `array` with `values` in `rows`."""
     changed = array.copy()

@@ -66,8 +66,6 @@ class StateMonitor:
     def _check_pose(self, pose: Array, elapsed: float) -> None:
         guards, base = self._guards, self._robot.base
         x, y, _, *quaternion = pose.tolist()
-        if abs(math.hypot(*quaternion) - 1.0) > spatial.UNIT:
-            raise Fault("the orientation of the measured base_pose is not a unit quaternion")
         tilt = 2.0 * math.hypot(*quaternion[:2])
         check_limit("the base leans by {} rad", tilt, guards.max_tilt)
         if self._start is None:

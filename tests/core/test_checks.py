@@ -10,10 +10,19 @@ from kinfeas.core.spatial import IDENTITY
 
 POSES, ZERO, DT = np.tile(IDENTITY, (3, 1)), np.zeros((3, 6)), np.full(3, 0.1)
 STATE, NAN = {"goal": POSES, "x": np.zeros(3)}, ZERO * np.nan
-SOUND = RobotState(POSES, np.zeros((3, 5)))
+SOUND, WXYZ = RobotState(POSES, np.zeros((3, 5))), [0, 1, 2, 6, 3, 4, 5]
 
 
-@pytest.mark.parametrize("value", [ZERO[:, :5], ZERO.tolist(), ZERO.astype(object), NAN])
+@pytest.mark.parametrize(
+    "value",
+    [
+        ZERO[:, :5],
+        ZERO.tolist(),
+        ZERO.astype(object),
+        NAN,
+        ZERO.astype(np.float16),
+    ],
+)
 def test_other_arrays_raise_errors(value):
     with pytest.raises(KinfeasError, match=r"^mine "):
         check_array(value, (3, 6), "mine")
@@ -22,7 +31,8 @@ def test_other_arrays_raise_errors(value):
 
 
 @pytest.mark.parametrize(("field", "value"), [
-    ("base_pose", POSES[:2]), ("joint_positions", np.full((3, 5), np.nan)), ("ee_in_base", ZERO),
+    ("base_pose", POSES[:2]), ("base_pose", POSES * 1.1), ("base_pose", POSES[:, WXYZ]),
+    ("joint_positions", np.full((3, 5), np.nan)), ("ee_in_base", ZERO),
     ("base_twist", POSES), ("age", 0.1), ("true_state", replace(SOUND, base_pose=None)),
 ])  # fmt: skip
 def test_errors_of_states_name_the_field(field, value):
@@ -69,9 +79,18 @@ def call(motion):
     ("start", [1]), ("start", {"goal": POSES[:1]}), ("start", {"goal": np.array(["a"] * 3)}),
     ("goal_pose", ZERO), ("goal_pose", POSES * 2.0), ("goal_pose", POSES * np.nan),
     ("twist", ZERO), ("twist", (ZERO[:, :3], STATE)), ("twist", (NAN, STATE)),
-    ("twist", (ZERO, None)), ("base_pose", POSES[:2]), ("ahead", POSES),
+    ("twist", (ZERO, None)), ("base_pose", POSES[:2]),
+    ("base_pose", np.full((3, 7), np.inf)), ("ahead", POSES),
 ])  # fmt: skip
 def test_invalid_values_name_generator_and_method(method, value):
     call(CheckedMotion(Motion(), "mine"))
     with pytest.raises(ConformanceError, match=f"^motion generator mine .*{method}"):
         call(CheckedMotion(Motion(**{method: value}), "mine"))
+
+
+def test_attributes_with_the_name_of_an_optional_method_are_errors():
+    class Flagged(Motion):
+        finished = False
+
+    with pytest.raises(ConformanceError, match="'finished'"):
+        CheckedMotion(Flagged(), "mine")
