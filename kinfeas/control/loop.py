@@ -174,14 +174,18 @@ class Loop:
 
         Raises:
             KinfeasError: If the policy or a filter returns another shape or numbers that are not
-                finite.
+                finite, or a filter writes into the period; that is checked after each start.
         """
         sequence, joints_before = self.sequence, self._arm.joint_command
         self.action = (self._policy_action() if action is None else action).clip(-1.0, 1.0)
         period = self._period()
         for command_filter, note in zip(self.filters, self._notes, strict=True):
+            given = _arrays(period) if self._unchecked else {}
             with note:
                 changed: object = command_filter(period)
+            for key, values in given.items():
+                if not np.array_equal(values, getattr(period, key), equal_nan=True):
+                    raise KinfeasError(f"{note.plugin} must not write into {key!r} of the period")
             if not isinstance(changed, Period):
                 kind = type(changed).__name__
                 raise KinfeasError(f"{note.plugin} must return a Period, not a {kind}")
@@ -370,6 +374,12 @@ class Loop:
             ee_pose = spatial.compose(robots.base_pose, ee_in_base)
             robots = replace(robots, joint_positions=joints)
         self.observation = self.observer.observe(robots, ee_in_base, ee_pose, self.previous_command)
+
+
+def _arrays(period: Period) -> dict[str, NDArray[Any]]:
+    """Return copies of the arrays of a period."""
+    arrays = {key: each for key, each in vars(period).items() if isinstance(each, np.ndarray)}
+    return {key: each.copy() for key, each in arrays.items()}
 
 
 def _read_only(observation: Observation) -> Observation:

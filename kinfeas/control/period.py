@@ -10,6 +10,8 @@ from kinfeas.control.filters.half_spaces import VelocityConstraints
 from kinfeas.control.response import BaseResponse
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.control.subgoal_motions import MotionStep
+from kinfeas.core.checks import check_array
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.solids import Solids
@@ -89,7 +91,14 @@ class Period(KinematicInputs):
         return self if command is self.command else self.changed(command=command)
 
     def slowed(self, time_scale: Array) -> "Period":
-        """Return the period with fractions, shape (n,), of the planned motion."""
+        """Return the period with fractions, shape (n,), of the planned motion.
+
+        Raises:
+            KinfeasError: If they have another shape or are not in [0, 1].
+        """
+        check_array(time_scale, self.time_scale.shape, "the argument of period.slowed")
+        if not ((time_scale >= 0.0) & (time_scale <= 1.0)).all():
+            raise KinfeasError("the argument of period.slowed must be in [0, 1]")
         step = self.motions.step(time_scale)
         desired = self.motions.arm_target(step, self.paused)
         return self.changed(step=step, desired=desired, time_scale=time_scale, move=None)

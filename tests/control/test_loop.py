@@ -11,7 +11,7 @@ from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMoti
 from kinfeas.control.observation import HORIZON, ObservedState, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, raised_by
 from kinfeas.core.start import Start
 from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.forward import forward
@@ -335,11 +335,25 @@ def test_a_motion_that_slows_down_gets_arms_of_its_own(solver):
     np.testing.assert_array_equal(*arms)
 
 
+def writing(period):
+    period.base_pose[:, 0] += 0.01
+    return period
+
+
+@pytest.mark.parametrize("scale", [np.nan, -1.0, 2.0])
+def test_motions_slow_down_by_fractions(solver, scale):
+    filters = [lambda period: period.slowed(np.full(2, scale))]
+    with pytest.raises(KinfeasError, match="slowed") as caught:
+        rest(make_loop(solver, 2, filters=filters))
+    assert raised_by(caught.value) == "command filter function"
+
+
 @pytest.mark.parametrize(("command_filter", "word"), [
     (Filter(lambda command: command[:, :1]), "Filter.*shape"),
     (Filter(lambda command: np.full_like(command, np.nan)), "Filter: the command is not finite"),
     (Filter(lambda command: None), "Filter.*NoneType"),
     (lambda period: period.command, "function.*Period.*ndarray"),
+    (writing, "function.*write.*'base_pose'"),
 ])  # fmt: skip
 def test_wrong_results_of_a_filter_are_errors(solver, command_filter, word):
     with pytest.raises(KinfeasError, match=f"command filter {word}"):
