@@ -1,7 +1,7 @@
 """Tasks by name, or by the path of their YAML."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from kinfeas.config import registry, strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import is_path
 from kinfeas.tasks.chain import ChainTask
-from kinfeas.tasks.task import Task
+from kinfeas.tasks.task import Subgoal, Task
 
 
 def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None) -> Task:
@@ -23,7 +23,11 @@ def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None)
     """
     if is_path(name_or_path):
         return read_chain(Path(name_or_path), parameters)
-    return registry.build("kinfeas.tasks", name_or_path, parameters or {})
+    task = registry.build("kinfeas.tasks", name_or_path, parameters or {})
+    subgoals = task.subgoals
+    if not isinstance(subgoals, Sequence) or not all(isinstance(s, Subgoal) for s in subgoals):
+        raise KinfeasError(f"task {name_or_path!r}: 'subgoals' must be a tuple of Subgoal")
+    return task
 
 
 def task_name(name_or_path: str) -> str:

@@ -26,6 +26,7 @@ from kinfeas.robots.robot import Robot
 T = TypeVar("T")
 
 _DRAWS, _ROUNDS = 16, 100
+_ROUNDING = 1e-3  # distance beyond the joint limits of a start at most, radians or metres
 
 
 @dataclass(frozen=True)
@@ -142,6 +143,11 @@ def sample_start(
         check_array(value, shape, f"{subject}: sampled {name}")
         if name != "joint_positions" and not are_unit(value):
             raise KinfeasError(f"{subject}: sampled {name} has no unit quaternion")
+    lower, upper = solver.robot.joint_limits
+    beyond = np.maximum(lower - start.joint_positions, start.joint_positions - upper) > _ROUNDING
+    if beyond.any():
+        joint = solver.robot.arm[int(beyond.argmax())].name
+        raise KinfeasError(f"{subject}: sampled joint_positions are beyond the limits of {joint}")
     if start.solids is not None:
         _check_solids(start.solids, f"{subject}: sampled solids")
     return start

@@ -4,6 +4,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import IDENTITY
@@ -49,11 +50,18 @@ class Given:
         return self.start
 
 
+class Plain(Given):
+    subgoals = ({"motion": "linear"},)
+
+    def __init__(self):
+        """Keep the sub-goals of the class."""
+
+
 class StagedGiven(Given):
     drawn = task_done = Mock()
 
     def sample_in(self, row, solver, rng):
-        return replace(self.start, joint_positions=self.start.joint_positions + row)
+        return replace(self.start, joint_positions=self.start.joint_positions + 0.01 * row)
 
 
 @pytest.fixture
@@ -66,7 +74,8 @@ LONG = np.array([0, 0, 0, 0, 0, 0, 1.01])
 
 @pytest.mark.parametrize(("key", "value"), [
     ("base_pose", IDENTITY.astype(str)), ("base_pose", LONG), ("joint_positions", np.zeros(2)),
-    ("joint_positions", np.full(5, np.inf)), ("target_poses", np.tile(IDENTITY, (3, 1))),
+    ("joint_positions", np.full(5, np.inf)), ("joint_positions", np.full(5, 20.0)),
+    ("target_poses", np.tile(IDENTITY, (3, 1))),
     ("target_poses", np.zeros((1, 7))), ("solids", Solids.empty(2)),
     ("solids", Solids.empty(1, MOST_SOLIDS + 1)),
     ("solids", replace(Solids.empty(1, 2), size=np.full((1, 2, 4), -1.0))),
@@ -84,8 +93,15 @@ def test_plugins_are_named_and_staged_tasks_know_their_row(hsr, sound):
         sample_start(Given(KeyError("x")), hsr, RNG)
     assert "'given'" in caught.value.__notes__[0]
     staged = sample_start(StagedGiven(sound), hsr, RNG, row=2)
-    np.testing.assert_array_equal(staged.joint_positions, sound.joint_positions + 2)
+    np.testing.assert_array_equal(staged.joint_positions, sound.joint_positions + 0.02)
     assert sample_start(StagedGiven(sound), hsr, RNG) is sound
+
+
+def test_subgoals_of_plugins_have_their_type(monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.tasks", "mine", Plain)
+    with pytest.raises(KinfeasError, match="task 'mine': 'subgoals'"):
+        load_task("mine")
 
 
 def test_tasks_load_by_name_and_by_path(tmp_path):
