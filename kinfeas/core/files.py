@@ -97,6 +97,8 @@ def _read_rows(path: Path) -> tuple[Sequence[str], list[dict[Any, Any]]]:
             rows, names = list(table), table.fieldnames
     except csv.Error as error:
         raise KinfeasError(f"{path}: is no CSV file: {error}") from error
+    if names and len(names) == 1 and ";" in names[0]:
+        raise KinfeasError(f"{path}: the separator is a semicolon; it must be a comma")
     if not names:
         raise KinfeasError(f"{path}: has no header; the file or its first line is empty")
     for i, row in enumerate(rows):

@@ -133,6 +133,7 @@ def test_csv_columns_are_read_by_name(tmp_path):
 @pytest.mark.parametrize(("text", "place"), [
     ("", ": has no header"),
     ("b\n1", ": column 'a'"),
+    ("a;b\n1,5;2", ": .*semicolon"),
     ("a,b,a\n1,2,3", ": .*'a'"),
     ("a\n1\nx", ", row 2, a: "),
     ("a,b\n1,2\n3,4,5", ", row 2: "),
