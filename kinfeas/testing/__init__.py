@@ -28,7 +28,7 @@ __all__ = [
     "check_policy", "examine",
 ]  # fmt: skip
 
-_ROWS, _STEPS = 6, 20  # of the checks of policies and adapters
+_ROWS, _STEPS, _RESTART = 6, 20, 10  # of the checks of policies and adapters
 _DT = 0.1  # s, of those of adapters
 
 
@@ -83,7 +83,7 @@ def examine(
     except ConformanceError as error:
         violations[error.rule] = str(error)
     except PLUGIN_ERRORS as error:
-        violations["form"] = describe(error, probe.motion.subject)
+        violations["form"] = describe(error, probe.motion)
     return [Finding(rule, violations.get(rule), ended or rule in violations) for rule in RULES]
 
 
@@ -91,8 +91,8 @@ def check_policy(policy: Policy, robot: Robot) -> None:
     """Raise if a policy breaks its contract; takes about a second.
 
     Actions must be finite, in [-1, 1] and of shape (n, action size); no row may depend on the
-    others; the inputs must stay as they are; a `reset` must make episodes repeatable; and a copy
-    made by pickle, as worker processes get it, must act alike.
+    others; the inputs must stay as they are; a `reset` must make episodes repeatable, also of
+    single rows; and a copy made by pickle, as worker processes get it, must act alike.
 
     Raises:
         ConformanceError: If a rule is broken.
@@ -113,7 +113,9 @@ def _run(policy: Policy, robot: Robot, episodes: Sequence[int]) -> Array:
     world.loop.set_policy(policy)
     world.start(list(episodes))
     actions = []
-    for _ in range(_STEPS):
+    for step in range(_STEPS):
+        if len(episodes) > 1 and step == _RESTART:
+            world.start([_ROWS], np.array([0]))
         observed = world.loop.observation
         arrays = {k: value for k, value in vars(observed).items() if isinstance(value, np.ndarray)}
         before = {key: value.copy() for key, value in arrays.items()}
@@ -136,7 +138,7 @@ def check_adapter(adapter: PluginSpec, robot: Robot, world: str = "analytic") ->
 
     It must override a method or replace an ability; commands and measurements must be finite and
     keep their shapes; no row may depend on the others, nor on their resets; the inputs must stay as
-    they are; and equal seeds must make episodes repeatable.
+    they are; and equal seeds must make episodes repeatable, also after a reset of single rows.
 
     Raises:
         KinfeasError: If the adapter cannot be built, or a rule is broken.
@@ -176,7 +178,8 @@ def _measured(adapter: PluginSpec, robot: Robot, world: str, seeds: Sequence[int
         backend.seed(np.array(seeds, dtype=np.uint64), np.arange(n))
         backend.reset(np.tile(IDENTITY, (n, 1)), np.tile(home, (n, 1)))
         for step in range(_STEPS):
-            if n > 1 and step == _STEPS // 2:
+            if n > 1 and step == _RESTART:
+                rngs[0] = np.random.default_rng(_ROWS)
                 backend.seed(np.array([_ROWS], dtype=np.uint64), np.array([0]))
                 backend.reset(IDENTITY[np.newaxis], home[np.newaxis], np.array([0]))
             twist, arm = np.zeros((n, 6)), np.tile(home, (n, 1))
@@ -209,8 +212,12 @@ def _check_rows(
     """Check that episodes repeat, and are alone as in a batch; return those of the batch."""
     together = run(range(_ROWS))
     _require(np.array_equal(together, run(range(_ROWS))), plugin, repeats)
-    same = np.allclose(run([_ROWS - 1])[:, 0], together[:, -1], atol=1e-6)
-    _require(same, plugin, "no row depends on the others")
+    for rule, episode, row in (
+        ("no row depends on the others", _ROWS - 1, together[:, -1]),
+        ("reset begins single rows anew", _ROWS, together[_RESTART:, 0]),
+    ):
+        alone = run([episode])[: len(row), 0]
+        _require(np.allclose(alone, row, atol=1e-6), plugin, rule)
     return together
 
 

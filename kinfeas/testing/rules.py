@@ -1,6 +1,7 @@
 """Rules of motion generators, and the trial that checks them."""
 
 import copy
+import sys
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.checks import CheckedMotion
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, plugin_frames
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.motion import State
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, integrate, make_pose
 
 
@@ -74,13 +76,20 @@ def sample_motions(motion: CheckedMotion, trial: Trial) -> Samples:
     return Samples(np.stack(poses), np.stack(twists), goal)
 
 
-def describe(error: BaseException, subject: str) -> str:
-    """Return the message of an error; that of a plugin's own exception has subject and place."""
+def describe(error: BaseException, motion: CheckedMotion) -> str:
+    """Return the message of an error, with subject and place if a generator's code raised it.
+
+    The place is the last one in the generator's own file, if it is there.
+    """
     if isinstance(error, KinfeasError):
         return str(error)
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    location = f"{Path(frame.filename).name}, line {frame.lineno}"
-    return f"{subject} raises {type(error).__name__}: {error} ({location})"
+    message = f"{motion.subject} raises {type(error).__name__}: {error}"
+    if not (count := plugin_frames(error)):
+        return message
+    frames = traceback.extract_tb(error.__traceback__)[-count:]
+    file = getattr(sys.modules.get(type(motion.generator).__module__), "__file__", None)
+    frame = ([each for each in frames if each.filename == file] or frames)[-1]
+    return f"{message} ({Path(frame.filename).name}, line {frame.lineno})"
 
 
 def _random_poses(rng: np.random.Generator, n: int) -> Array:
@@ -90,8 +99,9 @@ def _random_poses(rng: np.random.Generator, n: int) -> Array:
 
 
 _ARRIVED_METRES, _ARRIVED_DEGREES = 0.01, 3.0
-_NEAR = 1e-9  # for the same motion in another batch, where sums may round in another order
-_ROUNDING = 1e-6
+_ROUNDING = 1e-6  # relative, and in metres and radians; also that of float32
+_MOVED = np.array([0.03, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # displacement of targets, metres
+_BOX = [3.0, 0.0, 0.0, 0.1, 0.1, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]  # a row of `Solids.from_table`
 _FULL_CHECKS = 10  # steps at which all rules are checked; cheap ones are checked at each step
 
 RULES = {
@@ -168,6 +178,7 @@ def run_trial(probe: Probe, on_step: Callable[[], None] | None = None) -> None:
     for step in range(steps):
         if step in full:
             steps_seen.append(_check_step(probe, state, ee_pose, targets))
+            _check_goal(probe, state, targets, goal)
             _check_restart(probe, steps_seen, targets)
         ended |= probe.motion.finished(state, targets) & _within(1.0, ee_pose, goal)
         twist, state = probe.twist(state, ee_pose, targets)
@@ -175,7 +186,8 @@ def run_trial(probe: Probe, on_step: Callable[[], None] | None = None) -> None:
         _check_end(probe, ended & ~_within(2.0, ee_pose, goal))
         if on_step is not None:
             on_step()
-    _check_arrival(probe, ee_pose, targets, (steps_seen[0].state, state))
+    _check_goal(probe, state, targets, goal)
+    _check_arrival(probe, ee_pose, targets, state)
 
 
 @dataclass(frozen=True)
@@ -201,7 +213,7 @@ def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
     for row in _some(rows):
         single = slice(row, row + 1)
         alone = probe.start(ee_pose[single].copy(), targets[single].copy(), [row])
-        same = _close(alone, _rows(state, single), _NEAR)
+        same = _close(alone, _rows(state, single), _ROUNDING)
         probe.require(same, "rows", "starts a motion differently alone and in a batch")
     return state
 
@@ -231,8 +243,13 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
         ):
             arrays = [values[single].copy() for values in (ee_pose, targets, steps)]
             alone, after_alone = probe.twist(_rows(state, single), *arrays)
-            same = _near(alone, moved[single]) and _close(after_alone, _rows(later, single), _NEAR)
+            same = _near(alone, moved[single]) and _close(
+                after_alone, _rows(later, single), _ROUNDING
+            )
             probe.require(same, "rows", broken)
+    probe.motion.twist(state, ee_pose, targets + _MOVED, dt)
+    probe.motion.base_pose(state, targets)
+    probe.motion.replan(state, ee_pose, targets, Solids.from_table([_BOX]).repeated(len(dt)))
     return _Step(step_state, step_pose, twist)
 
 
@@ -269,13 +286,14 @@ def _check_end(probe: Probe, left: NDArray[np.bool_]) -> None:
     probe.require(not left.any(), "end", broken)
 
 
-def _check_arrival(
-    probe: Probe, ee_pose: Array, targets: Array, states: tuple[State, State]
-) -> None:
-    announced, final = (probe.motion.goal_pose(state, targets) for state in states)
-    metres, radians = distance(announced, final)
-    fixed = metres.max() < _NEAR and radians.max() < np.sqrt(_NEAR)
+def _check_goal(probe: Probe, state: State, targets: Array, goal: Array) -> None:
+    metres, radians = distance(goal, probe.motion.goal_pose(state, targets))
+    fixed = metres.max() < _ROUNDING and radians.max() < np.sqrt(_ROUNDING)
     probe.require(fixed, "goal", "moves its goal_pose during the motion")
+
+
+def _check_arrival(probe: Probe, ee_pose: Array, targets: Array, state: State) -> None:
+    final = probe.motion.goal_pose(state, targets)
     metres, radians = distance(ee_pose, final)
     missed = (metres > _ARRIVED_METRES) | (np.rad2deg(radians) > _ARRIVED_DEGREES)
     row = int(np.argmax(missed))
@@ -285,7 +303,7 @@ def _check_arrival(
         f"{_ARRIVED_DEGREES:g} degrees are allowed"
     )
     probe.require(not missed.any(), "arrival", broken)
-    going = ~probe.motion.finished(states[1], targets)
+    going = ~probe.motion.finished(state, targets)
     broken = f"has not finished after {probe.trial.duration:g} s (motion {int(np.argmax(going))})"
     probe.require(not going.any(), "arrival", broken)
 
@@ -299,7 +317,7 @@ def _rows(state: State, rows: slice) -> State:
 
 
 def _near(a: Array, b: Array) -> bool:
-    return np.allclose(a, b, rtol=_NEAR, atol=_NEAR)
+    return np.allclose(a, b, rtol=_ROUNDING, atol=_ROUNDING)
 
 
 def _close(a: State, b: State, tolerance: float) -> bool:

@@ -45,12 +45,20 @@ def test_a_class_of_a_module_in_the_working_folder(hsr, tmp_path, monkeypatch):
         "    def __init__(self, robot): raise SystemExit(0)\n"
         "class Loud(Still):\n"
         "    def act(self, given): return 2.0 + super().act(given)\n"
+        "class Sums(Still):\n"
+        "    def reset(self, rows, n):\n"
+        "        self.sum = np.zeros((n, 1)) if len(rows) == n else self.sum\n"
+        "    def act(self, given):\n"
+        "        self.sum = self.sum + 0.01\n"
+        "        return super().act(given) + self.sum\n"
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     check_policy(load_policy("my_policy:Still", hsr), hsr)
     with pytest.raises(ConformanceError, match=r"Loud.*\[-1, 1\]"):
         check_policy(load_policy("my_policy:Loud", hsr), hsr)
+    with pytest.raises(ConformanceError, match=r"Sums.*reset"):
+        check_policy(load_policy("my_policy:Sums", hsr), hsr)
     for wrong in ("my_policy:Nothing", "no_policy:Still", "my_policy:Ends"):
         with pytest.raises(KinfeasError, match=wrong.partition(":")[2]):
             load_policy(wrong, hsr)

@@ -50,6 +50,16 @@ class OneClock(Adapter):
         return twist * min(self.time, 1.0), targets
 
 
+class Smooths(Adapter):
+    """Keeps a mean of each row's commands, which no reset clears."""
+
+    mean = 0.0
+
+    def modify_command(self, twist, targets, dt):
+        self.mean = 0.9 * self.mean + 0.1 * twist
+        return self.mean.copy(), targets
+
+
 class OwnRandomness(Adapter):
     rng = np.random.default_rng(0)
 
@@ -60,7 +70,7 @@ class OwnRandomness(Adapter):
 
 @pytest.mark.parametrize(("kind", "named"), [
     (NoEffect, "overrides no"), (InfiniteLater, "twist"), (Writes, "input"), (MeansRows, "row"),
-    (OneClock, "row"), (OwnRandomness, "seed"),
+    (OneClock, "row"), (OwnRandomness, "seed"), (Smooths, "reset"),
 ])  # fmt: skip
 def test_each_rule_of_adapters_is_checked(monkeypatch, kind, named):
     monkeypatch.setattr(registry, "_REGISTERED", [])

@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 
@@ -123,6 +125,25 @@ class FinishedCircle(Circle):
         return state["time"] >= 100.0
 
 
+class NeedsARestingTarget(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        return {**super().start(ee_pose, target_pose, rngs), "target": target_pose.copy()}
+
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, after = super().twist(state, ee_pose, target_pose, dt)
+        twist[np.any(state["target"] != target_pose, axis=1)] = np.nan
+        return twist, after
+
+
+class ForgetsItsState(Good):
+    def replan(self, state, ee_pose, target_pose, solids):
+        return {"goal": target_pose[: len(solids.pose)]}
+
+
+def bump(goal, time):
+    return goal + 1e-3 * np.outer(np.maximum(0.0, 60.0 - time) * time, [0, 0, 1, 0, 0, 0, 0])
+
+
 TooFast = after_twist(lambda twist, state: (twist * [2, 2, 2, 1, 1, 1], state))
 TurnsTooFast = after_twist(lambda twist, state: (twist * [1, 1, 1, 2, 2, 2], state))
 TwistOfWrongShape = after_twist(lambda twist, state: (twist[:, :3], state))
@@ -141,6 +162,9 @@ BAD = {
         "goal",
         with_goal(lambda goal, time: goal + 1e-3 * np.outer(time, [1, 0, 0, 0, 0, 0, 0])),
     ),
+    "goal that comes back": ("goal", with_goal(bump)),
+    "NaN for a target that moves": ("form", NeedsARestingTarget),
+    "other keys after planning": ("layout", ForgetsItsState),
     "too fast": ("velocity", TooFast),
     "turns too fast": ("angular_velocity", TurnsTooFast),
     "never arrives": ("arrival", after_twist(lambda twist, state: (twist * 0.01, state))),
@@ -178,15 +202,25 @@ def test_examine_tells_all_rules_of_a_good_generator():
     assert all(one.kept for one in examine(Good()))
 
 
-@pytest.mark.parametrize("error", [KeyError("gaol"), SystemExit(0)])
-def test_examine_reports_exceptions(error):
+@pytest.mark.parametrize(("call", "name"), [
+    (lambda: {}["gaol"], "KeyError"), (lambda: sys.exit(0), "SystemExit"),
+    (lambda: np.linalg.inv(np.zeros((2, 2))), "LinAlgError"),
+])  # fmt: skip
+def test_examine_reports_exceptions(call, name):
     class Raises(Good):
         def twist(self, state, ee_pose, target_pose, dt):
-            raise error
+            call()
 
     form = examine(Raises())[0]
-    assert form.broken.startswith(f"motion generator Raises raises {type(error).__name__}")
+    assert form.broken.startswith(f"motion generator Raises raises {name}")
     assert "test_testing.py, line" in form.broken
+
+
+def test_a_generator_may_round_to_float32():
+    def rounded(twist, state):
+        return (twist * (1.0 + 1e-7 * (len(twist) > 1))).astype(np.float32), state
+
+    check_motion_generator(after_twist(rounded)())
 
 
 def test_a_motion_that_passes_its_goal_says_when_it_is_finished():
