@@ -13,6 +13,8 @@ from kinfeas.kinematics.drive import write_action_toward
 from kinfeas.kinematics.forward import Chain, fill_columns, make_frames, place_chain, write_matrix
 
 _DAMPING = 1e-4  # of arm motions, squared metres that the EE moves with a whole joint step
+_BASE_DAMPING = 100.0  # of base motions, arm steps squared for a metre or radian squared
+_POSE = 6  # joints of an arm that can reach any pose nearby
 
 
 class Proposal(NamedTuple):
@@ -27,6 +29,8 @@ class Proposal(NamedTuple):
 @kernel
 def propose(chain: Chain, base, joints, command, near, target, step, limits, seconds):
     """Return the proposals of commands; some of these move towards the motion of the EE.
+
+    Those of an arm of fewer than six joints also move to where the arm leaves the least error.
 
     After a command the EE has an error e in the frame of the base. With the Jacobian J of the arm
     and its largest displacements D = diag(`step`), it moves by D s, where
@@ -52,6 +56,8 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
     out = Proposal(np.empty((m, t, 3)), np.empty((m, t)), np.empty((m, t, arms)), np.empty(m))
     frames, scaled = make_frames(len(chain.tree.variable)), np.empty((arms, 6))
     low, error, toward, velocity = np.empty((6, 6)), np.empty(6), np.empty(size), np.empty(2)
+    moved, gain, normal = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 3))
+    short = arms < _POSE
     orientation, turned = np.empty((3, 3)), np.empty((3, 3))
     write_matrix(target, orientation)
     for i in range(m):
@@ -59,6 +65,8 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
         _write_scaled(chain, frames, step, scaled)
         out.sensitivity[i] = _factorize(scaled, low)
         yaw, position = heading(base[i]), frames.position
+        if short:
+            _write_gain(position, low, size, moved, gain, normal)
         _write_velocity(base[i], yaw, position, target, seconds, velocity)
         write_action_toward(base[i], velocity, limits, seconds, toward)
         for n in range(t):
@@ -66,18 +74,21 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
             if n >= near:
                 for k in range(size):
                     action[k] = min(max(action[k] + toward[k], -1.0), 1.0)
-            _drive(base[i], yaw, action, limits, seconds, new)
-            # The error e. In a function of its own, its sums would be regrouped in another way.
-            cosine, sine = math.cos(new[2]), math.sin(new[2])
-            dx, dy = target[0] - new[0], target[1] - new[1]
-            error[0] = cosine * dx + sine * dy - position[0]
-            error[1] = cosine * dy - sine * dx - position[1]
-            error[2] = target[2] - base[i, 2] - position[2]
-            for k in range(3):
-                turned[0, k] = cosine * orientation[0, k] + sine * orientation[1, k]
-                turned[1, k] = cosine * orientation[1, k] - sine * orientation[0, k]
-                turned[2, k] = orientation[2, k]
-            rotation_error(turned, frames.rotation, error)
+            for correction in range(2 if short and n >= near else 1):
+                if correction:
+                    _correct(gain, error, new[2] - yaw, limits, seconds, action)
+                _drive(base[i], yaw, action, limits, seconds, new)
+                # The error e. In a function of its own, its sums would be regrouped in another way.
+                cosine, sine = math.cos(new[2]), math.sin(new[2])
+                dx, dy = target[0] - new[0], target[1] - new[1]
+                error[0] = cosine * dx + sine * dy - position[0]
+                error[1] = cosine * dy - sine * dx - position[1]
+                error[2] = target[2] - base[i, 2] - position[2]
+                for k in range(3):
+                    turned[0, k] = cosine * orientation[0, k] + sine * orientation[1, k]
+                    turned[1, k] = cosine * orientation[1, k] - sine * orientation[0, k]
+                    turned[2, k] = orientation[2, k]
+                rotation_error(turned, frames.rotation, error)
             _solve(low, error)
             out.motion[i, n] = _move_arm(scaled, error, step, joints[i], out.joints[i, n])
     return out
@@ -100,6 +111,61 @@ def _write_velocity(base, yaw, position, target, seconds, out):
     out[1] = target[1] - base[1] - sine * position[0] - cosine * position[1]
     for k in range(2):
         out[k] /= seconds
+
+
+@inlined
+def _write_gain(position, low, size, moved, gain, normal):
+    """Write the base displacements for 1 m or rad of the error e, shape (3, 6).
+
+    With B = de / d(x, y, yaw) and A = C' C + damping they are (B' A^-1 B + damping)^-1 B' A^-1.
+    """
+    moved[:] = 0.0
+    moved[0, 0], moved[1, 1] = 1.0, 1.0
+    moved[2, 0], moved[2, 1], moved[2, 5] = -position[1], position[0], 1.0
+    if size == 2:
+        moved[1, 1] = 0.0
+    for i in range(3):
+        for k in range(6):
+            gain[i, k] = moved[i, k]
+        _solve(low, gain[i])
+    for i in range(3):
+        for k in range(3):
+            normal[i, k] = _BASE_DAMPING if i == k else 0.0
+            for j in range(6):
+                normal[i, k] += moved[i, j] * gain[k, j]
+    # Gauss-Jordan elimination of a positive definite matrix.
+    for i in range(3):
+        pivot = normal[i, i]
+        for j in range(3):
+            normal[i, j] /= pivot
+        for j in range(6):
+            gain[i, j] /= pivot
+        for k in range(3):
+            factor = normal[k, i]
+            if k != i:
+                for j in range(3):
+                    normal[k, j] -= factor * normal[i, j]
+                for j in range(6):
+                    gain[k, j] -= factor * gain[i, j]
+
+
+@inlined
+def _correct(gain, error, turn, limits, seconds, action):
+    """Change a command by the displacement that reduces an error in the frame at its end."""
+    x, y, angle = 0.0, 0.0, 0.0
+    for k in range(6):
+        x += gain[0, k] * error[k]
+        y += gain[1, k] * error[k]
+        angle += gain[2, k] * error[k]
+    cosine, sine = math.cos(turn), math.sin(turn)
+    if len(action) == 3:
+        action[0] += (cosine * x - sine * y) / (limits[0] * seconds)
+        action[1] += (sine * x + cosine * y) / (limits[0] * seconds)
+    else:
+        action[0] += x / (limits[0] * seconds)
+    action[-1] += angle / (limits[1] * seconds)
+    for k in range(len(action)):
+        action[k] = min(max(action[k], -1.0), 1.0)
 
 
 @inlined
