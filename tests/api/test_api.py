@@ -110,8 +110,8 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
     assert run.outcome.reason == "no message was accepted: none came"
     moments = []
     run = kinfeas.deploy(
-        "pretrained", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "b.csv",
-        on_moment=moments.append, **options,
+        "stationary", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "b.csv",
+        on_moment=moments.append, filters="none", **options,
     )  # fmt: skip
     assert (run.outcome.code, run.about.robot, len(moments)) == (4, "hsr", 17)
     assert kinfeas.view(record=run.record)["steps"] == 15
