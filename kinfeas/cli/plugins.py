@@ -27,7 +27,12 @@ app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
 
 _KINDS = f"Kind of plugin: {', '.join(Kind)}."
 _GENERATORS = "kinfeas.motion_generators"
-_PASSED = ("backend", "robot")  # parameters that the program itself passes
+_PASSED = {
+    "kinfeas.adapters": ("backend", "robot"),
+    "kinfeas.backends": ("robot",),
+    "kinfeas.policies": ("robot",),
+}
+"""Parameters that the program itself passes."""
 
 
 @app.command("list")
@@ -239,7 +244,7 @@ def _facts(plugin: Plugin) -> dict[str, Any]:
             _parameter(parameter.name, parameter.annotation, parameter.default)
             for parameter in inspect.signature(factory).parameters.values()
             if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
-            and parameter.name not in _PASSED
+            and parameter.name not in _PASSED.get(plugin.group, ())
         ]
     if plugin.group == "kinfeas.tasks" and all("default" in parameter for parameter in parameters):
         facts |= _task_facts(plugin.name)

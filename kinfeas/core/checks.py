@@ -27,9 +27,9 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import UNIT, Array, distance, integrate, twist_between
 
 _COMPUTED = 1e-6  # largest deviation of the norm of a quaternion that nobody normalises
-# Largest tilt of a base, radians. Ramps and localisation tilt less; in another order of the
-# quaternion, an upright base of yaw a is tilted by pi - |a|.
-_MAX_TILT = 0.5
+MAX_TILT = 0.5
+"""Largest tilt of a base, radians. Ramps and localisation tilt less; in another order of the
+quaternion, an upright base of yaw a is tilted by pi - |a|."""
 
 Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
 
@@ -90,8 +90,8 @@ def check_state(state: object, robots: int, joints: int, source: str) -> None:
     if not are_unit(state.base_pose, UNIT):
         raise KinfeasError(f"{source}: base_pose has no unit quaternion xyzw")
     tilt = 2.0 * np.hypot(*state.base_pose[:, 3:5].T).max(initial=0.0)
-    if tilt > _MAX_TILT:
-        text = f"leans by {tilt:.2g} rad, at most {_MAX_TILT} is allowed; quaternions are xyzw"
+    if tilt > MAX_TILT:
+        text = f"leans by {tilt:.2g} rad, at most {MAX_TILT} is allowed; quaternions are xyzw"
         raise KinfeasError(f"{source}: base_pose {text}")
     check_array(state.joint_positions, arms, f"{source}: joint_positions")
     if state.ee_in_base is not None:

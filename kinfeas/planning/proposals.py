@@ -117,7 +117,7 @@ def _write_velocity(base, yaw, position, target, seconds, out):
 def _write_gain(position, low, size, moved, gain, normal):
     """Write the base displacements for 1 m or rad of the error e, shape (3, 6).
 
-    With B = de / d(x, y, yaw) and A = C' C + damping they are (B' A^-1 B + damping)^-1 B' A^-1.
+    With B = -de / d(x, y, yaw) and A = C' C + damping they are (B' A^-1 B + damping)^-1 B' A^-1.
     """
     moved[:] = 0.0
     moved[0, 0], moved[1, 1] = 1.0, 1.0

@@ -54,7 +54,7 @@ from kinfeas.training.run import (
     read_settings,
     with_initial_policy,
 )
-from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv
+from kinfeas.training.vec_env import environments
 from kinfeas.training.worlds import (
     EVALUATION_SEED,
     FRESH_SEED,
@@ -384,13 +384,6 @@ class _Run:
     def _write_policy(self, folder: Path, about: dict[str, Any]) -> None:
         network = network_of(self.learner, self.env)
         write_network(network, folder, self.env.robot, about)
-
-
-def environments(config: TrainConfig) -> EpisodesVecEnv:
-    """Return the environments of a run or of a part of it."""
-    if config.processes > 1:
-        return ProcessVecEnv(config)
-    return WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.worlds import begin_batch, call_batch
+from kinfeas.training.worlds import begin_batch, call_batch, training_world
 
 SHARE = 10**9
 """Episode numbers of each process: process i runs episodes `SHARE * i`, `SHARE * i + 1`, ..."""
@@ -218,3 +218,10 @@ class ProcessVecEnv(EpisodesVecEnv):
         """Begin the next episodes of a snapshot and return the observations, shape (n, d)."""
         numbers = [[{"next_episode": number}] for number in snapshot["next_episode"]]
         return self._scaled(self._ask("restore", *numbers))
+
+
+def environments(config: TrainConfig) -> EpisodesVecEnv:
+    """Return the environments of a run or of a part of it."""
+    if config.processes > 1:
+        return ProcessVecEnv(config)
+    return WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)

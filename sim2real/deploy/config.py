@@ -2,10 +2,14 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+from annotated_types import Interval
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.targets import TargetRules
+from kinfeas.core.checks import MAX_TILT
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.quantities import Count, Positive, PositiveFraction, PositiveSeconds
 from kinfeas.kinematics.ik import IkOptions
@@ -25,7 +29,9 @@ class Guards:
     # change of the system's clock, or stamp in the future, that stops it, seconds
     max_clock_skew: PositiveSeconds = 0.1
     max_distance: Positive = 20.0  # distance of the base from its start that stops it, metres
-    max_tilt: Positive = 0.15  # tilt of the base that stops it, radians
+    max_tilt: Annotated[float, Interval(gt=0.0, le=MAX_TILT)] = (
+        0.15  # tilt of the base that stops it, radians
+    )
     # change of the measured base position, beyond what it can have driven, that stops it, metres
     pose_jump: Positive = 0.3
     heading_jump: Positive = 0.5  # the same of its heading, radians

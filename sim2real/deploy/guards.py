@@ -53,7 +53,9 @@ class SafetyFilter(BackendWrapper):
         self._robot, self._guards, self._clock, self._rate = robot, guards, clock, rate
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity
         self._base_limits = _base_limits(robot.base, guards)
-        self._dt, self.stopped, self.steps = 0.0, True, 0
+        self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
+        self.hold, self.brake, self.stopped, self.steps = "", False, True, 0
+        self._dt = 0.0
         self.scanner, self.gripper = backend.scanner and self, backend.gripper and self
 
     def reset(

@@ -216,11 +216,12 @@ def test_examine_reports_exceptions(call, name):
     assert "test_testing.py, line" in form.broken
 
 
-def test_a_generator_may_round_to_float32():
+def test_a_generator_that_computes_in_float32_is_told_to_use_float64():
     def rounded(twist, state):
         return (twist * (1.0 + 1e-7 * (len(twist) > 1))).astype(np.float32), state
 
-    check_motion_generator(after_twist(rounded)())
+    with pytest.raises(ConformanceError, match="float64"):
+        check_motion_generator(after_twist(rounded)())
 
 
 def test_a_motion_that_passes_its_goal_says_when_it_is_finished():

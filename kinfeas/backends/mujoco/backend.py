@@ -11,7 +11,7 @@ from kinfeas.backends.mujoco.model import ROBOT, Model
 from kinfeas.backends.mujoco.simulations import Simulations
 from kinfeas.backends.physics.backend import LinkName, Motion, PhysicsBackend
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
-from kinfeas.backends.physics.stage import Staging
+from kinfeas.backends.physics.stage import SceneStaging
 from kinfeas.core.backend import Contacts, Grip, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
@@ -37,9 +37,9 @@ class MuJoCoBackend(PhysicsBackend):
         return Simulations(self.model, self.config, 1)
 
     @cached_property
-    def staging(self) -> Staging:  # type: ignore[override]  # never replaced
+    def staging(self) -> SceneStaging:  # type: ignore[override]  # never replaced
         """Sets up the scenes of tasks."""
-        return Staging(self)
+        return SceneStaging(self)
 
     def open(self) -> None:
         """Build the first simulation; a second call does nothing."""

@@ -137,7 +137,7 @@ class StreamStage(Stage):
 
 
 @dataclass(frozen=True)
-class Staging:
+class SceneStaging:
     """Sets up the scenes of tasks in a physics backend."""
 
     backend: PhysicsBackend
