@@ -29,9 +29,8 @@ class Guards:
     # change of the system's clock, or stamp in the future, that stops it, seconds
     max_clock_skew: PositiveSeconds = 0.1
     max_distance: Positive = 20.0  # distance of the base from its start that stops it, metres
-    max_tilt: Annotated[float, Interval(gt=0.0, le=MAX_TILT)] = (
-        0.15  # tilt of the base that stops it, radians
-    )
+    # tilt of the base that stops it, radians
+    max_tilt: Annotated[float, Interval(gt=0.0, le=MAX_TILT)] = 0.15
     # change of the measured base position, beyond what it can have driven, that stops it, metres
     pose_jump: Positive = 0.3
     heading_jump: Positive = 0.5  # the same of its heading, radians
