@@ -102,8 +102,8 @@ def evaluate(  # noqa: PLR0913 - options of the command
     )  # fmt: skip
     driver = load_policy(name, model) if isinstance(policy, str | Path) else policy
     processes = checked(Processes, processes, "processes")
-    if episode >= config.episodes:
-        raise KinfeasError(f"'episode' must be below {config.episodes} episodes, not {episode}")
+    if not 0 <= episode < config.episodes:
+        raise KinfeasError(f"'episode' must be in [0, {config.episodes}), not {episode}")
 
     def measure(config: EvalConfig, adapters: str) -> Summary:
         text = f"{config.episodes} episodes {adapters}".rstrip()

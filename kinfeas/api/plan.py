@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from kinfeas.viz.replay import EpisodeReplay
 
 _BASE = ("x", "y", "yaw")
-_AT_START = 0.02  # distance of the EE from the first pose of a path, metres
+_AT_START, _TURNED = 0.02, 0.05  # of the EE from the first pose of a path, metres and radians
 _ROUNDING = 1e-6  # of the numbers of a file
 _SLOWER = 0.5  # velocity of an EE that would be faster than the base, as a fraction of the base's
 
@@ -256,7 +256,9 @@ def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None)
 def _from_start(solver: IkSolver, base: Array, joints: Array, ee: Array) -> Array:
     """Return EE poses with that of the robot before them, unless it is the first."""
     now = compose(base, forward(solver.chain, joints[np.newaxis]))
-    return ee if float(distance(now, ee[:1])[0][0]) <= _AT_START else np.concatenate([now, ee])
+    metres, radians = distance(now, ee[:1])
+    there = metres[0] <= _AT_START and radians[0] <= _TURNED
+    return ee if there else np.concatenate([now, ee])
 
 
 def _divided(ee: Array, step: float, base: Base) -> tuple[Array, float]:
@@ -279,7 +281,7 @@ def _motion(
     path: Name, target: ArrayLike | None, start: Sequence[float] | None, settings: Settings | None
 ) -> tuple[MotionSpec, Array]:
     """Return the motion of a file with its poses, or of a generator with its last one, (k, 7)."""
-    if isinstance(path, Path) or Path(path).suffix:
+    if isinstance(path, Path) or (Path(path).suffix and ":" not in path):
         if target is not None:
             raise KinfeasError("'target' is for generators, not for files")
         poses, parameters = read_waypoints(Path(path))[0], {"file": str(path), "frame": "world"}

@@ -31,6 +31,8 @@ _OLDEST = 0.3  # age of a measurement, seconds, up to which commands are kept
 
 _TINY = 1e-9  # seconds
 
+_LAGS = 50.0  # in a period, beyond which an arm is there at once
+
 _MEMORY = 1.0  # time constant, seconds, in which differences count less for `lateness`
 
 _LEVER = 0.3  # radius at which rotations are compared with translations, metres
@@ -84,7 +86,8 @@ class BaseResponse:
 
     def lead(self, dt: float) -> float:
         """Return the seconds by which joint targets lead, so that a lagging arm is on time."""
-        return dt / math.expm1(dt / self._arm_lag) if self._arm_lag > 0.0 else 0.0
+        lags = min(dt / self._arm_lag, _LAGS) if self._arm_lag > 0.0 else _LAGS
+        return dt / math.expm1(lags)
 
     def reached(self, base_pose: Array, motion: Array, twist: Array, dt: float) -> Array:
         """Return the world poses `dt` seconds plus the lead of the arm after a world twist.

@@ -159,14 +159,14 @@ class ObstacleSensor(Protocol):
     """Distances between bases and obstacles."""
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return obstacles closer than `within` metres to the bases, without grasped objects."""
+        """Return obstacles closer than `within` metres to the bases, without what is grasped."""
 
 
 class ContactSensor(Protocol):
     """Contacts of robots with their surroundings."""
 
     def touching(self, env_id: int) -> Contacts:
-        """Return the current contacts of a robot, except with the grasped link and the floor."""
+        """Return the current contacts of a robot, except with the floor and of a grasping arm."""
 
 
 class Dynamics(Protocol):

@@ -59,7 +59,8 @@ class BasePath:
 
     def ee_at(self, seconds: float) -> Array:
         """Return the EE pose nearest to a motion time, shape (7,)."""
-        pose: Array = self.ee[min(round((seconds - self.begin) / self.step), len(self.ee) - 1)]
+        number = round((seconds - self.begin) / self.step)
+        pose: Array = self.ee[min(max(number, 0), len(self.ee) - 1)]
         return pose
 
     def robots_at(self, seconds: Array) -> Array:
@@ -132,7 +133,7 @@ class BasePathPlanner:
         begin, ee = begin - resting * step, np.vstack([ee[:1].repeat(resting, axis=0), ee])
         for expander in self._expanders:
             beam = expander.first(base_pose, joints)
-            search = _Search(expander, ee, nodes, step / time_scale, solids, beam)
+            search = _Search(expander, ee, nodes, step / time_scale, solids, beam, resting)
             if search.ends(search.slow_down) or not self._reaches(search.next_pose):
                 break
         if partial and not search.complete:
@@ -164,8 +165,9 @@ class _Search:
         step: float,
         solids: Solids | None,
         beam: Beam,
+        resting: int,
     ) -> None:
-        self._expander, self._ee, self._step = expander, ee, step
+        self._expander, self._ee, self._step, self._resting = expander, ee, step, resting
         self._solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
         self._rng = np.random.default_rng(0)
         self.beams = [beam]
@@ -203,10 +205,10 @@ class _Search:
         return len(beam.cost) > 0
 
     def slow_down(self, back: int) -> None:
-        """Go back by some nodes, and let the EE be slow until the next one."""
+        """Go back by some nodes, and let the EE be slow, if it moves, until the next one."""
         k = len(self.beams)
         first = max(k - 1 - back, 0)
-        slow = np.arange(self.nodes[first], self.nodes[k], 2)
+        slow = np.arange(max(self.nodes[first], self._resting), self.nodes[k], 2)
         self.scales[slow] = SETTINGS.slow
         self.nodes, self.beams = np.union1d(self.nodes, slow), self.beams[: first + 1]
 

@@ -118,7 +118,8 @@ def _assess(points, fraction, prisms, settings):
         step = math.sqrt(squared_length(points[k - 1], points[k]))
         for part in range(2):
             write_position(points, k - 0.5 + 0.5 * part, at)
-            nearest, beside = _distances(prisms, at[0], at[1], at[2], settings.clearance)
+            farthest = max(settings.clearance, settings.radius)
+            nearest, beside = _distances(prisms, at[0], at[1], at[2], farthest)
             if nearest < settings.radius and length < settings.horizon:
                 free = False
             cost += 0.5 * step * _cost_of_metre(beside, settings)

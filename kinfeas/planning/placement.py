@@ -31,7 +31,8 @@ class PlacementSettings:
     postures: int = 8192  # arm configurations that propose base poses
     seed: int = 3  # of these configurations
     cell: float = 0.1  # side of a cell of the floor, metres
-    border: float = 3.0  # width of the floor around all solids and the start, metres
+    border: float = 3.0  # width of the floor around all solids, the start and the goals, metres
+    detour: float = 30.0  # from start and goals beyond which solids end this floor, metres
     directions: int = 64  # in which the extent of the base is measured
 
 
@@ -211,11 +212,15 @@ def connected(
         disc: Its radius and height, metres.
     """
     standing = solids.filled[0] & ~solids.velocity[0].any(axis=1)
-    corners = np.vstack([solids.pose[0, standing, :2], start, positions])
+    centre, half = solids.pose[0, standing, :2], solids.size[0, standing, :2]
+    half = np.linalg.norm(half, axis=1, keepdims=True)
+    ends, detour = np.vstack([start, positions]), _SETTINGS.detour
+    corners = np.vstack([centre - half, centre + half, ends])
+    corners = corners.clip(ends.min(axis=0) - detour, ends.max(axis=0) + detour)
     low, high = corners.min(axis=0) - _SETTINGS.border, corners.max(axis=0) + _SETTINGS.border
     smaller = disc[0] - _SETTINGS.cell, disc[1]
     cost = driving_costs(solids, low, high, _SETTINGS.cell, smaller)
     labels, _ = ndimage.label(np.isfinite(cost))
-    cells = np.rint((np.vstack([start, positions]) - low) / _SETTINGS.cell).astype(np.intp)
+    cells = np.rint((ends - low) / _SETTINGS.cell).astype(np.intp)
     region = labels[cells[:, 0], cells[:, 1]]
     return (region[1:] == region[0]) & (region[0] > 0)

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -80,14 +80,14 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     check_run_folder(out)
     # Errors of the configuration are raised here, before anything is written.
     config = with_initial_policy(config)
-    run = _Run(config, out, report)
-    run.begin()
-    with writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-    with locked(out):
-        check_run_folder(out)  # another run may have begun there since
-        configuration.dump(config, out / SETTINGS)
-        return run.go()
+    with closing(_Run(config, out, report)) as run:
+        run.begin()
+        with writing(out):
+            out.mkdir(parents=True, exist_ok=True)
+        with locked(out):
+            check_run_folder(out)  # another run may have begun there since
+            configuration.dump(config, out / SETTINGS)
+            return run.go()
 
 
 def resume(out: Path, report: Report | None = None, settings: Settings | None = None) -> Progress:
@@ -101,8 +101,7 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
             kinematics, or another process runs it.
     """
     check_begun(out)
-    with locked(out):
-        run = _Run(read_settings(out, settings), out, report)
+    with locked(out), closing(_Run(read_settings(out, settings), out, report)) as run:
         run.load()
         if settings:
             configuration.dump(run.config, out / SETTINGS)
@@ -169,9 +168,11 @@ class _Run:
                 if self.observation is not None:
                     self._save()
                 raise
-            finally:
-                self.env.close()
         return self.progress
+
+    def close(self) -> None:
+        """End the environments of the part of the run that it is in."""
+        self.env.close()
 
     def _loop(self) -> None:
         if self.observation is None:

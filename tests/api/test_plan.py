@@ -110,6 +110,10 @@ def test_plans_begin_where_the_robot_is(hsr):
     moved = kinfeas.plan("hsr", path, start=(-1.0, 0.0, 0.0))
     np.testing.assert_allclose(moved.base[0], [-1.0, 0.0, 0.0], atol=1e-9)
     assert distance(moved.ee_pose, path[0])[0].min() < 1e-6
+    turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1])
+    path = integrate(at_home.ee_pose[0], turn * np.arange(2.0, 10.0)[:, np.newaxis], 1.0)
+    turned = kinfeas.plan("hsr", path, step=1.0, start=(0.0, 0.0, 0.0))
+    np.testing.assert_allclose(turned.joint_positions[0], hsr.home["home"], atol=1e-3)
 
 
 def test_turns_take_their_time_and_end_at_their_end(tmp_path):

@@ -1,4 +1,6 @@
+import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -31,6 +33,14 @@ def test_an_unreadable_mesh_is_an_error_of_one_line(physics, tmp_path, capfd, ki
     assert capfd.readouterr() == ("", "")
     physics.save()
     physics.restore()
+
+
+def test_worlds_built_in_several_threads_leave_the_output_as_it_is():
+    before = os.fstat(1)
+    with ThreadPoolExecutor(4) as pool:
+        for world in pool.map(Physics, [PhysicsConfig()] * 16):
+            world.close()
+    assert os.path.samestat(os.fstat(1), before)
 
 
 @pytest.mark.parametrize("display", ["", ":77"])

@@ -150,6 +150,7 @@ def test_arms_that_lead_are_on_time(solver, dt):
         state = backend.step(rest, joints + speed * (k * dt + lead), dt)
     away = joint_displacement(solver.robot, joints + speed, state.joint_positions)
     np.testing.assert_allclose(away, 0.0, atol=1e-6)
+    assert BaseResponse(ResponseModel(arm_lag=1e-5)).lead(dt) == pytest.approx(0.0)
 
 
 # The limit of a period is not that of its parts. With limits of jerk at 10 Hz, errors are taken

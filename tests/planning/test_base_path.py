@@ -88,6 +88,7 @@ def test_the_robot_moves_already_while_the_ee_rests(planned, solver):
     path, _ = planned([0.3, 0.0, 0.0, 0.0, 0.0, 0.5], 5.0, rest=3.0)
     assert path.complete
     assert path.seconds[0] == pytest.approx(2.0)
+    np.testing.assert_array_equal(path.ee_at(-20.0), path.ee[0])
     rests = path.robot[path.seconds < 5.0 + 1e-6]
     ee = compose(planar_pose(*rests[:, :3].T), forward(solver.chain, rests[:, 3:]))
     assert_near(ee, path.ee[0], 0.1, 0.21)

@@ -55,14 +55,15 @@ def test_base_poses_reach_and_are_free_with_the_best_first(robot):
     assert reached >= 8
 
 
-TABLE, WALLED_IN = [1.0, 0.0, 0.5, 0.5, 0.7, 0.9], ([3.0, 0.0, 0.05, 9.0, 0.0, 1.0],)
+TABLE, WALLED_IN = [1.0, 0.0, 0.5, 0.5, 0.7, 0.9], ([3.0, 0.0, 0.05, 99.0, 0.0, 1.0],)
 
 
 @pytest.mark.parametrize(("limit", "height", "rpy", "solids", "places"), [
     ("height", 2.4, (0, 0, 0), (), ()), ("height", -0.4, (0, 0, 0), (), ()),
     ("orientation", 0.1, (0, -1.5, 0), (), ()),
     ("solids", 0.8, (0, 0, 0), ([9, 9, 1, 1, 0, 1], TABLE), (1,)),
-    ("path", 0.8, (0, 0, 0), WALLED_IN, ()), ("", 0.8, (0, 0, 0), ([9, 9, 1, 1, 0, 1],), ()),
+    ("path", 0.8, (0, 0, 0), WALLED_IN, ()), ("", 0.8, (0, 0, 0), ([3, 0, 0.05, 9, 0, 1],), ()),
+    ("", 0.8, (0, 0, 0), ([9, 9, 1, 1, 0, 1],), ()),
 ])  # fmt: skip
 def test_the_reason_is_named(of_pr2, limit, height, rpy, solids, places):
     goal = make_pose(np.array([1.0, 0.0, height]), Rotation.from_euler("xyz", rpy))

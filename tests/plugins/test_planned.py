@@ -186,6 +186,16 @@ def test_slow_base_paths_take_their_time():
     np.testing.assert_array_equal(np.isnan(ahead).all(axis=(1, 2)), [False, True])
 
 
+def test_a_radius_above_the_clearance_needs_no_other_plan():
+    solids, start, goal = across(1.0, half=0.1)
+    solids.pose[0, 0, 1], solids.velocity[0, 0, 0], solids.span[0, 0] = 2.5, 0.01, 1.0
+    generator = Planned(radius=0.3, clearance=0.2)
+    state = generator.replan(generator.start(start, goal, [None]), start, goal, solids)
+    _, state = generator.twist(state, start, goal, np.array([2.0]))
+    again = generator.replan(state, start, goal, solids)
+    np.testing.assert_array_equal(again["time"], state["time"])
+
+
 def test_whole_body_paths_stay_where_those_of_the_ee_are_replanned():
     solids, start, goal = across(2.0)
     generator = WholeBody()

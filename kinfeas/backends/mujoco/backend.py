@@ -66,6 +66,7 @@ class MuJoCoBackend(PhysicsBackend):
         """Continue from a `snapshot` and return the measured state."""
         n = len(snapshot["physics_state"])
         self.solids.restore(snapshot, n)
+        self._standing = None
         if more := snapshot["physics_objects"].shape[1] - self.model.engine.nmocap:
             self._set_places(self._places + more)
         self._provide(n - 1)
@@ -168,7 +169,7 @@ class MuJoCoBackend(PhysicsBackend):
         bodies, _ = self.sims.contacts(row)
         for first, second in bodies[(owner[bodies] == ROBOT).any(axis=1)].tolist():
             own, other = (first, second) if owner[first] == ROBOT else (second, first)
-            if other != spared:
+            if other != spared or not on_arm[own]:
                 touching[int(on_arm[own])].append((own, int(owner[other]), other))
         return Contacts(*map(frozenset, touching))
 

@@ -91,13 +91,15 @@ def room_spec(
     spec.option.impratio, spec.option.iterations = _IMPRATIO, config.iterations
     spec.option.gravity = [0.0, 0.0, -config.gravity]
     plane = mujoco.mjtGeom.mjGEOM_PLANE
-    _collide([spec.worldbody.add_geom(type=plane, size=[0.0, 0.0, 1.0])], _GROUND)
+    floor = spec.worldbody.add_geom(type=plane, size=[0.0, 0.0, 1.0], friction=_FRICTION)
+    _collide([floor], _GROUND)
     own = _robot_spec(robot, bodies.urdf, servos)
     for body in own.bodies[1:]:
         ground = _GROUND if body.name in bodies.carried else 0
         _collide(body.geoms, 0, _FIXED | _LOOSE | ground)
         pad = any(body.name in links for links in bodies.fingers)
         for geom in body.geoms:
+            geom.friction = _FRICTION
             if pad:
                 geom.condim = _PAD_DIMENSIONS
                 geom.friction = [config.finger_friction, *_FRICTION[1:]]

@@ -155,7 +155,7 @@ class PhysicsBackend(Backend):
         return fine_base_prisms(build_collision_model(self.robot), self._base_meshes())
 
     def _links_as_solids(self, *, moving: bool) -> Solids:
-        """Return links of the scene, except a grasped one, that can move or that cannot."""
+        """Return links of the scene, except one to be grasped, that can move or that cannot."""
         objects, grasped = self.scene.objects if self.scene else {}, (self._handled or ())[:2]
         links = {
             (name, link.name): link.shapes
@@ -209,7 +209,7 @@ class PhysicsBackend(Backend):
 
     @abstractmethod
     def touching(self, env_id: int) -> Contacts:
-        """Return the current contacts of a robot, except with the grasped link and the floor."""
+        """Return the current contacts of a robot, except with the floor and of a grasping arm."""
 
     @abstractmethod
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,6 +28,7 @@ _UNREAD_MESH = re.compile(r"cannot extract (?:mesh|anything)|issue extracting me
 _MESSAGE = re.compile(r"b3(?:Error|Warning|Printf)\[[^\]]*\]:\s*")
 _TRIAL = "import os, pybullet; os._exit(pybullet.connect(pybullet.GUI) < 0)"
 _TRIAL_SECONDS = 30.0
+_DIVERTING = threading.RLock()
 
 
 class Physics:
@@ -221,7 +223,10 @@ def silence() -> Iterator[None]:
 
 @contextmanager
 def _diverted(to: int) -> Iterator[None]:
-    """Return a context in which standard output and error go to another file descriptor."""
+    """Return a context in which standard output and error go to another file descriptor.
+
+    One thread at a time: descriptors are those of the process.
+    """
     libc = ctypes.CDLL(None)
 
     def flush() -> None:
@@ -229,14 +234,15 @@ def _diverted(to: int) -> Iterator[None]:
         sys.stderr.flush()
         libc.fflush(None)
 
-    flush()
-    saved = {stream: os.dup(stream) for stream in (1, 2)}
-    for stream in saved:
-        os.dup2(to, stream)
-    try:
-        yield
-    finally:
+    with _DIVERTING:
         flush()
-        for stream, before in saved.items():
-            os.dup2(before, stream)
-            os.close(before)
+        saved = {stream: os.dup(stream) for stream in (1, 2)}
+        for stream in saved:
+            os.dup2(to, stream)
+        try:
+            yield
+        finally:
+            flush()
+            for stream, before in saved.items():
+                os.dup2(before, stream)
+                os.close(before)

@@ -115,7 +115,7 @@ class Simulation:
             return self.body.measure()
 
     def contacts(self) -> Contacts:
-        """Return the current contacts, except with the grasped link.
+        """Return the current contacts, except of the arm with the link that it grasps.
 
         The robot's own links, and the floor below its base, do not count.
         """
@@ -123,7 +123,7 @@ class Simulation:
         touching = frozenset(
             (point[3], point[2], point[4])
             for point in self.physics.client.getContactPoints(bodyA=body.body)
-            if point[8] <= 0.0 and point[2] != body.body and (point[2], point[4]) != self._handled
+            if point[8] <= 0.0 and point[2] != body.body
         )
         arm = frozenset(contact for contact in touching if contact[0] in body.arm_links)
-        return Contacts(touching - arm, arm)
+        return Contacts(touching - arm, frozenset(c for c in arm if c[1:] != self._handled))
