@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.extras import require
 from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, rotation
 from kinfeas.importer.boxed import Part
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
@@ -145,7 +144,6 @@ def only_fitted(
     }
     if not suspected:
         return {}
-    require("fcl")
     joints = sampled(robot)
 
     @cache

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import fcl
 import numpy as np
 
 from kinfeas.core.spatial import Array, rotation
@@ -16,8 +17,6 @@ def fcl_object(part: Shape | Array, less: float = 0.0) -> Any:
     `less` shrinks a primitive in total along each axis, metres. Two that are shrunk by `less` touch
     where they overlap by more than that.
     """
-    import fcl
-
     if isinstance(part, Shape):
         kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
         thinner = {"box": (less,) * 3, "cylinder": (less / 2.0, less), "sphere": (less / 2.0,)}
@@ -34,13 +33,9 @@ def fcl_object(part: Shape | Array, less: float = 0.0) -> Any:
 
 def place(fcl_object: Any, pose: Array) -> None:
     """Move a collision object to a pose, shape (7,)."""
-    import fcl
-
     fcl_object.setTransform(fcl.Transform(rotation(pose).as_matrix(), pose[:3]))
 
 
 def touch(a: Any, b: Any) -> bool:
     """Return whether two collision objects touch."""
-    import fcl
-
     return bool(fcl.collide(a, b, fcl.CollisionRequest(), fcl.CollisionResult()))

@@ -145,7 +145,6 @@ STOP = ((0.02, 0.31, 0.02), (0.0, 0.0, 0.25))  # in the way of a small part of t
     ("parts", "false"), [(BRACKET, True), (BLOCK, False), ([*BRACKET, STOP], False)]
 )
 def test_pairs_are_false_contacts_if_their_meshes_never_touch(changed, parts, false):
-    pytest.importorskip("fcl")
     path = changed(NARROW, ('<link name="lower"/>', f'<link name="lower">{MESH}</link>'))
     boxes = [trimesh.creation.box(size).apply_translation(at) for size, at in parts]
     trimesh.util.concatenate(boxes).export(path.with_name("part.stl"))
