@@ -104,7 +104,7 @@ def configure(
     """Return an evaluation on a task by its name or YAML file.
 
     There are 500 episodes by default, with physics 50. `settings` are values by key of
-    `EvalSettings`.
+    `EvalSettings`. Streams of targets have the filters of the section `servo` by default.
 
     Raises:
         KinfeasError: If the task is unknown or a setting is wrong.
@@ -112,6 +112,9 @@ def configure(
     config = read_settings(robot.folder, backend, settings)
     count = episodes or (500 if backend == "analytic" else 50)
     goals = load_task(task, config.task)
+    if isinstance(goals, StreamTask) and not respond_late(config.world.adapters):
+        streamed = {"world.filters": section("servo", robot.folder)[0]["filters"]}
+        config = read_settings(robot.folder, backend, nested(streamed, settings))
     return EvalConfig(robot, goals, count, seed, config.world, settings=settings or {})
 
 

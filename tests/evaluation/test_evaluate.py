@@ -95,6 +95,15 @@ def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
     assert (world.dt, [each.name for each in world.filters]) == (dt, filters)
 
 
+@pytest.mark.parametrize(("settings", "filters"), [
+    ({}, ["time_scaling"]), ({"world.filters": []}, []),
+    ({"world": {"adapters": ["actuator_lag"]}}, LATE),
+])  # fmt: skip
+def test_streams_have_the_filters_of_servo_unless_asked(hsr, settings, filters):
+    world = configure(hsr, "joystick", settings=settings).world
+    assert [each.name for each in world.filters] == filters
+
+
 def test_an_empty_section_of_deployments_changes_nothing(tmp_path):
     folder = shutil.copytree(robot_file("hsr").parent, tmp_path / "hsr")
     recipes = "analytic: {world: {filters: [feasibility]}}\nsim2real: {world: {}}"
