@@ -17,6 +17,7 @@ from kinfeas.planning.placement import Postures, at_goals
 from kinfeas.robots.robot import Robot
 
 LIMITS = {  # reasons for which a pose is out of reach; the first that applies
+    "floor": "below the floor",
     "height": "above or below the heights of the EE",
     "orientation": "no arm configuration has this height and tilt",
     "self-collision": "arm configurations touch the robot or the floor",
@@ -162,6 +163,8 @@ class BasePlacer:
 
         It is the first limit that keeps the robot from the pose if those after it are lifted.
         """
+        if goal[2] < 0.0:
+            return "floor"
         stages, (lowest, highest) = (_SETTINGS.unlimited,), self._heights
         beyond = not lowest <= goal[2] <= highest
         for name, postures in self._without:
@@ -180,8 +183,8 @@ class BasePlacer:
 
     @property
     def _heights(self) -> tuple[float, float]:
-        """The least and the greatest height of the EE without limits, metres."""
-        heights = self._without[0][1].ee_pose[:, 2]
+        """The least and the greatest height of the EE above the floor without limits, metres."""
+        heights = self._without[0][1].ee_pose[:, 2].clip(0.0)
         return float(heights.min()), float(heights.max())
 
     @cached_property

@@ -59,7 +59,7 @@ TABLE, WALLED_IN = [1.0, 0.0, 0.5, 0.5, 0.7, 0.9], ([3.0, 0.0, 0.05, 99.0, 0.0, 
 
 
 @pytest.mark.parametrize(("limit", "height", "rpy", "solids", "places"), [
-    ("height", 2.4, (0, 0, 0), (), ()), ("height", -0.4, (0, 0, 0), (), ()),
+    ("height", 2.4, (0, 0, 0), (), ()), ("floor", -0.4, (0, 0, 0), (), ()),
     ("orientation", 0.1, (0, -1.5, 0), (), ()),
     ("solids", 0.8, (0, 0, 0), ([9, 9, 1, 1, 0, 1], TABLE), (1,)),
     ("path", 0.8, (0, 0, 0), WALLED_IN, ()), ("", 0.8, (0, 0, 0), ([3, 0, 0.05, 9, 0, 1],), ()),
@@ -72,6 +72,7 @@ def test_the_reason_is_named(of_pr2, limit, height, rpy, solids, places):
     assert (placement.limit, placement.solids) == (limit, places)
     assert placement.reachable == (not limit)
     if limit == "height":
+        assert placement.heights[0] >= 0.0
         assert not placement.heights[0] <= height <= placement.heights[1]
         assert f"{placement.heights[1]:.2f} m" in placement.reason
 
