@@ -33,7 +33,8 @@ T = TypeVar("T")
 
 _UPRIGHT = 1.0 - 1e-6  # smallest vertical part of the z axis of an upright shape
 _FOLDER = Path(__file__).parent
-_SHIPPED = ("room", "shelf", "doorway")
+SHIPPED = ("room", "shelf", "doorway")
+"""Names of the scenes of the package."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +104,8 @@ def read_scene(name_or_path: str, settings: Settings | None = None) -> Scene:
 def _find(name_or_path: str) -> Path:
     if is_path(name_or_path):
         return Path(name_or_path)
-    if name_or_path not in _SHIPPED:
-        hint = no_such(name_or_path, _SHIPPED)
+    if name_or_path not in SHIPPED:
+        hint = no_such(name_or_path, SHIPPED)
         raise KinfeasError(f"unknown scene {name_or_path!r}{hint}, or the path of a YAML file")
     return _FOLDER / f"{name_or_path}.yaml"
 

@@ -1,5 +1,6 @@
 """A live page: simulated robots follow a target that is dragged with the mouse."""
 
+import inspect
 import queue
 import time
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from kinfeas.core.files import writing
 from kinfeas.core.spatial import Array
 from kinfeas.io.demonstrations import Demonstration, write_demonstration
 from kinfeas.robots.loading import load_robot
-from kinfeas.scenes.scene import read_scene
+from kinfeas.scenes.scene import SHIPPED, read_scene
 from kinfeas.viz.pages import Bodies, ShownRobot, draw_floor
 from kinfeas.viz.shapes import robot_solids, scene_solids
 from kinfeas.viz.style import ARM, EE, GOAL
@@ -200,9 +201,9 @@ class PlayPage:
             "robot": registry.names("kinfeas.robots"),
             "policy": policies,
             "second_policy": [NONE, *policies],
-            "generator": registry.names("kinfeas.motion_generators"),
+            "generator": _generators(),
             "backend": ["analytic", "pybullet", "mujoco"],
-            "scene": [NONE, "room"],
+            "scene": [NONE, *SHIPPED],
         }
         inputs, boxes = {}, {}
         with gui.add_folder("Settings", expand_by_default=False):
@@ -342,6 +343,16 @@ def _make_room(client: Any) -> None:
         with client.atomic():
             client.camera.position = np.array([2.6, -2.9, 2.2])
             client.camera.look_at = np.array([0.2, 0.0, -0.7])
+
+
+def _generators() -> list[str]:
+    """Return the names of the motion generators that need no parameters."""
+    group, names = "kinfeas.motion_generators", []
+    for name in registry.names(group):
+        with suppress(KinfeasError, TypeError):  # broken ones, and those that need some
+            inspect.signature(registry.load(group, name)).bind()
+            names.append(name)
+    return names
 
 
 def _order(name: str) -> tuple[bool, bool, str]:

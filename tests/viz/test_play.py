@@ -189,7 +189,16 @@ def test_values_off_the_lists_change_nothing(server, join, make_page, tmp_path, 
     (tmp_path / "off_the_list.py").write_text("def policy(robot): raise SystemExit")
     client, choice = join(server.url), page.choice
     for label in ("robot", "policy", "second policy", "generator", "backend", "scene"):
-        for value in ("off_the_list:policy", "/etc/passwd", "ros2", "", None, ["none"], True):
+        for value in (
+            "off_the_list:policy",
+            "/etc/passwd",
+            "ros2",
+            "replay",
+            "",
+            None,
+            ["none"],
+            True,
+        ):
             client.update(label, value=value)
         client.update(label, value="none", removed=True)
         client.update(label, update_cb=[])
