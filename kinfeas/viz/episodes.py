@@ -58,9 +58,10 @@ def episodes_figure(
             _draw_top(top, robot, recording)
         columns = {1: 3, 2: 4}.get(count, 7)
         handles: list[Artist] = [*_legend()]
-        if any(recording.solids is not None for recording in recordings):
-            handles.append(Patch(color=shapes.LOW, label="solid"))
-            handles.append(Patch(color=shapes.HIGH, label="wall"))
+        near = [_solids_near(each, moment) for each in recordings for moment in (0, -1)]
+        drawn = {BODY, *(solid.colour for solid in chain.from_iterable(near))}
+        named = {BODY: "robot", shapes.LOW: "solid", shapes.HIGH: "wall"}
+        handles += [Patch(color=key, label=text) for key, text in named.items() if key in drawn]
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
     return figure
 

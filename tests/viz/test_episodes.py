@@ -7,7 +7,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.run_log import REACHED, About, Record
 from kinfeas.robots.elements import parse_xml
 from kinfeas.scenes.scene import read_scene
-from kinfeas.viz.episodes import moments
+from kinfeas.viz.episodes import episodes_figure, moments
 from kinfeas.viz.replay import as_recording
 from kinfeas.viz.shapes import far_end, urdf_visuals
 
@@ -44,6 +44,17 @@ def test_a_record_is_an_episode(hsr, record):
     other = replace(record(), about=replace(record().about, joints=("a", "b")))
     with pytest.raises(KinfeasError, match="joints a, b"):
         as_recording(other, hsr)
+
+
+@pytest.mark.parametrize(("height", "x", "named"), [
+    (1.0, 0.5, {"solid"}), (2.0, 0.5, {"wall"}), (2.0, 9.0, set()),
+])  # fmt: skip
+def test_the_legend_names_what_is_drawn(hsr, record, height, x, named):
+    line = (x, 0.1, 0.3, 0.2, 0.2, 0.0, height, 1.0, 0.1, 0.0, 0.0)
+    about = replace(record().about, solids=(line,))
+    figure = episodes_figure(hsr, [as_recording(replace(record(), about=about), hsr)])
+    texts = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert texts & {"robot", "solid", "wall"} == {"robot", *named}
 
 
 @pytest.mark.parametrize(("stop", "expected"), [(0.0, [0, 39]), (0.5, [0, 39]), (2.0, [0, 20, 39])])
