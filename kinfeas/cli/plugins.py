@@ -97,9 +97,8 @@ def new(
     for path in write_distribution(kind, name, folder):
         typer.echo(str(path))
     quoted = shlex.quote(str(folder))
-    typer.echo(
-        f"install it: pip install -e {quoted}\ntest it (pip install pytest): pytest {quoted}"
-    )
+    typer.echo(f"install it: pip install --no-deps -e {quoted}")
+    typer.echo(f"test it (pip install pytest): pytest {quoted}")
 
 
 @app.command()

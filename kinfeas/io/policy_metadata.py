@@ -60,7 +60,11 @@ def policy_folder(folder: Path) -> Path:
     best = find_folder(folder / "checkpoints" / "best")
     checkpoint = best if best.is_dir() else find_folder(folder)
     if not (checkpoint / _FILE).exists():
-        raise KinfeasError(f"{folder}: not a training run or checkpoint: no {checkpoint / _FILE}")
+        plugin = (folder / "pyproject.toml").is_file()
+        hint = f"; to install a plugin: pip install --no-deps -e {folder}" if plugin else ""
+        raise KinfeasError(
+            f"{folder}: not a training run or checkpoint: no {checkpoint / _FILE}{hint}"
+        )
     return checkpoint
 
 
