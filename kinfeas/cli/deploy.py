@@ -46,10 +46,10 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Run a policy or a plan on a robot, behind guards, and record the run as CSV.
+    """Run a policy or a plan on a robot, behind guards.
 
     Settings: guards.KEY, time_scale, head_start, arm_settle_timeout, ik.KEY, generator.KEY,
-    task.KEY, backend.KEY, scene; see docs/deploy.md.
+    task.KEY, backend.KEY, scene; see docs/deploy.md. The run is recorded as CSV.
 
     Exit codes: 0 goal reached, 2 bad input, 3 stopped by a guard or an error, 4 --seconds exceeded
     or task not done, 128 + N signal N. The base is always stopped.
@@ -83,7 +83,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Let base and arm follow EE poses or twists that arrive meanwhile.
+    """Follow EE poses or twists that arrive during the run.
 
     Settings: rules.KEY (limits of targets), source.KEY, generator.KEY, guards.KEY, ik.KEY,
     backend.KEY; see docs/teleoperation.md.

@@ -34,7 +34,7 @@ def identify(  # noqa: PLR0913, PLR0917 - each option is an argument
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Fit latencies, lags, limits and noise of a robot to records of its runs.
+    """Fit latencies, lags, limits and noise to records of a robot.
 
     The file of --out is for --adapters of train, evaluate and deploy; ranges are 95 % intervals.
     With --drive the base moves by up to 0.5 m and the arm by 0.4 rad, behind the guards; settings

@@ -62,7 +62,7 @@ def write_drawing(content: Callable[[], bytes], path: Path | None) -> None:
 def print_paths(*paths: Path | None) -> None:
     """Print the paths of files that have been written."""
     for path in paths:
-        if path is not None:
+        if path not in (None, STDOUT):
             typer.echo(str(path))
 
 

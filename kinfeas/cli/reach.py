@@ -1,5 +1,6 @@
 """`kinfeas reach`, `plan` and `serve`: base poses and motions that reach EE poses, and a server."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import typer
@@ -37,7 +38,7 @@ def reach(  # noqa: PLR0913, PLR0917 - each option is an argument
     json: options.JsonPath = None,
     picture: options.Picture = None,
 ) -> None:
-    """Find base poses from which the EE reaches poses, or the reason why there are none.
+    """Find base poses that reach EE poses, or the reason for none.
 
     The margin, 0 to 1, is the least of three: distance to joint limits, manipulability, and
     distance to solids up to 0.1 m. Base poses must be connected to the start, if it is given. The
@@ -98,10 +99,11 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     picture: options.Picture = None,
     html: Path | None = file_option(None, "Write an interactive page.", ".html", ".htm"),
 ) -> None:
-    """Plan base and arm along an EE path, within velocity limits and free of objects.
+    """Plan base and arm along an EE path.
 
-    kinfeas deploy --plan carries it out. Settings: parameters of the generator waypoints, such as
-    max_velocity. Without a plan the error names the EE pose that is out of reach, with the reason.
+    The plan keeps velocity limits and is free of objects; kinfeas deploy --plan carries it out.
+    Settings: parameters of the generator waypoints, such as max_velocity. Without a plan the error
+    names the EE pose that is out of reach, with the reason.
 
     Example: kinfeas plan --robot pr2 --path ee.csv --scene room --out plan.csv --html plan.html
     """
@@ -131,7 +133,7 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
             planned.picture(picture)
         if html is not None:
             planned.html(html)
-    print_paths(out, picture, html)
+    print_paths(out, picture, html, json)
 
 
 def serve(
@@ -140,7 +142,9 @@ def serve(
     port: int = option(8081, "Port; 0 for a free one.", min=0, max=65535),
     ros2: bool = option(False, "Also answer ROS 2 nodes on the network.", "--ros2"),
 ) -> None:
-    """Answer POST /reach and POST /plan with JSON, for programs on this computer, until Ctrl-C.
+    """Answer POST /reach and POST /plan with JSON, until Ctrl-C.
+
+    HTTP answers only programs on this computer.
 
     Example: kinfeas serve --robot pr2 --scene room
     """
@@ -149,5 +153,5 @@ def serve(
     with status("preparing"):
         server = PlanningServer(robot, scene, port, ros2=ros2)
     typer.echo(server.url)
-    with server:
+    with server, suppress(KeyboardInterrupt):
         server.serve_forever()

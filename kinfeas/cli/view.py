@@ -34,7 +34,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
         )  # fmt: skip
     write_json(facts, json)
     print_facts(f"record {record}" if record else f"scene {facts['scene']}", facts)
-    print_paths(picture, video, html)
+    print_paths(picture, video, html, json)
 
 
 def play(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -49,11 +49,11 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     host: str = option("127.0.0.1", "Address; 0.0.0.0 for other computers."),
     port: int = option(8080, "Port; 0 for a free one.", min=0, max=65535),
 ) -> None:
-    """Drag the target of a simulated robot in the browser; base and arm follow.
+    """Drag the EE target of a simulated robot in the browser.
 
     Example: kinfeas play --robot pr2 --backend mujoco
     """
-    require("viser", "fcl")
+    require("viser")
     from kinfeas.api.load import filter_names, load_policy, robot_of
     from kinfeas.config import registry
     from kinfeas.scenes.scene import read_scene

@@ -25,6 +25,8 @@ INPUT = {
         ("--adapters adapters.yaml", "base_noise"), ("--gui", "--gui"),
         ("--no-objects", "--no-objects"), ("--episode 2", "episode"),
         ("--json missing/out.json", "missing/out.json"), ("--video film.avi", "film.avi"),
+        ("--policy behind", "pip install --no-deps -e behind"),
+        (f"--robot lekiwi --task door --world {ENGINE}", "--no-objects"),
     ],
     "train": [
         ("--robot none/robot.yaml", "none/robot.yaml"), ("--task fly", "'fly'"),
@@ -112,7 +114,9 @@ def files(tmp_path):
         "adapters.yaml": "adapters: [{name: base_noise, linear: [2, 1]}]",
         "office.yaml": SCENE % "table.urdf",
         "broken.yaml": SCENE % "tabel.urdf",
+        "behind/pyproject.toml": "",
     }
+    (tmp_path / "behind").mkdir()
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
     shutil.copy(SCOUT / "robot.urdf", tmp_path / "scout.urdf")

@@ -257,9 +257,10 @@ def test_adapters_of_a_file(evaluate, tmp_path):
 def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     pytest.importorskip("viser")
     outputs = ("--video", "four.png", "--replay", "page.html", "--picture", "episode.png")
+    outputs += ("--json", "out.json")
     outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "0", code=0)
     assert "path_planner" in outcome.out
-    assert set(outcome.out.splitlines()[-3:]) == {"four.png", "page.html", "episode.png"}
+    assert set(outcome.out.splitlines()[-4:]) == set(outputs[1::2])
     for name in ("four.png", "episode.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert b"<html" in (tmp_path / "page.html").read_bytes()[:1000].lower()

@@ -75,6 +75,12 @@ def test_an_interrupted_command_says_so(kinfeas, monkeypatch, command, called):
     assert kinfeas(command, code=130).err.startswith("interrupted")
 
 
+def test_a_server_ends_by_an_interrupt(kinfeas, monkeypatch):
+    called = "kinfeas.api.serve.PlanningServer.serve_forever"
+    monkeypatch.setattr(called, Mock(side_effect=KeyboardInterrupt))
+    assert kinfeas("serve", "--robot", "hsr", "--port", "0", code=0).err == ""
+
+
 @pytest.mark.parametrize("error", [KeyError("x"), SystemExit(0)])
 def test_errors_of_plugins_have_their_own_traceback_only(monkeypatch, capsys, error):
     def broken():
@@ -99,6 +105,7 @@ def test_help_and_version_succeed(kinfeas, words):
     done = kinfeas(*words)
     assert (done.code, done.err) == (0, "")
     assert "kinfeas" in done.out
+    assert "..." not in done.out.partition("Commands:")[2]  # no sentence is cut
 
 
 @pytest.mark.parametrize("group", ["plugins", "robot"])

@@ -51,7 +51,7 @@ class Stage:
             if backend.robot.gripper is None:
                 raise KinfeasError(
                     f"task {self.name!r} grasps an object, and robot {backend.robot.name!r} has no "
-                    "gripper: its YAML lacks 'gripper'"
+                    "gripper: its YAML lacks 'gripper'; evaluate --no-objects runs the motion alone"
                 )
             backend.handle(grasped.object, grasped.link, rigid=not grasped.revolute)
 
