@@ -20,6 +20,7 @@ GENERATORS: dict[str, dict[str, object]] = {
     "waypoints": {"file": str(MOTIONS / "put_down.yaml")},
     "imitation": {"model": "door_open"},
     "replay": SHOWN,
+    "spline": {"spread": 0.15},
 }
 SECONDS, DT = 80.0, 0.1
 
