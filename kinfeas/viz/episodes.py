@@ -61,7 +61,7 @@ def episodes_figure(
         near = [_solids_near(each, moment) for each in recordings for moment in (0, -1)]
         drawn = {BODY, *(solid.colour for solid in chain.from_iterable(near))}
         named = {BODY: "robot", shapes.LOW: "solid", shapes.HIGH: "wall"}
-        handles += [Patch(color=key, label=text) for key, text in named.items() if key in drawn]
+        handles += [Patch(color=key[:7], label=text) for key, text in named.items() if key in drawn]
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
     return figure
 
