@@ -113,14 +113,20 @@ def fit(logs: Sequence[Log], walk: Sequence[float]) -> ResponseFit:
     if arm.moves:
         late = float(np.mean([arm_delay(dt, log.arm_seconds) for log in logs]))
         estimates["actuator_lag.arm"] = lag_estimate(arm.lag + late, arm.error, dt)
-        if arm.noise is not None:
-            estimates["joint_noise.deviation"] = arm.noise
     else:
         missing.append(f"no arm motion: arm lag and lost commands unknown; {DRIVE}")
-    if "joint_noise.deviation" not in estimates:
+    if arm.noise is not None:
+        estimates["joint_noise.deviation"] = arm.noise
+    else:
         missing.append(f"the arm is never at rest: joint noise unknown; {DRIVE}")
     estimates |= base_noise(tracks, velocities, walk, missing)
     estimates |= sensor_ages(logs, missing)
+    unknown = [
+        key for key, each in estimates.items() if not np.isfinite([each.low, each.high]).all()
+    ]
+    for key in unknown:
+        del estimates[key]
+        missing.append(f"{key.replace('.', ', ')}: unknown; {DRIVE}")
     seconds = [track.seconds[:, np.newaxis] for track in tracks]
     return ResponseFit(
         estimates, _response(estimates, delays.mean(dt)), tuple(missing),
@@ -193,7 +199,9 @@ def _response(estimates: Mapping[str, Estimate], latency: float) -> ResponseMode
     if "sensor_latency.seconds" in estimates:
         jitter = estimates["sensor_latency.jitter"].value
         values["sensor_latency"] = estimates["sensor_latency.seconds"].value + jitter / 2.0
-    return ResponseModel(command_latency=max(0.0, latency), **values)
+    if "command_latency.seconds" in estimates:
+        values["command_latency"] = max(0.0, latency)
+    return ResponseModel(**values)
 
 
 def _range(estimate: Estimate) -> float | list[float]:

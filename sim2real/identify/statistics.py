@@ -30,6 +30,7 @@ A link between robot and record smooths jerk, and noise of joints, by as much.
 """
 
 _STEP = 0.02  # of parameters, for derivatives
+_SHOWN = 1e-9  # squared derivative below which no residual depends on a parameter
 
 Flags = NDArray[np.bool_]
 
@@ -90,13 +91,16 @@ def time_blocks(times: Sequence[Array]) -> NDArray[np.intp]:
 def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.intp]) -> Array:
     """Return standard errors of parameters, shape (p,), for residuals that depend within blocks.
 
-    These are normalised residuals, their derivatives, (r, p), and the block of each, (r,).
+    These are normalised residuals, their derivatives, (r, p), and the block of each, (r,). It is
+    infinite where no residual depends on the parameter.
     """
-    inverse = np.linalg.pinv(derivatives.T @ derivatives)
+    information = derivatives.T @ derivatives
+    inverse = np.linalg.pinv(information)
     scores = np.zeros((int(blocks.max()) + 1, derivatives.shape[1]))
     np.add.at(scores, blocks, derivatives * np.clip(residuals, -5.0, 5.0)[:, np.newaxis])
     robust = inverse @ (scores.T @ scores) @ inverse
-    return np.sqrt(np.maximum(np.diag(robust), np.diag(inverse)))
+    variance = np.maximum(np.diag(robust), np.diag(inverse))
+    return np.sqrt(np.where(np.diag(information) > _SHOWN, variance, np.inf))
 
 
 def derivatives(function: Callable[[Array], Array], z: Array) -> Array:

@@ -27,7 +27,7 @@ from kinfeas.sim2real.identify.model import (
     moved_arm,
     moved_base,
 )
-from kinfeas.sim2real.identify.statistics import base_noise, joint_noise
+from kinfeas.sim2real.identify.statistics import base_noise, joint_noise, standard_errors
 from kinfeas.viz.plots import velocities_figure
 from tests.builders import at, twist
 
@@ -83,6 +83,26 @@ def test_robot_is_found_and_its_file_is_a_list_of_adapters(record, tmp_path, hsr
     with_adapters(build_backend("analytic", {}), specs, hsr)
     assert picture.stat().st_size > 10_000
     assert json.loads(json.dumps(found.facts()))["robot"] == "hsr"
+
+
+def test_records_of_an_arm_at_rest_show_latency_and_joint_noise(record, monkeypatch):
+    run, noise = read_record(record), TRUTH["joint_noise"]["deviation"]
+    aims = np.repeat(run.joint_targets[:1], len(run.time), axis=0)
+    joints = aims + np.random.default_rng(0).normal(scale=noise, size=aims.shape)
+    changed = replace(run, joint_targets=aims, joint_positions=joints)
+    monkeypatch.setattr("kinfeas.api.identify.read_record", lambda path: changed)
+    found = identify("run.csv", "hsr")
+    latency = found.estimates["command_latency.seconds"]
+    assert latency.low <= 0.07 + 0.015 <= latency.high < 0.2
+    assert found.estimates["joint_noise.deviation"].value == pytest.approx(noise, rel=0.3)
+    assert ".inf" not in found.adapter_lines and ".nan" not in found.adapter_lines
+
+
+def test_errors_are_infinite_where_residuals_depend_on_nothing():
+    rng = np.random.default_rng(0)
+    derivatives = np.stack([rng.normal(size=50), np.full(50, 1e-9)], axis=1)
+    errors = standard_errors(rng.normal(size=50), derivatives, np.arange(50))
+    assert 0.0 < errors[0] < 1.0 and errors[1] == np.inf
 
 
 @pytest.mark.slow
