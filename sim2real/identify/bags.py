@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -189,15 +190,24 @@ class _Bag:
 
     def _aimed(self, begin: float, start: Array) -> Series:
         """Return the targets of the arm: those of a trajectory of one point at once."""
-        times, values, aim = [begin], [start.copy()], dict(zip(self._names, start, strict=True))
-        paths = self._paths
-        for number, (sent, path) in enumerate(paths):
-            until = paths[number + 1][0] if number + 1 < len(paths) else np.inf
+        aim = dict(zip(self._names, start, strict=True))
+        times, values, points = [begin], [start.copy()], list[tuple[float, dict[str, float]]]()
+        for number, (sent, path) in enumerate(self._paths):
+            # One of another controller leaves the joints of this one alone.
+            later = (
+                when for when, other in self._paths[number + 1 :]
+                if not set(path.joints).isdisjoint(other.joints)
+            )  # fmt: skip
+            until = next(later, np.inf)
             for when, name_positions in _points(path, sent, aim):
                 if when < until or when == sent:
                     aim.update(name_positions)
-                    times.append(max(when, times[-1]))
-                    values.append(np.array([aim[name] for name in self._names]))
+                    points.append((when, name_positions))
+        aim = dict(zip(self._names, start, strict=True))
+        for when, name_positions in sorted(points, key=itemgetter(0)):
+            aim.update(name_positions)
+            times.append(max(when, begin))
+            values.append(np.array([aim[name] for name in self._names]))
         return np.array(times), np.array(values)
 
 

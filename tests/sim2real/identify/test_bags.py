@@ -9,6 +9,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.identify.bags import read_bag
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
@@ -129,6 +130,28 @@ def test_invalid_trajectories_are_left_out(bag, path, robot):
     point = replace(message.points[0], positions=[*message.points[0].positions, 1.0])
     bag.messages.append((topic, name, replace(message, points=[point]), bag.time))
     assert read_bag(bag.write(path), robot).targets.max() < 0.1 * bag.time
+
+
+def test_trajectories_of_one_controller_do_not_end_those_of_others(tmp_path):
+    robot = load_robot("tiago")
+    bag = Bag(2, robot)
+    paths = [each for each in bag.messages if "Trajectory" in each[1]]
+    bag.messages = [each for each in bag.messages if each not in paths or each[3] < 4.0]
+    for k, topic in enumerate(dict.fromkeys(each[0] for each in paths)):
+        _, name, message, _ = next(each for each in paths if each[0] == topic)
+        (point,) = message.points
+        ends = [(1, 0.5), (2, 1.0)]
+        points = [
+            replace(
+                point, positions=[end] * len(point.positions),
+                time_from_start=replace(point.time_from_start, sec=sec, nanosec=0),
+            )
+            for sec, end in ends
+        ]  # fmt: skip
+        bag.messages.append((topic, name, replace(message, points=points), 4.0 + 0.001 * k))
+    targets = read_bag(bag.write(tmp_path / "run"), robot).targets
+    np.testing.assert_allclose(targets[round(5.0 / DT)], 0.5, atol=0.02)
+    np.testing.assert_allclose(targets[round(7.0 / DT)], 1.0, atol=1e-9)
 
 
 def test_other_files_are_no_bags(tmp_path, hsr):
