@@ -153,7 +153,8 @@ class TargetController:
             self._queue.clear()
         now = np.array([self._clock()])
         self.pose, self.running = progress.desired[0], True
-        self._frames.append(float(now[0]), progress.base_pose[0], self.pose)
+        base_pose, late = progress.base_pose[0], progress.late
+        self._frames.append(float(now[0]), base_pose, self.pose, late)
         if messages or self._kept:
             before, waited = self.counts, not self.live[0]
             for message in messages:

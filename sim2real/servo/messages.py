@@ -52,26 +52,33 @@ class Frames:
     def __init__(self, robot: Robot) -> None:
         self._names = (robot.base.frame, robot.ee_frame)
         self.names = (*WORLD[1:], *self._names)
-        self._history: deque[tuple[float, Array, Array]] = deque(maxlen=_HISTORY)
+        self._history: dict[str, deque[tuple[float, Array]]] = {
+            name: deque(maxlen=_HISTORY) for name in self._names
+        }
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and name.lstrip("/") in ("", *self.names)
 
-    def append(self, time: float, base_pose: Array, ee_pose: Array) -> None:
-        """Take the poses (7,) at a time in seconds."""
-        self._history.append((time, base_pose, ee_pose))
+    def append(self, time: float, base_pose: Array, ee_pose: Array, late: float = 0.0) -> None:
+        """Take the poses (7,) at a time in seconds, that of the base `late` seconds after it."""
+        base, ee = self._history.values()
+        if late and not base:
+            base.append((time, base_pose))  # at rest
+        base.append((time + late, base_pose))
+        ee.append((time, ee_pose))
 
     def at(self, name: str, time: float) -> Array | None:
         """Return the world pose (7,) of a known frame at a time; None before the history."""
         name = name.lstrip("/")
         if name in WORLD:
             return spatial.IDENTITY
-        after = bisect_right(self._history, time, key=itemgetter(0))
+        history = self._history[name]
+        after = bisect_right(history, time, key=itemgetter(0))
         if after == 0:
             return None
-        pair = self._history[after - 1], self._history[min(after, len(self._history) - 1)]
-        times, *frames = (np.array([values]) for values in zip(*pair, strict=True))
-        return interpolated(np.array([time]), times, frames[self._names.index(name)])[0]
+        pair = history[after - 1], history[min(after, len(history) - 1)]
+        times, frames = (np.array([values]) for values in zip(*pair, strict=True))
+        return interpolated(np.array([time]), times, frames)[0]
 
 
 def chunk_in_world(

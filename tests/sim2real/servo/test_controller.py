@@ -25,13 +25,13 @@ DT = 0.02
 SOLVER = IkSolver(load_robot("pr2"))
 
 
-def begin(**rules):
+def begin(adapters=(), **rules):
     clock = Time()
     controller = TargetController(SOLVER.robot, TargetRules(**rules), clock=clock.clock.monotonic)
     filters = [controller, PluginSpec("time_scaling")]
     loop = assemble(
         SOLVER, build_subgoals(controller.subgoals), AnalyticBackend(), dt=DT, filters=filters,
-        stream=controller,
+        stream=controller, adapters=adapters,
     )  # fmt: skip
     loop.start(stacked([controller.sample(SOLVER, np.random.default_rng(0))]), rngs(1))
     return controller, clock, loop
@@ -82,6 +82,18 @@ def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee():
         controller.set_target(aim)
         step(clock, loop)
     assert spatial.distance(loop.desired[0], aim)[0] < 1e-4
+
+
+def test_frames_are_where_a_late_base_is_now():
+    late = PluginSpec("command_latency", {"seconds": 0.2})
+    controller, clock, loop = begin((late,), max_jump=1.0)
+    for _ in range(50):
+        controller.set_twist([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0])
+        step(clock, loop, base=1.0)
+    aim, base = loop.desired[0], loop.true_state[0][0]
+    controller.set_target(spatial.relative(aim, base), frame=SOLVER.robot.base.frame)
+    step(clock, loop)
+    np.testing.assert_allclose(loop.sequence.goal[0, :2], aim[:2], atol=1e-6)
 
 
 MALFORMED = [
