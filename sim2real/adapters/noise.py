@@ -194,7 +194,7 @@ class ScanNoise(Adapter):
         n = len(state.base_pose)
         slots = self.memory["scans"].shape[1] if self.memory else 1
         scans = np.full((n, slots, 2, SCAN_BEAMS), np.nan)
-        return {"scans": scans, "delay": np.zeros(n, dtype=np.intp)}
+        return {"scans": scans, "delay": np.zeros(n, dtype=np.intp), "age": np.zeros(n)}
 
     def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Keep the scan of before the step; return the command."""
@@ -203,11 +203,11 @@ class ScanNoise(Adapter):
             now, before = self._exact.scan().ranges, self.memory["scans"]
             before = np.where(np.isnan(before), filled(now, before.shape[1]), before)
             delay: NDArray[np.intp] = np.rint(self.number("seconds")[:, 0] / dt).astype(np.intp)
-            self.remember(scans=pushed(before, now, slots), delay=delay)
+            self.remember(scans=pushed(before, now, slots), delay=delay, age=delay * dt)
         return twist, targets
 
     def scan(self) -> Scan:
-        """Return the late ranges with noise."""
+        """Return the late ranges with noise, and the age of the latest."""
         assert self._exact is not None
         exact = self._exact.scan()
         scans, delay = self.memory["scans"], self.memory["delay"]
@@ -219,7 +219,8 @@ class ScanNoise(Adapter):
         noisy = np.clip(ranges + noise.reshape(shape), 0.0, SCAN_RANGE)
         lost = self.uniform(2 * SCAN_BEAMS) <= self.number("lost")
         lost_or_far = lost.reshape(shape) | (ranges >= SCAN_RANGE)
-        return replace(exact, ranges=np.where(lost_or_far, SCAN_RANGE, noisy))
+        age = exact.age + float(self.memory["age"].max())
+        return replace(exact, ranges=np.where(lost_or_far, SCAN_RANGE, noisy), age=age)
 
 
 def displaced(pose: Array, by: Array) -> Array:

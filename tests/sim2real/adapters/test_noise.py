@@ -114,7 +114,9 @@ def scanned(rig):
         read = [noisy.adapter.scan().ranges]
         for twist in np.zeros((10, 6)):
             noisy.run([twist])
-            read.append(noisy.adapter.scan().ranges)
+            scan = noisy.adapter.scan()
+            assert scan.age == pytest.approx(0.1 * round(parameters.get("seconds", 0.1) / 0.1))
+            read.append(scan.ranges)
             np.testing.assert_array_equal(noisy.adapter.scan().ranges, read[-1])
         return np.stack(read)
 
