@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinfeas.core.errors import check_ascending
 from kinfeas.core.quantities import Distance, Fraction, NotNegative
-from kinfeas.core.solids import Solids
+from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import Array, compose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
@@ -67,11 +67,12 @@ class Clutter:
 def with_clutter(
     solver: IkSolver, start: Start, furniture: Solids, places: int, rng: np.random.Generator
 ) -> Solids:
-    """Return one row of the furniture and of at most `places` random solids after it.
+    """Return one row of the furniture and of at most `places` random solids after it, if they fit.
 
     These leave start and goals free and do not touch the furniture; the nearest to the ways from
     goal to goal are taken.
     """
+    places = min(places, MOST_SOLIDS - furniture.places)
     ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
     ends = np.vstack([start.base_pose[:3], start.target_poses[:, :3], ee[:3]])
     route = ends[:-1, :2]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import MOST_SOLIDS
 from kinfeas.core.spatial import rotation, wrap, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
@@ -138,6 +139,9 @@ def test_episodes_in_clutter_start_free_with_furniture_and_solids(hsr, name, pla
             assert clutter.filled.any()
             assert clutter.gaps(floor[np.newaxis, :, :3])[0].min() >= 0.7
             assert furniture.gaps(clutter.centre[..., :3] * [1.0, 1.0, 0.0])[0].min() > 0.1
+    if places:
+        full = replace(task, clutter=MOST_SOLIDS).sample(hsr, np.random.default_rng(4))
+        assert full.solids.places == MOST_SOLIDS
     again = task.sample(hsr, np.random.default_rng(4))
     np.testing.assert_array_equal(again.solids.pose, start.solids.pose)
 
