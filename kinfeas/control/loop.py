@@ -103,6 +103,7 @@ class Loop:
         self._predictor = None if response.immediate else Predictor(response, solver, dt)
         if self._predictor is not None:
             sequence.lead = self._predictor.base.lead(dt) / dt
+            sequence.late = self._predictor.delay
         self.previous_command: Array = np.empty((0, self.command_size))
 
     def set_policy(self, policy: Policy) -> None:
@@ -326,6 +327,8 @@ class Loop:
         if localised is not None:
             ee_in_base = self._ee_of(self.robots.true_state or self.robots)
             tracking = self._deviation(spatial.compose(localised, ee_in_base))
+        paused, scale = period.paused, period.time_scale
+        scale = scale if paused is None else np.where(paused, 0.0, scale)
         outcome = Outcome(
             feasible=arm.feasible,
             position_error=arm.position_error, rotation_error=arm.rotation_error,
@@ -333,7 +336,7 @@ class Loop:
             subgoal=sequence.subgoal, goal_distance=goal_distance, goal_angle=goal_angle,
             finished=arrived & sequence.last,
             joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
-            time_scale=period.time_scale,
+            time_scale=scale,
             collision=self.surroundings.collisions(self.robots) if self.finds_collisions else None,
         )  # fmt: skip
         return outcome, arrived

@@ -262,9 +262,10 @@ def test_base_and_motion_pause_while_an_arm_reconfigures(solver):
         off = (1.0 - there) * first_arm
         loop.backend.disturb = lambda robots, off=off: robots.shift(joints=off)
         before = loop.desired
-        loop.step(np.ones((2, loop.command_size)))
+        outcome = loop.step(np.ones((2, loop.command_size)))
         moves.append(np.any(loop.desired != before, axis=1).tolist())
         assert np.any(loop.backend.steps[-1][0] != 0.0, axis=1).tolist() == moves[-1]
+        assert outcome.time_scale.tolist() == moves[-1]
     paused, free = [False, True], [True, True]
     # For half a second, and later again, since it was there in between.
     assert moves == [paused] * 5 + [free] * 4 + [paused]
