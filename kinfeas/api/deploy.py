@@ -123,7 +123,10 @@ def deploy(  # noqa: PLR0913 - options of the command
     plan_robot, robot = robot, robot or robot_of(policy)
     model = load_robot(robot)
     late = respond_late(read_adapters(adapters)) or not model.response.immediate
-    config = read_config(DeployConfig, "deploy", model, guards, filters, settings, late=late)
+    given = DeployConfig, "deploy", model, guards, filters, settings
+    config = read_config(*given, late=late)
+    if config.late and not late:
+        config = read_config(*given, late=True)
     follower: tuple[CommandFilter, ...] = ()
     if plan is not None:
         excluded = (policy, goal, rpy, quaternion, generator, task)

@@ -47,6 +47,11 @@ class ExecutionConfig:
     # response of the robots to commands; by default as their backend states it
     response: ResponseModel | None = None
 
+    @property
+    def late(self) -> bool:
+        """Whether a response is set that is not immediate."""
+        return self.response is not None and not self.response.immediate
+
 
 def tool_pose(robot: Robot) -> Array:
     """Return the tool tip, x the approach and y the finger axis, in the EE frame, shape (7,)."""

@@ -78,18 +78,22 @@ def read_settings(
     """Return the settings in which the policies of a robot are evaluated, changed by `settings`.
 
     With adapters they are those of a deployment, such as the control rate; the filters of the
-    section `sim2real` are for robots that respond late.
+    section `sim2real` are for robots that respond late, also by a setting `world.response`.
     """
     data, source = evaluation_section(backend, robot)
     plain = from_mapping(EvalSettings, data, source, settings)
-    if not plain.world.adapters:
+    adapters = plain.world.adapters
+    late = plain.world.late or respond_late(adapters)
+    if not (adapters or late):
         return plain
-    late = section("sim2real", robot)[0]
-    world = late.pop("world", None) or {}
-    if not respond_late(plain.world.adapters):
+    changes = section("sim2real", robot)[0]
+    world = changes.pop("world", None) or {}
+    if not late:
         world.pop("filters", None)
-    late["world"] = merged(data["world"], world)
-    return from_mapping(EvalSettings, {**data, **late}, source, settings)
+    elif not adapters:
+        changes, world = {}, {key: value for key, value in world.items() if key == "filters"}
+    changes["world"] = merged(data["world"], world)
+    return from_mapping(EvalSettings, {**data, **changes}, source, settings)
 
 
 def configure(

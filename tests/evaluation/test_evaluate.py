@@ -85,7 +85,7 @@ LATE = ["path_planner", "time_scaling"]
 @pytest.mark.parametrize(("adapters", "settings", "dt", "filters"), [
     (["actuator_lag"], {}, 0.02, LATE), (["base_noise"], {}, 0.02, PLANNED),
     (["actuator_lag"], {"world.dt": 0.1, "world.filters": []}, 0.1, []), ([], {}, 0.1, PLANNED),
-    (["command_latency"], {}, 0.02, LATE),
+    (["command_latency"], {}, 0.02, LATE), ([], {"world.response.base_lag": 0.3}, 0.1, LATE),
 ])  # fmt: skip
 def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
     hsr, adapters, settings, dt, filters
