@@ -7,7 +7,7 @@ from pathlib import Path
 from kinfeas.api import DEFAULT_ROBOT, Name
 from kinfeas.api.deploy import Deployment, make_setup, recorded
 from kinfeas.api.load import checked, load_robot, read_adapters, text_of
-from kinfeas.config import Settings, strict_yaml
+from kinfeas.config import Settings, nested, strict_yaml
 from kinfeas.config.recipes import default_engine, load_section
 from kinfeas.control.assemble import build_backend, with_adapters
 from kinfeas.core.errors import KinfeasError
@@ -23,6 +23,7 @@ from kinfeas.sim2real.identify.fit import ResponseFit, fit
 from kinfeas.sim2real.identify.log import log_of
 
 _LEAST = 2e-3  # smallest number of a response that is worth a line
+_UNUSED = {"arm_settle_timeout", "filters", "generator", "task"}  # settings of other runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +161,8 @@ def drive(  # noqa: PLR0913 - options of the command
     dt = 1.0 / checked(Rate, rate, "rate")
     model, backend = load_robot(robot), backend or default_engine()
     config = load_section(DeployConfig, "deploy", model.folder, settings)
+    if unused := sorted(_UNUSED & nested(settings).keys()):
+        raise KinfeasError(f"{unused[0]!r} has no effect on the pattern")
     config = replace(config, filters=(), arm_settle_timeout=0.0)
     around = read_adapters(adapters)
     excitation = Excitation(IkSolver(model, config.ik), dt)

@@ -62,18 +62,26 @@ def reach(  # noqa: PLR0913 - options of the command
     model = robot.solver.robot if isinstance(robot, BasePlacer) else load_robot(robot)
     around, names = solids_of(scene, solids, compose(goals, tool_pose(model)))
     placer = robot if isinstance(robot, BasePlacer) else BasePlacer(model)
-    if origin is not None and around is not None:
-        start_pose, collision = origin[np.newaxis], placer.solver.collision
-        if base_collides(collision, start_pose, around)[0]:
-            each = (around.only(np.array([place])) for place in range(around.places))
-            touched = [base_collides(collision, start_pose, solid)[0] for solid in each]
-            raise KinfeasError(f"at the 'start' the base touches {names[touched.index(True)]}")
+    _check_start(placer, origin, around, names)
     where = around, origin, count
     if together:
         placements = [placer.place_for_all(goals, *where)]
     else:
         placements = [placer.place(goal, *where) for goal in goals]
     return [placement.named(names) for placement in placements]
+
+
+def _check_start(
+    placer: BasePlacer, origin: Array | None, around: Solids | None, names: Sequence[str]
+) -> None:
+    """Raise KinfeasError if the base touches a solid at its start, a pose (7,)."""
+    if origin is None or around is None:
+        return
+    start_pose, collision = origin[np.newaxis], placer.solver.collision
+    if base_collides(collision, start_pose, around)[0]:
+        each = (around.only(np.array([place])) for place in range(around.places))
+        touched = [base_collides(collision, start_pose, solid)[0] for solid in each]
+        raise KinfeasError(f"at the 'start' the base touches {names[touched.index(True)]}")
 
 
 def facts(placement: Placement) -> dict[str, object]:
@@ -132,7 +140,8 @@ def reach_map(
     from kinfeas.viz.style import png
 
     model, goal = load_robot(robot), ee_poses(pose, "pose")[0]
-    around = solids_of(scene, solids, compose(goal, tool_pose(model))[np.newaxis])[0]
+    around, names = solids_of(scene, solids, compose(goal, tool_pose(model))[np.newaxis])
     origin = None if start is None else base_pose(start, "start")
     placer, where = BasePlacer(model), (goal, around, origin)
+    _check_start(placer, origin, around, names)
     return png(reach_figure(model, goal, placer.place(*where), placer.region(*where), around))

@@ -66,6 +66,8 @@ def servo(  # noqa: PLR0913 - options of the command
     robot = robot or robot_of(policy)
     model = load_robot(robot)
     config = read_config(ServoConfig, "servo", model, guards, filters, settings)
+    if config.task:
+        raise KinfeasError("'task' has no effect, since targets come from the 'source'")
     limits = {**config.rules.generator_limits, **config.generator}
     controller = TargetController(model, config.rules, motion=MotionSpec("servo", limits))
     if isinstance(source, str):

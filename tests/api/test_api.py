@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import kinfeas
+from kinfeas.api.reach import reach_map
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.errors import KinfeasError
 from tests.builders import TRAINING
@@ -115,6 +116,15 @@ def test_a_servo_and_a_deployment_in_a_program(tmp_path):
     )  # fmt: skip
     assert (run.outcome.code, run.about.robot, len(moments)) == (4, "hsr", 17)
     assert kinfeas.view(record=run.record)["steps"] == 15
+    settings = {"response.base_lag": 0.3}
+    late = [
+        kinfeas.deploy(
+            "stationary", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / f"{name}.csv",
+            **{**options, "seconds": 0.02, name: value},
+        ).about.filters
+        for name, value in (("settings", settings), ("adapters", ["actuator_lag"]))
+    ]  # fmt: skip
+    assert late[0] == late[1]
     run = kinfeas.deploy(
         "pretrained", goal=(0.9, 0.1, 0.8), real_time=False, record=tmp_path / "c.csv",
         on_moment=Mock(side_effect=RuntimeError("no ear")), **options,
@@ -127,8 +137,9 @@ def test_a_servo_without_a_source_closes_its_backend(tmp_path, monkeypatch):
     closed, broken = Mock(), Mock(start=Mock(side_effect=KeyError("no sight")))
     monkeypatch.setattr(AnalyticBackend, "close", closed)
     options = {"backend": "analytic", "record": tmp_path / "a.csv"}
-    with pytest.raises(KinfeasError, match=r"source\.KEY"):
-        kinfeas.servo(source=Targets(), settings={"source.port": 3}, **options)
+    for key in ("source", "task"):
+        with pytest.raises(KinfeasError, match=f"'{key}'"):
+            kinfeas.servo(source=Targets(), settings={f"{key}.port": 3}, **options)
     with pytest.raises(KeyError):
         kinfeas.servo(source=broken, **options)
     assert closed.called
@@ -160,8 +171,12 @@ def test_unknown_options_of_a_training_are_errors(option, named):
     {"poses": None}, {"solids": [[1.0, 2.0]]}, {"start": (3.0, 0.0, 0.0), "scene": "room"},
 ])  # fmt: skip
 def test_bad_arguments_of_reach_are_errors(arguments):
+    pose = [2.0, 1.0, 0.8, 0.0, 0.0, 0.0, 1.0]
     with pytest.raises(KinfeasError, match=f"'{next(iter(arguments))}'"):
-        kinfeas.reach("hsr", **{"poses": [[2.0, 1.0, 0.8, 0.0, 0.0, 0.0, 1.0]], **arguments})
+        kinfeas.reach("hsr", **{"poses": [pose], **arguments})
+    if "scene" in arguments:
+        with pytest.raises(KinfeasError, match="'start'"):
+            reach_map("hsr", pose, **arguments)
 
 
 def test_reach_takes_files_and_tables_of_solids(tmp_path):
