@@ -26,9 +26,12 @@ _OFF_START = 0.1  # the same of base, its yaw and joints at which a plan may beg
 _REPLAN_SECONDS = 2.0
 """Control time until a motion may be planned anew; it doubles each time no whole path is found."""
 
-_GAIN, _STEER, _MOVING = 3.0, 3.0, 0.05
-"""Feedback of the base's deviation, 1/s; angle by which a differential base steers towards its path
-for each metre beside it, radians; and the speed from which on it does, m/s."""
+_GAIN, _GENTLE = 3.0, 1.5
+"""Feedback of the base's deviation, 1/s; and that of late bases whose arm makes up for it."""
+
+_STEER, _MOVING = 3.0, 0.05
+"""Angle by which a differential base steers towards its path for each metre beside it, radians; and
+the speed from which on it does, m/s."""
 
 _WAITS_METRES, _WAITS_RADIANS, _LEAST = 0.015, 0.04, 0.2
 """Deviations of a late base beyond which the EE slows down in inverse proportion, and its least
@@ -182,7 +185,9 @@ class PathFollower:
         then = robots_on(paths, rows, period.motions.clock_after(period.motion_seconds))
         guide = period.posture_guide
         guide = np.full_like(period.joints, np.nan) if guide is None else guide
-        along = follow(self._robot.base, base_pose, now[:, :3], then[:, :3], self._dt)
+        gentle = period.motion is not None and self._robot.pose_tolerance is None
+        gain = _GENTLE if gentle else _GAIN
+        along = follow(self._robot.base, base_pose, now[:, :3], then[:, :3], self._dt, gain)
         return period.changed(
             command=with_rows(period.command, rows, along),
             posture_guide=with_rows(guide, rows, then[:, 3:]),
@@ -246,7 +251,7 @@ def _beside(base_pose: Array, robots: Array) -> tuple[Array, Array]:
     return metres, np.abs(wrap(robots[:, 2] - yaw(base_pose)))
 
 
-def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float) -> Array:
+def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float, gain: float) -> Array:
     """Return the commands in [-1, 1] that follow paths, shape (m, 3) or (m, 2).
 
     Args:
@@ -255,10 +260,11 @@ def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float) -> 
         now: x, y and yaw on its path now, shape (m, 3).
         then: The same a period later.
         dt: Control period in seconds.
+        gain: Feedback of the base's deviation, 1/s.
     """
     heading, away = yaw(base_pose), now - base_pose[:, :3]
     away[:, 2] = wrap(now[:, 2] - heading)
-    velocity = (then - now) / dt + _GAIN * away
+    velocity = (then - now) / dt + gain * away
     turn, cosine, sine = velocity[:, 2], np.cos(heading), np.sin(heading)
     ahead = cosine * velocity[:, 0] + sine * velocity[:, 1]
     if base.drive == "omnidirectional":
@@ -267,5 +273,5 @@ def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float) -> 
     else:
         speeds = [ahead / base.max_velocity]
         aside = cosine * away[:, 1] - sine * away[:, 0]
-        turn = turn + _GAIN * np.arctan(_STEER * aside) * np.clip(ahead / _MOVING, -1.0, 1.0)
+        turn = turn + gain * np.arctan(_STEER * aside) * np.clip(ahead / _MOVING, -1.0, 1.0)
     return np.clip(np.stack([*speeds, turn / base.max_rotation], axis=1), -1.0, 1.0)

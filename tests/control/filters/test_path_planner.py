@@ -170,7 +170,7 @@ def test_a_base_beside_its_path_returns_to_it(name, rate):
     path[1:, 1] = np.cumsum(speed * np.sin(path[:-1, 2]))
     pose = planar_pose(np.array([0.05]), np.array([0.1]), np.array([0.3]))
     for now, then in itertools.pairwise(path):
-        command = follow(base, pose, now[np.newaxis], then[np.newaxis], dt)
+        command = follow(base, pose, now[np.newaxis], then[np.newaxis], dt, 3.0)
         assert np.abs(command).max() <= 1.0
         pose = integrate(pose, base_twist(base, pose, command, dt), dt)
     assert_near(pose, planar_pose(*path[-1:].T), 0.01, 0.03)
