@@ -103,7 +103,7 @@ class Loop:
         self._predictor = None if response.immediate else Predictor(response, solver, dt)
         if self._predictor is not None:
             sequence.lead = self._predictor.base.lead(dt) / dt
-            sequence.late = self._predictor.delay
+            sequence.delay = self._predictor.delay
         self.previous_command: Array = np.empty((0, self.command_size))
 
     def set_policy(self, policy: Policy) -> None:

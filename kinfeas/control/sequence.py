@@ -33,7 +33,7 @@ class MotionSequence(SubgoalMotions):
         time_scale: Fraction of the planned motion that the last period carried out, shape (n,).
         stream: Targets that move; then no sub-goal ends. None for those of the start.
         lead: Periods by which arms aim ahead of the desired motion, since they lag.
-        late: Seconds after now of the poses of bases, since commands arrive late.
+        delay: Seconds until a command takes effect, by which poses of bases are ahead.
     """
 
     TIMES = ("head_start", "settling", "dwelling", "periods", "time_scale")
@@ -57,7 +57,7 @@ class MotionSequence(SubgoalMotions):
         self._execution = execution = execution or ExecutionConfig()
         super().__init__(subgoals, solver, dt, execution.time_scale)
         self.dt, self._motion_time = dt, dt * execution.time_scale
-        self.stream, self._gripper, self.lead, self.late = stream, gripper, 0.0, 0.0
+        self.stream, self._gripper, self.lead, self.delay = stream, gripper, 0.0, 0.0
         settle = _periods(execution.grasp_settle_time / execution.time_scale, dt)
         self._dwell_periods = np.array([_periods(subgoal.dwell, dt) for subgoal in subgoals])
         self._settle_periods = np.array([settle if subgoal.grip else 0 for subgoal in subgoals])
@@ -193,7 +193,7 @@ class MotionSequence(SubgoalMotions):
     def _progress(self, rows: Rows, base_pose: Array) -> StreamProgress:
         return StreamProgress(
             rows, self.periods, self.desired, base_pose, self.time_scale, self.dt,
-            self._motion_time, self.late,
+            self._motion_time, self.delay,
         )  # fmt: skip
 
     def _replan_moving(self, surroundings: Surroundings, robots: RobotState) -> None:

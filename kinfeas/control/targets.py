@@ -25,7 +25,7 @@ class StreamProgress:
     time_scale: Array  # fraction of the planned motion that the last period carried out, shape (n,)
     dt: float  # control period, seconds
     motion_seconds: float  # planned motion time of a period
-    late: float = 0.0  # seconds after the end of the period at which bases have these poses
+    delay: float = 0.0  # seconds after the end of the period at which bases have these poses
 
 
 class TargetStream(Protocol):

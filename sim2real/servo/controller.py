@@ -153,8 +153,8 @@ class TargetController:
             self._queue.clear()
         now = np.array([self._clock()])
         self.pose, self.running = progress.desired[0], True
-        base_pose, late = progress.base_pose[0], progress.late
-        self._frames.append(float(now[0]), base_pose, self.pose, late)
+        base_pose, delay = progress.base_pose[0], progress.delay
+        self._frames.append(float(now[0]), base_pose, self.pose, delay)
         if messages or self._kept:
             before, waited = self.counts, not self.live[0]
             for message in messages:

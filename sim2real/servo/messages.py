@@ -59,12 +59,12 @@ class Frames:
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and name.lstrip("/") in ("", *self.names)
 
-    def append(self, time: float, base_pose: Array, ee_pose: Array, late: float = 0.0) -> None:
-        """Take the poses (7,) at a time in seconds, that of the base `late` seconds after it."""
+    def append(self, time: float, base_pose: Array, ee_pose: Array, delay: float = 0.0) -> None:
+        """Take the poses (7,) at a time in seconds, that of the base `delay` seconds after it."""
         base, ee = self._history.values()
-        if late and not base:
+        if delay and not base:
             base.append((time, base_pose))  # at rest
-        base.append((time + late, base_pose))
+        base.append((time + delay, base_pose))
         ee.append((time, ee_pose))
 
     def at(self, name: str, time: float) -> Array | None:
