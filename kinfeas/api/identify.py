@@ -23,7 +23,10 @@ from kinfeas.sim2real.identify.fit import ResponseFit, fit
 from kinfeas.sim2real.identify.log import log_of
 
 _LEAST = 2e-3  # smallest number of a response that is worth a line
-_UNUSED = {"arm_settle_timeout", "filters", "generator", "task"}  # settings of other runs
+_UNUSED = {  # settings of other runs
+    "arm_settle_timeout", "filters", "generator", "grasp_settle_time", "head_start",
+    "head_start_jitter", "task", "time_scale",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

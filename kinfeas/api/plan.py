@@ -281,7 +281,7 @@ def _motion(
     path: Name, target: ArrayLike | None, start: Sequence[float] | None, settings: Settings | None
 ) -> tuple[MotionSpec, Array]:
     """Return the motion of a file with its poses, or of a generator with its last one, (k, 7)."""
-    if isinstance(path, Path) or (Path(path).suffix and ":" not in path):
+    if isinstance(path, Path) or Path(path.rpartition(":")[2]).suffix:  # not module.name:Class
         if target is not None:
             raise KinfeasError("'target' is for generators, not for files")
         poses, parameters = read_waypoints(Path(path))[0], {"file": str(path), "frame": "world"}

@@ -116,7 +116,8 @@ def configure(
     config = read_settings(robot.folder, backend, settings)
     count = episodes or (500 if backend == "analytic" else 50)
     goals = load_task(task, config.task)
-    if isinstance(goals, StreamTask) and not respond_late(config.world.adapters):
+    late = config.world.late or respond_late(config.world.adapters)
+    if isinstance(goals, StreamTask) and not late:
         streamed = {"world.filters": section("servo", robot.folder)[0]["filters"]}
         config = read_settings(robot.folder, backend, nested(streamed, settings))
     return EvalConfig(robot, goals, count, seed, config.world, settings=settings or {})

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
@@ -61,7 +62,8 @@ def policy_folder(folder: Path) -> Path:
     checkpoint = best if best.is_dir() else find_folder(folder)
     if not (checkpoint / _FILE).exists():
         plugin = (folder / "pyproject.toml").is_file()
-        hint = f"; to install a plugin: pip install --no-deps -e {folder}" if plugin else ""
+        install = f"pip install --no-deps -e {shlex.quote(str(folder))}"
+        hint = f"; to install a plugin: {install}" if plugin else ""
         raise KinfeasError(
             f"{folder}: not a training run or checkpoint: no {checkpoint / _FILE}{hint}"
         )

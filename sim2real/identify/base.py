@@ -140,7 +140,8 @@ class BaseProblem:
         for limit in limits:
             if errors[limit] > _VAGUE:
                 fewer = [other for other in free if other != limit]
-                without, cost = self.solve(limit.put(best, np.inf), fewer, comparison)
+                solved = fewer if arm is not None else fewer[1:]  # without the latency
+                without, cost = self.solve(limit.put(best, np.inf), solved, comparison)
                 if cost - least < _SHOWN:
                     best, least, free = without, cost, fewer
                     errors = self.errors(best, free, comparison)

@@ -126,7 +126,7 @@ def fit(logs: Sequence[Log], walk: Sequence[float]) -> ResponseFit:
     ]
     for key in unknown:
         del estimates[key]
-        missing.append(f"{key.replace('.', ', ')}: unknown; {DRIVE}")
+        missing.append(f"the record does not show {key!r}; {DRIVE}")
     seconds = [track.seconds[:, np.newaxis] for track in tracks]
     return ResponseFit(
         estimates, _response(estimates, delays.mean(dt)), tuple(missing),

@@ -102,7 +102,9 @@ def test_long_motions_and_other_files_are_errors(tmp_path):
 
 
 def test_plans_begin_where_the_robot_is(hsr):
-    at_home = kinfeas.plan("hsr", "linear", target=FIRST, start=(0.0, 0.0, 0.0))
+    at_home = kinfeas.plan(
+        "hsr", "kinfeas.plugins.linear:Linear", target=FIRST, start=(0.0, 0.0, 0.0)
+    )
     np.testing.assert_allclose(at_home.base[0], 0.0, atol=1e-9)
     np.testing.assert_allclose(at_home.joint_positions[0], hsr.home["home"], atol=1e-3)
     np.testing.assert_allclose(at_home.ee_pose[-1], FIRST, atol=1e-4)

@@ -97,7 +97,7 @@ def test_worlds_with_adapters_are_those_of_a_deployment_unless_asked(
 
 @pytest.mark.parametrize(("settings", "filters"), [
     ({}, ["time_scaling"]), ({"world.filters": []}, []),
-    ({"world": {"adapters": ["actuator_lag"]}}, LATE),
+    ({"world": {"adapters": ["actuator_lag"]}}, LATE), ({"world.response.base_lag": 0.3}, LATE),
 ])  # fmt: skip
 def test_streams_have_the_filters_of_servo_unless_asked(hsr, settings, filters):
     world = configure(hsr, "joystick", settings=settings).world

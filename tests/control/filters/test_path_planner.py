@@ -160,9 +160,9 @@ def test_a_path_that_is_found_after_its_motion_is_not_followed(pr2):
     assert executor.searches == 3
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.2])
+@pytest.mark.parametrize(("rate", "gain"), [(0.0, 3.0), (0.2, 3.0), (0.2, 1.5)])
 @pytest.mark.parametrize("name", ["hsr", "tiago"])
-def test_a_base_beside_its_path_returns_to_it(name, rate):
+def test_a_base_beside_its_path_returns_to_it(name, rate, gain):
     base, dt = load_robot(name).base, 0.1
     path, speed = np.zeros((600, 3)), 0.5 * base.max_velocity * dt
     path[:, 2] = rate * dt * np.arange(600)
@@ -170,7 +170,7 @@ def test_a_base_beside_its_path_returns_to_it(name, rate):
     path[1:, 1] = np.cumsum(speed * np.sin(path[:-1, 2]))
     pose = planar_pose(np.array([0.05]), np.array([0.1]), np.array([0.3]))
     for now, then in itertools.pairwise(path):
-        command = follow(base, pose, now[np.newaxis], then[np.newaxis], dt, 3.0)
+        command = follow(base, pose, now[np.newaxis], then[np.newaxis], dt, gain)
         assert np.abs(command).max() <= 1.0
         pose = integrate(pose, base_twist(base, pose, command, dt), dt)
     assert_near(pose, planar_pose(*path[-1:].T), 0.01, 0.03)
