@@ -159,14 +159,14 @@ class ObstacleSensor(Protocol):
     """Distances between bases and obstacles."""
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return obstacles closer than `within` metres to the bases, without what is grasped."""
+        """Return obstacles closer than `within` metres to the bases, but the link to grasp."""
 
 
 class ContactSensor(Protocol):
     """Contacts of robots with their surroundings."""
 
     def touching(self, env_id: int) -> Contacts:
-        """Return the current contacts of a robot, except with the floor and of a grasping arm."""
+        """Return contacts of a robot: not with the floor, nor of its arm with the link to grasp."""
 
 
 class Dynamics(Protocol):

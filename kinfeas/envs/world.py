@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.config.recipes import section
-from kinfeas.control.assemble import assemble, build_simulator
+from kinfeas.control.assemble import assemble, build_simulator, respond_late
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Outcome
 from kinfeas.core.backend import closed_on_error
@@ -49,6 +49,11 @@ class WorldConfig(ExecutionConfig):
     backend: str = "analytic"  # entry point in the group kinfeas.backends
     # keyword parameters of the backend
     backend_parameters: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def late(self) -> bool:
+        """Whether robots respond late: by the set response, or by an adapter."""
+        return super().late or respond_late(self.adapters)
 
 
 def evaluation_section(backend: str, robot: str | Path | None) -> tuple[dict[str, Any], str]:

@@ -11,7 +11,6 @@ import numpy as np
 from kinfeas import __version__
 from kinfeas.config import PluginSpec, Settings, from_mapping, merged, nested, to_mapping
 from kinfeas.config.recipes import section
-from kinfeas.control.assemble import respond_late
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, summarize
 from kinfeas.core.policy import Policy
@@ -82,16 +81,15 @@ def read_settings(
     """
     data, source = evaluation_section(backend, robot)
     plain = from_mapping(EvalSettings, data, source, settings)
-    adapters = plain.world.adapters
-    late = plain.world.late or respond_late(adapters)
-    if not (adapters or late):
+    if not (plain.world.adapters or plain.world.late):
         return plain
     changes = section("sim2real", robot)[0]
     world = changes.pop("world", None) or {}
-    if not late:
-        world.pop("filters", None)
-    elif not adapters:
-        changes, world = {}, {key: value for key, value in world.items() if key == "filters"}
+    filters = {key: world.pop(key) for key in ("filters",) if key in world}
+    if not plain.world.adapters:
+        changes, world = {}, {}
+    if plain.world.late:
+        world |= filters
     changes["world"] = merged(data["world"], world)
     return from_mapping(EvalSettings, {**data, **changes}, source, settings)
 
@@ -116,8 +114,7 @@ def configure(
     config = read_settings(robot.folder, backend, settings)
     count = episodes or (500 if backend == "analytic" else 50)
     goals = load_task(task, config.task)
-    late = config.world.late or respond_late(config.world.adapters)
-    if isinstance(goals, StreamTask) and not late:
+    if isinstance(goals, StreamTask) and not config.world.late:
         streamed = {"world.filters": section("servo", robot.folder)[0]["filters"]}
         config = read_settings(robot.folder, backend, nested(streamed, settings))
     return EvalConfig(robot, goals, count, seed, config.world, settings=settings or {})

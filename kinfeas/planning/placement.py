@@ -203,7 +203,8 @@ def connected(
 ) -> NDArray[np.bool_]:
     """Return whether a disc can be driven from a start to positions, shape (m,).
 
-    The answer is optimistic by the width of a cell. Moving solids are left out.
+    The answer is optimistic by the width of a cell. Moving solids are left out; ways that lead
+    farther than `detour` from start and positions are not found.
 
     Args:
         solids: In the world, one row.

@@ -36,7 +36,7 @@ BASE_DRAWS = 8
 # A limit is left out if its error is large and half the sum of squares hardly grows without it.
 _VAGUE, _SHOWN = 0.3, 4.0
 _USUAL_LIMIT, _USUAL_JERK = 1.0, 8.0  # m/s^2 and m/s^3, within a factor e, as also of rotation
-_LATENCIES, _LONGEST = 20, 0.4  # compared without an arm, and the longest, s
+_COMPARED = np.arange(0.01, 0.42, 0.02)  # latencies without an arm, s
 _TRUST = 0.25  # weight of their likelihood, since residuals depend on each other
 _BOUNDS = {
     "latency": LATENCIES, "lag": TIMES,
@@ -124,12 +124,12 @@ class BaseProblem:
         tried = [self.solve(start, free[1:], comparison, loss="soft_l1") for start in starts]
         best, least = min(tried, key=lambda solved: solved[1])
         # Without an arm there is no jitter, so that all draws are the same.
-        draws, late = BASE_DRAWS if arm is not None else 1, None
+        draws, latency_error = BASE_DRAWS if arm is not None else 1, None
         for _ in range(2):
             comparison = self.comparison(best, draws)
             best, least = self.solve(best, free, comparison)
             if arm is None:
-                best, least, late = self._likely(best, free[1:], comparison)
+                best, least, latency_error = self._likely(best, free[1:], comparison)
         if arm is not None:
             errors = self.errors(best, free, comparison)
             apart = abs(best.delays.latency - arm.latency)
@@ -145,25 +145,24 @@ class BaseProblem:
                 if cost - least < _SHOWN:
                     best, least, free = without, cost, fewer
                     errors = self.errors(best, free, comparison)
-        if late is not None:
-            errors[LATENCY] = late
+        if latency_error is not None:
+            errors[LATENCY] = latency_error
         return BaseFit(best, errors, agrees=comparison.latency is not None)
 
     def _likely(
         self, best: BaseModel, free: Sequence[Parameter], comparison: Comparison
     ) -> tuple[BaseModel, float, float]:
-        """Return the solution at the mean of all latencies, and the standard error of that, s.
+        """Return the model at the mean of all latencies, its cost, and the error of that mean, s.
 
         Limits of acceleration hide the latency within a period, and lags look like it.
         """
-        latencies = np.arange(0.5, _LATENCIES + 1.0) / _LATENCIES * _LONGEST
-        models = [LATENCY.put(best, latency / LATENCY_UNIT) for latency in latencies]
+        models = [LATENCY.put(best, latency / LATENCY_UNIT) for latency in _COMPARED]
         costs = np.array([self.solve(model, free, comparison)[1] for model in models])
         weights = np.exp(_TRUST * (costs.min() - costs))
-        found = posterior(latencies, weights / weights.sum())
+        found = posterior(_COMPARED, weights / weights.sum())
         model = LATENCY.put(best, found.value / LATENCY_UNIT)
         best, least = self.solve(model, free, comparison)
-        known = found.high < latencies[-2]
+        known = found.high < _COMPARED[-2]
         error = max(found.high - found.value, found.value - found.low) / NORMAL
         return best, least, error if known else np.inf
 

@@ -30,7 +30,7 @@ A link between robot and record smooths jerk, and noise of joints, by as much.
 """
 
 _STEP = 0.02  # of parameters, for derivatives
-_SHOWN = 1e-9  # squared derivative below which no residual depends on a parameter
+_FLAT = 1e-9  # squared derivative below which no residual depends on a parameter
 
 Flags = NDArray[np.bool_]
 
@@ -100,7 +100,7 @@ def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.int
     np.add.at(scores, blocks, derivatives * np.clip(residuals, -5.0, 5.0)[:, np.newaxis])
     robust = inverse @ (scores.T @ scores) @ inverse
     variance = np.maximum(np.diag(robust), np.diag(inverse))
-    return np.sqrt(np.where(np.diag(information) > _SHOWN, variance, np.inf))
+    return np.sqrt(np.where(np.diag(information) > _FLAT, variance, np.inf))
 
 
 def derivatives(function: Callable[[Array], Array], z: Array) -> Array:

@@ -95,6 +95,15 @@ def test_the_robot_moves_already_while_the_ee_rests(planned, solver):
     assert np.ptp(rests[:, :2], axis=0).max() > 0.02
 
 
+def test_an_ee_that_starts_too_fast_is_slow_after_its_rest_only(solver):
+    joints = solver.robot.home["home"]
+    moved = 0.8 * np.arange(0.0, 5.0, HORIZON).clip(max=0.6)[:, np.newaxis]
+    ee = integrate(forward(solver.chain, joints[np.newaxis])[0], np.eye(6)[0] * moved, 1.0)
+    path = BasePathPlanner(solver).plan(AT_ORIGIN, joints, ee, HORIZON, 5.0, rest=3.0)
+    slow = path.seconds[path.time_scale < 1.0]
+    assert slow.size and slow.min() > 5.0 + 1e-6
+
+
 def test_a_slow_motion_gives_the_base_more_time(planned):
     quick = planned([0.3, 0.0, 0.0, 0.0, 0.0, 0.0], 5.0)[0]
     slow, _ = planned([0.3, 0.0, 0.0, 0.0, 0.0, 0.0], 5.0, time_scale=0.2)

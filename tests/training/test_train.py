@@ -3,6 +3,7 @@ import json
 import os
 import shutil
 import signal
+import threading
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -248,7 +249,7 @@ def test_a_wrong_configuration_raises_before_anything_is_written(
 
 @pytest.mark.parametrize("file", ["state.json", "state.safetensors", "policy.safetensors"])
 def test_a_broken_checkpoint_raises_and_stays(half, file):
-    path = half / "checkpoints" / "last" / file
+    path, threads = half / "checkpoints" / "last" / file, threading.active_count()
     content = path.read_bytes()
     path.unlink()
     with pytest.raises(KinfeasError, match="last"):
@@ -268,6 +269,7 @@ def test_a_broken_checkpoint_raises_and_stays(half, file):
     with pytest.raises(KinfeasError, match="last"):
         resume(half)
     assert contents(half) == before
+    assert threading.active_count() == threads  # environments have ended
 
 
 def test_a_folder_in_use_raises(half, tiny, tmp_path):

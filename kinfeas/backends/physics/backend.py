@@ -209,7 +209,7 @@ class PhysicsBackend(Backend):
 
     @abstractmethod
     def touching(self, env_id: int) -> Contacts:
-        """Return the current contacts of a robot, except with the floor and of a grasping arm."""
+        """Return contacts of a robot: not with the floor, nor of its arm with the link to grasp."""
 
     @abstractmethod
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:

@@ -115,7 +115,7 @@ class Simulation:
             return self.body.measure()
 
     def contacts(self) -> Contacts:
-        """Return the current contacts, except of the arm with the link that it grasps.
+        """Return the current contacts, except of the arm with the link to grasp.
 
         The robot's own links, and the floor below its base, do not count.
         """

@@ -1,5 +1,6 @@
 import itertools
 from concurrent.futures import Future
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,13 +8,13 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import assemble
-from kinfeas.control.filters.path_planner import PlanFollower, follow
+from kinfeas.control.filters.path_planner import PathFollower, PlanFollower, follow
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import compose, integrate, planar_pose, yaw
 from kinfeas.core.start import stacked
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.kinematics.drive import base_twist
+from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.base_path import BasePath, BasePathPlanner
 from kinfeas.policies.loading import load_policy
@@ -158,6 +159,24 @@ def test_a_path_that_is_found_after_its_motion_is_not_followed(pr2):
         assert not loop.previous_command.any()
     loop.step()
     assert executor.searches == 3
+
+
+@pytest.mark.parametrize(("name", "late", "gain"), [
+    ("pr2", False, 3.0), ("pr2", True, 1.5), ("tiago", True, 1.5), ("hsr", True, 3.0),
+])  # fmt: skip
+def test_late_bases_return_gently_where_the_arm_makes_up_for_it(name, late, gain):
+    robot, dt = load_robot(name), 0.02
+    at_rest = np.concatenate([np.zeros(3), robot.home["home"]])[np.newaxis]
+    path = BasePath(np.zeros((2, 7)), 1.0, 0.0, np.zeros(1), at_rest, np.ones(1))
+    behind = planar_pose(np.array([-0.01]), np.zeros(1), np.zeros(1))
+    period = SimpleNamespace(
+        motions=SimpleNamespace(clock=np.zeros(1), clock_after=lambda seconds: seconds),
+        time_scale=np.ones(1), motion_seconds=np.full(1, dt), base_pose=behind,
+        motion=np.zeros((1, 9)) if late else None, posture_guide=None,
+        joints=at_rest[:, 3:], command=np.zeros((1, command_size(robot.base))), changed=dict,
+    )  # fmt: skip
+    command = PathFollower(robot, dt)(period, {0: path})["command"]
+    assert command[0, 0] * robot.base.max_velocity == pytest.approx(0.01 * gain)
 
 
 @pytest.mark.parametrize(("rate", "gain"), [(0.0, 3.0), (0.2, 3.0), (0.2, 1.5)])
