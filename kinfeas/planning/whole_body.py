@@ -26,6 +26,7 @@ class WholeBodySettings:
     examined: int = 24  # poses of a path without a plan that are tried alone
     slowest: float = 8.0  # factor by which arms may need longer than the path; more is a jump
     apart: float = 0.1  # time from a moment to the next, up to a half more, seconds
+    resting: float = 1e-6  # `path_length` from a pose to the next while the EE rests
 
 
 _SETTINGS = WholeBodySettings()
@@ -106,9 +107,10 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
 
 def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | None:
     """Return base and arm at some motion times, slower where they need time, or None."""
-    robot, every, length = solver.robot, path.motion_time, path_length(path.ee)
+    robot, every = solver.robot, path.motion_time
     ee = interpolated(motion_time, every, path.ee)
-    # From one to the next, robots of the path move as the EE does, which may rest.
+    # From one to the next, robots of the path move as the EE does; where it rests, as time passes.
+    length = path_length(path.ee) + _SETTINGS.resting * np.arange(float(len(every)))
     along, nodes = (np.interp(times, every, length) for times in (motion_time, path.seconds))
     rows = path.robots_at(np.interp(along, nodes, path.seconds))
     arm = solver.solve(relative(ee, planar_pose(*rows[:, :3].T)), rows[:, 3:])

@@ -118,6 +118,16 @@ def test_plans_begin_where_the_robot_is(hsr):
     np.testing.assert_allclose(turned.joint_positions[0], hsr.home["home"], atol=1e-3)
 
 
+def test_an_ee_that_rests_leaves_the_robot_where_it_is():
+    start = [1.26, -0.635, -2.739]
+    joints = [-1.57, 1.173, -0.2736, -0.4887, 2.0948, -1.9979, -0.7927]  # near a limit, to move off
+    pose = [1.0, 0.0, 0.2283, 0.0, 0.0, 0.0, 1.0]
+    plan = kinfeas.plan("pr2", [pose] * 30, start=start, joints=joints)
+    np.testing.assert_allclose(plan.base[0], start, atol=1e-6)
+    np.testing.assert_allclose(plan.joint_positions[0], joints, atol=0.01)
+    assert np.abs(np.diff(plan.base, axis=0)).max() < 0.1
+
+
 def test_turns_take_their_time_and_end_at_their_end(tmp_path):
     path = tmp_path / "ee.csv"
     path.write_text("time,x,y,z,qx,qy,qz,qw\n0,1,0,0.9,0,0,0,1\n20,1,0,0.9,0,0,0.6,0.8\n")
