@@ -52,7 +52,7 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, path: Path) -> Rob
     """
     source = str(path)
     _check_chain(spec, urdf, source)
-    arm = tuple(_arm_joint(spec, urdf.joints[name], source) for name in spec.arm)
+    arm = tuple(_arm_joint(spec, urdf, urdf.joints[name], source) for name in spec.arm)
     rotation = np.array(spec.gripper_rotation)
     home = {
         name: _configuration(arm, positions, f"{source}: 'home.{name}'")
@@ -101,7 +101,7 @@ def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
             )
 
 
-def _arm_joint(spec: RobotSpec, joint: Joint, source: str) -> ArmJoint:
+def _arm_joint(spec: RobotSpec, urdf: Urdf, joint: Joint, source: str) -> ArmJoint:
     block, where = spec.arm[joint.name], f"{source}: 'arm.{joint.name}'"
     velocity = joint.velocity if block.velocity is None else block.velocity
     if not 0.0 < velocity <= MAX_JOINT_VELOCITY:
@@ -111,7 +111,9 @@ def _arm_joint(spec: RobotSpec, joint: Joint, source: str) -> ArmJoint:
     if joint.kind == "continuous":
         if block.soft_limits is not None:
             raise KinfeasError(f"{where}: a continuous joint has no 'soft_limits'")
-        return ArmJoint(joint.name, -math.inf, math.inf, velocity, continuous=True)
+        if _is_periodic(urdf, joint):
+            return ArmJoint(joint.name, -math.inf, math.inf, velocity, continuous=True)
+        return ArmJoint(joint.name, -math.pi, math.pi, velocity, continuous=False)
     lower, upper = block.soft_limits or (joint.soft_lower, joint.soft_upper)
     if not joint.lower <= lower < upper <= joint.upper:
         raise KinfeasError(
@@ -119,6 +121,16 @@ def _arm_joint(spec: RobotSpec, joint: Joint, source: str) -> ArmJoint:
             f"{joint.lower:g} to {joint.upper:g}"
         )
     return ArmJoint(joint.name, lower, upper, velocity, continuous=False)
+
+
+def _is_periodic(urdf: Urdf, leader: Joint) -> bool:
+    """Return whether the joints that mimic a continuous one are back after its full turn."""
+    followers = ((joint, *urdf.followed(joint)) for joint in urdf.joints.values())
+    return all(
+        joint.kind != "prismatic" and scale.is_integer()
+        for joint, followed, scale, _ in followers
+        if followed is leader
+    )
 
 
 def _configuration(arm: tuple[ArmJoint, ...], positions: tuple[float, ...], where: str) -> Array:

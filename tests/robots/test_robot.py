@@ -80,6 +80,21 @@ def test_arm_limits_are_read_only_arrays(tmp_path):
         assert not found.flags.writeable
 
 
+@pytest.mark.parametrize(("kind", "multiplier", "periodic"), [
+    ("revolute", 2, True), ("revolute", 0.5, False), ("prismatic", 1, False),
+])  # fmt: skip
+def test_a_turn_of_a_continuous_joint_brings_its_followers_back(
+    tmp_path, kind, multiplier, periodic
+):
+    urdf = URDF.replace('name="grip" type="revolute"', f'name="grip" type="{kind}"')
+    mimic = f'<mimic joint="spin" multiplier="{multiplier}"/>'
+    spec = crane() | {"home": {"home": [0.5, 0.0, 1.0]}}
+    robot = load_robot(write(tmp_path, spec, urdf.replace('<mimic joint="swing"/>', mimic)))
+    # Otherwise the joint has one turn, since positions a turn apart count as equal.
+    assert robot.arm[-1].continuous == periodic
+    assert robot.arm[-1].upper == (math.inf if periodic else math.pi)
+
+
 WITHOUT_SWING = {"arm": {"lift": {}, "spin": {"velocity": 3}}, "home": {"home": [0.5, 0.0]}}
 
 
