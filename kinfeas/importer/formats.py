@@ -24,7 +24,7 @@ from kinfeas.robots.urdf_file import MOMENTS, without_base_joints
 
 # Numbers of MuJoCo's enumerations mjtGeom, mjtJoint and mjtEq.
 _GEOMS = {2: "sphere", 3: "capsule", 4: "box", 5: "cylinder", 6: "box", 7: "mesh"}  # 4: ellipsoids
-_BALL, _JOINTS = 1, {2: "prismatic", 3: "revolute"}
+_FREE, _BALL, _SLIDE, _JOINTS = 0, 1, 2, {2: "prismatic", 3: "revolute"}
 _EQUAL_JOINTS = 2
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -92,7 +92,8 @@ def _from_mjcf(path: Path, folder: Path) -> Element:
 
     The world is the root link. Where a body has several joints, or one beside its origin, bare
     links are between. Free joints become fixed. Joints that an equality couples become mimic
-    joints; other constraints, such as those that close the loops of a gripper, are left out.
+    joints; other constraints, such as those that close the loops of a gripper, are left out, and
+    so is the scenery.
     """
     require("mujoco")
     import mujoco
@@ -103,17 +104,37 @@ def _from_mjcf(path: Path, folder: Path) -> Element:
         raise KinfeasError(f"{path}: {error}") from error
     meshes = _write_meshes(model, folder)
     links = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
+    scenery = _scenery(model)
     robot = Element(ElementTree.Element("robot", name=path.stem), str(path))
     for body, name in enumerate(links):
+        if body and body in scenery:
+            continue
         link = ElementTree.SubElement(robot.xml, "link", name=name)
         if body and model.body_mass[body]:
             _add_inertial(link, model, body)
         for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
-            _add_shape(link, model, geom, meshes)
+            if body not in scenery:
+                _add_shape(link, model, geom, meshes)
     for body in range(1, model.nbody):
-        _add_joints(robot, model, body, links)
+        if body not in scenery:
+            _add_joints(robot, model, body, links)
     _add_mimics(robot, model)
     return robot
+
+
+def _scenery(model: Any) -> set[int]:
+    """Return the bodies that are not of the robot, the world (0) if its geoms are not.
+
+    Free bodies without other joints are objects. Around a robot with a free or sliding base, bodies
+    that do not move are furniture; otherwise the robot may stand on them.
+    """
+    tree, joint_tree = model.body_rootid, model.body_rootid[model.jnt_bodyid]
+    robots = set(joint_tree[np.isin(model.jnt_type, list(_JOINTS))].tolist())
+    objects = set(joint_tree[model.jnt_type == _FREE].tolist()) - robots
+    first = [model.jnt_type[model.body_jntadr[i]] for i in robots if model.body_jntnum[i]]
+    if robots and {_FREE, _SLIDE} & set(first):
+        objects = set(tree.tolist()) - robots
+    return set(np.flatnonzero(np.isin(tree, list(objects))).tolist()) if robots else set()
 
 
 def _write_meshes(model: Any, folder: Path) -> list[Path]:

@@ -200,6 +200,26 @@ def test_an_mjcf_becomes_a_robot_of_primitives(cart, tmp_path):
     assert urdf.links["hand"].mass == pytest.approx(1.0)
 
 
+TABLE = '<geom type="box" size="1 1 0.4" pos="3 0 0.4"/><body name="shelf"><geom size="1"/></body>'
+CUP = '<body name="cup" pos="1 0 1"><freejoint/><geom size="0.04"/></body>'
+
+
+@pytest.mark.parametrize(("base", "furniture"), [
+    ('<joint name="x" type="slide" axis="1 0 0"/>', set()),
+    ("<freejoint/>", set()),
+    ("", {"world_link", "shelf"}),  # on which an arm may stand
+])  # fmt: skip
+def test_an_mjcf_is_imported_without_its_scenery(tmp_path, base, furniture):
+    pytest.importorskip("mujoco")
+    path, arm = tmp_path / "scene.xml", '<joint name="pan"/><geom size="0.1"/>'
+    path.write_text(
+        f'<mujoco><worldbody>{TABLE}{CUP}<body name="base">{base}<geom size="0.2"/>'
+        f'<body name="arm">{arm}</body></body></worldbody></mujoco>'
+    )
+    links = urdf_of(read_description(path, tmp_path)).links
+    assert {name for name, link in links.items() if link.shapes} == {"base", "arm", *furniture}
+
+
 def test_no_link_has_the_name_of_the_floor(tmp_path):
     path = tmp_path / "robot.urdf"
     path.write_text("""<robot name="r"><link name="world"/><link name="base"/>
