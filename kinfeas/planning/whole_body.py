@@ -142,7 +142,8 @@ def _reason(
         if touching.any():
             return f"at the start base or arm touches {names[int(touching.argmax())]}"
     for index in np.unique(np.linspace(0, len(ee) - 1, _SETTINGS.examined).astype(int)).tolist():
-        reason = placer.place(ee[index], solids, count=1).named(names).reason
+        among = None if solids is None else solids.at(np.array([index * step]))
+        reason = placer.place(ee[index], among, count=1).named(names).reason
         if reason:
             position = ", ".join(f"{value:.3g}" for value in ee[index, :3].tolist())
             return f"EE at {position} m after {index * step:.1f} s: {reason}"

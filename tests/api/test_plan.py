@@ -164,3 +164,10 @@ def test_the_error_names_the_pose_out_of_reach_and_the_reason():
     here = Solids.from_table(np.array([[0.0, 0.0, 0, 0.1, 0.1, 0.0, 0.3, 0, 0, 0, 0]]))
     with pytest.raises(KinfeasError, match="at the start base or arm touches solid 0"):
         kinfeas.plan("hsr", "linear", target=FIRST, start=(0.0, 0.0, 0.0), solids=here)
+
+
+def test_the_reason_is_that_of_solids_where_they_have_moved():
+    leaves = [1.4, 0.5, 0, 0.2, 0.2, 0.4, 1.2, 0, 0, 1, 99]
+    stays = [2.0, 0.5, 0, 0.2, 0.2, 0.4, 1.2, 0, 0, 0, 0]
+    with pytest.raises(KinfeasError, match=r"after 7.8 s: .*: solid 1"):
+        kinfeas.plan("hsr", line(0.1, 0, 0, 0, 0, 0), solids=[leaves, stays])
