@@ -80,7 +80,7 @@ class Plan(Moments):
         `replay` follows the EE poses of the file, `kinfeas deploy --plan` base and arm, too.
         """
         check_new(path)
-        names = ["time", *_BASE, *self.joint_names, *columns("ee_pose")]
+        names = ["time", *_BASE, *_joint_columns(self.robot), *columns("ee_pose")]
         table = np.column_stack([self.time, self.base, self.joint_positions, self.ee_pose])
         with replacing(Path(path)) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file, lineterminator="\n")
@@ -202,7 +202,7 @@ def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> 
         KinfeasError: If the file is no plan of the robot, or beyond the limits of base or arm.
     """
     model, file = load_robot(robot), Path(text_of(path, "path"))
-    joints = [joint.name for joint in model.arm]
+    joints = _joint_columns(model)
     values = read_csv(file, ["time", *_BASE, *joints, *columns("ee_pose")])
     base, arm, ee = (
         np.stack([values[name] for name in names], axis=1)
@@ -214,6 +214,13 @@ def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> 
     plan = Plan(seconds, base, arm, ee, model, solids_of(scene, None)[0])
     _check_plan(file, plan)
     return plan
+
+
+def _joint_columns(robot: Robot) -> list[str]:
+    """Return the columns of the arm joints in a file: their names where no other column has it."""
+    others = {"time", *_BASE, *columns("ee_pose")}
+    names = (joint.name for joint in robot.arm)
+    return [f"joint.{name}" if name in others else name for name in names]
 
 
 def _check_plan(file: Path, plan: Plan) -> None:

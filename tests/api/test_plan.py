@@ -68,6 +68,16 @@ def test_a_file_has_the_whole_plan(plan, robot, tmp_path):
         kinfeas.load_plan(tmp_path / "plan.csv", other)
 
 
+def test_joints_may_have_the_names_of_other_columns(plan, robot, tmp_path):
+    for file in ("robot.yaml", "robot.urdf"):
+        text = (robot.folder / file).read_text()
+        (tmp_path / file).write_text(text.replace(robot.arm[0].name, "yaw"))
+    replace(plan, robot=kinfeas.load_robot(tmp_path)).save(tmp_path / "plan.csv")
+    loaded = kinfeas.load_plan(tmp_path / "plan.csv", tmp_path)
+    np.testing.assert_allclose(loaded.joint_positions, plan.joint_positions, atol=1e-6)
+    np.testing.assert_allclose(loaded.base, plan.base, atol=1e-6)
+
+
 @pytest.mark.parametrize(("change", "message"), [
     (("base", 0, 1.0), "row 51: 'x' exceeds"),
     (("base", 1, np.nan), "row 51: 'y' is beyond"),
