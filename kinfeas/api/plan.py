@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 _BASE = ("x", "y", "yaw")
 _AT_START, _TURNED = 0.02, 0.05  # of the EE from the first pose of a path, metres and radians
 _ROUNDING = 1e-6  # of the numbers of a file
+_ASIDE = 1e-3, 0.1  # of a differential base in a row of a file: metres, and a fraction of the way
 _SLOWER = 0.5  # velocity of an EE that would be faster than the base, as a fraction of the base's
 
 
@@ -231,10 +232,16 @@ def _check_plan(file: Path, plan: Plan) -> None:
     within[:, 3:] &= (lower - _ROUNDING <= arm) & (arm <= upper + _ROUNDING)
     drive = [robot.base.max_velocity, robot.base.max_velocity, robot.base.max_rotation]
     farthest = np.array([*drive, *robot.max_joint_velocity]) * np.diff(plan.time)[:, np.newaxis]
-    slow = np.ones_like(within)
-    slow[1:] = np.abs(np.diff(robots, axis=0)) <= 1.001 * farthest + _ROUNDING
+    slow, ahead, moved = np.ones_like(within), np.ones_like(within), np.diff(robots, axis=0)
+    x, y, middle = moved[:, 0].copy(), moved[:, 1].copy(), robots[:-1, 2] + moved[:, 2] / 2.0
+    moved[:, :2] = np.hypot(x, y)[:, np.newaxis]
+    slow[1:] = np.abs(moved) <= 1.001 * farthest + _ROUNDING
+    if robot.base.drive == "differential":
+        aside = np.abs(np.cos(middle) * y - np.sin(middle) * x)
+        ahead[1:, 0] = aside <= _ASIDE[0] + _ASIDE[1] * moved[:, 0]
     names = (*_BASE, *plan.joint_names)
-    for holds, rule in ((within, "is beyond its limits"), (slow, "exceeds the maximum velocity")):
+    rules = "is beyond its limits", "exceeds the maximum velocity", "moves the base sideways"
+    for holds, rule in zip((within, slow, ahead), rules, strict=True):
         if not holds.all():
             row, column = np.argwhere(~holds)[0].tolist()
             raise KinfeasError(f"{file}, row {row + 1}: {names[column]!r} {rule}")

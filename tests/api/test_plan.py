@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import kinfeas
+from kinfeas.api.plan import Plan
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, distance, integrate
@@ -91,6 +92,25 @@ def test_plans_beyond_the_robot_are_errors(plan, robot, tmp_path, change, messag
     replace(plan, **{name: values}).save(tmp_path / "plan.csv")
     with pytest.raises(KinfeasError, match=message):
         kinfeas.load_plan(tmp_path / "plan.csv", robot.folder)
+
+
+@pytest.mark.parametrize(("name", "direction", "message"), [
+    ("hsr", (0.9, 0.9), "row 2: 'x' exceeds"), ("hsr", (0.6, 0.6), ""), ("tiago", (0.9, 0.0), ""),
+    ("tiago", (0.0, 0.9), "row 2: 'x' moves the base sideways"),
+])  # fmt: skip
+def test_bases_of_plans_keep_their_planar_velocity_and_their_drive(
+    name, direction, message, tmp_path
+):
+    robot, time = kinfeas.load_robot(name), np.arange(0.0, 2.0, 0.1)
+    base = robot.base.max_velocity * time[:, np.newaxis] * [*direction, 0.0]
+    joints = np.tile(robot.home["home"], (len(time), 1))
+    plan = Plan(time, base, joints, np.empty((len(time), 7)), robot)
+    replace(plan, ee_pose=plan.reached).save(tmp_path / "plan.csv")
+    if not message:
+        kinfeas.load_plan(tmp_path / "plan.csv", name)
+        return
+    with pytest.raises(KinfeasError, match=message):
+        kinfeas.load_plan(tmp_path / "plan.csv", name)
 
 
 def test_long_motions_and_other_files_are_errors(tmp_path):
