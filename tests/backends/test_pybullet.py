@@ -35,6 +35,26 @@ def test_an_unreadable_mesh_is_an_error_of_one_line(physics, tmp_path, capfd, ki
     physics.restore()
 
 
+def test_links_may_be_listed_before_their_parents(physics, tmp_path):
+    inertia = (
+        "<inertial><mass value='1'/>"
+        "<inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>"
+    )
+    links = [f"<link name='{name}'>{inertia}</link>" for name in "abc"]
+    joints = "".join(
+        f"<joint name='{p}{c}' type='continuous'><parent link='{p}'/><child link='{c}'/>"
+        "<origin xyz='1 0 0'/><axis xyz='0 0 1'/></joint>" for p, c in ("ab", "bc")
+    )  # fmt: skip
+    inertias = []
+    for number, order in enumerate((links, links[::-1])):
+        path = tmp_path / f"{number}.urdf"
+        path.write_text(f"<robot name='r'>{''.join(order)}{joints}</robot>")
+        body = physics.load(path, fixed=True)
+        assert list(physics.joints(body)) == ["ab", "bc"]
+        inertias.append(physics.client.calculateMassMatrix(body, [0.0, 0.0]))
+    assert inertias[0] == inertias[1]
+
+
 def test_worlds_built_in_several_threads_leave_the_output_as_it_is():
     before = os.fstat(1)
     with ThreadPoolExecutor(4) as pool:

@@ -17,6 +17,7 @@ import numpy as np
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative
+from kinfeas.robots.elements import Element, parse_xml, read_xml
 
 ROOT = -1
 """PyBullet's index of a body's root link."""
@@ -63,7 +64,10 @@ class Physics:
         PyBullet cannot load it or one of its meshes.
         """
         client = self.client
-        flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
+        flags = client.URDF_USE_INERTIA_FROM_FILE
+        robot = read_xml(path, "robot") if urdf is None else parse_xml(urdf, "robot", str(path))
+        if _has_parents_first(robot):  # otherwise it cannot compute their dynamics
+            flags |= client.URDF_MAINTAIN_LINK_ORDER
         client.setAdditionalSearchPath(str(path.absolute().parent))
         with TemporaryFile() as output, NamedTemporaryFile(suffix=".urdf") as file:
             file.write((urdf or "").encode())
@@ -219,6 +223,16 @@ def silence() -> Iterator[None]:
     """Return a context that drops all standard output and error, also that of C libraries."""
     with Path(os.devnull).open("wb") as nowhere, _diverted(nowhere.fileno()):
         yield
+
+
+def _has_parents_first(robot: Element) -> bool:
+    """Return whether a URDF has each link after its parent."""
+    order = [link.text("name") for link in robot.children("link")]
+    return all(
+        order.index(joint.need("parent").text("link"))
+        < order.index(joint.need("child").text("link"))
+        for joint in robot.children("joint")
+    )
 
 
 @contextmanager
