@@ -94,8 +94,9 @@ class LinkBackend(RealTimeBackend):
             self.rate = Rate(dt, self._clock)
             self.rate.prepare = self.prepare
             self.rate.wait()
-        arm = self._inbox.arm  # of the state that the caller has seen and checked
-        pose = self.read().base_pose
+        # Of the state that the caller has seen and checked; the newest may jump.
+        arm, pose = self._inbox.arm, self._inbox.base_pose
+        self.read()  # raises if the link is broken or the sensors have failed
         velocity = base_velocity(self.robot.base, pose, base_twist, dt)[0]
         if self.robot.base.drive == "differential":
             velocity[1] = 0.0

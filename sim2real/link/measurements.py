@@ -74,6 +74,7 @@ class Inbox:
             or a stamp that went back by far. None otherwise.
         arm: Positions of the arm joints in the last `state`, with the turns of continuous joints,
             shape (j,).
+        base_pose: World pose of the base in the last `state`, shape (1, 7).
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class Inbox:
     ) -> None:
         """Start empty; `names` are the robot's own of its arm joints, `now` is a clock."""
         self.fault: str | None = None
-        self.arm = np.empty(0)
+        self.arm, self.base_pose = np.empty(0), np.empty((1, 7))
         self._robot, self._now = robot, now
         self._names = [names[joint.name] for joint in robot.arm]
         self._lock = threading.RLock()
@@ -129,8 +130,8 @@ class Inbox:
             assert self._base is not None
             (base, sent), joints = self._base, [self._joints[name] for name in self._names]
         position, velocity, joint_sent = np.array(joints).T
-        self.arm = position
         pose = planar_pose(*np.array([[base.x], [base.y], [base.yaw]]))
+        self.arm, self.base_pose = position, pose
         twist = None
         if base.velocity is not None:
             twist = world_twist(self._robot.base, pose, base.velocity[np.newaxis], 0.0)

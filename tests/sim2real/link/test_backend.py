@@ -82,6 +82,14 @@ def test_the_base_gets_the_action_of_the_policy_in_its_own_frame(name, time):
             assert left == 0.0
 
 
+def test_a_heading_that_nobody_has_checked_turns_no_command(ends):
+    backend, link = ends
+    pose = backend.read().base_pose
+    link.readings.base(BaseReading(1.0, 2.0, 0.5 + np.pi))
+    backend.step(drive.base_twist(PR2.base, pose, np.array([[1.0, 0.0, 0.0]]), DT), AT_HOME, DT)
+    np.testing.assert_allclose(link.driven[-1], [PR2.base.max_velocity, 0.0, 0.0], atol=1e-12)
+
+
 def test_joints_outside_the_arm_are_checked_by_the_robots_own_names(time):
     link = MemoryLink(present(PR2, joints=joints_at(PR2, torso=0.3)))
     backend = LinkBackend(PR2, link, names={"torso_lift_joint": "torso"}, clock=time.clock)
