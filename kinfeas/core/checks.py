@@ -86,16 +86,18 @@ def check_state(state: object, robots: int, joints: int, source: str) -> None:
     if not isinstance(state, RobotState):
         raise KinfeasError(f"{source} must return a RobotState, not a {type(state).__name__}")
     poses, arms = (robots, 7), (robots, joints)
-    check_array(state.base_pose, poses, f"{source}: base_pose")
-    if not are_unit(state.base_pose, UNIT):
-        raise KinfeasError(f"{source}: base_pose has no unit quaternion xyzw")
+    for name in ("base_pose", "ee_in_base", "localised"):
+        pose = getattr(state, name)
+        if pose is None and name != "base_pose":
+            continue
+        check_array(pose, poses, f"{source}: {name}")
+        if not are_unit(pose, UNIT):
+            raise KinfeasError(f"{source}: {name} has no unit quaternion xyzw")
     tilt = 2.0 * np.hypot(*state.base_pose[:, 3:5].T).max(initial=0.0)
     if tilt > MAX_TILT:
         text = f"leans by {tilt:.2g} rad, at most {MAX_TILT} is allowed; quaternions are xyzw"
         raise KinfeasError(f"{source}: base_pose {text}")
     check_array(state.joint_positions, arms, f"{source}: joint_positions")
-    if state.ee_in_base is not None:
-        check_array(state.ee_in_base, poses, f"{source}: ee_in_base")
     shapes = {"base_twist": (robots, 6), "joint_velocities": arms, "age": (robots,)}
     for name, shape in shapes.items():
         if (value := getattr(state, name)) is not None:

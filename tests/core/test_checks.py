@@ -33,6 +33,7 @@ def test_other_arrays_raise_errors(value):
 @pytest.mark.parametrize(("field", "value"), [
     ("base_pose", POSES[:2]), ("base_pose", POSES * 1.1), ("base_pose", POSES[:, WXYZ]),
     ("joint_positions", np.full((3, 5), np.nan)), ("ee_in_base", ZERO),
+    ("ee_in_base", POSES * 1.1), ("localised", POSES * 1.1), ("localised", POSES[0]),
     ("base_twist", POSES), ("age", 0.1), ("true_state", replace(SOUND, base_pose=None)),
 ])  # fmt: skip
 def test_errors_of_states_name_the_field(field, value):
