@@ -15,7 +15,7 @@ from annotated_types import Len
 from numpy.typing import NDArray
 
 from kinfeas import config
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.files import reading, writing
 from kinfeas.core.quantities import NotNegative, Positive
 from kinfeas.core.spatial import POSE_COLUMNS, Array
@@ -137,7 +137,8 @@ class Recorder:
             self._file.write(_line([f"{moment.time:.4f}", age, *numbers, *rest]))
         self._begun = True
         if self._on_moment is not None:
-            self._on_moment(moment)
+            with plugin_note("on_moment"):  # not the backend, within whose step this may be called
+                self._on_moment(moment)
 
     def _end(self) -> None:
         with suppress(OSError):  # `write` has already raised for a full disk
