@@ -35,7 +35,7 @@ class Port:
         while self.open:
             try:
                 take(json.loads(self.socket.recv(65536)))
-            except (TimeoutError, ValueError):  # no datagram, or invalid JSON
+            except (TimeoutError, ValueError, TypeError, LookupError):  # none, or of somebody else
                 continue
         self.socket.close()
 

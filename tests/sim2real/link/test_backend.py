@@ -271,6 +271,9 @@ def test_the_udp_example_carries_measurements_commands_and_stops(hsr):
     theirs.open(Orders(*(orders[name].append for name in ("drive", "move", "grip"))))
     ours.link.open(ours._inbox.readings())
     ours._opened = True
+    for junk in (b"5", b"[]", b'{"base": 0}', b'{"drive"'):  # of somebody else
+        ours.link.port.socket.sendto(junk, udp.ROBOTS)
+        theirs.port.socket.sendto(junk, udp.OURS)
     base = BaseReading(1.0, 2.0, np.pi / 2, np.array([0.1, 0.0, 0.2]), stamp=5.0)
     theirs.report(base, joints_at(hsr), None)
     wait(lambda: not any(ours._inbox.missing()))
