@@ -96,7 +96,8 @@ class PathMotion:
     the errors. Where it would exceed a limit, EE and phase slow down together. So from any start
     the EE first comes to the beginning of the path, then moves along it and ends at its end
     exactly. The state holds the phase. A motion is finished when at most 1 s, 0.025 m and
-    12 degrees of its path are left.
+    12 degrees of its path are left; one that does not wait for the EE (`a` is infinite), at its
+    end.
     """
 
     path: PosePath  # in the frame of the target, or in the world
@@ -113,6 +114,9 @@ class PathMotion:
 
     def __post_init__(self) -> None:
         """Find the phase from which on the rest of the path counts as its end."""
+        if math.isinf(self.position_scale):
+            self._end = 1.0 - _ROUNDING
+            return
         parts = self.path.segments
         limits = (GOAL_METRES, norm(parts[:, :3])), (GOAL_RADIANS, norm(parts[:, 3:]))
         seconds = np.full(len(parts), self.duration / len(parts))

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 _BASE = ("x", "y", "yaw")
 _AT_START, _TURNED = 0.02, 0.05  # of the EE from the first pose of a path, metres and radians
 _ROUNDING = 1e-6  # of the numbers of a file
-_ASIDE = 1e-3, 0.1  # of a differential base in a row of a file: metres, and a fraction of the way
+_ASIDE, _SLIPPING = 1e-3, 0.1  # of a differential base in a row: metres, and a fraction of the way
 _SLOWER = 0.5  # velocity of an EE that would be faster than the base, as a fraction of the base's
 
 
@@ -230,15 +230,16 @@ def _check_plan(file: Path, plan: Plan) -> None:
     lower, upper = robot.joint_limits
     arm, within = plan.joint_positions, np.abs(robots) <= FARTHEST
     within[:, 3:] &= (lower - _ROUNDING <= arm) & (arm <= upper + _ROUNDING)
+    x, y, *others = np.diff(robots, axis=0).T
+    planar, middle = np.hypot(x, y), robots[:-1, 2] + others[0] / 2.0
+    moved = np.column_stack([planar, planar, *np.abs(others)])
     drive = [robot.base.max_velocity, robot.base.max_velocity, robot.base.max_rotation]
     farthest = np.array([*drive, *robot.max_joint_velocity]) * np.diff(plan.time)[:, np.newaxis]
-    slow, ahead, moved = np.ones_like(within), np.ones_like(within), np.diff(robots, axis=0)
-    x, y, middle = moved[:, 0].copy(), moved[:, 1].copy(), robots[:-1, 2] + moved[:, 2] / 2.0
-    moved[:, :2] = np.hypot(x, y)[:, np.newaxis]
-    slow[1:] = np.abs(moved) <= 1.001 * farthest + _ROUNDING
+    slow, ahead = np.ones_like(within), np.ones_like(within)
+    slow[1:] = moved <= 1.001 * farthest + _ROUNDING
     if robot.base.drive == "differential":
         aside = np.abs(np.cos(middle) * y - np.sin(middle) * x)
-        ahead[1:, 0] = aside <= _ASIDE[0] + _ASIDE[1] * moved[:, 0]
+        ahead[1:, 0] = aside <= _ASIDE + _SLIPPING * planar
     names = (*_BASE, *plan.joint_names)
     rules = "is beyond its limits", "exceeds the maximum velocity", "moves the base sideways"
     for holds, rule in zip((within, slow, ahead), rules, strict=True):

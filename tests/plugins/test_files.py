@@ -114,6 +114,14 @@ def test_repeats_a_slow_recording_to_the_moment(tmp_path):
     assert_near(poses[steps, 0], slow.ee_pose, 6e-3, 2e-2)  # half a step, at most
 
 
+@pytest.mark.parametrize("waits", [True, False])
+def test_recordings_in_their_own_time_end_with_their_last_moment(tmp_path, waits):
+    write_demonstration(replace(SHOWN, time=SHOWN.time * 20.0), tmp_path / "slow.csv")
+    generator = Replay(file=str(tmp_path / "slow.csv"), frame="world", waits=waits)
+    finished = generator.finished({"phase": np.array([0.99, 1.0])}, np.zeros((2, 7)))
+    assert finished.tolist() == [waits, True]
+
+
 def test_reads_an_ee_without_base_and_object(tmp_path):
     path = tmp_path / "hand.csv"
     path.write_text(HEADER + "0,1,2,3,0,0,0,1\n0.5,1,2,4,0,0,0,1\n")
