@@ -42,14 +42,14 @@ def training_world(config: TrainConfig) -> World:
 def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
     """Return the settings of a part of a run: the first one, or that in the world of the run.
 
-    In the first part, in the analytic world, robots respond at once: adapters that make them late
-    or need a physics engine are left out. It has the control period of that world, and actions of
-    the same duration. Its failures and gradient steps are as many in a second. In the world of the
-    run, the EE waits for robots that respond late.
+    In the first part, in the analytic world, robots respond at once: a set response, and adapters
+    that make them late or need a physics engine, are left out. It has the control period of that
+    world, and actions of the same duration. Its failures and gradient steps are as many in a
+    second. In the world of the run, the EE waits for robots that respond late.
     """
     names = [spec.name for spec in config.world.filters]
     if not analytic:
-        if not respond_late(config.world.adapters) or _WAITING in names:
+        if not config.world.late or _WAITING in names:
             return config
         waiting = (*config.world.filters, PluginSpec(_WAITING))
         return replace(config, world=replace(config.world, filters=waiting))
@@ -64,6 +64,7 @@ def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
         backend="analytic",
         backend_parameters={},
         dt=WorldConfig.dt,
+        response=WorldConfig.response,
         time_scale=WorldConfig.time_scale,  # its robots have no inertia
         arm_settle_timeout=WorldConfig.arm_settle_timeout,
         max_failures=fewer(config.world.max_failures),

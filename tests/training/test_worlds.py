@@ -84,3 +84,12 @@ def test_a_run_behind_adapters_begins_with_robots_that_respond_at_once():
     )  # fmt: skip
     assert not worlds.has_first_part(replace(settings, init="pretrained"))
     assert not worlds.has_first_part(replace(settings, world=first))
+
+
+def test_with_a_set_response_the_ee_waits_for_the_base_behind_no_adapters_too():
+    world = {"backend": "mujoco", "filters": ["feasibility"], "response": {"base_lag": 0.2}}
+    settings = config.from_mapping(TrainConfig, {"robot": "hsr", "world": world}, "run")
+    first, last = (worlds.part_of(settings, analytic=part).world for part in (True, False))
+    assert (first.late, names(first.filters)) == (False, ["feasibility"])
+    assert (last.late, names(last.filters)) == (True, ["feasibility", "time_scaling"])
+    assert names(worlds.in_evaluation(settings).world.filters) == names(last.filters)
