@@ -260,7 +260,7 @@ def spawn(  # noqa: PLR0913 - the parts of a world
         seeds = np.array([deepcopy(rng).integers(2**64, dtype=np.uint64)])
         outer.seed(seeds, np.array([0]))
         if task is not None:
-            start = world.staging.stage(task).sample(IkSolver(robot), rng)
+            start = world.stage(task).sample(IkSolver(robot), rng)
             base, joints = start.base_pose, start.joint_positions
             state = outer.reset(base[np.newaxis], joints[np.newaxis])
             world.place_solids(start.solids, np.array([0]))

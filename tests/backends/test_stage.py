@@ -29,7 +29,7 @@ def room_stage(hsr, engine):
 
 @pytest.fixture(scope="module", params=["pick_place", "door", "drawer"])
 def stage(request, solver, engine):
-    made = engine(solver.robot).staging.stage(load_task(request.param))
+    made = engine(solver.robot).stage(load_task(request.param))
     yield made
     made.backend.close()
 
@@ -100,7 +100,7 @@ def test_a_joint_opens_in_the_direction_of_its_threshold(
     here = {"here": Place((1.0, 0.0, 0.8))}
     subgoals = (ChainSubgoal(place="here"),)
     task = ChainTask("pull", subgoals, here, scene=TaskScene(scene_path, success))
-    stage, solver = engine(hsr).staging.stage(task), IkSolver(hsr)
+    stage, solver = engine(hsr).stage(task), IkSolver(hsr)
     for position, done in ((0.0, False), (-opened, False), (opened, True)):
         arrange(stage, solver, stage.scene.with_joints({"chest": {"slide": position}}))
         assert stage.done() is done
@@ -130,15 +130,15 @@ def test_an_object_stands_if_upright_at_rest_on_another(
 def test_grasping_needs_a_gripper(hsr, engine):
     bare, door = replace(hsr, gripper=None), load_task("door")
     with pytest.raises(KinfeasError, match="gripper"):
-        engine(bare).staging.stage(door)
-    engine(bare).staging.stage(replace(door, scene=replace(door.scene, grasped_object=None)))
+        engine(bare).stage(door)
+    engine(bare).stage(replace(door, scene=replace(door.scene, grasped_object=None)))
 
 
 @pytest.mark.parametrize(
     ("name", "bodies"), [("pick_place_cluttered", 8), ("shelf", 0), ("door", 0)]
 )
 def test_furniture_is_known_and_simulated_once(name, bodies, solver, engine):
-    stage = engine(solver.robot).staging.stage(load_task(name))
+    stage = engine(solver.robot).stage(load_task(name))
     backend = stage.backend
     for seed in range(3):
         start = begin(stage, solver, seed)
@@ -149,7 +149,7 @@ def test_furniture_is_known_and_simulated_once(name, bodies, solver, engine):
         assert not backend.touched()
         assert stage.done() is False
     backend.close()
-    bare = engine(solver.robot, objects=False).staging.stage(load_task(name)).backend
+    bare = engine(solver.robot, objects=False).stage(load_task(name)).backend
     bare.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
     bare.place_solids(start.solids, np.array([0]))
     assert bare.solid_bodies().places == start.solids.places
@@ -157,7 +157,7 @@ def test_furniture_is_known_and_simulated_once(name, bodies, solver, engine):
 
 
 def test_success_may_include_the_goal(solver, engine, monkeypatch):
-    stage = engine(solver.robot).staging.stage(load_task("room_door"))
+    stage = engine(solver.robot).stage(load_task("room_door"))
     arrange(stage, solver, stage.scene.with_joints({"door": {"hinge": 1.2}}))
     assert stage.done() is True
     joints = np.array([solver.robot.home["home"]])

@@ -11,7 +11,6 @@ from kinfeas.backends.mujoco.model import ROBOT, Model
 from kinfeas.backends.mujoco.simulations import Simulations
 from kinfeas.backends.physics.backend import LinkName, Motion, PhysicsBackend
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
-from kinfeas.backends.physics.stage import SceneStaging
 from kinfeas.core.backend import Contacts, Grip, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
@@ -35,11 +34,6 @@ class MuJoCoBackend(PhysicsBackend):
     def sims(self) -> Simulations:
         """The simulations; `reset` and `place` add the missing ones."""
         return Simulations(self.model, self.config, 1)
-
-    @cached_property
-    def staging(self) -> SceneStaging:  # type: ignore[override]  # never replaced
-        """Sets up the scenes of tasks."""
-        return SceneStaging(self)
 
     def open(self) -> None:
         """Build the first simulation; a second call does nothing."""

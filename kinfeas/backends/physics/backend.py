@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.stage import Stage, StreamStage
 from kinfeas.core.backend import (
     Backend,
     Contacts,
@@ -17,7 +18,6 @@ from kinfeas.core.backend import (
     ObstacleDistances,
     RobotState,
     Scan,
-    Staging,
 )
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
@@ -26,7 +26,9 @@ from kinfeas.core.spatial import Array, compose, planar_pose, wrap
 from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.sensing import base_obstacles, fine_base_prisms, scan
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import Scene, solids_around
+from kinfeas.scenes.scene import Scene, read_scene, solids_around
+from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.task import StreamTask, Task
 
 _FLAT = 1e-6
 _MAX_BATCH = 8  # simulations of ended episodes cost as much as others until the last one ends
@@ -51,11 +53,10 @@ class PhysicsBackend(Backend):
         scene: Room and furniture; None for a floor only.
         furniture: Number of the first places of solids that hold the furniture of the scene, which
             is in the engine already.
-        objects: Whether `staging` sets up the scene of a task.
+        objects: Whether `stage` sets up the scene of a task.
     """
 
     engine: ClassVar[str]
-    staging: Staging
     solids: MovingSolids
     _handled: tuple[str, str, bool] | None = None
     _standing: Solids | None = None  # links that no robot moves, since the last reset
@@ -76,7 +77,20 @@ class PhysicsBackend(Backend):
         self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
         self.solids, self.furniture = MovingSolids(), 0
         self.gripper = self.scanner = self.obstacles = self.contacts = self.dynamics = self
+        self.staging = self
         self.max_batch = 1 if gui else _MAX_BATCH
+
+    def stage(self, task: Task) -> Stage:
+        """Return a task whose episodes also place its objects; call it before the first reset."""
+        if self.objects:
+            scene = task.scene if isinstance(task, ChainTask) else None
+            self.scene = read_scene(scene.name) if scene else None
+        if isinstance(task, StreamTask):
+            stage: Stage = StreamStage(task, task, self)
+        else:
+            stage = Stage(task, self)
+        self.open()  # shows errors early
+        return stage
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: Rows | None = None

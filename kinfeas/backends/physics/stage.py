@@ -1,18 +1,21 @@
 """A task in a physics world: its episodes, with the objects placed for each of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.scenes.scene import Scene, read_scene
+from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import StreamTask, Task
+
+if TYPE_CHECKING:  # it imports this module
+    from kinfeas.backends.physics.backend import PhysicsBackend
 
 _DRAWS = 1000
 _SETTLE_SECONDS = 2.0  # for objects that were put down to come to rest
@@ -36,7 +39,7 @@ class Stage:
         backend: Backend that simulates them.
     """
 
-    def __init__(self, task: Task, backend: PhysicsBackend) -> None:
+    def __init__(self, task: Task, backend: "PhysicsBackend") -> None:
         """Connect a task to a backend with the scene of the task, or without a scene."""
         self.task, self.name, self.subgoals = task, task.name, task.subgoals
         self.backend, self.scene = backend, backend.scene
@@ -130,27 +133,7 @@ class Stage:
 class StreamStage(Stage):
     """A task whose targets move, in a physics backend; attributes as in `StreamTask`."""
 
-    def __init__(self, task: Task, stream: StreamTask, backend: PhysicsBackend) -> None:
+    def __init__(self, task: Task, stream: StreamTask, backend: "PhysicsBackend") -> None:
         """Connect a task, which is also `stream`, to a backend."""
         super().__init__(task, backend)
         self.seconds, self.target_stream = stream.seconds, stream.target_stream
-
-
-@dataclass(frozen=True)
-class SceneStaging:
-    """Sets up the scenes of tasks in a physics backend."""
-
-    backend: PhysicsBackend
-
-    def stage(self, task: Task) -> Stage:
-        """Return a task whose episodes also place its objects; call it before the first reset."""
-        backend = self.backend
-        if backend.objects:
-            scene = task.scene if isinstance(task, ChainTask) else None
-            backend.scene = read_scene(scene.name) if scene else None
-        if isinstance(task, StreamTask):
-            stage: Stage = StreamStage(task, task, backend)
-        else:
-            stage = Stage(task, backend)
-        backend.open()  # shows errors early
-        return stage

@@ -7,7 +7,6 @@ import numpy as np
 
 from kinfeas.backends.physics.backend import ROBOT, LinkName, Motion, PhysicsBackend
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
-from kinfeas.backends.physics.stage import SceneStaging
 from kinfeas.backends.pybullet.furniture import Furniture
 from kinfeas.backends.pybullet.simulation import Simulation
 from kinfeas.core.backend import Contacts, Grip
@@ -43,11 +42,6 @@ class PyBulletBackend(PhysicsBackend):
                 name, link, rigid = self._handled
                 simulation.handle(name, link, rigid=rigid)
         return self._sims[row]
-
-    @cached_property
-    def staging(self) -> SceneStaging:  # type: ignore[override]  # never replaced
-        """Sets up the scenes of tasks."""
-        return SceneStaging(self)
 
     def open(self) -> None:
         """Build the first simulation, and its window; a second call does nothing."""
