@@ -9,7 +9,7 @@ from kinfeas.core.kernels import inlined, kernel, square
 from kinfeas.core.pose_kernels import heading
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.descent import rotation_error
-from kinfeas.kinematics.drive import write_action_toward
+from kinfeas.kinematics.drive import within_speed, write_action_toward
 from kinfeas.kinematics.forward import Chain, fill_columns, make_frames, place_chain, write_matrix
 
 _DAMPING = 1e-4  # of arm motions, squared metres that the EE moves with a whole joint step
@@ -189,9 +189,7 @@ def _drive(base, yaw, command, limits, seconds, out):
     if len(command) == 2:
         angle += 0.5 * turn
     else:
-        left = command[1] * limits[0]
-        scale = limits[0] / max(math.sqrt(square(ahead) + square(left)), limits[0])
-        ahead, left = scale * ahead, scale * left
+        ahead, left = within_speed(ahead, command[1] * limits[0], limits[0])
     cosine, sine = math.cos(angle), math.sin(angle)
     out[0] = base[0] + seconds * (cosine * ahead - sine * left)
     out[1] = base[1] + seconds * (sine * ahead + cosine * left)

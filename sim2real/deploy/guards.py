@@ -20,7 +20,7 @@ from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
 from kinfeas.core.kernels import compiled
 from kinfeas.core.pose_kernels import wrapped
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.drive import base_velocity, world_twist
+from kinfeas.kinematics.drive import base_velocity, within_speed, world_twist
 from kinfeas.robots.robot import Base, Robot
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.monitor import StateMonitor, check_age, check_limit
@@ -335,9 +335,9 @@ class Guarded(BackendWrapper):
 
 def _within(velocity: Array, speed: float, rotation: float) -> Array:
     """Return a velocity of the base, shape (3,), scaled and clipped to limits."""
-    x, y, turn = velocity.tolist()
-    scale = speed / max(math.sqrt(x * x + y * y), speed)
-    return np.array([x * scale, y * scale, min(max(turn, -rotation), rotation)])
+    forward, left, turn = velocity.tolist()
+    planar = within_speed(forward, left, speed)
+    return np.array([*planar, min(max(turn, -rotation), rotation)])
 
 
 def _unrounded(limited: Array, command: Array) -> Array:
