@@ -78,9 +78,7 @@ class AccelerationLimit(Adapter):
         # Reducing an acceleration a to zero changes the velocity by a^2 / (2 jerk).
         fading = np.sqrt(2.0 * jerk * length(target) * dt)
         change = shortened(target, np.minimum(largest, fading)) - before
-        full = length(change) <= jerk * dt
-        reached = before + np.where(full, change, shortened(change, jerk * dt))
-        return shortened(reached, largest)
+        return shortened(before + shortened(change, jerk * dt), largest)
 
 
 class VelocityClamp(Adapter):
