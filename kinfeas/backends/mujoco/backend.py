@@ -43,7 +43,8 @@ class MuJoCoBackend(PhysicsBackend):
 
     def close(self) -> None:
         """End the simulations; a second call does nothing."""
-        self.__dict__.pop("sims", None)
+        for name in ("model", "sims"):
+            self.__dict__.pop(name, None)
 
     @property
     def resumable(self) -> "MuJoCoBackend":  # type: ignore[override]  # never replaced
@@ -72,13 +73,6 @@ class MuJoCoBackend(PhysicsBackend):
         width = 3 + len(self.robot.arm)
         self._positions, self._velocities = np.zeros((2, n, width))
         return self._measure(np.arange(n))
-
-    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set the link that closing grippers grasp; call it before robots are placed."""
-        if self.scene is None or self.robot.gripper is None:
-            raise KinfeasError("grasping needs a scene and a robot with a gripper")
-        self._handled = name, link, rigid
-        self._set_places(self._places)
 
     def grip(self, grip: Grip, env_ids: Rows) -> None:
         """Start to close or open grippers; they grasp what both fingers touch."""
@@ -139,9 +133,9 @@ class MuJoCoBackend(PhysicsBackend):
         """Return whether the gripper holds an object."""
         return self._handled is not None and self._handled[0] == name and bool(self.sims.held[row])
 
-    def joint_motion(self, row: int = 0) -> Motion:
-        """Return the motion of all joints of a robot except those of its base."""
-        qpos, qvel = self.sims.qpos[row], self.sims.qvel[row]
+    def joint_motion(self) -> Motion:
+        """Return the motion of all joints of the first robot except those of its base."""
+        qpos, qvel = self.sims.qpos[0], self.sims.qvel[0]
         joints = {n: at for n, at in self.model.joints.items() if n not in PLANAR_JOINTS}
         velocities = {name: float(qvel[at]) for name, (_, at) in joints.items()}
         return {name: float(qpos[at]) for name, (at, _) in joints.items()}, velocities
@@ -176,8 +170,7 @@ class MuJoCoBackend(PhysicsBackend):
     def _set_places(self, places: int) -> None:
         """Rebuild the model, with places for solids, at the next use."""
         self._places = places
-        for name in ("model", "sims"):
-            self.__dict__.pop(name, None)
+        self.close()
 
     def _place_solids(self, rows: Rows, solids: Solids) -> None:
         if solids.places > self._places:

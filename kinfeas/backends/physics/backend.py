@@ -58,7 +58,7 @@ class PhysicsBackend(Backend):
 
     engine: ClassVar[str]
     solids: MovingSolids
-    _handled: tuple[str, str, bool] | None = None
+    _handled: tuple[str, str, bool] | None = None  # object, link, and whether it cannot turn
     _standing: Solids | None = None  # links that no robot moves, since the last reset
 
     def __init__(
@@ -158,6 +158,16 @@ class PhysicsBackend(Backend):
         self._step(rows, base_twist, joint_targets, dt)
         return self._measure(rows)
 
+    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
+        """Set the link that closing grippers grasp; call it before robots are placed.
+
+        If `rigid`, it cannot turn in the hand.
+        """
+        if self.scene is None or self.robot.gripper is None:
+            raise KinfeasError("grasping needs a scene and a robot with a gripper")
+        self._handled = name, link, rigid
+        self.close()  # the next use builds simulations with it
+
     def hold(self, row: int, joint_positions: Array, dt: float, periods: int) -> None:
         """Hold a robot still for some control periods, its arm at positions (j,)."""
         rows, still = np.array([row]), np.zeros((1, 6))
@@ -226,10 +236,6 @@ class PhysicsBackend(Backend):
         """Return contacts of a robot: not with the floor, nor of its arm with the link to grasp."""
 
     @abstractmethod
-    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set the link that closing grippers grasp; if `rigid`, it cannot turn in the hand."""
-
-    @abstractmethod
     def place(
         self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
     ) -> bool:
@@ -262,8 +268,8 @@ class PhysicsBackend(Backend):
         """Return the world poses of links of a row, shape (k, 7)."""
 
     @abstractmethod
-    def joint_motion(self, row: int = 0) -> Motion:
-        """Return the motion of all joints of a robot except those of its base."""
+    def joint_motion(self) -> Motion:
+        """Return the motion of all joints of the first robot except those of its base."""
 
     @abstractmethod
     def touched(self, row: int = 0) -> list[str]:

@@ -36,11 +36,8 @@ class PyBulletBackend(PhysicsBackend):
         """Return the simulation of a robot; missing ones are built."""
         while len(self._sims) <= row:
             gui = self._gui and not self._sims
-            simulation = Simulation(self.robot, self.scene, self.config, gui=gui)
+            simulation = Simulation(self.robot, self.scene, self.config, self._handled, gui=gui)
             self._sims.append(simulation)
-            if self._handled is not None:
-                name, link, rigid = self._handled
-                simulation.handle(name, link, rigid=rigid)
         return self._sims[row]
 
     def open(self) -> None:
@@ -50,12 +47,6 @@ class PyBulletBackend(PhysicsBackend):
     def touching(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
         return self.sims[env_id].contacts()
-
-    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set the link that closing grippers grasp, as in `PhysicsBackend`."""
-        for simulation in self.sims:
-            simulation.handle(name, link, rigid=rigid)
-        self._handled = name, link, rigid
 
     def grip(self, grip: Grip, env_ids: Rows) -> None:
         """Start to close or open grippers; they grasp what both fingers touch."""
@@ -73,6 +64,7 @@ class PyBulletBackend(PhysicsBackend):
         """End the simulations; a second call does nothing."""
         for simulation in self._sims:
             simulation.physics.close()
+        self._sims.clear()
 
     def place(
         self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
@@ -116,9 +108,9 @@ class PyBulletBackend(PhysicsBackend):
         held = grasp.held if grasp else None
         return held is not None and held[0] == self._furniture(row).bodies[name]
 
-    def joint_motion(self, row: int = 0) -> Motion:
-        """Return the motion of all joints of a robot except those of its base."""
-        sim = self.sims[row]
+    def joint_motion(self) -> Motion:
+        """Return the motion of all joints of the first robot except those of its base."""
+        sim = self.sims[0]
         with sim.physics.connected():
             joints = {name: at for name, at in sim.body.joints.items() if name not in PLANAR_JOINTS}
             states = sim.physics.client.getJointStates(sim.body.body, list(joints.values()))

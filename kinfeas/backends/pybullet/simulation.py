@@ -6,7 +6,6 @@ from kinfeas.backends.pybullet.gripper import Grasp, GripperDrive
 from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.backends.pybullet.robot_body import ArmDrive, BaseDrive, RobotBody
 from kinfeas.core.backend import Contacts, Grip
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
@@ -25,8 +24,18 @@ class Simulation:
     """
 
     def __init__(
-        self, robot: Robot, scene: Scene | None, physics: PhysicsConfig, *, gui: bool
+        self,
+        robot: Robot,
+        scene: Scene | None,
+        physics: PhysicsConfig,
+        grasped: tuple[str, str, bool] | None = None,
+        *,
+        gui: bool,
     ) -> None:
+        """Build robot and room.
+
+        `grasped` is the object and link that the gripper can hold, and whether it cannot turn.
+        """
         self.physics = Physics(physics, gui=gui)
         self.furniture = Furniture(self.physics, scene) if scene else None
         self.solids = SolidBodies(self.physics)
@@ -36,14 +45,10 @@ class Simulation:
         self.grasp = Grasp(self.body, self.gripper) if self.gripper else None
         self.body.note_dynamics()
         self._handled: tuple[int, int] | None = None
-        self._rigid, self._closing = True, False
+        if grasped is not None and self.furniture is not None:
+            self._handled, self._rigid = self.furniture.link(*grasped[:2]), grasped[2]
+        self._closing = False
         self.physics.save()
-
-    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set the link that the gripper can grasp; arguments as in `PyBulletBackend`."""
-        if self.furniture is None or self.gripper is None:
-            raise KinfeasError("grasping needs a scene and a robot with a gripper")
-        self._handled, self._rigid = self.furniture.link(name, link), rigid
 
     def reset(self, base_pose: Array, joint_positions: Array) -> None:
         """Place robot and furniture at rest, equal to the bit: base pose (7,), arm joints (j,).
@@ -69,7 +74,7 @@ class Simulation:
     def grip(self, grip: Grip) -> None:
         """Start to close or open the gripper.
 
-        While it closes, it grasps the link set by `handle` once both fingers touch it.
+        While it closes, it grasps the link that it can hold once both fingers touch it.
         """
         if self.gripper is None or self.grasp is None:
             return
