@@ -1,7 +1,7 @@
 """Inverse kinematics: verified, within joint limits, deterministic."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
@@ -89,6 +89,10 @@ class IkSolver:
         self.collision = build_collision_model(robot, options.self_clearance)
         self.gravity = build_gravity_model(robot)
         self._problem = _make_problem(self)
+
+    def local(self, **changes: Any) -> "IkSolver":
+        """Return a solver with changed options whose searches begin at seeds and guides alone."""
+        return IkSolver(self.robot, replace(self.options, restarts=0, library=1, **changes))
 
     def admissible(self, joint_positions: Array) -> NDArray[np.bool_]:
         """Return which postures (..., v) are free of self-collision and can be held, shape (...).

@@ -262,8 +262,7 @@ def _reached(solver: IkSolver, joints: Array, ee: Array, stray: tuple[float, ...
     """
     strayed = np.array(list(product((-1.0, 0.0, 1.0), repeat=3))) * stray
     targets = relative(ee[:, np.newaxis], planar_pose(*strayed.T)).reshape(-1, 7)
-    near = IkSolver(solver.robot, replace(solver.options, restarts=0))
-    arm = near.solve(targets, joints.repeat(len(strayed), axis=0))
+    arm = solver.local().solve(targets, joints.repeat(len(strayed), axis=0))
     return arm.feasible.reshape(len(ee), -1).mean(axis=1)
 
 

@@ -131,10 +131,12 @@ class BasePathPlanner:
         resting = round(min(rest, SETTINGS.rest) / step)
         nodes = np.union1d(0, resting + _nodes(ee))
         begin, ee = begin - resting * step, np.vstack([ee[:1].repeat(resting, axis=0), ee])
+        widest = self._expanders[-1]
         for expander in self._expanders:
             beam = expander.first(base_pose, joints)
             search = _Search(expander, ee, nodes, step / time_scale, solids, beam, resting)
-            if search.ends(search.slow_down) or not self._reaches(search.next_pose):
+            complete = search.ends(search.slow_down)
+            if complete or expander is widest or not self._reaches(search.next_pose):
                 break
         if partial and not search.complete:
             search.ends(search.jump)

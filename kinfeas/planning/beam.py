@@ -63,7 +63,7 @@ class BeamSettings:
 
 SETTINGS = BeamSettings()
 
-
+_CELLS = 1e4  # largest number of cells along an axis, so that the number of each is exact
 _AHEAD, _ASIDE = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]]) * SETTINGS.off_metres
 _OFF = planar_pose(_AHEAD, _ASIDE, np.sign(_AHEAD) * SETTINGS.off_radians)
 """Poses of bases a little elsewhere, in their frames, shape (4, 7)."""
@@ -97,12 +97,10 @@ class BeamExpander:
     def __init__(self, solver: IkSolver) -> None:
         self.robot = robot = solver.robot
         self._width = 1
-        options = replace(solver.options, restarts=0)
-        careful = replace(
-            options, joint_margin=SETTINGS.joint_margin, self_clearance=SETTINGS.clearance
+        self._anywhere, self.solver = solver, solver.local()
+        self._careful = solver.local(
+            joint_margin=SETTINGS.joint_margin, self_clearance=SETTINGS.clearance
         )
-        self.solver, self._careful = IkSolver(robot, options), IkSolver(robot, careful)
-        self._anywhere = solver
         limits = [robot.base.max_velocity, robot.base.max_rotation]
         fastest = np.array([SETTINGS.velocity, SETTINGS.rotation])
         fastest = np.minimum(fastest / limits, SETTINGS.base_fraction)
@@ -155,8 +153,7 @@ class BeamExpander:
         beam = replace(beam.of(rows), parent=rows)
         seeds = spread_configurations(self.robot, len(rows))
         among = None if solids is None else in_base(solids.repeated(len(rows)), beam.base)
-        targets = relative(np.broadcast_to(target, beam.base.shape), beam.base)
-        arm = self._anywhere.solve(targets, seeds, solids=among)
+        arm = self._anywhere.solve(relative(target, beam.base), seeds, solids=among)
         cost = beam.cost + self._limit_cost(arm.joint_positions)
         beam = replace(beam, joints=arm.joint_positions, cost=cost)
         return self._best(beam.of(np.flatnonzero(arm.feasible)), target)
@@ -172,17 +169,17 @@ class BeamExpander:
             self.solver.chain, beam.base, beam.joints, command, near, target, step, limits, seconds
         )
         parent, tried = np.nonzero(proposal.motion < SETTINGS.farthest)
-        before, command = beam.of(parent), command[parent, tried]
-        cost = SETTINGS.memory * before.cost
+        command = command[parent, tried]
+        cost = SETTINGS.memory * beam.cost[parent]
         cost += SETTINGS.effort_cost * np.square(command).sum(axis=1)
-        cost += SETTINGS.change_cost * np.square(command - before.command).sum(axis=1)
+        cost += SETTINGS.change_cost * np.square(command - beam.command[parent]).sum(axis=1)
         cost += SETTINGS.sensitive_cost * np.log(proposal.sensitivity)[parent]
         poses = planar_pose(*proposal.base[parent, tried].T)
-        proposed = Beam(poses, before.joints, command, cost, parent)
         expected = cost + self._limit_cost(proposal.joints[parent, tried])
-        rows = _cheapest(self._cells(proposed, target), expected, SETTINGS.cell_robots)
-        best = np.argsort(expected[rows], kind="stable")[: self._width * SETTINGS.tried]
-        return proposed.of(rows[best])
+        rows = _cheapest(_cells(poses, target), expected, SETTINGS.cell_robots)
+        rows = rows[np.argsort(expected[rows], kind="stable")[: self._width * SETTINGS.tried]]
+        parent = parent[rows]
+        return Beam(poses[rows], beam.joints[parent], command[rows], cost[rows], parent)
 
     def _off_cost(self, beam: Beam, target: Array, solids: Solids | None) -> Array:
         """Return the cost of arms that do not make up for a base a little elsewhere."""
@@ -216,7 +213,7 @@ class BeamExpander:
         """Return the arms, as far as they get in some time from joints (m, j), at a target."""
         among = None if solids is None else solids.repeated(len(base))
         arm = solver.solve(
-            relative(np.broadcast_to(target, base.shape), base),
+            relative(target, base),
             joints,
             SETTINGS.arm_fraction * seconds * self.robot.max_joint_velocity,
             allow_reconfiguration=False,
@@ -241,10 +238,8 @@ class BeamExpander:
         arm = self._reached(
             self.solver, before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
         )
-        passable = arm.feasible
-        for fraction in (0.25, 0.75):
-            passable &= self.solver.admissible(before.joints + fraction * displacement)
-        return passable
+        passed = np.multiply.outer((0.25, 0.75), displacement) + before.joints
+        return arm.feasible & self.solver.admissible(passed).all(axis=0)
 
     def _commands(self, beam: Beam, rng: np.random.Generator) -> Array:
         """Return the commands that each robot tries, shape (m, t, a).
@@ -263,18 +258,20 @@ class BeamExpander:
         """Return the best robots of different cells, at most as many as the beam has."""
         elbow = beam.joints[:, self._elbow] - self._middle[self._elbow]
         bent = elbow / self._half[self._elbow] * SETTINGS.elbows / 2.0
-        cells = np.column_stack([self._cells(beam, target), np.floor(bent)])
+        cells = _cells(beam.base, target) + _CELLS**3 * np.floor(bent)
         best = beam.of(_cheapest(cells, beam.cost, 1))
         return best.of(np.argsort(best.cost, kind="stable")[: self._width * SETTINGS.beam])
 
-    def _cells(self, beam: Beam, target: Array) -> Array:
-        away = (beam.base[:, :2] - target[:2]) / SETTINGS.cell
-        return np.floor(np.column_stack([away, yaw(beam.base) / SETTINGS.heading]))
+
+def _cells(base: Array, target: Array) -> Array:
+    """Return the numbers of the cells of bases, shape (m, 7) -> (m,), around the EE's target."""
+    x, y = np.floor((base[:, :2] - target[:2]) / SETTINGS.cell).T
+    return x + _CELLS * y + _CELLS**2 * np.floor(yaw(base) / SETTINGS.heading)
 
 
 def _cheapest(cells: Array, cost: Array, most: int) -> NDArray[np.intp]:
-    """Return which of m robots, in cells (m, c), are the `most` cheapest of their cells."""
-    order = np.lexsort((cost, *cells.T))
-    begins = np.append(True, np.diff(cells[order], axis=0).any(axis=1))
+    """Return which of m robots, in cells (m,), are the `most` cheapest of their cells."""
+    order = np.lexsort((cost, cells))
+    begins = np.append(True, np.diff(cells[order]) != 0.0)
     rank = np.arange(len(order))
     return order[rank - np.maximum.accumulate(np.where(begins, rank, 0)) < most]

@@ -91,9 +91,9 @@ class Postures:
 
     def __init__(self, solver: IkSolver) -> None:
         joints = spread_configurations(solver.robot, _SETTINGS.postures, _SETTINGS.seed)
-        self.solver, options = solver, replace(solver.options, restarts=0, library=1)
-        self._local_solver = IkSolver(solver.robot, options)
-        self.joints = joints[solver.admissible(joints)] if options.self_collision else joints
+        self.solver, self._local_solver = solver, solver.local()
+        checked = solver.options.self_collision
+        self.joints = joints[solver.admissible(joints)] if checked else joints
         self.ee_pose = forward(solver.chain, self.joints)
         self.rotations = rotation(self.ee_pose).as_matrix()
         self.footprint = footprint(solver.collision)

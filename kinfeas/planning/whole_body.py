@@ -1,7 +1,7 @@
 """Whole-body plans: time-stamped base and arm along an EE path, checked at every moment."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
     None if one of them has no arm near those of the path, which has arms at some EE poses only, or
     base or arm touches a solid.
     """
-    near = IkSolver(solver.robot, replace(solver.options, restarts=0, library=1))
+    near = solver.local()
     moments = _moments(near, path, path.motion_time)
     if moments is None:
         return None

@@ -101,7 +101,7 @@ def neighbours(solver, seed, displacements):
 def test_solutions_from_the_seed_and_within_the_joint_step_come_first(tiago):
     robot, step = tiago.robot, TIME * tiago.robot.max_joint_velocity
     joints, _, targets = neighbours(tiago, 1, 0.02)
-    warm = IkSolver(robot, replace(EXACT, restarts=0)).solve(targets, joints)
+    warm = tiago.local().solve(targets, joints)
     solution = tiago.solve(targets, joints)
     assert solution.feasible.mean() >= 0.999
     assert warm.feasible.mean() >= 0.98

@@ -61,7 +61,7 @@ def period(solver, request):
 
 def feasible(solver, period, command, rows):
     """Return whether IK without restarts finds an arm in time, and the base is free, shape (m,)."""
-    local = IkSolver(solver.robot, replace(solver.options, restarts=0))
+    local = solver.local()
     inputs, limit = period.of(rows), solver.robot.max_joint_velocity * DT
     twist = base_twist(solver.robot.base, inputs.base_pose, command, DT)
     reached = spatial.integrate(inputs.base_pose, twist, DT)
