@@ -1,5 +1,7 @@
 """The `linear` motion: straight to the goal, slowing down near it."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from kinfeas.core.errors import KinfeasError
@@ -14,6 +16,7 @@ _MIN_ANGULAR_VELOCITY = 0.001  # rad/s, so that a rotation on the spot ends
 _TINY = 1e-12  # keeps quotients finite; in metres and in radians
 
 
+@dataclass(eq=False, kw_only=True)
 class Linear:
     """Straight motion of the EE to the target: a linear dynamic system in position and orientation.
 
@@ -31,22 +34,16 @@ class Linear:
         max_angular_velocity: Upper limit of the angular speed in rad/s; None for no limit.
     """
 
-    def __init__(
-        self,
-        *,
-        gain: Positive = 0.1,
-        min_velocity: Positive = 0.001,
-        max_velocity: Positive = 0.1,
-        max_angular_velocity: Positive | None = 0.1,
-    ) -> None:
-        self._gain = gain
-        self._min_velocity = min_velocity
-        self._max_velocity = max_velocity
-        self._max_angular_velocity = max_angular_velocity or np.inf
-        if min_velocity > max_velocity:
-            raise KinfeasError(
-                f"min_velocity must be at most max_velocity, {max_velocity}, not {min_velocity}"
-            )
+    gain: Positive = 0.1
+    min_velocity: Positive = 0.001
+    max_velocity: Positive = 0.1
+    max_angular_velocity: Positive | None = 0.1
+
+    def __post_init__(self) -> None:
+        """Raise KinfeasError unless the limits of the speed ascend."""
+        low, high = self.min_velocity, self.max_velocity
+        if low > high:
+            raise KinfeasError(f"min_velocity must be at most max_velocity, {high}, not {low}")
 
     def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return an empty state: the motion depends on the current poses alone."""
@@ -62,9 +59,9 @@ class Linear:
         metres = np.maximum(norm(rest[:, :3]), _TINY)
         radians = np.maximum(norm(rest[:, 3:]), _TINY)
         slowest = np.where(
-            metres > _ON_THE_SPOT, self._min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
+            metres > _ON_THE_SPOT, self.min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
         )
-        rate = np.minimum(np.maximum(self._gain, slowest), self._max_velocity / metres)
-        rate = np.minimum(rate, self._max_angular_velocity / radians)
+        rate = np.minimum(np.maximum(self.gain, slowest), self.max_velocity / metres)
+        rate = np.minimum(rate, (self.max_angular_velocity or np.inf) / radians)
         # Never past the goal: at most the whole rest within dt.
         return rest * np.minimum(rate, 1.0 / dt)[:, np.newaxis], dict(state)

@@ -1,5 +1,7 @@
 """The `minimum_jerk` motion: point to point with least jerk."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from kinfeas.core.motion import Rngs, State, TwistAndState
@@ -10,6 +12,7 @@ from kinfeas.plugins.path import norm, slowed
 _PEAK = 1.875  # greatest slope of the profile, in the middle
 
 
+@dataclass(eq=False, kw_only=True)
 class MinimumJerk:
     """Straight motion to the target, from rest to rest, as fast as the limits allow.
 
@@ -25,24 +28,17 @@ class MinimumJerk:
         max_angular_velocity: Upper limit of the angular speed in rad/s, likewise.
     """
 
-    def __init__(
-        self,
-        *,
-        min_duration: Positive = 1.0,
-        max_velocity: Positive = 0.1,
-        max_angular_velocity: Positive = 0.1,
-    ) -> None:
-        self._min_duration = min_duration
-        self._max_velocity = max_velocity
-        self._max_angular_velocity = max_angular_velocity
+    min_duration: Positive = 1.0
+    max_velocity: Positive = 0.1
+    max_angular_velocity: Positive = 0.1
 
     def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return start poses, shape (n, 7), durations and times in seconds, both (n,)."""
         begin = np.array(ee_pose, dtype=np.float64)
         displacement = twist_between(begin, target_pose, 1.0)
-        linear = _PEAK * norm(displacement[:, :3]) / self._max_velocity
-        angular = _PEAK * norm(displacement[:, 3:]) / self._max_angular_velocity
-        duration = np.maximum(np.maximum(linear, angular), self._min_duration)
+        linear = _PEAK * norm(displacement[:, :3]) / self.max_velocity
+        angular = _PEAK * norm(displacement[:, 3:]) / self.max_angular_velocity
+        duration = np.maximum(np.maximum(linear, angular), self.min_duration)
         return {"start_pose": begin, "duration": duration, "time": np.zeros(len(begin))}
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
@@ -53,7 +49,7 @@ class MinimumJerk:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         time = np.minimum(state["time"] + dt, state["duration"])
         twist = twist_between(ee_pose, self._at(state, target_pose, time), dt)
-        scale = slowed(twist, self._max_velocity, self._max_angular_velocity)
+        scale = slowed(twist, self.max_velocity, self.max_angular_velocity)
         passed = state["time"] + scale * (time - state["time"])
         return twist * scale[:, np.newaxis], {**state, "time": passed}
 

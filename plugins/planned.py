@@ -170,7 +170,7 @@ class SmoothPath(MinimumJerk):
     def _seconds(self, begin: Array, end: Array) -> Array:
         """Return the shortest times between poses, shape (..., 7) -> (...)."""
         metres, radians = distance(begin, end)
-        return np.maximum(metres / self._max_velocity, radians / self._max_angular_velocity)
+        return np.maximum(metres / self.max_velocity, radians / self.max_angular_velocity)
 
 
 class Planned(SmoothPath):

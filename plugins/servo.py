@@ -1,5 +1,7 @@
 """The `servo` motion: follows a moving target within limits of velocity, acceleration and jerk."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from kinfeas.core.motion import Rngs, State, TwistAndState
@@ -13,6 +15,7 @@ _JERK = 2.0 + 2.0 / np.e**2
 of one second: bounds of their size at a command of size one."""
 
 
+@dataclass(eq=False, kw_only=True)
 class Servo:
     """Follows a moving target smoothly, without overshoot.
 
@@ -32,22 +35,19 @@ class Servo:
         lookahead: Seconds of motion at the current velocity to the goal that the policy observes.
     """
 
-    def __init__(  # noqa: PLR0913 - keyword parameters of a YAML file
-        self,
-        *,
-        max_velocity: Positive = 0.2,
-        max_angular_velocity: Positive = 0.5,
-        max_acceleration: Positive = 4.0,
-        max_angular_acceleration: Positive = 10.0,
-        max_jerk: Positive = 400.0,
-        max_angular_jerk: Positive = 1000.0,
-        lookahead: Seconds = 2.0,
-    ) -> None:
-        self._velocity = max_velocity, max_angular_velocity
-        linear = _time_constant(max_velocity, max_acceleration, max_jerk)
-        angular = _time_constant(max_angular_velocity, max_angular_acceleration, max_angular_jerk)
-        self._tau = np.repeat([linear, angular], 3)
-        self._lookahead = lookahead
+    max_velocity: Positive = 0.2
+    max_angular_velocity: Positive = 0.5
+    max_acceleration: Positive = 4.0
+    max_angular_acceleration: Positive = 10.0
+    max_jerk: Positive = 400.0
+    max_angular_jerk: Positive = 1000.0
+    lookahead: Seconds = 2.0
+
+    def __post_init__(self) -> None:
+        """Find the time constants of the filters."""
+        linear = self.max_velocity, self.max_acceleration, self.max_jerk
+        angular = self.max_angular_velocity, self.max_angular_acceleration, self.max_angular_jerk
+        self._tau = np.repeat([_time_constant(*linear), _time_constant(*angular)], 3)
 
     def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the outputs of both filters at rest."""
@@ -55,7 +55,7 @@ class Servo:
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the pose that a target at the current velocity will have after `lookahead`."""
-        return integrate(target_pose, state["velocity"], self._lookahead)
+        return integrate(target_pose, state["velocity"], self.lookahead)
 
     def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the mean filtered twist of the next `dt` seconds."""
@@ -63,7 +63,7 @@ class Servo:
         # Where the EE would come to rest without further commands.
         rest = integrate(ee_pose, self._tau * (first + second), 1.0)
         command = twist_between(rest, target_pose, dt)
-        command *= slowed(command, *self._velocity)[:, np.newaxis]
+        command *= slowed(command, self.max_velocity, self.max_angular_velocity)[:, np.newaxis]
         periods = dt[:, np.newaxis] / self._tau
         decay, away = np.exp(-periods), first - command
         filtered = command + away * decay
