@@ -21,7 +21,6 @@ from PIL import Image
 
 from kinfeas.benchmark.pictures import table_figure
 from kinfeas.benchmark.table import Cell
-from kinfeas.policies.loading import BASELINES
 from kinfeas.viz.style import png
 
 DOCS = Path(__file__).parent
@@ -30,6 +29,10 @@ FIGURES = DOCS / "figures"
 IMAGES = DOCS / "images"
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
+BASELINES = (
+    "follow_ee", "follow_ee_feedback", "demonstrated_base", "planned_base",
+    "geometric_modulation", "planner", "whole_body_qp",
+)  # fmt: skip
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 PLANNED = ("pretrained", "path planner")
 """Policy and row with the default filters; here the obstacle filter changes nothing."""

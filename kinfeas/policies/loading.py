@@ -14,12 +14,6 @@ GROUP = "kinfeas.policies"
 PRETRAINED = "pretrained"
 """Name of the policy in a robot's folder that is used by default."""
 
-BASELINES = (
-    "follow_ee", "follow_ee_feedback", "demonstrated_base", "planned_base",
-    "geometric_modulation", "planner", "whole_body_qp",
-)  # fmt: skip
-"""Entry points of the package: base motions without training, but for `stationary`."""
-
 QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 """Baselines without set-up time and extra packages, for comparisons."""
 

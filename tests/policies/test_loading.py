@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from kinfeas.config import registry
 from kinfeas.control.observation import CLIP, OBSERVATION
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import read_trained, write_trained
-from kinfeas.policies.loading import BASELINES, load_policy, trained_folder, trained_policies
+from kinfeas.policies.loading import load_policy, trained_folder, trained_policies
 from kinfeas.policies.network import Network, read_network, write_network
 from kinfeas.robots.robot import fingerprint
 from kinfeas.testing import ConformanceError, check_policy
@@ -30,7 +31,7 @@ def trained(hsr, tmp_path):
 LONG = {"geometric_modulation", "planner"}  # baselines that take long
 
 
-@pytest.mark.parametrize("name", sorted({*BASELINES} - LONG))
+@pytest.mark.parametrize("name", sorted({*registry.names("kinfeas.policies")} - LONG))
 def test_baselines_keep_the_contract_of_policies(hsr, name):
     check_policy(load_policy(name, hsr), hsr)
 
