@@ -1,7 +1,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core.spatial import make_pose
+from kinfeas.core.spatial import make_pose, rotation
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.drawing import Face, back_to_front, scene_figure
@@ -34,3 +34,12 @@ def height(face, point):
 
 def test_scenes_of_walls_alone_have_a_picture():
     assert scene_figure(read_scene("doorway")).axes
+
+
+def test_furniture_at_a_wall_is_drawn_from_its_open_side():
+    scene = read_scene("shelf")
+    (axes,) = scene_figure(scene).axes
+    heading = np.deg2rad(axes.azim)
+    toward_viewer = np.array([np.cos(heading), np.sin(heading)])
+    front = rotation(scene.objects["cabinet"].pose).apply([1.0, 0.0, 0.0])[:2]
+    assert front @ toward_viewer > 0.7
