@@ -26,7 +26,16 @@ from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, plugin_fr
 from kinfeas.core.extras import missing_extra
 
 
-class _Commands(TyperGroup):
+class _Group(TyperGroup):
+    """Commands with their whole summaries, which Typer cuts in narrow terminals."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        for command in self.commands.values():
+            command.short_help = command.get_short_help_str(limit=1000)
+        super().format_commands(ctx, formatter)
+
+
+class _Commands(_Group):
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
@@ -46,8 +55,8 @@ for _command in (
     identify, play, serve, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)
-app.add_typer(plugins, name="plugins")
-app.add_typer(robot, name="robot")
+app.add_typer(plugins, name="plugins", cls=_Group)
+app.add_typer(robot, name="robot", cls=_Group)
 
 
 def main() -> None:

@@ -100,8 +100,9 @@ def test_errors_of_plugins_have_their_own_traceback_only(monkeypatch, capsys, er
     assert "adapter Mine" in printed.splitlines()[-1]
 
 
-@pytest.mark.parametrize("words", [(), ("--help",), ("--version",)])
-def test_help_and_version_succeed(kinfeas, words):
+@pytest.mark.parametrize("words", [(), ("--help",), ("plugins", "--help"), ("--version",)])
+def test_help_and_version_succeed(kinfeas, monkeypatch, words):
+    monkeypatch.setenv("COLUMNS", "60")
     done = kinfeas(*words)
     assert (done.code, done.err) == (0, "")
     assert "kinfeas" in done.out
