@@ -57,7 +57,8 @@ def episodes_figure(
                 draw_outline(top, shapes.corners(solids), _FURNITURE, 1.8)
             _draw_top(top, robot, recording)
         columns = {1: 3, 2: 4}.get(count, 7)
-        handles: list[Artist] = [*_legend()]
+        failed = any(not recording.feasible.all() for recording in recordings)
+        handles: list[Artist] = [*_legend(failed=failed)]
         near = [_solids_near(each, moment) for each in recordings for moment in (0, -1)]
         drawn = {BODY, *(solid.colour for solid in chain.from_iterable(near))}
         named = {BODY: "robot", shapes.LOW: "solid", shapes.HIGH: "wall"}
@@ -217,7 +218,7 @@ def _fading(
         yield moment, (body, arm), shapes.robot_solids(robot, pose, joints, (body, arm))
 
 
-def _legend() -> list[Line2D]:
+def _legend(*, failed: bool) -> list[Line2D]:
     point: dict[str, Any] = {"lw": 0, "marker": "o"}
     looks: dict[str, dict[str, Any]] = {
         "base path and heading": {"color": BASE, "lw": 2.2, "marker": ">", "ms": 7},
@@ -228,4 +229,6 @@ def _legend() -> list[Line2D]:
         "start": {**point, "color": "white", "mec": DESIRED, "mew": 2.0, "ms": 8},
         "goal": {"color": GOAL, "lw": 0, "marker": "*", "mec": INK, "mew": 0.7, "ms": 15},
     }
+    if not failed:
+        del looks["no IK solution"]
     return [Line2D([], [], label=label, **look) for label, look in looks.items()]

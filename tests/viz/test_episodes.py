@@ -52,9 +52,16 @@ def test_a_record_is_an_episode(hsr, record):
 def test_the_legend_names_what_is_drawn(hsr, record, height, x, named):
     line = (x, 0.1, 0.3, 0.2, 0.2, 0.0, height, 1.0, 0.1, 0.0, 0.0)
     about = replace(record().about, solids=(line,))
-    figure = episodes_figure(hsr, [as_recording(replace(record(), about=about), hsr)])
-    texts = {text.get_text() for text in figure.legends[0].get_texts()}
-    assert texts & {"robot", "solid", "wall"} == {"robot", *named}
+    recording = as_recording(replace(record(), about=about), hsr)
+    assert legend(hsr, recording) & {"robot", "solid", "wall"} == {"robot", *named}
+    assert "no IK solution" in legend(hsr, recording)
+    feasible = replace(recording, feasible=np.ones_like(recording.feasible))
+    assert "no IK solution" not in legend(hsr, feasible)
+
+
+def legend(robot, recording):
+    figure = episodes_figure(robot, [recording])
+    return {text.get_text() for text in figure.legends[0].get_texts()}
 
 
 @pytest.mark.parametrize(("stop", "expected"), [(0.0, [0, 39]), (0.5, [0, 39]), (2.0, [0, 20, 39])])
