@@ -7,29 +7,27 @@ a gradient step with its environment steps, means of the seeds.
 """
 
 import argparse
-import csv
 import tempfile
 from pathlib import Path
 
 import numpy as np
+from time_to_level import evaluations, recipe_of
 
 from kinfeas.cli.options import read_settings
 from kinfeas.config import Settings
-from kinfeas.config.recipes import load_section
-from kinfeas.training.config import TrainConfig
+from kinfeas.core.spatial import Array
 from kinfeas.training.train import train
 
 
-def curve(robot: str, settings: Settings) -> tuple[list[float], float, float]:
+def curve(robot: str, settings: Settings) -> tuple[Array, float, float]:
     """Return success at each evaluation, 0-1, and ms of a step: updates, waiting."""
-    config = load_section(TrainConfig, "train", robot, {"robot": robot, **settings})
+    config = recipe_of(robot, settings)
     with tempfile.TemporaryDirectory() as folder:
         done = train(config, Path(folder) / "run")
-        with (Path(folder) / "run" / "metrics.csv").open(newline="", encoding="utf-8") as file:
-            found = [row["evaluation/success"] for row in csv.DictReader(file)]
+        _, success = evaluations(Path(folder) / "run")
     steps = done.steps / (config.num_envs * config.action_repeat)
     update, waiting = (1e3 * done.parts[part] / steps for part in ("update", "waiting"))
-    return [float(value) for value in found if value], update, waiting
+    return success, update, waiting
 
 
 def main() -> None:
@@ -44,23 +42,23 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--evaluations", type=int, default=6)
     parser.add_argument("--episodes", type=int, default=256)
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     schedule = {
-        "schedule.steps": chosen.steps,
+        "schedule.steps": options.steps,
         "schedule.minutes": None,
-        "schedule.evaluations": chosen.evaluations,
-        "schedule.evaluation_episodes": chosen.episodes,
+        "schedule.evaluations": options.evaluations,
+        "schedule.evaluation_episodes": options.episodes,
         "schedule.final_episodes": 1,
         "schedule.checkpoint_seconds": 86400,
     }
-    for variant in [*([] if chosen.only else [""]), *chosen.variant]:
+    for variant in [*([] if options.only else [""]), *options.variant]:
         settings = schedule | read_settings(list(filter(None, variant.split(","))))
-        runs = [curve(chosen.robot, {**settings, "seed": seed}) for seed in range(chosen.seeds)]
+        runs = [curve(options.robot, {**settings, "seed": seed}) for seed in range(options.seeds)]
         means = np.mean([success for success, *_ in runs], axis=0)
         update, waiting = np.mean([costs for _, *costs in runs], axis=0)
-        shares = " ".join(f"{100.0 * value:5.1f}" for value in means)
+        percentages = " ".join(f"{100.0 * value:5.1f}" for value in means)
         cost = f"{update:5.2f} + {waiting:5.2f} ms"
-        print(f"{shares}  {cost}  {variant or 'recipe'}", flush=True)
+        print(f"{percentages}  {cost}  {variant or 'recipe'}", flush=True)
 
 
 if __name__ == "__main__":

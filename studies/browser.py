@@ -1,4 +1,4 @@
-"""A headless Chromium over its DevTools protocol, for live pages in studies and tests."""
+"""A headless Chromium over its DevTools protocol, for live pages."""
 
 import base64
 import json
@@ -16,18 +16,19 @@ import numpy as np
 from kinfeas.core.spatial import rotation
 
 BINARY = shutil.which("chromium") or shutil.which("google-chrome")
+_PAUSE = 0.005  # s, while it waits
 
 
 class Browser:
     """One page of a headless Chromium."""
 
-    def __init__(self, folder: Path, size: tuple[int, int], idle: Callable[[], None]) -> None:
-        """Start with a new profile in `folder`; `idle` is called while it waits."""
+    def __init__(self, folder: Path, size: tuple[int, int]) -> None:
+        """Start with a new profile in `folder`."""
         if BINARY is None:
             raise SystemExit("neither chromium nor google-chrome is installed")
         from websockets.sync.client import connect
 
-        self._idle, self._numbers = idle, count(1)
+        self._numbers = count(1)
         self._process = subprocess.Popen(
             [
                 BINARY, "--headless=new", "--no-sandbox", "--use-angle=swiftshader",
@@ -40,7 +41,7 @@ class Browser:
         self.wait(lambda: port_file.exists() and port_file.read_text().count("\n") > 0)
         port = port_file.read_text().splitlines()[0]
         pages = json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/json"))
-        page = next(one for one in pages if one["type"] == "page")
+        page = next(entry for entry in pages if entry["type"] == "page")
         self._socket = connect(page["webSocketDebuggerUrl"], max_size=None)
         self.call(
             "Emulation.setDeviceMetricsOverride",
@@ -55,7 +56,7 @@ class Browser:
             try:
                 answer = json.loads(self._socket.recv(timeout=0.0))
             except TimeoutError:
-                self._idle()
+                time.sleep(_PAUSE)
                 continue
             if answer.get("id") == number:
                 result: dict[str, Any] = answer["result"]
@@ -71,7 +72,7 @@ class Browser:
         ends = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < ends
-            self._idle()
+            time.sleep(_PAUSE)
 
     def mouse(self, kind: str, x: float, y: float) -> None:
         """Send `mousePressed`, `mouseMoved` or `mouseReleased` at a point of the page."""

@@ -81,7 +81,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     size = (int(sys.argv[2]), int(sys.argv[3])) if len(sys.argv) > 3 else (1280, 800)
     with tempfile.TemporaryDirectory() as folder:
-        browser = Browser(Path(folder), size, lambda: time.sleep(0.005))
+        browser = Browser(Path(folder), size)
         try:
             for _ in range(2):
                 address, picture = first_picture(browser, out / "first.png")

@@ -12,10 +12,10 @@ import json
 from itertools import product
 from pathlib import Path
 
+from streams import write_metrics
+
 from kinfeas.core.metrics import wilson
-from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.evaluation.reachability import measure_reachability
-from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
@@ -41,26 +41,20 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="*", default=TASKS)
     parser.add_argument("--policies", nargs="*", default=POLICIES)
     parser.add_argument("--filters", nargs="*", type=int, default=range(len(FILTERS)))
-    given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
-    rows = [FILTERS[number] for number in given.filters]
-    for task, policy, filters in product(given.tasks, given.policies, rows):
-        for number, run in enumerate(given.runs if policy == POLICIES[0] else [policy]):
-            path = given.folder / f"{name(given.robot, task, policy, filters)}-{number}.json"
-            if not path.exists():
-                chosen = {"world.filters": filters}
-                known = load_robot(given.robot)
-                config = configure(known, task, episodes=given.episodes, settings=chosen)
-                path.write_text(
-                    json.dumps(evaluate(config, load_policy(run, known), policy), indent=2)
-                )
-    for task in given.tasks:
-        path = given.folder / f"{name(given.robot, task, CEILING, ())}-0.json"
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    rows = [FILTERS[number] for number in options.filters]
+    for task, policy, filters in product(options.tasks, options.policies, rows):
+        for number, run in enumerate(options.runs if policy == POLICIES[0] else [policy]):
+            path = options.folder / f"{name(options.robot, task, policy, filters)}-{number}.json"
+            write_metrics(path, options.robot, task, run, filters, options.episodes)
+    for task in options.tasks:
+        path = options.folder / f"{name(options.robot, task, CEILING, ())}-0.json"
         if not path.exists():
-            robot, seed = load_robot(given.robot), 1  # as in `configure`
-            found = measure_reachability(robot, load_task(task), given.episodes, seed)
-            path.write_text(json.dumps({"success": found.share.value, "episodes": given.episodes}))
-    print(table(given.folder, given.robot))
+            robot, seed = load_robot(options.robot), 1  # as in `configure`
+            bound = measure_reachability(robot, load_task(task), options.episodes, seed).share
+            path.write_text(json.dumps({"success": bound.value, "episodes": options.episodes}))
+    print(table(options.folder, options.robot))
 
 
 def name(robot: str, task: str, policy: str, filters: tuple[str, ...]) -> str:
@@ -74,7 +68,7 @@ def table(folder: Path, robot: str) -> str:
     lines.append("|---|---|" + "---|" * len(TASKS))
     for policy, filters in [*product(POLICIES, FILTERS), (CEILING, ())]:
         names = [name(robot, task, policy, filters) for task in TASKS]
-        cells = [cell(sorted(folder.glob(f"{one}-[0-9].json"))) for one in names]
+        cells = [cell(sorted(folder.glob(f"{prefix}-[0-9].json"))) for prefix in names]
         if cells == ["-"] * len(TASKS):
             continue
         lines.append(f"| {policy} | {', '.join(filters)} | {' | '.join(cells)} |")
@@ -85,10 +79,10 @@ def cell(files: list[Path]) -> str:
     """Return the success of evaluations with its interval, over all of their episodes."""
     if not files:
         return "-"
-    found = [json.loads(one.read_text()) for one in files]
-    episodes = sum(int(one["episodes"]) for one in found)
-    share = wilson(round(sum(one["success"] * one["episodes"] for one in found)), episodes)
-    return f"{100 * share.value:.1f} ({100 * share.low:.1f} - {100 * share.high:.1f})"
+    runs = [json.loads(file.read_text()) for file in files]
+    episodes = sum(int(run["episodes"]) for run in runs)
+    success = wilson(round(sum(run["success"] * run["episodes"] for run in runs)), episodes)
+    return f"{100 * success.value:.1f} ({100 * success.low:.1f} - {100 * success.high:.1f})"
 
 
 if __name__ == "__main__":

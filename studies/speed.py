@@ -8,6 +8,7 @@ Training uses the robot's recipe on all cores for half a minute.
 """
 
 import argparse
+import itertools
 import os
 import resource
 import sys
@@ -23,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config import registry
 from kinfeas.config.recipes import load_section
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
@@ -39,6 +39,7 @@ from kinfeas.policies.loading import trained_folder
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
+from kinfeas.tasks.loading import load_task
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""
@@ -48,6 +49,12 @@ MOTIONS = 100
 
 ROOM_STEPS = 800
 """Timed steps among solids: more than an episode, so that its start counts, too."""
+
+TIMED, REPEATS = 2000, 5
+"""IK targets of each kind, also the number of actions; and repetitions of a measurement."""
+
+TRAIN_MINUTES = 0.5
+"""Length of a training."""
 
 METRES, RADIANS = 1e-4, 1e-3
 """Tolerances of an IK solution."""
@@ -69,15 +76,6 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Effort:
-    """Size of the measurements: IK targets of each kind, repetitions, and length of a training."""
-
-    targets: int = 2000
-    repeats: int = 5
-    train_minutes: float = 0.5
-
-
-@dataclass(frozen=True)
 class Targets:
     """IK targets: EE poses in the base frame, shape (n, 7), and seeds, shape (n, j)."""
 
@@ -93,42 +91,16 @@ class IkTiming:
     solved: float
 
 
-def measure_speed(
-    robot: str,
-    effort: Effort | None = None,
-    on_part: Callable[[str], None] | None = None,
-) -> list[Figure]:
-    """Return all measurements: on one core, except training, which uses all.
-
-    `on_part` is called with the name of each part at its beginning.
-    """
-    effort, known = effort or Effort(), load_robot(robot)
-    parts: dict[str, Callable[[], Iterator[Figure]]] = {
-        "inverse kinematics": lambda: measure_ik(known, effort),
-        "environment": lambda: measure_environments(known, effort),
-        "rooms": lambda: measure_rooms(robot, effort),
-        "plans": lambda: measure_plans(known),
-        "action": lambda: measure_action(known, effort),
-        "training": lambda: measure_training(robot, effort),
-    }
-    figures: list[Figure] = []
-    for name, measure in parts.items():
-        if on_part is not None:
-            on_part(name)
-        figures += measure()
-    return [*figures, Figure("peak memory", _peak_memory_mb(), "MB")]
-
-
-def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
+def measure_ik(robot: Robot) -> Iterator[Figure]:
     """Yield time and solved share of inverse kinematics, ours and that of peers."""
     rng = np.random.default_rng(0)
     others = {"Pinocchio": peers.pinocchio_peer(robot), "PyBullet": peers.pybullet_peer(robot)}
     with one_core():
-        warm = warm_targets(robot, effort.targets, rng)
-        cold = cold_targets(robot, effort.targets, rng)
+        warm = warm_targets(robot, TIMED, rng)
+        cold = cold_targets(robot, TIMED, rng)
         for kind, targets in (("warm", warm), ("cold", cold)):
-            free = time_ours(robot, targets, self_collision=False, repeats=effort.repeats)
-            full = time_ours(robot, targets, self_collision=True, repeats=effort.repeats)
+            free = time_ours(robot, targets, self_collision=False)
+            full = time_ours(robot, targets, self_collision=True)
             yield from _figures(f"IK {kind}, self-collision off", free)
             yield from _figures(f"IK {kind}", full)
             for name, peer in others.items():
@@ -138,7 +110,7 @@ def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
 
 def measure_plans(robot: Robot) -> Iterator[Figure]:
     """Yield the time of plans of base and arm along whole motions of `ggr`, and how many exist."""
-    world = World(robot, registry.build("kinfeas.tasks", "ggr", {}), WorldConfig(), seed=0)
+    world = World(robot, load_task("ggr"), WorldConfig(), seed=0)
     planner, seconds, found = BasePathPlanner(IkSolver(robot)), [], []
     world.start(range(MOTIONS))
     robots = world.loop.robots
@@ -155,17 +127,16 @@ def measure_plans(robot: Robot) -> Iterator[Figure]:
     yield Figure("plans found", float(np.mean(found)), "")
 
 
-def measure_environments(robot: Robot, effort: Effort) -> Iterator[Figure]:
+def measure_environments(robot: Robot) -> Iterator[Figure]:
     """Yield environment steps per second of bases that follow the EE, with self-collision."""
     with one_core():
         for batch, steps in BATCHES.items():
-            world = World(robot, registry.build("kinfeas.tasks", "ggr", {}), WorldConfig(), seed=0)
-            rate = environment_rate(world, FollowEe(robot.base), batch, steps, effort.repeats)
-            text = f"environment, batch {batch}"
-            yield Figure(text, rate, "steps/s")
+            world = World(robot, load_task("ggr"), WorldConfig(), seed=0)
+            rate = environment_rate(world, FollowEe(robot.base), batch, steps)
+            yield Figure(f"environment, batch {batch}", rate, "steps/s")
 
 
-def measure_rooms(robot: str, effort: Effort) -> Iterator[Figure]:
+def measure_rooms(robot: str) -> Iterator[Figure]:
     """Yield environment steps per second in the recipe for rooms, among 32 solids."""
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.worlds import training_world
@@ -175,42 +146,39 @@ def measure_rooms(robot: str, effort: Effort) -> Iterator[Figure]:
     policy = FollowBase(model.base, source="planned_base")
     with one_core():
         batch = recipe.num_envs
-        rate = environment_rate(training_world(recipe), policy, batch, ROOM_STEPS, effort.repeats)
-    text = f"environment among 32 solids, batch {batch}"
-    yield Figure(text, rate, "steps/s")
+        rate = environment_rate(training_world(recipe), policy, batch, ROOM_STEPS)
+    yield Figure(f"environment among 32 solids, batch {batch}", rate, "steps/s")
 
 
-def environment_rate(
-    world: World, policy: Policy, batch: int, steps: int, repeats: int = 3
-) -> float:
+def environment_rate(world: World, policy: Policy, batch: int, steps: int) -> float:
     """Return environment steps per second, including the policy and restarts.
 
     `batch` robots move side by side for `steps` control periods; the fastest repetition counts.
     """
     rates = []
-    for _ in range(repeats):
+    for _ in range(REPEATS):
         world.next_episode = 0
         world.start_next(batch)
         rates.append(batch * steps / best_of(1, lambda: _drive(world, policy, steps), 0.0))
     return max(rates)
 
 
-def measure_action(robot: Robot, effort: Effort) -> Iterator[Figure]:
+def measure_action(robot: Robot) -> Iterator[Figure]:
     """Yield the time of the packaged policy from one observation to its action."""
     network = read_network(trained_folder("pretrained", robot), robot)
     seen = np.random.default_rng(0).normal(size=(1, len(network.scale)))
 
     def act() -> None:
-        for _ in range(effort.targets):
+        for _ in range(TIMED):
             network(seen)
 
     act()
     with one_core():
-        seconds = best_of(effort.repeats, act)
-    yield Figure("action of a policy", seconds / effort.targets * 1e6, "us")
+        seconds = best_of(REPEATS, act)
+    yield Figure("action of a policy", seconds / TIMED * 1e6, "us")
 
 
-def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
+def measure_training(robot: str) -> Iterator[Figure]:
     """Yield speed and shares of the parts of a short training run by the robot's own recipe.
 
     A step is a control period of one environment. Shares are of the wall-clock time of the steps;
@@ -221,7 +189,7 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
     from kinfeas.training.train import train
 
     few = ("evaluations", "evaluation_episodes", "final_episodes")
-    schedule = {"minutes": effort.train_minutes, **dict.fromkeys(few, 1)}
+    schedule = {"minutes": TRAIN_MINUTES, **dict.fromkeys(few, 1)}
     settings = {"robot": robot, "schedule": schedule}
     with tempfile.TemporaryDirectory() as folder:
         recipe = load_section(TrainConfig, "train", robot, settings)
@@ -257,16 +225,16 @@ def warm_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
     return Targets(np.concatenate(poses)[:count], np.concatenate(seeds)[:count])
 
 
-def time_ours(robot: Robot, targets: Targets, self_collision: bool, repeats: int = 5) -> IkTiming:
+def time_ours(robot: Robot, targets: Targets, self_collision: bool) -> IkTiming:
     """Return the timing of our solver, without pose tolerance."""
     solver = IkSolver(robot, IkOptions(self_collision=self_collision, pose_tolerance=False))
     solution = solver.solve(targets.pose, targets.seed)
-    seconds = best_of(repeats, lambda: solver.solve(targets.pose, targets.seed))
+    seconds = best_of(REPEATS, lambda: solver.solve(targets.pose, targets.seed))
     good = solution.feasible & _verified(solver, targets, solution.joint_positions)
     return IkTiming(seconds / len(good) * 1e6, float(good.mean()))
 
 
-def time_peer(robot: Robot, peer: peers.Peer, targets: Targets, repeats: int = 2) -> IkTiming:
+def time_peer(robot: Robot, peer: peers.Peer, targets: Targets) -> IkTiming:
     """Return the timing of a peer; our own kinematics verifies its solutions."""
     problems = [peer.prepare(pose) for pose in targets.pose]
     seeds = list(targets.seed)
@@ -275,7 +243,7 @@ def time_peer(robot: Robot, peer: peers.Peer, targets: Targets, repeats: int = 2
         return [peer.solve(problem, seed) for problem, seed in zip(problems, seeds, strict=True)]
 
     joints = np.array(solve())
-    seconds = best_of(repeats, solve)
+    seconds = best_of(2, solve)
     good = _verified(IkSolver(robot), targets, joints)
     return IkTiming(seconds / len(good) * 1e6, float(good.mean()))
 
@@ -366,9 +334,15 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--robot", default="pr2")
-    chosen = parser.parse_args()
-    for figure in measure_speed(chosen.robot, on_part=lambda part: print(f"timing: {part}")):
-        print(f"{figure.text:42s} {_text(figure)}")
+    name = parser.parse_args().robot
+    robot = load_robot(name)
+    figures = itertools.chain(
+        measure_ik(robot), measure_environments(robot), measure_rooms(name), measure_plans(robot),
+        measure_action(robot), measure_training(name),
+    )  # fmt: skip
+    for figure in figures:
+        print(f"{figure.text:42s} {_text(figure)}", flush=True)
+    print(f"{'peak memory':42s} {_peak_memory_mb():,.0f} MB")
 
 
 def _text(figure: Figure) -> str:

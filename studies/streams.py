@@ -6,12 +6,14 @@ not repeated. `--robots` and `--policies` restrict the evaluations of this proce
 
 import argparse
 import json
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
 from kinfeas.evaluation.evaluate import configure, evaluate
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
+from kinfeas.viz.style import TITLES
 
 ROBOTS, TASKS = ("pr2", "tiago", "hsr"), ("joystick", "chunks", "carried")
 ROWS = {
@@ -30,18 +32,24 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--robots", nargs="*", default=ROBOTS)
     parser.add_argument("--policies", nargs="*", default=[policy for policy, _ in ROWS])
-    given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
-    for (policy, filters), robot, task in product(ROWS, given.robots, TASKS):
-        path = given.folder / f"{robot}-{task}-{policy}-{filters or 'none'}.json"
-        if policy in given.policies and not path.exists():
-            chosen = {"world.filters": [filters] if filters else []}
-            known = load_robot(robot)
-            config = configure(known, task, episodes=EPISODES, settings=chosen)
-            path.write_text(
-                json.dumps(evaluate(config, load_policy(policy, known), policy), indent=2)
-            )
-    print(table(given.folder))
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    for (policy, filters), robot, task in product(ROWS, options.robots, TASKS):
+        if policy in options.policies:
+            path = options.folder / f"{robot}-{task}-{policy}-{filters or 'none'}.json"
+            write_metrics(path, robot, task, policy, filters.split(), EPISODES)
+    print(table(options.folder))
+
+
+def write_metrics(
+    path: Path, robot: str, task: str, policy: str, filters: Sequence[str], episodes: int
+) -> None:
+    """Evaluate a policy into a JSON file, unless it is there."""
+    if not path.exists():
+        model = load_robot(robot)
+        settings = {"world.filters": filters}
+        config = configure(model, task, episodes=episodes, settings=settings)
+        path.write_text(json.dumps(evaluate(config, load_policy(policy, model), policy), indent=2))
 
 
 def table(folder: Path) -> str:
@@ -53,15 +61,14 @@ def table(folder: Path) -> str:
         for task in TASKS:
             path = folder / f"{robot}-{task}-{policy}-{filters or 'none'}.json"
             cells.append(cell(json.loads(path.read_text())) if path.exists() else "-")
-        name = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}[robot]
-        lines.append(f"| {name}, {label} | {' | '.join(cells)} |")
+        lines.append(f"| {TITLES[robot]}, {label} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def cell(found: dict[str, float]) -> str:
+def cell(metrics: dict[str, float]) -> str:
     """Return the metrics of an evaluation."""
-    shares = f"{100 * found['smooth']:.1f} / {100 * found['speed_share']:.0f}"
-    return f"{shares} / {1000 * found['rms_deviation_m']:.1f}"
+    fractions = f"{100 * metrics['smooth']:.1f} / {100 * metrics['speed_share']:.0f}"
+    return f"{fractions} / {1000 * metrics['rms_deviation_m']:.1f}"
 
 
 if __name__ == "__main__":

@@ -15,9 +15,8 @@ import numpy as np
 import torch
 from speed import one_core
 from stable_baselines3 import SAC
+from time_to_level import recipe_of
 
-from kinfeas.config.recipes import load_section
-from kinfeas.training.config import TrainConfig
 from kinfeas.training.fast_sac import FastSAC
 from kinfeas.training.learner import make_learner, without_denormals
 from kinfeas.training.vec_env import WorldVecEnv
@@ -39,7 +38,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robot")
     robot = parser.parse_args().robot
-    config = load_section(TrainConfig, "train", robot, {"robot": robot})
+    config = recipe_of(robot, {})
     env = WorldVecEnv(training_world(config), config.num_envs)
     seen: Any = env.reset()
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (len(seen), env.world.action_size))
