@@ -58,9 +58,8 @@ def _commands() -> Iterator[str]:
         yield f"## {name}"
         yield f"`{name} {' '.join(command.collect_usage_pieces(context))}`"
         yield re.sub(r"Example: (.*)", r"Example: `\1`", inspect.cleandoc(command.help))
-        yield _table(
-            ("option", "meaning", "default"), [_option(one, context) for one in command.params]
-        )
+        options = [_option(parameter, context) for parameter in command.params]
+        yield _table(("option", "meaning", "default"), options)
 
 
 def _leaves(name: str, command: Any) -> Iterator[tuple[str, Any]]:
@@ -88,15 +87,15 @@ def _keys(target: str, *without: str) -> Iterator[str]:
 def _rows(schema: Any, above: str = "") -> Iterator[tuple[str, str, str, str]]:
     """Yield key, type, default and meaning of each field, those of nested dataclasses dotted."""
     types, meanings = get_type_hints(schema, include_extras=True), _documented(schema)
-    for one in fields(schema):
-        kind, meaning = types[one.name], _meaning(schema, meanings, one.name)
-        value = one.default_factory() if callable(one.default_factory) else one.default
-        nested = _nested(kind, one.name)
+    for entry in fields(schema):
+        kind, meaning = types[entry.name], _meaning(schema, meanings, entry.name)
+        value = entry.default_factory() if callable(entry.default_factory) else entry.default
+        nested = _nested(kind, entry.name)
         if nested is None:
-            yield f"`{above}{one.name}`", _type(kind), _default(value), meaning
+            yield f"`{above}{entry.name}`", _type(kind), _default(value), meaning
             continue
-        if not (is_dataclass(value) and nested[0] == one.name):
-            yield f"`{above}{one.name}`", _type(kind), _default(value), meaning
+        if not (is_dataclass(value) and nested[0] == entry.name):
+            yield f"`{above}{entry.name}`", _type(kind), _default(value), meaning
         yield from _rows(nested[1], f"{above}{nested[0]}.")
 
 
@@ -104,10 +103,11 @@ def _nested(kind: Any, key: str) -> tuple[str, Any] | None:
     """Return the key and the dataclass of a block, of the entries of a list or of a mapping."""
     if isinstance(kind, type) and is_dataclass(kind) and kind is not config.PluginSpec:
         return key, kind
-    if not (found := [one for part in get_args(kind) if (one := _nested(part, key))]):
+    blocks = [block for part in get_args(kind) if (block := _nested(part, key))]
+    if not blocks:
         return None
-    many = {tuple: f"{key}.N", dict: f"{key}.NAME"}.get(get_origin(kind), found[0][0])
-    return many, found[0][1]
+    many = {tuple: f"{key}.N", dict: f"{key}.NAME"}.get(get_origin(kind), blocks[0][0])
+    return many, blocks[0][1]
 
 
 def _parameters(target: str) -> Iterator[str]:
@@ -127,9 +127,9 @@ def _parameter_table(factory: Any, passed: tuple[str, ...] = ()) -> str:
     types = get_type_hints(factory.__init__, include_extras=True)
     meanings = _documented(factory)
     return _table(("parameter", "type", "default", "meaning"), [
-        (f"`{one.name}`", _type(types[one.name]), _default(one.default),
-         _meaning(factory, meanings, one.name))
-        for one in inspect.signature(factory).parameters.values() if one.name not in passed
+        (f"`{entry.name}`", _type(types[entry.name]), _default(entry.default),
+         _meaning(factory, meanings, entry.name))
+        for entry in inspect.signature(factory).parameters.values() if entry.name not in passed
     ])  # fmt: skip
 
 
@@ -139,14 +139,14 @@ def _documented(kind: Any) -> dict[str, str]:
     They are in sections Attributes and Args, and in comments beside or above fields.
     """
     found: dict[str, str] = {}
-    for one in reversed(kind.__mro__):
-        source = inspect.getsource(one) if "__dataclass_fields__" in vars(one) else ""
+    for cls in reversed(kind.__mro__):
+        source = inspect.getsource(cls) if "__dataclass_fields__" in vars(cls) else ""
         for above, name, beside in re.findall(
             r"((?:^    # .*\n)*)^    (\w+): [^#\n]*(?:  # (.*))?$", source, re.M
         ):
             if text := " ".join(f"{above}{beside}".replace("# ", " ").split()):
                 found[name] = f"{text[0].upper()}{text[1:]}."
-        for text in (one.__doc__, one.__dict__.get("__init__", one).__doc__):
+        for text in (cls.__doc__, cls.__dict__.get("__init__", cls).__doc__):
             section = re.search(
                 r"(?:Attributes|Args):\n((?:\n| +.*\n?)+)", inspect.cleandoc(text or "")
             )
@@ -167,11 +167,11 @@ def _type(kind: Any) -> str:
     """Return the words for a type, with its bounds."""
     origin, inner = get_origin(kind), get_args(kind)
     if origin is Annotated:
-        return _type(inner[0]) + "".join(_bounds(one) for one in inner[1:])
+        return _type(inner[0]) + "".join(_bounds(part) for part in inner[1:])
     if origin is Literal:
-        return ", ".join(f"`{one}`" for one in inner)
+        return ", ".join(f"`{part}`" for part in inner)
     if origin in (Union, UnionType):
-        kinds = ["null" if one is type(None) else _type(one) for one in inner]
+        kinds = ["null" if part is type(None) else _type(part) for part in inner]
         return " or ".join(dict.fromkeys(kinds))
     if origin in (tuple, Sequence):
         count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)}: "
@@ -222,9 +222,9 @@ def _members(tree: ast.Module) -> Iterator[tuple[str, str]]:
             continue
         called = node.name
         if isinstance(node, ast.FunctionDef):
-            taken = node.args
-            every = (*taken.posonlyargs, *taken.args, *taken.kwonlyargs)
-            called += f"({', '.join(one.arg for one in every)})"
+            own = node.args
+            names = [entry.arg for entry in (*own.posonlyargs, *own.args, *own.kwonlyargs)]
+            called += f"({', '.join(names)})"
         yield f"`{called}`", _first(ast.get_docstring(node))
 
 

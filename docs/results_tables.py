@@ -21,19 +21,17 @@ from PIL import Image
 
 from kinfeas.benchmark.pictures import table_figure
 from kinfeas.benchmark.table import Cell
-from kinfeas.viz.style import png
+from kinfeas.viz.style import TITLES, png
 
 DOCS = Path(__file__).parent
 README = DOCS.parent / "README.md"
 FIGURES = DOCS / "figures"
 IMAGES = DOCS / "images"
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
-RANDOM = ("ggr", "ggr_restricted")
 BASELINES = (
     "follow_ee", "follow_ee_feedback", "demonstrated_base", "planned_base",
     "geometric_modulation", "planner", "whole_body_qp",
 )  # fmt: skip
-ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 PLANNED = ("pretrained", "path planner")
 """Policy and row with the default filters; here the obstacle filter changes nothing."""
 LEARNED = {
@@ -118,7 +116,7 @@ def tables_page(record: Sequence[Entry], pybullet: Sequence[Entry], mujoco: Sequ
     """Return the page with all tables of the records of the three worlds."""
     lines = [HEAD, "## Analytic world", "", OF_ANALYTIC, ""]
     cells = plain(record)
-    for robot, title in ROBOTS.items():
+    for robot, title in TITLES.items():
         rows = [(name, *chosen, "success") for chosen, name in LEARNED.items()]
         for policy in BASELINES:
             rows.append((f"`{policy}`", policy, "", "success"))
@@ -134,7 +132,7 @@ def tables_page(record: Sequence[Entry], pybullet: Sequence[Entry], mujoco: Sequ
     lines += ["", "### Joint jumps per episode", "", JUMPS, ""]
     jumps = [
         (f"{title}, {name}", [_jumps(cells.get((robot, task, *chosen))) for task in TASKS])
-        for robot, title in ROBOTS.items()
+        for robot, title in TITLES.items()
         for chosen, name in LEARNED.items()
         if chosen != ("pretrained", "")
     ]
@@ -148,7 +146,7 @@ def tables_page(record: Sequence[Entry], pybullet: Sequence[Entry], mujoco: Sequ
 def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) -> str:
     """Return the README with the rows of a record."""
     analytic, with_physics = plain(record), plain(physics)
-    for robot, name in ROBOTS.items():
+    for robot, name in TITLES.items():
         in_pybullet = IN_PYBULLET[robot]
         rows = {
             f"**{name}**, ours": (analytic, *PLANNED, "success"),
@@ -184,7 +182,7 @@ def physics_table(
     """Return the lines of a table with both engines in each cell."""
     engines = plain(pybullet), plain(mujoco)
     rows = []
-    for robot, title in ROBOTS.items():
+    for robot, title in TITLES.items():
         for chosen, name in PHYSICS.items():
             both = [[cells.get((robot, task, *chosen)) for cells in engines] for task in tasks]
             if any(both[-1]):
@@ -206,7 +204,7 @@ def _variants(record: Sequence[Entry]) -> Iterator[tuple[str, list[str]]]:
     for cell in record:
         name = LEARNED.get((cell["policy"], cell["row"]), f"`{cell['policy']}`")
         if cell["variant"] and (name in LEARNED.values() or cell["policy"] == "whole_body_qp"):
-            where = f"{ROBOTS[cell['robot']]}, `{cell['task']}`, {cell['variant']}"
+            where = f"{TITLES[cell['robot']]}, `{cell['task']}`, {cell['variant']}"
             yield where, [name, _success(cell, "success"), f"{100 * cell['ceiling']:.1f}"]
 
 
@@ -236,7 +234,9 @@ def _within(*engines: Entry | None) -> str:
 
 def _physical(*engines: Entry | None) -> str:
     contacts = [cell["arm_collisions"] for cell in engines if cell]
-    return f"{_pair(engines, 'task_success')} ({', '.join(f'{one:.1f}' for one in contacts)})"
+    return (
+        f"{_pair(engines, 'task_success')} ({', '.join(f'{contact:.1f}' for contact in contacts)})"
+    )
 
 
 SUCCESS = ("success, % (paper)", TASKS, _with_paper)
@@ -298,7 +298,7 @@ def main(studies: Sequence[Path]) -> None:
         found = _read(study / "table.json")
         world = found[0]["world"]
         records[world] = merged(records[world], found)
-        if world == "analytic" and {cell["robot"] for cell in found} == set(ROBOTS):
+        if world == "analytic" and {cell["robot"] for cell in found} == set(TITLES):
             # Studies without training have no learning curves.
             for name in PICTURES:
                 if (study / f"{name}.png").exists():
