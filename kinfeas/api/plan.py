@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kinfeas.api import Name
 from kinfeas.api.load import checked, load_robot, text_of
-from kinfeas.api.reach import base_pose, solids_of
+from kinfeas.api.reach import base_pose, placer_of, solids_of
 from kinfeas.api.view import write_files
 from kinfeas.config import Settings, nested
 from kinfeas.control.execution import tool_pose
@@ -180,10 +180,10 @@ def plan(  # noqa: PLR0913 - options of the command
         raise KinfeasError("'settings' are for files and generators, 'target' for generators")
     elif len(poses := ee_poses(path, "path")) < 2:
         raise KinfeasError("'path' must have at least 2 poses")
-    model = robot.solver.robot if isinstance(robot, BasePlacer) else load_robot(robot)
+    placer = placer_of(robot)
+    model = placer.solver.robot
     around, names = solids_of(scene, solids, compose(poses, tool_pose(model)))
     state = None if start is None else _state(model, start, joints)
-    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(model)
     if isinstance(path, str | Path):
         ee = _rolled_out(placer.solver, motion, poses, state, around)
         if len(ee) * HORIZON >= LONGEST:
@@ -193,7 +193,7 @@ def plan(  # noqa: PLR0913 - options of the command
             poses = _from_start(placer.solver, *state, poses)
         ee, step = _divided(poses, step, model.base)
     moments = plan_along(placer, ee, step, state, around, names)
-    return Plan(**vars(moments), robot=placer.solver.robot, solids=around)
+    return Plan(**vars(moments), robot=model, solids=around)
 
 
 def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> Plan:

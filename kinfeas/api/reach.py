@@ -59,9 +59,8 @@ def reach(  # noqa: PLR0913 - options of the command
     goals, count = ee_poses(numbers, "poses"), checked(Count, k, "k")
     together = checked(bool, together, "together")
     origin = None if start is None else base_pose(start, "start")
-    model = robot.solver.robot if isinstance(robot, BasePlacer) else load_robot(robot)
-    around, names = solids_of(scene, solids, compose(goals, tool_pose(model)))
-    placer = robot if isinstance(robot, BasePlacer) else BasePlacer(model)
+    placer = placer_of(robot)
+    around, names = solids_of(scene, solids, compose(goals, tool_pose(placer.solver.robot)))
     _check_start(placer, origin, around, names)
     where = around, origin, count
     if together:
@@ -69,6 +68,11 @@ def reach(  # noqa: PLR0913 - options of the command
     else:
         placements = [placer.place(goal, *where) for goal in goals]
     return [placement.named(names) for placement in placements]
+
+
+def placer_of(robot: Name | Robot | BasePlacer) -> BasePlacer:
+    """Return the placer of a robot; one that is built already as it is."""
+    return robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
 
 
 def _check_start(
@@ -125,7 +129,7 @@ def solids_of(
 
 
 def reach_map(
-    robot: Name,
+    robot: Name | Robot | BasePlacer,
     pose: ArrayLike,
     *,
     scene: Name | Scene | None = None,
@@ -139,9 +143,10 @@ def reach_map(
     from kinfeas.viz.episodes import reach_figure
     from kinfeas.viz.style import png
 
-    model, goal = load_robot(robot), ee_poses(pose, "pose")[0]
+    placer, goal = placer_of(robot), ee_poses(pose, "pose")[0]
+    model = placer.solver.robot
     around, names = solids_of(scene, solids, compose(goal, tool_pose(model))[np.newaxis])
     origin = None if start is None else base_pose(start, "start")
-    placer, where = BasePlacer(model), (goal, around, origin)
     _check_start(placer, origin, around, names)
+    where = goal, around, origin
     return png(reach_figure(model, goal, placer.place(*where), placer.region(*where), around))
