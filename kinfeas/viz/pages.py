@@ -146,10 +146,8 @@ def replay_html(replay: EpisodeReplay) -> str:
         label = server.scene.add_label(
             "/result", caption(recording), position=position, visible=False
         )
-        film, shown = (
-            server.get_scene_serializer(),
-            shown_moments(times, min(_MOST, math.ceil((times[-1] - times[0]) * _RATE))),
-        )
+        film = server.get_scene_serializer()
+        shown = shown_moments(times, min(_MOST, math.ceil((times[-1] - times[0]) * _RATE)))
         for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
             bodies.move(replay.links(moment))
             label.visible = moment == shown[-1]

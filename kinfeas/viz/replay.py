@@ -241,12 +241,11 @@ def caption(recording: Recording) -> str:
 
 
 def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]]:
-    shapes = [
-        shape
-        for shape in visual_shapes(backend.robot, backend.scene)
-        if shape.shape.kind != "box" or max(shape.shape.size) <= _WALL
-    ]
-    return shapes, list(dict.fromkeys(shape.link for shape in shapes))
+    shapes = visual_shapes(backend.robot)
+    if backend.scene is not None:
+        shapes += scene_shapes(backend.scene)
+    shapes = [each for each in shapes if each.shape.kind != "box" or max(each.shape.size) <= _WALL]
+    return shapes, list(dict.fromkeys(each.link for each in shapes))
 
 
 def _with_solids(episode: EpisodeReplay) -> EpisodeReplay:

@@ -124,13 +124,10 @@ def scene_shapes(scene: Scene) -> list[VisualShape]:
     return shapes
 
 
-def visual_shapes(robot: Robot, scene: Scene | None) -> list[VisualShape]:
-    """Return the visible primitives of robot and scene; meshes are left out."""
+def visual_shapes(robot: Robot) -> list[VisualShape]:
+    """Return the visible primitives of a robot in a physics world; meshes are left out."""
     urdf, _ = physics_urdf(robot)
-    shapes = list(urdf_visuals(ROBOT, parse_xml(urdf, "robot", str(robot.urdf_path))))
-    for name, item in scene.objects.items() if scene else ():
-        shapes += urdf_visuals(name, read_xml(item.urdf_path, "robot"))
-    return shapes
+    return list(urdf_visuals(ROBOT, parse_xml(urdf, "robot", str(robot.urdf_path))))
 
 
 @lru_cache(maxsize=64)
