@@ -83,10 +83,10 @@ def evaluations(run: Path) -> tuple[Array, Array]:
     return seconds[evaluated], success[evaluated]
 
 
-def levels(robot: str, goals: int = 500) -> dict[str, float]:
+def levels(robot: str) -> dict[str, float]:
     """Return levels of success on the training task: fractions of the ceiling, and the paper's."""
     model = load_robot(robot)
-    ceiling = measure_reachability(model, load_task("ggr"), goals, seed=1).share.value
+    ceiling = measure_reachability(model, load_task("ggr"), 500, seed=1).share.value
     values = {f"{fraction:.0%} of the ceiling": fraction * ceiling for fraction in (0.7, 0.8, 0.9)}
     paper = paper_figures(model.name, "ggr").get(LEARNED)
     return values | ({} if paper is None else {"the paper's success": paper.success})

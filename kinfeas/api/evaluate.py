@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
 from kinfeas.api.load import Adapters, checked, load_robot, plugin_settings, robot_of, text_of
@@ -25,9 +25,6 @@ from kinfeas.policies.network import Network
 from kinfeas.policies.onnx_policy import OnnxPolicy
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
-
-if TYPE_CHECKING:
-    from kinfeas.viz.replay import EpisodeReplay
 
 
 class Metrics(Summary, total=False):
@@ -126,7 +123,10 @@ def evaluate(  # noqa: PLR0913 - options of the command
     evaluation.add_ceiling(summaries, config, counter(on_progress, "ceiling"))
     if picture or video or replay:
         counter(on_progress, f"episode {episode}")
-        shown = _shown(config, driver, episode)
+        from kinfeas.viz.replay import run_episode
+
+        with closing(World(config.robot, config.task, config.world, config.seed)) as again:
+            shown = run_episode(again, driver, episode)
         write_files(shown, model, picture, video, replay, on_progress=on_progress)
     return metrics
 
@@ -138,14 +138,6 @@ def _steps(policy: Name | Policy, driver: Policy, robot: Robot) -> int | None:
     if isinstance(driver, Network) and isinstance(policy, str | Path):
         return read_trained(trained_folder(str(policy), robot)).steps
     return None
-
-
-def _shown(config: EvalConfig, policy: Policy, episode: int) -> "EpisodeReplay":
-    """Run an episode of an evaluation again and return it with everything visible."""
-    from kinfeas.viz.replay import run_episode
-
-    with closing(World(config.robot, config.task, config.world, config.seed)) as world:
-        return run_episode(world, policy, episode)
 
 
 @dataclass(frozen=True)

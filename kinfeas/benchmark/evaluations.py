@@ -183,12 +183,12 @@ def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[TrainedRun]) -> 
 
 def compute(case: Evaluation) -> Result:
     """Return the metrics of an evaluation, or the ceiling of its task."""
+    robot = load_robot(case.robot)
     if case.policy == CEILING:
-        robot, task = load_robot(case.robot), load_task(case.task, case.parameters)
+        task = load_task(case.task, case.parameters)
         ik = read_settings(robot.folder, case.backend, case.settings).world.ik
         bound = measure_reachability(robot, task, case.episodes, case.seed, ik).share
         return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
-    robot = load_robot(case.robot)
     policy = load_policy(case.source, robot)
     parameters = {f"task.{key}": value for key, value in case.parameters.items()}
     plan = configure(

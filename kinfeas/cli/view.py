@@ -1,5 +1,6 @@
 """`kinfeas view` and `kinfeas play`: scenes, recorded runs and simulated robots to look at."""
 
+from contextlib import closing
 from pathlib import Path
 
 import typer
@@ -71,8 +72,9 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
         read_scene(scene)
     with serving("kinfeas play", host, port) as server:
         typer.echo(server.url)  # browsers load while the rest is imported
-        from kinfeas.viz.play import Choice
-        from kinfeas.viz.play import play as run
+        from kinfeas.viz.play import Choice, PlayPage
 
         choice = Choice(robot, policy, second_policy, generator, names, backend, scene)
-        run(server, choice, demonstrations)
+        with closing(PlayPage(server, choice, demonstrations)) as page:
+            page.start()
+            page.run()

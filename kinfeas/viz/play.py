@@ -358,13 +358,3 @@ def _generators() -> list[str]:
 def _order(name: str) -> tuple[bool, bool, str]:
     """Return a key that sorts feasibility before time scaling and both behind other filters."""
     return name == "time_scaling", name == "feasibility", name
-
-
-def play(server: Any, choice: Choice, folder: Path) -> None:
-    """Fill a page and run it until Ctrl-C; raise KinfeasError if its choice cannot be built."""
-    page = PlayPage(server, choice, folder)
-    try:
-        page.start()
-        page.run()
-    finally:
-        page.close()
