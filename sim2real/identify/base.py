@@ -128,15 +128,15 @@ class BaseProblem:
         for _ in range(2):
             comparison = self.comparison(best, draws)
             best, least = self.solve(best, free, comparison)
-            if arm is None:
-                best, least, latency_error = self._likely(best, free[1:], comparison)
+        if arm is None:
+            best, least, latency_error = self._likely(best, free[1:], comparison)
+        errors = self.errors(best, free, comparison)
         if arm is not None:
-            errors = self.errors(best, free, comparison)
             apart = abs(best.delays.latency - arm.latency)
             if apart <= max(0.015, 3.0 * np.hypot(errors[LATENCY], error)):
                 comparison = replace(comparison, latency=(arm.latency, max(error, 0.001)))
                 best, least = self.solve(best, free, comparison)
-        errors = self.errors(best, free, comparison)
+                errors = self.errors(best, free, comparison)
         for limit in limits:
             if errors[limit] > _VAGUE:
                 fewer = [other for other in free if other != limit]
