@@ -283,6 +283,10 @@ class Batch:
             observation = self.world.start_next(rows.size, rows)
         return BatchStep(observation, earned / periods, ends, infos)
 
+    def seed(self, seed: int, first: int) -> None:
+        """Begin with the episode `first` of another seed at the next start."""
+        self.world.seed, self.world.next_episode = seed, first
+
     def number(self) -> int:
         """Return the number of the next episode."""
         return self.world.next_episode

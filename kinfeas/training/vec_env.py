@@ -1,7 +1,6 @@
 """Vector environments for Stable-Baselines3: episodes in a thread or in worker processes."""
 
 import multiprocessing
-from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
@@ -30,7 +29,8 @@ class EpisodesVecEnv(VecEnv):
     """Episodes of one robot that restart by themselves, in batches that workers step.
 
     Stable-Baselines3's own vector environments hold one episode a process; these hold a batch.
-    Observations are multiplied by `scale`, shape (d,).
+    Observations are multiplied by `scale`, shape (d,). Each worker has its own episode numbers, so
+    that a run is the same to the bit however fast the workers are.
     """
 
     render_mode = None
@@ -96,13 +96,20 @@ class EpisodesVecEnv(VecEnv):
         rewards = np.concatenate([step.reward for step in steps]).astype(np.float32)
         return self._scaled([step.observation for step in steps]), rewards, dones, infos
 
-    @abstractmethod
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return the state to resume from, by name."""
+        """Return the state to resume from, by name: the next episode of each worker."""
+        return {"next_episode": np.array(self._ask("number"))}
 
-    @abstractmethod
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Resume from a snapshot and return the observations, shape (n, d)."""
+        numbers = [[{"next_episode": number}] for number in snapshot["next_episode"]]
+        return self._scaled(self._ask("restore", *numbers))
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Use another seed, and its first episodes, from the next reset on."""
+        if seed is not None:
+            self._ask("seed", *[(seed, SHARE * i) for i in range(len(self._workers))])
+        return [seed] * self.num_envs
 
     def close(self) -> None:
         """End the workers; a step in progress ends first."""
@@ -149,7 +156,10 @@ class EpisodesVecEnv(VecEnv):
 
 
 class WorldVecEnv(EpisodesVecEnv):
-    """n episodes in one world, which a thread steps while the learner works; see `Batch`."""
+    """n episodes in one world, which a thread steps while the learner works; see `Batch`.
+
+    Snapshots hold the state of the world, too.
+    """
 
     def __init__(self, world: World, num_envs: int, action_repeat: int = 1) -> None:
         if num_envs < 1:
@@ -166,12 +176,6 @@ class WorldVecEnv(EpisodesVecEnv):
         """Resume from a snapshot and return the observations, shape (n, d)."""
         return self._scaled([self.batch.restore(snapshot)])
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Use another seed from the next reset on."""
-        if seed is not None:
-            self.world.seed, self.world.next_episode = seed, 0
-        return [seed] * self.num_envs
-
     def close(self) -> None:
         """End the thread and close the world's backend."""
         super().close()
@@ -182,11 +186,7 @@ class WorldVecEnv(EpisodesVecEnv):
 
 
 class ProcessVecEnv(EpisodesVecEnv):
-    """Episodes in physics worlds, a batch in each of a few processes.
-
-    Each process has its own episode numbers, so that a run is the same to the bit however fast the
-    processes are. Snapshots hold the numbers of the next episodes only.
-    """
+    """Episodes in physics worlds, a batch in each of a few processes."""
 
     def __init__(self, config: TrainConfig) -> None:
         """Start the processes and build their worlds."""
@@ -209,15 +209,6 @@ class ProcessVecEnv(EpisodesVecEnv):
         """End the processes at once; a step in progress is lost."""
         for pool in self._pools:
             terminate(pool)
-
-    def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return the numbers of the next episodes, a number a process."""
-        return {"next_episode": np.array(self._ask("number"))}
-
-    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        """Begin the next episodes of a snapshot and return the observations, shape (n, d)."""
-        numbers = [[{"next_episode": number}] for number in snapshot["next_episode"]]
-        return self._scaled(self._ask("restore", *numbers))
 
 
 def environments(config: TrainConfig) -> EpisodesVecEnv:

@@ -125,6 +125,11 @@ def test_processes_hold_batches_that_restart_and_a_killed_one_raises():
     again = env.restore({"next_episode": np.arange(2) * SHARE})
     np.testing.assert_array_equal(again, seen)
     assert_equal(run(env, 7), first)
+    env.seed(5)
+    other = ProcessVecEnv(physical({"seed": 5}))
+    np.testing.assert_array_equal(env.reset(), other.reset())
+    assert_equal(run(env, 2), run(other, 2))
+    other.close()
 
     (process,) = env._workers[1]._processes.values()
     process.kill()
