@@ -121,13 +121,10 @@ class RosLink:
         self._bus.open("kinfeas")
         self._frame_fault = None
         topics, messages = self._topics, self._bus.messages
-        base = messages.TwistStamped if topics.base.stamped else messages.Twist
-        arm = (controller.command for controller in topics.joints.controllers)
-        types = {topics.base.command: base, **dict.fromkeys(arm, messages.JointTrajectory)}
-        if topics.gripper is not None:
-            types[topics.gripper.command] = ros_messages.gripper_type(messages, topics.gripper)
-        self._types = types
-        self._publishers = {topic: self._bus.publisher(topic, types[topic]) for topic in types}
+        self._types = ros_messages.command_types(messages, topics)
+        self._publishers = {
+            topic: self._bus.publisher(topic, kind) for topic, kind in self._types.items()
+        }
         take_joints = _passing(ros_messages.from_joint_state, readings.joints)
         self._bus.subscribe(self.joint_source, messages.JointState, take_joints)
         if topics.base.measured_by == "odometry":
@@ -245,15 +242,14 @@ class RosRobotLink:
         bus, topics = self._bus, self._topics
         bus.open("kinfeas_robot")
         messages = bus.messages
-        base = messages.TwistStamped if topics.base.stamped else messages.Twist
-        bus.subscribe(topics.base.command, base, _passing(_finite_velocity, orders.drive))
+        types, base = ros_messages.command_types(messages, topics), topics.base.command
+        bus.subscribe(base, types[base], _passing(_finite_velocity, orders.drive))
         move = _passing(ros_messages.path, orders.move)
         for controller in topics.joints.controllers:
-            bus.subscribe(controller.command, messages.JointTrajectory, move)
+            bus.subscribe(controller.command, types[controller.command], move)
         if (gripper := topics.gripper) is not None:
-            kind = ros_messages.gripper_type(messages, gripper)
             grip = _passing(partial(ros_messages.from_gripper, gripper), orders.grip)
-            bus.subscribe(gripper.command, kind, grip)
+            bus.subscribe(gripper.command, types[gripper.command], grip)
         self._odometry = bus.publisher(topics.base.odometry, messages.Odometry)
         self._joints = bus.publisher(topics.joints.measured, messages.JointState)
         self._tf = bus.publisher("/tf", messages.TFMessage)

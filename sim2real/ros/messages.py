@@ -14,9 +14,20 @@ from kinfeas.core.spatial import IDENTITY, UNIT, Array, compose, relative
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.link.measurements import DRIFT, TransportDelay
 from kinfeas.sim2real.link.scans import ANGLES, CostmapReading, LaserReading
-from kinfeas.sim2real.ros.topics import CostmapTopic, GripperTopics, ScanTopic
+from kinfeas.sim2real.ros.topics import CostmapTopic, GripperTopics, ScanTopic, Topics
 
 _DEEPEST = 32  # frames from the base to the world; more of them are a cycle
+
+
+def command_types(messages: Any, topics: Topics) -> dict[str, Any]:
+    """Return the message classes of the commands to base, arm and gripper, by topic."""
+    base = messages.TwistStamped if topics.base.stamped else messages.Twist
+    arm = (controller.command for controller in topics.joints.controllers)
+    types = {topics.base.command: base, **dict.fromkeys(arm, messages.JointTrajectory)}
+    if (gripper := topics.gripper) is not None:
+        pr2 = gripper.kind == "pr2"
+        types[gripper.command] = messages.Pr2GripperCommand if pr2 else messages.JointTrajectory
+    return types
 
 
 def fill_twist(message: Any, velocity: Array) -> None:
@@ -127,11 +138,6 @@ def occupancy_grid(messages: Any, costmap: CostmapReading) -> Any:
     origin.position.x, origin.position.y = costmap.origin[:2]
     message.data = costmap.cells.ravel().tolist()
     return message
-
-
-def gripper_type(messages: Any, gripper: GripperTopics) -> Any:
-    """Return the message class of a gripper."""
-    return messages.Pr2GripperCommand if gripper.kind == "pr2" else messages.JointTrajectory
 
 
 def gripper_command(messages: Any, gripper: GripperTopics, grip: Grip) -> Any:
