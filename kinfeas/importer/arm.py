@@ -39,6 +39,11 @@ def place(urdf: Urdf, links: Iterable[str], frame: str, poses: Mapping[str, Arra
     ]
 
 
+def axis_in_root(urdf: Urdf, joint: Joint) -> Array:
+    """Return the axis of a joint in the frame of the root, all joints at rest, shape (3,)."""
+    return rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)
+
+
 @dataclass(frozen=True)
 class Arm:
     """The arm of a robot."""

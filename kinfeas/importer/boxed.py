@@ -14,10 +14,10 @@ from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.extras import require
 from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
-from kinfeas.importer.arm import Arm, place
-from kinfeas.robots.elements import Element, find_mesh, numbers_text, parse_xml, set_origin
+from kinfeas.importer.arm import Arm, axis_in_root, place
+from kinfeas.robots.elements import Element, find_mesh, numbers_text, set_origin
 from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf
-from kinfeas.robots.urdf_file import read_moments, read_robot_xml, read_shapes, urdf_of
+from kinfeas.robots.urdf_file import read_moments, read_shapes, urdf_of
 
 Part = Shape | Array
 """A primitive, or the triangles of a mesh, shape (t, 3, 3), metres."""
@@ -50,42 +50,41 @@ _PLAY = 0.02  # m, by which wheels may be below the floor, since primitives are 
 
 
 def boxed_urdf(
-    path: Path,
+    robot: Element,
+    folder: Path,
     base: str | None = None,
     on_link: Callable[[str], None] | None = None,
-    robot: Element | None = None,
     fitted: Collection[str] | None = None,
     originals: dict[str, list[Part]] | None = None,
-) -> str:
-    """Return the text of a URDF without meshes; its visual and collision shapes are the same.
+) -> Element:
+    """Return the element <robot> of a URDF without meshes, with equal visual and collision shapes.
 
     Links, joints and inertias stay. Each collision mesh becomes one to four primitives that enclose
     it. Rigid groups of links without collision shapes use their visual ones.
 
     Args:
-        path: The robot's URDF.
+        robot: The robot's element <robot>; its joints and inertias become part of the result.
+        folder: Absolute path of its file's folder, from which addresses of meshes start.
         base: Link that becomes the root, with all that it carries; by default the root, or the link
             behind joints that move bare frames on the floor, as simulators add.
         on_link: Called with the name of each link that is done.
-        robot: Content in place of that of the file.
         fitted: Links that get shapes; all by default.
         originals: Receives the parts of links that primitives replace, in the links' frames.
     """
-    robot = read_robot_xml(path) if robot is None else robot
     urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
     root = _first_body(urdf, links) if base is None else base
     if root not in urdf.links:
-        raise KinfeasError(f"{path}: there is no link {root!r}{no_such(root, urdf.links)}")
+        raise robot.error(f"there is no link {root!r}{no_such(root, urdf.links)}")
     kept = {root}.union(*(urdf.below(joint.name) for joint in urdf.on[root]))
     colliding = {name for name, link in links.items() if link.child("collision")}
     out = ElementTree.Element("robot", name=urdf.name)
     for name in filter(kept.__contains__, links):
-        link = Element(links[name].xml, f"{path}: link {name!r}")
+        link = Element(links[name].xml, f"{robot.where}: link {name!r}")
         kind = "collision" if urdf.rigid[name] & colliding else "visual"
         parts = []
         if fitted is None or name in fitted:
-            parts = list(_parts(link, kind, path.absolute().parent))
+            parts = list(_parts(link, kind, folder))
         shapes = [shape for _, primitives in parts for shape in primitives]
         if originals is not None and (
             len(shapes) > MAX_SHAPES or not all(isinstance(part, Shape) for part, _ in parts)
@@ -102,12 +101,13 @@ def boxed_urdf(
     for joint in robot.children("joint"):
         if urdf.joints[joint.text("name")].parent in kept:
             out.append(joint.xml)
-    return _text(out)
+    return Element(out, robot.where)
 
 
-def _text(robot: Any) -> str:
-    ElementTree.indent(robot)
-    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+def urdf_text(robot: Element) -> str:
+    """Return the indented text of a URDF."""
+    ElementTree.indent(robot.xml)
+    return ElementTree.tostring(robot.xml, encoding="unicode", xml_declaration=True) + "\n"
 
 
 def _first_body(urdf: Urdf, links: Mapping[str, Element]) -> str:
@@ -124,7 +124,7 @@ def _first_body(urdf: Urdf, links: Mapping[str, Element]) -> str:
 
 def _is_planar(urdf: Urdf, joint: Joint) -> bool:
     """Return whether a joint slides along the floor or turns about the vertical."""
-    upright = abs(float(rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)[2]))
+    upright = abs(float(axis_in_root(urdf, joint)[2]))
     return upright < _SLANT if joint.kind == "prismatic" else upright > 1.0 - _SLANT
 
 
@@ -166,13 +166,12 @@ def _size(shape: Shape) -> dict[str, str]:
     return {name: numbers_text([size], _DIGITS) for name, size in zip(names, sizes, strict=False)}
 
 
-def box_masses(text: str, arm: Arm, source: str) -> tuple[str, list[str]]:
-    """Return the text of a URDF with boxes in place of missing shapes, and the links with these.
+def box_masses(robot: Element, arm: Arm) -> list[str]:
+    """Give links without shapes a box in the element <robot>, and return these links.
 
     A heavy link gets the box of its inertia if its rigid group has no shape and the arm does not
     carry it.
     """
-    robot = parse_xml(text, "robot", source)
     urdf, boxed = urdf_of(robot), list[str]()
     bare = urdf.links.keys() - urdf.below(arm.joints[0].name)
     for link in robot.children("link"):
@@ -186,22 +185,21 @@ def box_masses(text: str, arm: Arm, source: str) -> tuple[str, list[str]]:
             box = Shape("box", tuple(np.sqrt(squares).tolist()), inertial.origin())
             link.xml[:] = _link(name, inertial.xml, [box], _COLOURS[0])
             boxed.append(name)
-    return _text(robot.xml) if boxed else text, boxed
+    return boxed
 
 
-def on_the_floor(text: str, arm: Arm, source: str) -> tuple[str, float]:
-    """Return the text of a URDF with a root on the floor, and the height of its own root, metres.
+def on_the_floor(robot: Element, arm: Arm) -> float:
+    """Put a root on the floor into the element <robot>, and return the height of its own, metres.
 
     The lowest shape that the arm does not carry is on the floor. If it is not below the root, the
     root is on the floor already, since wheels need not have shapes.
     """
-    robot = parse_xml(text, "robot", source)
     urdf = urdf_of(robot)
     links = set(urdf.links) - urdf.below(arm.joints[0].name)
     shapes, down = place(urdf, sorted(links), urdf.root, urdf.link_poses({})), [0.0, 0.0, -1.0]
     depth = max((shape.reach(np.array(down)) for shape in shapes), default=0.0)
     if depth <= _PLAY:
-        return text, 0.0
+        return 0.0
     height = round(depth, 3)
     names = ("base_footprint", "footprint", *(f"footprint_{i}" for i in range(2, 3 + len(links))))
     name = next(n for n in names if n not in urdf.links and f"{n}_joint" not in urdf.joints)
@@ -211,7 +209,7 @@ def on_the_floor(text: str, arm: Arm, source: str) -> tuple[str, float]:
     ElementTree.SubElement(joint, "origin", xyz=f"0 0 {height:g}", rpy="0 0 0")
     robot.xml.insert(0, joint)
     robot.xml.insert(0, ElementTree.Element("link", name=name))
-    return _text(robot.xml), height
+    return height
 
 
 def read_triangles(mesh: Element, folder: Path) -> Array:

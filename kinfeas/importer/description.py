@@ -7,8 +7,8 @@ from pathlib import Path
 from xml.etree.ElementTree import SubElement
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, rotation
-from kinfeas.importer.arm import Arm
+from kinfeas.core.spatial import Array
+from kinfeas.importer.arm import Arm, axis_in_root
 from kinfeas.importer.boxed import HEAVY
 from kinfeas.importer.formats import read_robot
 from kinfeas.robots.elements import LARGEST, Element
@@ -103,7 +103,7 @@ def _couple_telescopes(robot: Element) -> None:
         if joint.kind != "prismatic" or joint.mimic or above is None or above.kind != joint.kind:
             continue
         alike = (joint.lower, joint.upper) == (above.lower, above.upper)
-        if alike and _axis(urdf, joint) @ _axis(urdf, above) > _PARALLEL:
+        if alike and axis_in_root(urdf, joint) @ axis_in_root(urdf, above) > _PARALLEL:
             leaders[joint.name] = leaders.get(above.name, above.name)
             SubElement(element, "mimic", joint=leaders[joint.name])
 
@@ -126,7 +126,9 @@ def find_drive(urdf: Urdf, arm: Arm, whole: Urdf) -> tuple[Drive, str]:
     """
     drive, why = _wheel_drive(urdf, arm)
     below = [joint for joint in whole.path_to(arm.hand) if joint.name not in urdf.joints]
-    slides = [j.name for j in below if j.kind == "prismatic" and abs(_axis(whole, j)[2]) < _LEVEL]
+    slides = [
+        j.name for j in below if j.kind == "prismatic" and abs(axis_in_root(whole, j)[2]) < _LEVEL
+    ]
     if not slides or not why.startswith("a guess"):
         return drive, why
     drive = "omnidirectional" if len(slides) > 1 else "differential"
@@ -139,7 +141,7 @@ def _wheel_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
     names = [*sorted(base), *(joint.name for joint in joints)]
     if named := [name for name in names if _OMNIDIRECTIONAL.search(name)]:
         return "omnidirectional", f"the name {named[0]}"
-    axes = {joint.name: _axis(urdf, joint) for joint in joints if joint.moves}
+    axes = {joint.name: axis_in_root(urdf, joint) for joint in joints if joint.moves}
     wheels = [j for j in joints if j.kind == "continuous" and abs(axes[j.name][2]) < _LEVEL]
     if driven := [wheel for wheel in wheels if not _CASTER.search(wheel.name + wheel.child)]:
         wheels = driven  # the others follow
@@ -156,10 +158,6 @@ def _wheel_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
     if len(wheels) == 2:
         return "differential", f"two driven wheels: {listed}"
     return "differential", f"a guess: {len(wheels)} wheels, perhaps mecanum or steered: {listed}"
-
-
-def _axis(urdf: Urdf, joint: Joint) -> Array:
-    return rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)
 
 
 def _steering(urdf: Urdf, wheel: Joint, axes: Mapping[str, Array]) -> str | None:

@@ -15,12 +15,12 @@ from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer import reach
 from kinfeas.importer.arm import Arm, Hand, effort_limits, ends_of_arms, find_arm, read_hand
-from kinfeas.importer.boxed import Part, box_masses, boxed_urdf, on_the_floor
+from kinfeas.importer.boxed import Part, box_masses, boxed_urdf, on_the_floor, urdf_text
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.text import Guesses, robot_yaml
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import POSE_DIMENSIONS
-from kinfeas.robots.elements import Element, parse_xml
+from kinfeas.robots.elements import Element
 from kinfeas.robots.loading import build_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.spec import (
@@ -163,22 +163,17 @@ def _boxed(
 ) -> _Boxed:  # fmt: skip
     source, originals = str(path), dict[str, list[Part]]()
     links = len(description.children("link"))
-    write = partial(boxed_urdf, path, base, robot=description)
+    write = partial(boxed_urdf, description, path.absolute().parent, base)
     # A choice between arms comes before the work: fitting meshes takes most of the time.
-    bare = _parsed(write(fitted=()), source)
+    bare = urdf_of(write(fitted=()))
     if hand is not None:
         find_arm(bare, hand, source)
     elif ends := ends_of_arms(bare, source):
-        find_arm(_parsed(write(fitted=ends), source), None, source)
+        find_arm(urdf_of(write(fitted=ends)), None, source)
     whole = write(on_link=lambda _: report(_BOXING / links), originals=originals)
-    arm = find_arm(_parsed(whole, source), hand, source)
-    whole, guessed = box_masses(whole, arm, source)
-    text, lifted = on_the_floor(whole, arm, source)
-    return _Boxed(text, _parsed(text, source), arm, lifted, originals, guessed)
-
-
-def _parsed(text: str, source: str) -> Urdf:
-    return urdf_of(parse_xml(text, "robot", source))
+    arm = find_arm(urdf_of(whole), hand, source)
+    guessed, lifted = box_masses(whole, arm), on_the_floor(whole, arm)
+    return _Boxed(urdf_text(whole), urdf_of(whole), arm, lifted, originals, guessed)
 
 
 def reach_of(heights: reach.Heights, source: str) -> Reach:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, rotation
+from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose
+from kinfeas.importer.arm import axis_in_root
 from kinfeas.importer.boxed import Part
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.gravity import build_gravity_model, overloaded
@@ -44,7 +45,7 @@ RELEVANT = 0.01
 
 _COMPARED = 256  # configurations in which the parts of a pair are compared at most
 _PARALLEL = 0.999  # cosine of the angle between two axes
-_CONFIGURATIONS, _FEW = 4096, 64
+_FEW = 64  # configurations that show the degrees of freedom
 _STEP, _GOALS = 0.1, 48  # m between heights, and goals at each
 _MAX_HEIGHT = 100.0  # m
 _STAGES = (4, 16, 64, 256)
@@ -73,7 +74,7 @@ class Heights:
 
 def sampled(robot: Robot) -> Array:
     """Return configurations spread over the limits, shape (n, j), for fractions of a draft."""
-    return spread_configurations(robot, _CONFIGURATIONS)
+    return spread_configurations(robot, 4096)
 
 
 def touching(robot: Robot) -> dict[tuple[str, str], float]:
@@ -124,8 +125,7 @@ def _allowed(robot: Robot, first: str, second: str) -> float:
 
 def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
     """Return whether prismatic joints have parallel axes, as the parts of a telescope have."""
-    poses = urdf.link_poses({})
-    along = [rotation(poses[joint.child]).apply(joint.axis) for joint in slides]
+    along = [axis_in_root(urdf, joint) for joint in slides]
     return all(abs(float(along[0] @ axis)) > _PARALLEL for axis in along)
 
 
@@ -217,7 +217,7 @@ def comfortable(robot: Robot) -> Array:
     near joint limits (Yoshikawa 1985; Tsai 1986).
     """
     lower, upper = robot.finite_joint_limits
-    joints = np.clip(spread_configurations(robot, _CONFIGURATIONS).round(2), lower, upper)
+    joints = np.clip(sampled(robot).round(2), lower, upper)
     free = joints[IkSolver(robot).admissible(joints)]
     if not len(free):
         raise KinfeasError(f"{robot.name}: self-collision in all of {len(joints)} configurations")
@@ -250,7 +250,7 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
     the fraction of all work, 0-1, that has just been done.
     """
     solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(0)
-    ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]
+    ee = forward(solver.chain, sampled(robot))[:, 2]
     if (highest := float(ee.max())) > _MAX_HEIGHT:
         raise KinfeasError(
             f"{robot.name}: the hand gets {highest:.0f} m high, at most {_MAX_HEIGHT:g} are "

@@ -18,7 +18,7 @@ from kinfeas.importer.description import doubts
 from kinfeas.importer.draft import spec_from_urdf
 from kinfeas.importer.reach import RELEVANT, only_fitted, touching
 from kinfeas.robots.loading import build_robot
-from kinfeas.robots.urdf_file import parse_urdf
+from kinfeas.robots.urdf_file import read_robot_xml, urdf_of
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -55,9 +55,7 @@ def test_primitives_enclose_their_mesh(seed, count, size):
 
 
 def boxed(path, **options):
-    out = path.with_name("boxed.urdf")
-    out.write_text(boxed_urdf(path, **options))
-    return parse_urdf(out)
+    return urdf_of(boxed_urdf(read_robot_xml(path), path.parent, **options))
 
 
 def mesh_file(folder, suffix, corners, unit=""):
@@ -88,7 +86,7 @@ def test_broken_meshes_are_errors(changed, corners):
         face = f"{corners}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" if corners else ""
         path.with_name("part.obj").write_text(face)
     with pytest.raises(KinfeasError, match=r"link 'palm'.*<mesh>.*part\.obj"):
-        boxed_urdf(path)
+        boxed(path)
 
 
 SLIDE = (
@@ -117,12 +115,13 @@ def test_planar_joints_below_the_base_are_left_out(changed, joints, root):
     ({"head": "base_footprint", '"tool"': '"footprint"'}, "footprint_2"),
 ])  # fmt: skip
 def test_a_root_above_the_floor_gets_one_on_it(dolly, changed, taken, name):
-    on_floor, arm = dolly.read_text(), find_arm(parse_urdf(dolly), None, "dolly")
-    assert on_the_floor(on_floor, arm, "") == (on_floor, 0.0)
+    on_floor = read_robot_xml(dolly)
+    assert on_the_floor(on_floor, find_arm(urdf_of(on_floor), None, "dolly")) == 0.0
+    assert urdf_of(on_floor).root == "base"
     path = changed(('origin xyz="0 0 0.2"', 'origin xyz="0 0 -0.1"'), *taken.items())
-    text, lifted = on_the_floor(path.read_text(), find_arm(parse_urdf(path), None, "dolly"), "")
-    path.write_text(text)
-    urdf = parse_urdf(path)
+    robot = read_robot_xml(path)
+    lifted = on_the_floor(robot, find_arm(urdf_of(robot), None, "dolly"))
+    urdf = urdf_of(robot)
     assert (urdf.root, lifted) == (name, 0.3)
     down = np.array([0.0, 0.0, -1.0])
     lowest = max(one.reach(down) for one in place(urdf, urdf.links, urdf.root, urdf.link_poses({})))
@@ -149,8 +148,7 @@ def test_pairs_are_false_contacts_if_their_meshes_never_touch(changed, parts, fa
     boxes = [trimesh.creation.box(size).apply_translation(at) for size, at in parts]
     trimesh.util.concatenate(boxes).export(path.with_name("part.stl"))
     originals = {}
-    path.with_name("boxed.urdf").write_text(boxed_urdf(path, originals=originals))
-    urdf = parse_urdf(path.with_name("boxed.urdf"))
+    urdf = boxed(path, originals=originals)
     arm = find_arm(urdf, None, "dolly")
     spec = spec_from_urdf("dolly", urdf, arm, read_hand(urdf, arm), "differential")
     robot = build_robot(spec, urdf, path, path)
@@ -175,10 +173,9 @@ def test_heavy_bases_without_shapes_get_the_box_of_their_inertia(
     inertia = f'<mass value="{mass}"/><inertia ixx="0.2" iyy="0.4" izz="{izz}"/>'
     inertial = f'<inertial><origin xyz="0 0 0.3"/>{inertia}</inertial>'
     dolly.write_text(text[:start] + inertial + text[end + len("</collision>") :])
-    arm = find_arm(parse_urdf(dolly), None, "dolly")
-    whole, guessed = box_masses(dolly.read_text(), arm, "dolly")
-    dolly.write_text(whole)
-    urdf = parse_urdf(dolly)
+    robot = read_robot_xml(dolly)
+    guessed = box_masses(robot, find_arm(urdf_of(robot), None, "dolly"))
+    urdf = urdf_of(robot)
     assert [shape.size for shape in urdf.links["base"].shapes] == sizes
     assert [shape.pose[2] for shape in urdf.links["base"].shapes] == [0.3] * len(sizes)
     assert any(text.startswith(doubt) for text in doubts(urdf, guessed))

@@ -9,7 +9,6 @@ from kinfeas.importer.arm import find_arm
 from kinfeas.importer.boxed import boxed_urdf
 from kinfeas.importer.description import doubts, find_drive, read_description
 from kinfeas.importer.draft import draft_robot
-from kinfeas.robots.elements import parse_xml
 from kinfeas.robots.urdf_file import parse_urdf, urdf_of
 from tests.builders import assert_near
 
@@ -181,7 +180,7 @@ def test_an_mjcf_has_the_poses_of_mujoco(cart, tmp_path):
 def test_an_mjcf_becomes_a_robot_of_primitives(cart, tmp_path):
     pytest.importorskip("mujoco")
     element = read_description(cart, tmp_path)
-    urdf = urdf_of(parse_xml(boxed_urdf(cart, robot=element), "robot", "cart"))
+    urdf = urdf_of(boxed_urdf(element, cart.parent))
     assert urdf.root == "cart"
     arm = find_arm(urdf, None, "cart")
     assert [joint.name for joint in arm.joints] == ["pan", "tilt", "flex"]
