@@ -42,7 +42,10 @@ EVALUATIONS = 0.25
 _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
 _FORMAT = 3
-_SAVED = ("steps", "seconds", "best", "evaluations", "recent", "other_seconds", "analytic")
+_SAVED = (
+    "steps", "seconds", "best", "evaluations", "recent", "other_seconds", "evaluating_seconds",
+    "analytic",
+)  # fmt: skip
 _BROKEN = (
     ArithmeticError, LookupError, OSError, RuntimeError, SafetensorError, TypeError, ValueError
 )  # fmt: skip
@@ -64,10 +67,11 @@ class Progress:
     # episodes done and episodes in all of the evaluation that runs now
     evaluating: tuple[int, int] | None = None
     # wall-clock seconds of parts in this process: `step`, of which `update` of the networks and
-    # `waiting` for the environments; `evaluation` and `checkpoint`
+    # `waiting` for the environments; and `checkpoint`
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     # wall-clock time of start and evaluations, where `schedule.minutes` has it
     other_seconds: NotNegative = 0.0
+    evaluating_seconds: NotNegative = 0.0  # that of evaluations alone, without the final one
     # whether the run is in its part in the analytic world; see `ScheduleConfig`
     analytic: bool = False
     left_seconds: float = 0.0  # wall-clock time to the end of the run, as far as its speed stays
@@ -164,10 +168,8 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
                 f"{last}: a checkpoint of another run: its {its}, "
                 f"but {last.parents[1] / SETTINGS} has {others}"
             )
-        # Older checkpoints lack two of the fields.
-        written = {"other_seconds": 0.0, "analytic": False, **state["progress"]}
-        entries = {name: written[name] for name in _SAVED}
-        progress = configuration.from_mapping(Progress, entries, str(last / STATE))
+        # Fields that did not exist when it was written have their defaults.
+        progress = configuration.from_mapping(Progress, state["progress"], str(last / STATE))
     # The schedule may have been made longer.
     progress.fraction = fraction_done(config, progress)
     progress.evaluations = min(progress.evaluations, evaluations_due(config, progress))

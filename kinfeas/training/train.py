@@ -182,8 +182,10 @@ class _Run:
         while True:
             # First, so that an interrupted evaluation is repeated.
             if evaluations_due(self.config, self.progress) > self.progress.evaluations:
-                with self._timed("evaluation"):
-                    self._evaluate()
+                begun = time.monotonic()
+                self._evaluate()
+                if self.limited:
+                    self.progress.evaluating_seconds += time.monotonic() - begun
                 self._clock()
                 self._save()
                 # Evaluations do not count as training time.
@@ -277,7 +279,7 @@ class _Run:
         schedule, due = self.config.schedule, evaluations_due(self.config, self.progress)
         network = network_of(self.learner, self.env)
         left = due * evaluation_seconds(self.config, schedule.evaluation_episodes)
-        left -= self.progress.parts["evaluation"]
+        left -= self.progress.evaluating_seconds
         late = self.progress.best >= 0.0 and left <= 0.0 and self.progress.fraction < 1.0
         if late or self._is_evaluated(network):
             self.progress.evaluations = due

@@ -167,8 +167,10 @@ def engine(unregistered):
     registry.register("kinfeas.backends", "engine", AnalyticBackend)
 
 
-@pytest.mark.usefixtures("engine")
-def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch, ticks):
+@pytest.fixture
+def timed(engine, tiny, monkeypatch, ticks):
+    """Two minutes with physics, in which an action takes 1 s and a round of an evaluation 6 s."""
+
     def within(seconds, pool, processes, *parts):
         build, policy, episodes, on_done = parts
         rounds = max(1, int(seconds / 6.0))
@@ -179,9 +181,12 @@ def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch, t
     monkeypatch.setattr(worlds, "evaluate_within", within)
     schedule = {"steps": None, "minutes": 2, "evaluations": 6, "evaluation_episodes": 32}
     schedule |= {"final_episodes": 256, "checkpoint_seconds": 30}
-    settings = tiny({"world.backend": "engine", "schedule": schedule})
+    return tiny({"world.backend": "engine", "schedule": schedule})
+
+
+def test_minutes_with_physics_include_evaluations(timed, tmp_path, ticks):
     reports = []
-    progress = train(settings, tmp_path / "run", reports.append)
+    progress = train(timed, tmp_path / "run", reports.append)
     assert 100.0 < ticks.now <= 130.0
     assert progress.seconds > 60.0
     assert progress.seconds + progress.other_seconds == ticks.now
@@ -192,6 +197,16 @@ def test_minutes_with_physics_include_evaluations(tiny, tmp_path, monkeypatch, t
     longer = resume(tmp_path / "run", settings={"schedule.minutes": 4})
     assert longer.evaluations == 6
     assert 220.0 < longer.seconds + longer.other_seconds <= 250.0
+
+
+def test_a_resumed_run_goes_on_with_its_time_for_evaluations(timed, tmp_path, monkeypatch):
+    whole, out = tmp_path / "whole", tmp_path / "run"
+    train(timed, whole)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_at(patch, training, "explore", 40, interrupt)
+        train(timed, out)
+    resume(out)
+    assert [row[0] for row in evaluated(out)] == [row[0] for row in evaluated(whole)]
 
 
 @pytest.mark.usefixtures("engine")
