@@ -89,9 +89,9 @@ def evaluate_episodes(
     Raises:
         KinfeasError: If a world cannot be built, or a worker process dies.
     """
-    if processes == 1:
-        return _run_part(build, policy, episodes, on_done)
     with closing(build()) as world:
+        if processes == 1:
+            return run_episodes(world, policy, len(episodes), on_done, first=episodes.start)
         world.loop.set_policy(policy)
         rounds = math.ceil(len(episodes) / (processes * _BATCHES * _batch(world)))
     size = math.ceil(len(episodes) / (processes * rounds))
@@ -185,21 +185,11 @@ def _run_parts(
     """Return the records of parts of `size` episodes, which the processes of a pool run."""
     parts = [episodes[at : at + size] for at in range(0, len(episodes), size)]
     records = []
-    for part in pool.map(partial(_run_part, build, policy), parts):
+    for part in pool.map(partial(evaluate_episodes, build, policy), parts):
         records.append(part)
         if on_done is not None:
             on_done(len(part.reached))
     return records
-
-
-def _run_part(
-    build: Callable[[], World],
-    policy: Policy,
-    episodes: range,
-    on_done: OnDone | None = None,
-) -> EpisodeRecords:
-    with closing(build()) as world:
-        return run_episodes(world, policy, len(episodes), on_done, first=episodes.start)
 
 
 def _batch(world: World) -> int:
