@@ -37,17 +37,13 @@ class Observer:
         self.terms: tuple[str, ...] = OBSERVATION
         self._sequence, self._surroundings, self._obstacles = sequence, surroundings, obstacles
         self._dt, self._time_scale = dt, execution.time_scale
-        self._revision = -1
-        self._ahead: Array | None = None
         self._base_offset: Array | None = None
 
     def prepare(self) -> None:
-        """Ask the motions for their next step and goals, once after each change."""
-        sequence = self._sequence
-        if self._revision != sequence.revision:
-            self._ahead = sequence.ahead(AHEAD) if "planned_ahead" in self.terms else None
-            self._revision = sequence.revision
-            sequence.prepare()
+        """Ask the motions for what they keep until they change: goals, next step and paths."""
+        _ = self._sequence.goal, self._sequence.next_step, self._sequence.planned
+        if "planned_ahead" in self.terms:
+            self._ahead()
 
     def observe(
         self, robots: RobotState, ee_in_base: Array, ee_pose: Array, previous_command: Array
@@ -56,15 +52,14 @@ class Observer:
 
         EE poses in the base and in the world have the shape (n, 7), the last base commands (n, a).
         """
-        self.prepare()
         sequence, base_pose = self._sequence, robots.base_pose
         preview = planned = sequence.next_step.preview
         state = ObservedState(base_pose, ee_in_base, preview, sequence.goal, robots.joint_positions)
         state.previous_command = previous_command
         if not SCAN_TERMS.isdisjoint(self.terms):
             state.ranges = self._surroundings.ranges(len(base_pose))
-        if self._ahead is not None:
-            ahead = spatial.relative(self._ahead, base_pose[:, np.newaxis])
+        if "planned_ahead" in self.terms:
+            ahead = spatial.relative(self._ahead(), base_pose[:, np.newaxis])
             state.ahead = ahead[:, :, :3].reshape(len(base_pose), -1)
         self._base_offset = None
         if "planned_base" in self.terms:
@@ -80,6 +75,10 @@ class Observer:
             demonstrated_base=sequence.demonstrated_base, planned_base=sequence.planned.base_pose,
             dt=self._dt, obstacles=self._obstacles,
         )  # fmt: skip
+
+    def _ahead(self) -> Array:
+        sequence = self._sequence
+        return sequence.until_changed("ahead", lambda: sequence.ahead(AHEAD))
 
     @property
     def base_error(self) -> Array | None:

@@ -50,13 +50,12 @@ class MotionSequence(SubgoalMotions):
         subgoals: Sequence[SubgoalMotion],
         solver: IkSolver,
         dt: float,
-        execution: ExecutionConfig | None = None,
+        execution: ExecutionConfig,
         gripper: Gripper | None = None,
         stream: TargetStream | None = None,
     ) -> None:
-        self._execution = execution = execution or ExecutionConfig()
         super().__init__(subgoals, solver, dt, execution.time_scale)
-        self.dt, self._motion_time = dt, dt * execution.time_scale
+        self.dt, self._motion_time, self._execution = dt, dt * execution.time_scale, execution
         self.stream, self._gripper, self.lead, self.delay = stream, gripper, 0.0, 0.0
         settle = _periods(execution.grasp_settle_time / execution.time_scale, dt)
         self._dwell_periods = np.array([_periods(subgoal.dwell, dt) for subgoal in subgoals])
@@ -93,14 +92,10 @@ class MotionSequence(SubgoalMotions):
         clock: Array = self.clock + np.where(self.head_start > 0, self._motion_time, seconds)
         return clock
 
-    def prepare(self) -> None:
-        """Compute goals and the next step, which stay until something changes."""
-        _ = self.goal, self.next_step, self.planned
-
     @property
     def next_step(self) -> MotionStep:
         """Next step of the motions, of one control period."""
-        return self._until_changed("next_step", lambda: self.step_of(self._motion_time))
+        return self.until_changed("next_step", lambda: self.step_of(self._motion_time))
 
     def step(self, time_scale: Array) -> MotionStep:
         """Return the next step with fractions, shape (n,), of the planned motion."""

@@ -53,7 +53,6 @@ class SubgoalMotions:
         desired: Desired world pose of the EE, shape (n, 7).
         subgoal: Number of the sub-goal that each row is at, shape (n,).
         elapsed: Motion time since the motion of each row's sub-goal began, seconds, shape (n,).
-        revision: Number of changes of the motions so far.
         avoids_solids: Whether the generator of any sub-goal plans around solids.
         whole_body: Paths of base and arm that the motions follow among solids.
     """
@@ -80,7 +79,6 @@ class SubgoalMotions:
         self.avoids_solids = any(generator.avoids_solids for generator in generators)
         self._solids: Solids | None = None
         self.whole_body = WholeBodyMotions(solver, dt, time_scale, generators)
-        self.revision = 0
         self._kept: dict[str, Any] = {}
 
     def start(self, ee_pose: Array, targets: Array, rngs: Rngs, rows: Rows | None = None) -> None:
@@ -106,7 +104,7 @@ class SubgoalMotions:
     @property
     def goal(self) -> Array:
         """World pose of the EE at the end of each row's sub-goal, shape (n, 7)."""
-        return self._until_changed("goal", self._goal)
+        return self.until_changed("goal", self._goal)
 
     @property
     def last(self) -> NDArray[np.bool_]:
@@ -124,7 +122,13 @@ class SubgoalMotions:
     @property
     def planned(self) -> PlannedRobots:
         """Bases and arms on whole-body paths soon."""
-        return self._until_changed("planned", lambda: self.whole_body.soon(self._motions))
+        return self.until_changed("planned", lambda: self.whole_body.soon(self._motions))
+
+    def until_changed(self, name: str, compute: Callable[[], _T]) -> _T:
+        """Return a value that is kept by its name until something changes."""
+        if name not in self._kept:
+            self._kept[name] = compute()
+        return self._kept[name]
 
     def aim(self, target_poses: Array) -> None:
         """Replace the targets of each row's sub-goal, shape (n, 7)."""
@@ -293,14 +297,7 @@ class SubgoalMotions:
         return self._targets[np.arange(len(self.subgoal)), self.subgoal]
 
     def _changed(self) -> None:
-        self.revision += 1
         self._kept = {}
-
-    def _until_changed(self, name: str, compute: Callable[[], _T]) -> _T:
-        """Return a value that is kept by its name until something changes."""
-        if name not in self._kept:
-            self._kept[name] = compute()
-        return self._kept[name]
 
     def _goal(self) -> Array:
         targets, ask = self._target, self._motions.ask
