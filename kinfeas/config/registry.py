@@ -129,18 +129,18 @@ def build(
     group: str,
     name: str,
     parameters: Mapping[str, object],
-    objects: Mapping[str, object] | None = None,
+    offered: Mapping[str, object] | None = None,
 ) -> Any:
     """Return the object that a class or function makes of keyword parameters.
 
     `name` is an entry point of the group; or `module:name` of a motion generator, policy or target
     source, which is also searched for in the working directory. Readers of files reject these.
-    Parameters are as in YAML and converted to their annotated types, such as a Path or a dataclass;
-    `objects` are further ones that are passed on as they are.
+    Parameters are as in YAML and converted to their annotated types, such as a Path or a dataclass.
+    Objects of the run that are `offered` are passed on as they are, if the factory names them.
 
     Raises:
-        KinfeasError: As `load`; also if a parameter is unknown, missing or invalid, or the object
-            lacks a method of its group.
+        KinfeasError: As `load`; also if a parameter is unknown, missing, invalid or offered by the
+            run, or the object lacks a method of its group.
     """
     if group in _LOCAL and CODE.fullmatch(name):
         entry = EntryPoint(name, name, group)
@@ -155,11 +155,13 @@ def build(
         signature = _signature(factory)
     except (ValueError, TypeError) as error:
         raise KinfeasError(f"{subject}: {error}") from error
-    own = objects or {}
-    typed = _in_types(signature, parameters, subject, own)
+    objects = {key: each for key, each in (offered or {}).items() if key in signature.parameters}
+    for key in objects.keys() & parameters.keys():
+        raise KinfeasError(f"{GROUPS[group]} {name!r}: the run sets the parameter {key!r}")
+    typed = _in_types(signature, parameters, subject, objects)
     try:
         with plugin_note(subject):
-            built = factory(**own, **typed)
+            built = factory(**objects, **typed)
     except (ValueError, TypeError, ImportError) as error:
         raise KinfeasError(f"{subject}: {missing_extra(error) or error}") from error
     except SystemExit as error:
@@ -169,22 +171,6 @@ def build(
             f"{subject} must return an object with {', '.join(lacks)}, not {type(built).__name__}"
         )
     return built
-
-
-def build_with(
-    group: str, name: str, parameters: Mapping[str, object], offered: Mapping[str, object]
-) -> Any:
-    """Return what `build` does, with those of the objects `offered` that the factory names.
-
-    Raises:
-        KinfeasError: Also if a parameter has the name of an object that is offered.
-    """
-    factory = load(group, name)
-    named = inspect.signature(factory).parameters if callable(factory) else {}
-    objects = {key: value for key, value in offered.items() if key in named}
-    for key in objects.keys() & parameters.keys():
-        raise KinfeasError(f"{GROUPS[group]} {name!r}: the run sets the parameter {key!r}")
-    return build(group, name, parameters, objects)
 
 
 def from_anywhere(name_or_path: str) -> str:

@@ -59,7 +59,7 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
         "executor": executor, "response": response,
     }  # fmt: skip
 
-    build = partial(_filter, offered)
+    build = partial(registry.build, "kinfeas.filters", offered=offered)
     built = [
         build(each.name, each.parameters) if isinstance(each, PluginSpec) else each
         for each in filters
@@ -71,12 +71,6 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
     return loop
 
 
-def _filter(
-    offered: Mapping[str, object], name: str, parameters: Mapping[str, object] | None = None
-) -> CommandFilter:
-    return registry.build_with("kinfeas.filters", name, parameters or {}, offered)
-
-
 def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Backend:
     """Return a backend within adapters, the first one innermost.
 
@@ -85,7 +79,7 @@ def with_adapters(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot
     """
     for adapter in adapters:
         offered = {"backend": backend, "robot": robot}
-        backend = registry.build_with("kinfeas.adapters", adapter.name, adapter.parameters, offered)
+        backend = registry.build("kinfeas.adapters", adapter.name, adapter.parameters, offered)
         if not isinstance(backend, BackendWrapper):
             raise KinfeasError(f"adapter {adapter.name!r} must derive from BackendWrapper")
         needed = getattr(backend, "needs", "")
@@ -105,7 +99,7 @@ def build_backend(name: str, parameters: Mapping[str, object], **offered: object
         KinfeasError: If the backend is unknown or derives from another class than `Backend`, or a
             parameter is wrong or offered by the run.
     """
-    backend = registry.build_with("kinfeas.backends", name, parameters, offered)
+    backend = registry.build("kinfeas.backends", name, parameters, offered)
     if not isinstance(backend, Backend):
         raise KinfeasError(f"backend {name!r} must derive from kinfeas.core.backend.Backend")
     return backend

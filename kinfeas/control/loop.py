@@ -88,7 +88,7 @@ class Loop:
         execution: ExecutionConfig,
         response: ResponseModel,
         filters: Sequence[CommandFilter],
-        build_filter: Callable[[str], CommandFilter],
+        build_filter: Callable[[str, Mapping[str, object]], CommandFilter],
     ) -> None:
         self.solver, self.sequence, self.backend, self.dt = solver, sequence, backend, dt
         self.execution, self.robot, self._build_filter = execution, solver.robot, build_filter
@@ -122,7 +122,7 @@ class Loop:
         self.policy, self.observer.terms = policy, tuple(terms)
         self._policy_note = plugin_note(name)
         names = getattr(policy, "filters", ()) if self.stream is None else ()
-        own = [self._build_filter(name) for name in names]
+        own = [self._build_filter(name, {}) for name in names]
         kinds = [type(command_filter) for command_filter in self._loop_filters]
         self._use_filters((*(each for each in own if type(each) not in kinds), *self._loop_filters))
 
