@@ -11,11 +11,6 @@ from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import (
     OPTIONAL,
     WAYPOINTS,
-    AvoidsSolids,
-    Demonstrated,
-    FollowsPath,
-    FollowsWholeBodyPath,
-    LooksAhead,
     MotionGenerator,
     Rngs,
     State,
@@ -138,23 +133,18 @@ class CheckedMotion:
     ) -> None:
         self.generator = generator
         self.subject = f"motion generator {name or type(generator).__name__}"
-        for method in OPTIONAL:  # `isinstance` looks for attributes only
-            if not callable(getattr(generator, method, self.start)):
+        self._optional = {method for method in OPTIONAL if hasattr(generator, method)}
+        for method in self._optional:
+            if not callable(getattr(generator, method)):
                 raise self.error(f"has an attribute {method!r} that is no method; rename it")
-        # Once, since protocols are checked by looking up each of their members.
-        self._finished = generator.finished if isinstance(generator, FollowsPath) else None
-        self._ahead = generator.ahead if isinstance(generator, LooksAhead) else None
-        self._base_pose = generator.base_pose if isinstance(generator, Demonstrated) else None
-        self._follower = generator if isinstance(generator, FollowsWholeBodyPath) else None
-        self.avoids_solids = isinstance(generator, AvoidsSolids)
-        self.follows_whole_body = self._follower is not None
+        self.avoids_solids = "replan" in self._optional
+        self.follows_whole_body = {"follow", "robot_ahead"} <= self._optional
         self._every_step, self._checked = every_step, set[str]()
         self._layout: Layout | None = None
 
     def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return the state of n motions, shapes (n, 7), (n, 7), n; there is at least one."""
-        with plugin_note(self.subject):
-            state = self.generator.start(ee_pose, target_pose, rngs)
+        state = self._call("start", ee_pose, target_pose, rngs)
         self._check_state("start", state, len(ee_pose))
         self._checked.clear()
         if not are_unit(self.goal_pose(state, target_pose)):
@@ -163,18 +153,16 @@ class CheckedMotion:
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
-        with plugin_note(self.subject):
-            goal = self.generator.goal_pose(state, target_pose)
+        goal = self._call("goal_pose", state, target_pose)
         self._check_array("goal_pose", goal, (len(target_pose), 7))
         return goal
 
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
         """Return whether the motions are at the end of their paths, shape (n,); true without."""
         n = len(target_pose)
-        if self._finished is None:
+        if "finished" not in self._optional:
             return np.ones(n, dtype=np.bool_)
-        with plugin_note(self.subject):
-            finished = self._finished(state, target_pose)
+        finished = self._call("finished", state, target_pose)
         fits = isinstance(finished, np.ndarray) and finished.shape == (n,)
         if not fits or finished.dtype != np.bool_:
             raise self.error(f"must return booleans of shape ({n},) from finished")
@@ -182,8 +170,7 @@ class CheckedMotion:
 
     def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
-        with plugin_note(self.subject):
-            answer = self.generator.twist(state, ee_pose, target_pose, dt)
+        answer = self._call("twist", state, ee_pose, target_pose, dt)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise self.error("must return a pair from twist: the twist and the next state")
         self._check_array("twist", answer[0], (len(ee_pose), 6))
@@ -196,10 +183,9 @@ class CheckedMotion:
     def base_pose(self, state: State, target_pose: Array) -> Array:
         """Return the demonstrated base poses, shape (n, 7); NaN if there are none."""
         n = len(target_pose)
-        if self._base_pose is None:
+        if "base_pose" not in self._optional:
             return np.full((n, 7), np.nan)
-        with plugin_note(self.subject):
-            pose = self._base_pose(state, target_pose)
+        pose = self._call("base_pose", state, target_pose)
         if self._due("base_pose"):
             self._check_array("base_pose", pose, (n, 7), finite=False)
             given = pose[~np.isnan(pose).all(axis=1)]
@@ -208,10 +194,9 @@ class CheckedMotion:
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
         """Return the state of motions that avoid solids; the same if the generator does not."""
-        if not isinstance(self.generator, AvoidsSolids):
+        if not self.avoids_solids:
             return state
-        with plugin_note(self.subject):
-            state = self.generator.replan(state, ee_pose, target_pose, solids)
+        state = self._call("replan", state, ee_pose, target_pose, solids)
         self._check_state("replan", state, len(ee_pose))
         return state
 
@@ -219,9 +204,7 @@ class CheckedMotion:
         self, state: State, ee_pose: Array, target_pose: Array, paths: Sequence[WholeBodyPath]
     ) -> tuple[State, Array]:
         """Return the state of motions along paths, and their waypoints, (n, 64, 3 + j)."""
-        assert self._follower is not None
-        with plugin_note(self.subject):
-            state, waypoints = self._follower.follow(state, ee_pose, target_pose, paths)
+        state, waypoints = self._call("follow", state, ee_pose, target_pose, paths)
         self._check_state("follow", state, len(ee_pose))
         shape = len(ee_pose), WAYPOINTS, paths[0].robot.shape[1]
         self._check_array("follow", waypoints, shape)
@@ -229,9 +212,7 @@ class CheckedMotion:
 
     def robot_ahead(self, state: State, waypoints: Array, seconds: Array) -> Array:
         """Return base and joints some seconds ahead, shape (n, s, 3 + j), or NaN."""
-        assert self._follower is not None
-        with plugin_note(self.subject):
-            robot = self._follower.robot_ahead(state, waypoints, seconds)
+        robot = self._call("robot_ahead", state, waypoints, seconds)
         if self._due("robot_ahead"):
             shape = len(waypoints), len(seconds), waypoints.shape[2]
             self._check_array("robot_ahead", robot, shape, finite=False)
@@ -242,13 +223,12 @@ class CheckedMotion:
 
         They lie on the straight line to the goal if the generator does not look ahead.
         """
-        if self._ahead is None:
+        if "ahead" not in self._optional:
             goal = self.goal_pose(state, target_pose)
             metres = np.maximum(distance(ee_pose, goal)[0], 1e-9)[:, np.newaxis]
             whole = twist_between(ee_pose, goal, 1.0)[:, np.newaxis]
             return integrate(ee_pose[:, np.newaxis], whole, np.minimum(distances / metres, 1.0))
-        with plugin_note(self.subject):
-            poses = self._ahead(state, ee_pose, target_pose, distances)
+        poses = self._call("ahead", state, ee_pose, target_pose, distances)
         if self._due("ahead"):
             self._check_array("ahead", poses, (len(ee_pose), len(distances), 7))
         return poses
@@ -256,6 +236,10 @@ class CheckedMotion:
     def error(self, broken: str, rule: str = "form") -> ConformanceError:
         """Return an error whose subject is the generator."""
         return ConformanceError(f"{self.subject} {broken}", rule)
+
+    def _call(self, method: str, *arguments: object) -> Any:
+        with plugin_note(self.subject):
+            return getattr(self.generator, method)(*arguments)
 
     def _due(self, method: str) -> bool:
         """Return whether a method's return value is to be checked now; then it is not due again."""
