@@ -1,6 +1,6 @@
 """Solids around robots: upright boxes and cylinders that stand or move to and fro."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -81,9 +81,13 @@ class Solids:
         """Whether a place holds a solid, shape (n, k)."""
         return np.all(self.size[..., :2] > 0.0, axis=-1)
 
+    def each(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> "Solids":
+        """Return the solids of which each array is changed by a function."""
+        return Solids(*map(change, vars(self).values()))
+
     def of(self, rows: NDArray[np.intp]) -> "Solids":
         """Return the solids of some rows."""
-        return Solids(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return self.each(lambda values: values[rows])
 
     def repeated(self, n: int) -> "Solids":
         """Return the solids of the first row in each of n rows."""
@@ -95,12 +99,12 @@ class Solids:
 
     def joined(self, other: "Solids") -> "Solids":
         """Return these solids and, in further places of the same rows, other ones."""
-        both = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+        both = zip(vars(self).values(), vars(other).values(), strict=True)
         return Solids(*(np.concatenate(values, axis=1) for values in both))
 
     def only(self, places: slice | NDArray[np.intp]) -> "Solids":
         """Return the solids of some places of each row."""
-        return Solids(*(getattr(self, field.name)[:, places] for field in fields(self)))
+        return self.each(lambda values: values[:, places])
 
     def wider(self, margin: float, above: float = 0.0) -> "Solids":
         """Return the solids grown by a margin sideways and by `above` above and below.
@@ -116,11 +120,10 @@ class Solids:
         """Return these solids with other ones in some rows."""
         places = max(self.places, other.places)
         changed = Solids.empty(len(self.size), places)
-        for field in fields(self):
-            values = getattr(changed, field.name)
-            values[:, : self.places] = getattr(self, field.name)
+        for name, values in vars(changed).items():
+            values[:, : self.places] = getattr(self, name)
             values[rows] = 0
-            values[rows, : other.places] = getattr(other, field.name)
+            values[rows, : other.places] = getattr(other, name)
         return changed
 
     def at(self, seconds: Array) -> "Solids":
@@ -216,7 +219,7 @@ class MovingSolids:
         """Return the state as arrays by name."""
         if not self.start.places:
             return {}
-        arrays = {_SOLIDS + field.name: getattr(self.start, field.name) for field in fields(Solids)}
+        arrays = {_SOLIDS + name: values for name, values in vars(self.start).items()}
         return {**arrays, f"{_SOLIDS}seconds": self.seconds}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]], n: int) -> None:
@@ -234,6 +237,5 @@ class MovingSolids:
 def stacked_solids(solids: Sequence[Solids]) -> Solids:
     """Return rows of solids as one batch; empty places fill up those with fewer."""
     places, none = max(rows.places for rows in solids), np.arange(0)
-    padded = [rows.put(none, Solids.empty(0, places)) for rows in solids]
-    parts = ([getattr(rows, field.name) for rows in padded] for field in fields(Solids))
-    return Solids(*map(np.concatenate, parts))
+    padded = [vars(rows.put(none, Solids.empty(0, places))).values() for rows in solids]
+    return Solids(*map(np.concatenate, zip(*padded, strict=True)))

@@ -54,14 +54,14 @@ class Clutter:
         yaw, bearing = rng.uniform(-np.pi, np.pi, (2, k))
         speed = rng.uniform(*self.speed, k)
         xy = grid + rng.normal(0.0, self.jitter, (k, 2))
-        solids = Solids(
+        row = Solids(
             pose=np.column_stack([xy, yaw]),
             size=np.column_stack([half, np.zeros(k), height]),
             cylinder=cylinder,
             velocity=speed[:, np.newaxis] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1),
             span=rng.uniform(*self.span, k),
         )
-        return Solids(**{name: values[np.newaxis] for name, values in vars(solids).items()})
+        return row.each(lambda values: values[np.newaxis])
 
 
 def with_clutter(
@@ -93,7 +93,7 @@ def with_clutter(
 
 def touches_robot(solver: IkSolver, start: Start, solids: Solids) -> NDArray[np.bool_]:
     """Return which of one row of k solids touch the robot at its start, shape (k,)."""
-    alone = Solids(**{name: np.swapaxes(values, 0, 1) for name, values in vars(solids).items()})
+    alone = solids.each(lambda values: np.swapaxes(values, 0, 1))
     n = len(alone.pose)
     joints, base = np.tile(start.joint_positions, (n, 1)), np.tile(start.base_pose, (n, 1))
     return np.any(collides(solver.collision, joints, base, alone), axis=1)
