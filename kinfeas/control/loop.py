@@ -151,10 +151,8 @@ class Loop:
         self._measure(robots)
         if (solids := self.surroundings.after(0.0)) is not None:
             self.sequence.avoid(solids, fresh, (robots.base_pose, robots.joint_positions))
-        if rows is None:
-            self.previous_command = np.zeros((n, self.command_size))
-        else:
-            self.previous_command = with_rows(self.previous_command, rows, np.array(0.0))
+        rest = np.zeros((len(rngs), self.command_size))
+        self.previous_command = with_rows(self.previous_command, rows, rest)
         self._arm.start(robots.joint_positions, rows)
         self.sequence.start_stream(rngs, fresh, robots.base_pose)
         self._observe()

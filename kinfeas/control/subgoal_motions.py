@@ -260,8 +260,7 @@ class SubgoalMotions:
     def _put(self, arrays: Mapping[str, NDArray[Any]], rows: Rows | None = None) -> None:
         """Replace arrays by name, or some rows of them."""
         for name, values in arrays.items():
-            new = values if rows is None else with_rows(getattr(self, name), rows, values)
-            setattr(self, name, new)
+            setattr(self, name, with_rows(getattr(self, name, values), rows, values))
 
     def _begin(self, rows: Rows) -> None:
         """Start the motion of the sub-goal that each of `rows` is at, from its desired pose."""

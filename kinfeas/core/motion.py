@@ -139,8 +139,10 @@ OPTIONAL = ("finished", "base_pose", "replan", "follow", "robot_ahead", "ahead")
 """Names of the optional methods of motion generators."""
 
 
-def with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy of `array` with `values` in `rows`."""
+def with_rows(array: NDArray[Any], rows: Rows | None, values: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of `array` with `values` in `rows`; the values themselves for None."""
+    if rows is None:
+        return values
     changed = array.copy()
     changed[rows] = values
     return changed

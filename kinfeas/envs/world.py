@@ -16,7 +16,7 @@ from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Outcome
 from kinfeas.core.backend import closed_on_error
 from kinfeas.core.checks import check_array
-from kinfeas.core.motion import Rows
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.quantities import ControlPeriod, PositiveSeconds
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import episode_rng, stacked
@@ -157,11 +157,9 @@ class World:
             for rng, row in zip(rngs, places, strict=True)
         ]
         self.loop.start(stacked(starts), rngs, rows)
-        if rows is None:
-            self.failures = np.zeros(len(episodes), dtype=np.intp)
-            self.steps = np.zeros(len(episodes), dtype=np.intp)
-        else:
-            self.failures[rows], self.steps[rows] = 0, 0
+        failures, steps = np.zeros((2, len(episodes)), dtype=np.intp)
+        self.failures = with_rows(self.failures, rows, failures)
+        self.steps = with_rows(self.steps, rows, steps)
         return self.loop.observation.values
 
     def start_next(self, count: int, rows: Rows | None = None) -> Array:
