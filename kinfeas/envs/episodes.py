@@ -218,18 +218,17 @@ class _Tally:
         self.failures[episodes] += ~outcome.feasible[rows]
         self.joint_jumps[episodes] += outcome.joint_jump[rows]
         self.steps[episodes] += 1
-        self.deviation_sum[episodes] += outcome.deviation[rows]
-        tracking_error = outcome.tracking_error[rows]
+        deviation, tracking_error = outcome.deviation[rows], outcome.tracking_error[rows]
+        self.deviation_sum[episodes] += deviation
+        self.deviation_max[episodes] = np.maximum(self.deviation_max[episodes], deviation)
         self.tracking_sum[episodes] += tracking_error
         self.tracking_max[episodes] = np.maximum(self.tracking_max[episodes], tracking_error)
         if (sums := self.world.loop.response_sums) is not None:
             self.response_sums[episodes] = sums[rows]
         if transition.path_length is not None and transition.planned_length is not None:
-            self.deviation_squares[episodes] += outcome.deviation[rows] ** 2
+            self.deviation_squares[episodes] += deviation**2
             self.length[episodes] += transition.path_length[rows]
             self.planned_length[episodes] += transition.planned_length[rows]
-        deviation = outcome.deviation[rows]
-        self.deviation_max[episodes] = np.maximum(self.deviation_max[episodes], deviation)
         # An episode that never began the last sub-goal did not end near its goal. A stream has
         # no goal.
         stream = self.world.loop.stream is not None
@@ -240,20 +239,18 @@ class _Tally:
                 self._add_collisions(outcome.collision, row, episode)
         done = transition.done[rows]
         for row, episode in zip(rows[done].tolist(), episodes[done].tolist(), strict=True):
-            reached = bool(transition.reached[row])
-            self.task_done[episode] = self._task_done(row, reached=reached)
+            self.task_done[episode] = self._task_done(row, reached=bool(transition.reached[row]))
 
     def _add_collisions(self, collision: NDArray[np.bool_] | None, row: int, episode: int) -> None:
         base, arm = (False, False) if collision is None else collision[row].tolist()
+        base_bodies, arm_bodies = {-1} if base else set(), {-1} if arm else set()
         if (sensor := self.world.backend.contacts) is not None:
             contacts = sensor.touching(row)
-            bodies = {body for _, body, _ in contacts.base}
             # Geometry, which ends the episode, sees a touch just before the engine does.
-            self.base.add(episode, bodies or ({-1} if base else set()))
-            self.arm.add(episode, {body for _, body, _ in contacts.arm})
-        elif collision is not None:
-            self.base.add(episode, {0} if base else set())
-            self.arm.add(episode, {0} if arm else set())
+            base_bodies = {body for _, body, _ in contacts.base} or base_bodies
+            arm_bodies = {body for _, body, _ in contacts.arm}
+        self.base.add(episode, base_bodies)
+        self.arm.add(episode, arm_bodies)
 
     def _task_done(self, row: int, *, reached: bool) -> bool | None:
         loop, task = self.world.loop, self.world.task
