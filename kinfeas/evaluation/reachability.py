@@ -65,8 +65,8 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
         raise KinfeasError(f"task {task.name!r} has no ceiling: its targets move")
     options = ik or IkOptions()
     solver = IkSolver(robot, at_goals(robot, options))
-    drawn = _starts(solver, task, episodes, seed)
-    groups = [(Postures(solver), subgoal_ends(solver, *drawn), STAGES)]
+    subgoals, starts, rngs = _starts(solver, task, episodes, seed)
+    groups = [(Postures(solver), subgoal_ends(solver, subgoals, starts, rngs), STAGES)]
     if path:
         solver = IkSolver(robot, options)
         waypoints = draw_waypoints(solver, task, episodes, seed)
@@ -74,12 +74,12 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     tries = [np.empty(poses.shape[:2]) for _, poses, _ in groups]
     for (postures, poses, stages), own in zip(groups, tries, strict=True):
         for episode, number in np.ndindex(own.shape):
-            start = drawn[1].of(np.array([episode]))
+            start = starts.of(np.array([episode]))
             around = start.solids, start.base_pose[0]
             own[episode, number] = postures.tries(poses[episode, number], stages, *around)
             if on_done is not None:
                 on_done(1.0 / sum(map(np.size, tries)))
-    counts = _limits(groups, tries, drawn) if limits else ()
+    counts = _limits(groups, tries, starts) if limits else ()
     most = np.concatenate(tries, axis=1).max(axis=1)
     return replace(reachability(most, STAGES), limits=counts)
 
@@ -87,14 +87,14 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
 def _limits(
     groups: Sequence[tuple[Postures, Array, Sequence[int]]],
     tries: Sequence[Array],
-    drawn: tuple[tuple[SubgoalMotion, ...], Start, list[np.random.Generator]],
+    starts: Start,
 ) -> tuple[dict[str, int], ...]:
     """Return the numbers of episodes in which each sub-goal is out of reach, by the limit.
 
     The first pose that is out of reach counts: the goal, then those on the way.
     """
-    counts: tuple[Counter[str], ...] = tuple(Counter() for _ in drawn[0])
-    missed_before = np.zeros((len(drawn[2]), len(counts)), dtype=np.bool_)
+    missed_before = np.zeros(tries[0].shape, dtype=np.bool_)  # the first poses are the goals
+    counts = [Counter[str]() for _ in missed_before.T]
     for (postures, poses, _), own in zip(groups, tries, strict=True):
         each = np.isfinite(own).reshape(*missed_before.shape, -1)
         episodes, numbers = np.nonzero(~each.all(axis=2) & ~missed_before)
@@ -104,7 +104,7 @@ def _limits(
             solver, missed = postures.solver, poses[episodes, first]
             placer = BasePlacer(solver.robot, solver.options)
             for number, episode, pose in zip(numbers.tolist(), episodes, missed, strict=True):
-                start = drawn[1].of(np.array([episode]))
+                start = starts.of(np.array([episode]))
                 counts[number][placer.limit(pose, start.solids, start.base_pose[0])] += 1
     return tuple(dict(count) for count in counts)
 
