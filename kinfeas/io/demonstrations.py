@@ -60,8 +60,7 @@ def read_demonstration(path: Path, optional: Collection[str] = ("base_pose",)) -
             raise KinfeasError(f"{path}: column {missing[0]!r} is missing")
     check_samples(path, time, poses)
     for pose in poses.values():
-        norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
-        pose[:, 3:] /= norm[:, np.newaxis]
+        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
     unknown = np.full((len(time), 7), np.nan)
     return Demonstration(time, **{name: poses.get(name, unknown) for name in _POSES})
 
@@ -112,5 +111,5 @@ def check_samples(path: Path, time: Array, poses: dict[str, Array]) -> None:
         for axis, values in zip(POSE_COLUMNS, pose.T, strict=True):
             rule = f"{name}: {axis} is missing, not finite or beyond {REMOTEST:,.0f} m"
             require(np.abs(values) <= REMOTEST, rule)
-        norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
+        norm = np.linalg.norm(pose[:, 3:], axis=1)
         require(np.abs(norm - 1.0) <= UNIT, f"{name} has no unit quaternion (xyzw)")
