@@ -93,8 +93,9 @@ def _limits(
 
     The first pose that is out of reach counts: the goal, then those on the way.
     """
-    missed_before = np.zeros(tries[0].shape, dtype=np.bool_)  # the first poses are the goals
-    counts = [Counter[str]() for _ in missed_before.T]
+    goals = tries[0]  # shape (episodes, sub-goals)
+    counts: tuple[Counter[str], ...] = tuple(Counter() for _ in goals.T)
+    missed_before = np.zeros((len(goals), len(counts)), dtype=np.bool_)
     for (postures, poses, _), own in zip(groups, tries, strict=True):
         each = np.isfinite(own).reshape(*missed_before.shape, -1)
         episodes, numbers = np.nonzero(~each.all(axis=2) & ~missed_before)
