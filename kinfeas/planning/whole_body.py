@@ -1,14 +1,15 @@
 """Whole-body plans: time-stamped base and arm along an EE path, checked at every moment."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, interpolated, planar_pose, relative
-from kinfeas.kinematics.ik import IkSolver
+from kinfeas.core.spatial import Array, compose, interpolated, planar_pose, relative
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.kinematics.solids import collides
 from kinfeas.planning.base_path import BasePath, BasePathPlanner, path_length
 from kinfeas.planning.reach import BasePlacer
@@ -24,8 +25,11 @@ class WholeBodySettings:
 
     starts: int = 4  # base poses at the beginning that are tried
     examined: int = 24  # poses of a path without a plan that are tried alone
-    slowest: float = 8.0  # factor by which arms may need longer than the path; more is a jump
+    slower: tuple[int, ...] = (2, 4)  # factors by which the EE is slower where there is no plan
+    longest: float = 300.0  # time that a slower EE may need, seconds
     apart: float = 0.1  # time from a moment to the next, up to a half more, seconds
+    rounds: int = 6  # of finer moments; where an arm needs longer even then, it has a jump
+    corrections: int = 3  # of the bases of short arms
     resting: float = 1e-6  # `path_length` from a pose to the next while the EE rests
 
 
@@ -70,35 +74,63 @@ def plan_along(
         KinfeasError: If there is no plan; with the first pose that is out of reach, if any.
     """
     planner = BasePathPlanner(placer.solver)
-    for base, joints in _starts(placer, ee, solids) if start is None else [start]:
-        path = planner.plan(base, joints, ee, step, 0.0, solids=solids)
-        if path is not None and (moments := _refined(placer.solver, path, solids)) is not None:
-            return moments
-    named = names or [f"solid {k}" for k in range(solids.places if solids else 0)]
-    raise KinfeasError(f"no plan was found: {_reason(placer, ee, step, start, solids, named)}")
+    starts = _starts(placer, ee, solids) if start is None else [start]
+    moments, reason = _first_plan(planner, placer.solver, starts, ee, step, solids), ""
+    if moments is None:
+        named = names or [f"solid {k}" for k in range(solids.places if solids else 0)]
+        reason = _reason(placer, ee, step, start, solids, named)
+    for factor in _SETTINGS.slower:
+        if moments is not None or reason or factor * len(ee) * step > _SETTINGS.longest:
+            break
+        index = np.arange(float(len(ee)))
+        slow = interpolated(np.linspace(0.0, index[-1], factor * (len(ee) - 1) + 1), index, ee)
+        moments = _first_plan(planner, placer.solver, starts, slow, step, solids)
+    if moments is None:
+        reason = reason or "all EE poses are reachable, but not on one path of base and arm"
+        raise KinfeasError(f"no plan was found: {reason}")
+    return moments
 
 
-def _starts(placer: BasePlacer, ee: Array, solids: Solids | None) -> Iterator[State]:
+def _starts(placer: BasePlacer, ee: Array, solids: Solids | None) -> list[State]:
     placement = placer.place(ee[0], solids, count=_SETTINGS.starts)
-    yield from zip(placement.base_pose, placement.joint_positions, strict=True)
+    return list(zip(placement.base_pose, placement.joint_positions, strict=True))
+
+
+def _first_plan(
+    planner: BasePathPlanner,
+    solver: IkSolver,
+    starts: Sequence[State],
+    ee: Array,
+    step: float,
+    solids: Solids | None,
+) -> Moments | None:
+    """Return the plan from the first of some starts that has one, or None."""
+    for base, joints in starts:
+        path = planner.plan(base, joints, ee, step, 0.0, solids=solids)
+        if path is not None and (moments := _refined(solver, path, solids)) is not None:
+            return moments
+    return None
 
 
 def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments | None:
-    """Return base and arm at each EE pose of a path, and between those where the EE is slow.
+    """Return base and arm at each EE pose of a path, and between those where it takes longer.
 
-    None if one of them has no arm near those of the path, which has arms at some EE poses only, or
-    base or arm touches a solid.
+    None if one of them has no arm near those of the path, which has arms at some EE poses only, an
+    arm jumps, or base or arm touches a solid.
     """
-    near = solver.local()
-    moments = _moments(near, path, path.motion_time)
-    if moments is None:
-        return None
-    pieces = np.ceil(np.diff(moments.time) / _SETTINGS.apart - 0.5).clip(1.0)
-    if (pieces > 1.0).any():
-        index = np.append(0.0, np.cumsum(pieces))
-        motion_time = np.interp(np.arange(index[-1] + 1.0), index, path.motion_time)
+    near, motion_time = solver.local(), path.motion_time
+    for _ in range(_SETTINGS.rounds):
         moments = _moments(near, path, motion_time)
-    if moments is not None and solids is not None:
+        if moments is None:
+            return None
+        pieces = np.ceil(np.diff(moments.time) / _SETTINGS.apart - 0.5).clip(1.0)
+        if (pieces == 1.0).all():
+            break
+        index = np.append(0.0, np.cumsum(pieces))
+        motion_time = np.interp(np.arange(index[-1] + 1.0), index, motion_time)
+    else:
+        return None
+    if solids is not None:
         base, around = moments.base_pose, solids.repeated(len(moments.time)).at(moments.time)
         if collides(solver.collision, moments.joint_positions, base, around).any():
             return None
@@ -113,7 +145,7 @@ def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | 
     length = path_length(path.ee) + _SETTINGS.resting * np.arange(float(len(every)))
     along, nodes = (np.interp(times, every, length) for times in (motion_time, path.seconds))
     rows = path.robots_at(np.interp(along, nodes, path.seconds))
-    arm = solver.solve(relative(ee, planar_pose(*rows[:, :3].T)), rows[:, 3:])
+    arm = _arms(solver, ee, rows)
     joints = arm.joint_positions
     scale = np.array([path.time_scale_at(seconds) for seconds in motion_time[:-1].tolist()])
     turned = np.abs(joint_displacement(robot, joints[:-1], joints[1:])) / robot.max_joint_velocity
@@ -121,11 +153,28 @@ def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | 
     rotated = np.abs(np.diff(rows[:, 2])) / robot.base.max_rotation
     least = np.max([turned.max(axis=1), driven, rotated], axis=0)
     planned = np.diff(motion_time) / scale
-    if not arm.feasible.all() or (least > _SETTINGS.slowest * planned).any():
+    if not arm.feasible.all():
         return None
     joints[:, robot.continuous] = np.unwrap(joints[:, robot.continuous], axis=0)
     time = np.append(0.0, np.cumsum(np.maximum(planned, least)))
     return Moments(time, rows[:, :3], joints, ee)
+
+
+def _arms(solver: IkSolver, ee: Array, rows: Array) -> IkSolution:
+    """Return arms near those of robots, (m, 3 + j), with EEs at poses, (m, 7).
+
+    For arms with fewer joints than a pose has numbers, the bases after the first move to where the
+    arms come nearest, if they can move sideways.
+    """
+    arm, robot = solver.solve(relative(ee, planar_pose(*rows[:, :3].T)), rows[:, 3:]), solver.robot
+    if len(robot.arm) >= ee.shape[1] - 1 or robot.base.drive == "differential":
+        return arm
+    for _ in range(_SETTINGS.corrections):
+        reached = forward(solver.chain, arm.joint_positions)
+        error = ee - compose(planar_pose(*rows[:, :3].T), reached)
+        rows[1:, :2] += error[1:, :2]
+        arm = solver.solve(relative(ee, planar_pose(*rows[:, :3].T)), arm.joint_positions)
+    return arm
 
 
 def _reason(
@@ -136,6 +185,7 @@ def _reason(
     solids: Solids | None,
     names: Sequence[str],
 ) -> str:
+    """Return why the start or one of the EE poses cannot be; empty if all can."""
     if start is not None and solids is not None:
         base, joints = start[0][np.newaxis], start[1][np.newaxis]
         (touching,) = placer.touching(base, joints, solids)
@@ -147,4 +197,4 @@ def _reason(
         if reason:
             position = ", ".join(f"{value:.3g}" for value in ee[index, :3].tolist())
             return f"EE at {position} m after {index * step:.1f} s: {reason}"
-    return "all EE poses are reachable, but not on one path of base and arm"
+    return ""

@@ -39,7 +39,8 @@ def test_plans_keep_to_the_path_the_limits_and_the_room(plan, robot):
     ee = compose(plan.base_pose, forward(solver.chain, plan.joint_positions))
     metres, radians = distance(ee, plan.ee_pose)
     tolerance = robot.pose_tolerance
-    assert metres.max() <= (1e-3 if tolerance is None else 0.025)
+    assert metres[1:].max() <= (1e-3 if tolerance is None else 5e-3)  # the base makes up for it
+    assert metres[0] <= (1e-3 if tolerance is None else 0.025)
     assert radians.max() <= (1e-2 if tolerance is None else 0.21)
     np.testing.assert_allclose(plan.ee_pose[[0, -1], 0], [1.0, 2.0], atol=1e-6)
     turned = joint_displacement(robot, plan.joint_positions[:-1], plan.joint_positions[1:])
@@ -49,6 +50,15 @@ def test_plans_keep_to_the_path_the_limits_and_the_room(plan, robot):
     assert (np.abs(np.diff(plan.base[:, 2])) <= robot.base.max_rotation * seconds * 1.001).all()
     solids = Solids.from_table(POST).repeated(len(plan.time))
     assert not collides(solver.collision, plan.joint_positions, plan.base_pose, solids).any()
+
+
+def test_the_ee_is_slower_where_the_robot_cannot_follow():
+    poses = FIRST * np.ones((2, 1))
+    poses[1, 0] += 0.3
+    plan = kinfeas.plan("hsr", poses, step=5.0, start=(0.0, 0.0, 0.0))
+    assert plan.time[-1] > 15.0  # in place of 5 s to the first pose, and 5 s from there
+    np.testing.assert_allclose(plan.base[0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(plan.ee_pose[-1], poses[1], atol=1e-9)
 
 
 def test_a_file_has_the_whole_plan(plan, robot, tmp_path):
