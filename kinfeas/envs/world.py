@@ -16,6 +16,7 @@ from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Outcome
 from kinfeas.core.backend import closed_on_error
 from kinfeas.core.checks import check_array
+from kinfeas.core.errors import plugin_note
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.quantities import ControlPeriod, PositiveSeconds
 from kinfeas.core.spatial import Array
@@ -205,7 +206,8 @@ class World:
 
     def close(self) -> None:
         """Close the backend; it may be called twice."""
-        self.loop.backend.close()
+        with plugin_note(f"backend {self.loop.backend.name}"):
+            self.loop.backend.close()
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of the n episodes by name."""

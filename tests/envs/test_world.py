@@ -8,7 +8,7 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec, registry
 from kinfeas.control.assemble import read_sim2real
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, RealTimeBackend
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, raised_by
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import relative, yaw
 from kinfeas.envs.world import Batch, World, WorldConfig
@@ -222,6 +222,19 @@ def test_real_robots_and_wrong_adapters_leave_no_backend_open(hsr, factory, nois
     with pytest.raises(KinfeasError, match="linear" if noise < 0.0 else "mine"):
         make(hsr, world=WorldConfig(backend="mine", adapters=adapters))
     assert len(CLOSED) == closed
+
+
+class Stuck(AnalyticBackend):
+    def close(self):
+        raise ConnectionError
+
+
+@pytest.mark.usefixtures("unregistered")
+def test_errors_of_closing_name_the_backend(hsr):
+    registry.register("kinfeas.backends", "stuck", Stuck)
+    with pytest.raises(ConnectionError) as caught:
+        make(hsr, world=WorldConfig(backend="stuck")).close()
+    assert raised_by(caught.value) == "backend Stuck"
 
 
 def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):
