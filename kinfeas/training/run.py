@@ -43,8 +43,8 @@ _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
 _FORMAT = 3
 _SAVED = (
-    "steps", "seconds", "best", "evaluations", "recent", "other_seconds", "evaluating_seconds",
-    "analytic",
+    "steps", "seconds", "best", "evaluations", "evaluated_at", "recent", "other_seconds",
+    "evaluating_seconds", "analytic",
 )  # fmt: skip
 _BROKEN = (
     ArithmeticError, LookupError, OSError, RuntimeError, SafetensorError, TypeError, ValueError
@@ -62,6 +62,7 @@ class Progress:
     # errors below 5 cm, 0-1; -1 before the first one
     best: Annotated[float, Interval(ge=-1.0, le=1.0)] = -1.0
     evaluations: _Tally = 0  # number of evaluations
+    evaluated_at: Annotated[int, Interval(ge=-1)] = -1  # steps at the last one; -1 before the first
     # whether each of the last training episodes was without a failure
     recent: tuple[bool, ...] = ()
     # episodes done and episodes in all of the evaluation that runs now

@@ -23,7 +23,7 @@ from kinfeas.core.extras import require
 from kinfeas.core.files import find_folder, locked, write_folder, writing
 from kinfeas.core.metrics import summarize
 from kinfeas.envs.episodes import worker_pool
-from kinfeas.io.policy_metadata import read_trained
+from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies.network import Network, copy_network, read_network, write_network
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import (
@@ -123,7 +123,6 @@ class _Run:
             training_world(config).close()
         self.learner = make_learner(config.learner, self.env, config.seed)
         self.observation: NDArray[np.float32] | None = None
-        self.evaluated_at = -1
         self.pool: Executor | None = None
 
     def begin(self) -> None:
@@ -288,9 +287,8 @@ class _Run:
         if self.limited and self.progress.fraction >= 1.0:
             left = self._left() - evaluation_seconds(self.config, schedule.final_episodes)
         figures = self._measure(network, schedule.evaluation_episodes, EVALUATION_SEED, left)
-        self.evaluated_at = self.progress.steps
         with uninterrupted():
-            self.progress.evaluations = due
+            self.progress.evaluations, self.progress.evaluated_at = due, self.progress.steps
             score = (figures["success"] + figures["tracked_5cm"]) / 2.0
             if score >= self.progress.best:
                 self.progress.best = float(score)
@@ -307,8 +305,12 @@ class _Run:
         """Return whether nothing has been learned since an evaluation, or since the best one."""
         if self.progress.best < 0.0:
             return False
-        best = read_network(self.out, self.env.robot)
-        return self.evaluated_at == self.progress.steps or network.equals(best)
+        evaluated, best = self.progress.evaluated_at, read_best(self.out).steps
+        if best is None or best > evaluated:  # written before a kill, after the last checkpoint
+            return False
+        return evaluated == self.progress.steps or network.equals(
+            read_network(self.out, self.env.robot)
+        )
 
     def _left(self) -> float:
         """Return the seconds to the end of a run whose `minutes` include evaluations."""

@@ -93,6 +93,21 @@ def test_a_run_stopped_anywhere_resumes_to_the_same_bits(whole, tiny, tmp_path, 
     assert_same(out, whole)
 
 
+def test_a_run_killed_between_best_and_last_evaluates_again(whole, tiny, tmp_path, monkeypatch):
+    save = training.save_learner
+
+    def stopped(folder, learner, snapshot, state):
+        if state["progress"]["evaluations"] == 2:
+            kill()
+        save(folder, learner, snapshot, state)
+
+    with monkeypatch.context() as patch, pytest.raises(KilledError):
+        patch.setattr(training, "save_learner", stopped)
+        train(tiny(), tmp_path / "run")
+    resume(tmp_path / "run")
+    assert_same(tmp_path / "run", whole)
+
+
 def test_a_run_killed_before_its_first_checkpoint_begins_again(whole, tiny, tmp_path):
     config.dump(tiny(), tmp_path / "config.yaml")
     resume(tmp_path)
