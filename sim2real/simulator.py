@@ -8,7 +8,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config import PluginSpec, registry
@@ -49,7 +49,8 @@ class SimulationResult:
 class JointSetpoints:
     """Setpoints of joints over time, as trajectory controllers have them.
 
-    A trajectory is a cubic spline from the present setpoint and velocity; it ends at rest.
+    A trajectory is a cubic spline from the present setpoint and velocity; it ends at rest. Between
+    its points it does not overshoot.
     """
 
     def __init__(self, positions: Mapping[str, float]) -> None:
@@ -71,7 +72,7 @@ class JointSetpoints:
             if name in self._paths:
                 before, now = self._paths[name], self._since_start(name, time)
                 values = np.append(before(now), path.positions[left, column])
-                slopes = np.gradient(values, times)
+                slopes = PchipInterpolator(times, values)(times, 1)
                 slopes[0], slopes[-1] = before(now, 1), 0.0
                 self._paths[name] = CubicHermiteSpline(times, values, slopes)
                 self._starts[name] = time

@@ -48,6 +48,13 @@ def test_setpoints_leave_out_points_of_the_past(start, points):
     assert setpoints.at(start + 1.0)["a"] == pytest.approx(1.0)
 
 
+def test_setpoints_do_not_overshoot_points_at_uneven_times():
+    setpoints = JointSetpoints({"a": 0.0})
+    setpoints.follow(path(("a",), (0.001, [0.02]), (1.0, [0.1]), (1.01, [0.1])), 0.0)
+    for time in np.linspace(0.0, 1.1, 50):
+        assert -1e-9 <= setpoints.at(time)["a"] <= 0.1 + 1e-9
+
+
 def test_setpoints_go_on_at_their_velocity_and_come_to_rest():
     setpoints = JointSetpoints({"a": 0.0})
     setpoints.follow(path(("a",), (2.0, [3])), 10.0)
