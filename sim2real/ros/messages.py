@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas.core.backend import SCAN_RANGE, Grip
+from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.spatial import IDENTITY, UNIT, Array, compose, relative
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.link.measurements import DRIFT, TransportDelay
@@ -70,8 +71,8 @@ def path(message: Any) -> JointPath | None:
         return None
     times = np.array([point.time_from_start.to_sec() for point in points])
     positions = np.array([point.positions for point in points])
-    finite = np.isfinite(times).all() and np.isfinite(positions).all()
-    return JointPath(joints, times, positions) if finite and np.all(np.diff(times) > 0.0) else None
+    sound = np.isfinite(times).all() and (np.abs(positions) <= FARTHEST).all()
+    return JointPath(joints, times, positions) if sound and np.all(np.diff(times) > 0.0) else None
 
 
 def from_odometry(message: Any) -> BaseReading:
@@ -161,6 +162,8 @@ def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
         row, position = gripper.joints.index(points.joints[0]), float(points.positions[-1, 0])
     else:
         row, position = 0, message.position
+    if not math.isfinite(position):
+        return None
     nearer = abs(position - closed[row]) <= abs(position - opened[row])
     return "close" if nearer else "open"
 

@@ -1,4 +1,5 @@
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -103,8 +104,13 @@ def test_an_invalid_trajectory_is_none(messages):
     empty.points = []
     short.points[0].positions = [1.0]
     twice.points = twice.points * 2
-    for message in (empty, short, twice, path(a=np.nan)):
+    for message in (empty, short, twice, path(a=np.nan), path(a=1e308)):
         assert ros_messages.path(message) is None
+
+
+def test_an_invalid_gripper_command_is_none():
+    command = SimpleNamespace(position=np.nan)
+    assert ros_messages.from_gripper(GripperTopics("/hand", "pr2", 0.09), command) is None
 
 
 def test_joint_states_may_lack_velocities_but_not_positions(messages):
