@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import closing, contextmanager
 from functools import partial
+from multiprocessing.context import SpawnContext, SpawnProcess
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +132,7 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     """
     pool = ProcessPoolExecutor(
         processes,
-        mp_context=multiprocessing.get_context("spawn"),
+        mp_context=WorkerContext(),
         initializer=begin_worker,
         initargs=(signal.SIG_DFL,),
     )
@@ -161,9 +162,25 @@ def workers_alive(processes: int) -> Iterator[None]:
         ) from error
 
 
+class _Worker(SpawnProcess):
+    def start(self) -> None:
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class WorkerContext(SpawnContext):
+    """Starts processes that delay Ctrl-C until `begin_worker`: their imports take seconds."""
+
+    Process = _Worker
+
+
 def begin_worker(on_interrupt: signal.Handlers) -> None:
     """Let this worker process end with its parent, and handle Ctrl-C by `on_interrupt`."""
     signal.signal(signal.SIGINT, on_interrupt)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

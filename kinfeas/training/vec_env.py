@@ -1,6 +1,5 @@
 """Vector environments for Stable-Baselines3: episodes in a thread or in worker processes."""
 
-import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
@@ -13,7 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from kinfeas.control import observation
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.episodes import terminate, workers_alive
+from kinfeas.envs.episodes import WorkerContext, terminate, workers_alive
 from kinfeas.envs.world import Batch, BatchStep, World
 from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.loading import load_robot
@@ -191,9 +190,8 @@ class ProcessVecEnv(EpisodesVecEnv):
     def __init__(self, config: TrainConfig) -> None:
         """Start the processes and build their worlds."""
         parts = np.array_split(np.arange(config.num_envs), config.processes)
-        context = multiprocessing.get_context("spawn")
         self._pools = [
-            ProcessPoolExecutor(1, context, begin_batch, (config, len(part), SHARE * i))
+            ProcessPoolExecutor(1, WorkerContext(), begin_batch, (config, len(part), SHARE * i))
             for i, part in enumerate(parts)
         ]
         sizes = [len(part) for part in parts]

@@ -1,9 +1,13 @@
+import os
+import signal
+from concurrent.futures import ProcessPoolExecutor
+
 import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
 from kinfeas.envs import episodes as module
-from kinfeas.envs.episodes import run_episodes
+from kinfeas.envs.episodes import WorkerContext, begin_worker, run_episodes, terminate
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.tasks.ggr import ggr
@@ -63,3 +67,16 @@ def test_an_episode_that_never_begins_its_last_sub_goal_ends_far_from_it(world, 
     records = run_episodes(World(world.robot, load_task("pick_place"), short, seed=0), policy, 3)
     assert np.isinf(records.final_distance).all()
     assert not records.within.any()
+
+
+def test_workers_delay_ctrl_c_until_they_have_begun():
+    context = WorkerContext()
+    before = set(context.active_children())
+    pool = ProcessPoolExecutor(1, context, begin_worker, (signal.SIG_IGN,))
+    try:
+        result = pool.submit(abs, -1)
+        (worker,) = set(context.active_children()) - before
+        os.kill(worker.pid, signal.SIGINT)
+        assert result.result(60.0) == 1
+    finally:
+        terminate(pool)
