@@ -207,7 +207,7 @@ def pair_likelihood(logs: Sequence[TimeErrors], drawn: Sequence[Array]) -> float
     log, shape (draws, k).
     """
     # At constant velocity it does not depend on the speed, and few draws are noisy.
-    variance = np.nanmean(np.concatenate([each.var(axis=0, ddof=1) for each in drawn])) + 1e-8
+    variance = np.nanmean(np.concatenate([each.var(axis=0, ddof=1) for each in drawn])) + 1e-7
     normal = [(each - each.mean(axis=0)) / np.sqrt(variance) for each in drawn]
     total = 0.0
     for lag, shared in enumerate(zip(*(log.shared for log in logs), strict=True), start=1):

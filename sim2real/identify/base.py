@@ -33,10 +33,12 @@ LATENCIES, TIMES = np.array([0.0, 0.6]) / LATENCY_UNIT, np.log([1e-3, 3.0])
 BASE_DRAWS = 8
 """Draws of delays for the mean velocity of a base."""
 
-# A limit is left out if its error is large and half the sum of squares hardly grows without it.
+# A limit is left out if its error is large, or it is at its bound, and half the sum of squares
+# hardly grows without it.
 _VAGUE, _SHOWN = 0.3, 4.0
 _USUAL_LIMIT, _USUAL_JERK = 1.0, 8.0  # m/s^2 and m/s^3, within a factor e, as also of rotation
 _COMPARED = np.arange(0.01, 0.42, 0.02)  # latencies without an arm, s
+_LEAST_NOISE = 1e-3  # of a base's velocity, m/s and rad/s; without any, all details seem to count
 _TRUST = 0.25  # weight of their likelihood, since residuals depend on each other
 _BOUNDS = {
     "latency": LATENCIES, "lag": TIMES,
@@ -138,7 +140,7 @@ class BaseProblem:
                 best, least = self.solve(best, free, comparison)
                 errors = self.errors(best, free, comparison)
         for limit in limits:
-            if errors[limit] > _VAGUE:
+            if errors[limit] > _VAGUE or limit.of(best) > _BOUNDS[limit.kind][1] - _VAGUE:
                 fewer = [other for other in free if other != limit]
                 solved = fewer if arm is not None else fewer[1:]  # without the latency
                 without, cost = self.solve(limit.put(best, np.inf), solved, comparison)
@@ -182,7 +184,7 @@ class BaseProblem:
             (p - track.moved) / scale
             for p, track, scale in zip(predicted, self._tracks, self._scale, strict=True)
         ]
-        deviation = spread_of(np.concatenate(rests))
+        deviation = np.maximum(spread_of(np.concatenate(rests)), _LEAST_NOISE)
         kept = [
             ~widened(jumps(rest * scale, scale * deviation, p / t.seconds[:, np.newaxis]))
             for p, t, rest, scale in zip(predicted, self._tracks, rests, self._scale, strict=True)

@@ -117,6 +117,8 @@ def test_robot_without_delays_has_none(tmp_path):
     assert found.response.command_latency < 0.005
     assert found.response.base_lag < 0.005
     assert found.response.acceleration is None
+    assert found.response.jerk is None and found.response.rotation_jerk is None
+    assert found.estimates["dropped_commands.probability"].low == 0.0
     assert "joint_noise" not in [spec.name for spec in found.adapters]
     assert any("no limit of the linear acceleration" in sentence for sentence in found.missing)
 
