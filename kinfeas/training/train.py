@@ -156,7 +156,7 @@ class _Run:
         """Run to the end; an interruption leaves a checkpoint behind."""
         self.begun -= self.progress.seconds + self.progress.other_seconds
         with (
-            Logs(self.out, self.config, self.progress.steps) as self.logs,
+            Logs(self.out, self.config, self._logged()) as self.logs,
             without_denormals(),
             worker_pool(self.config.processes) if self.limited else nullcontext() as self.pool,
         ):
@@ -214,6 +214,11 @@ class _Run:
                 logged = now
                 self.report(self.progress)
         self.report(self.progress)
+
+    def _logged(self) -> int:
+        """Return the steps up to which metrics are not written again."""
+        again = evaluations_due(self.config, self.progress) > self.progress.evaluations
+        return max(self.progress.steps - again, 0)
 
     def _clock(self) -> None:
         """Bring the share up to date, with start and evaluations where they count."""
