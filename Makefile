@@ -27,7 +27,7 @@ test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests
 	$(BIN)/python -m pytest -n auto -m "not slow"
 
 test-slow: $(STAMP)  ## Run the tests that take longer
-	$(BIN)/python -m pytest -n auto -m slow
+	$(BIN)/python -m pytest -n auto --dist loadgroup -m slow
 
 # In a copy of the tree, so that the wheel has no file of an earlier build; the tests import the
 # wheel, not the copy's packages, to which the pages link.
