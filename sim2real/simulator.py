@@ -190,7 +190,7 @@ def simulate(
     clock, dt = robot.clock, 1.0 / frequency
     start, rate, broken = clock.monotonic(), Rate(dt, clock), None
     end = start + seconds
-    periods, steps, scan_periods = 0, 0, max(1, round(frequency / _SCAN_RATE))
+    steps, scan_due = 0, start
     with closing(link), Signals() as signals:
         signals.noting = True
         on_ready()
@@ -202,8 +202,10 @@ def simulate(
                 robot.step(dt)
                 steps += 1
             base, joints = robot.measure()
-            link.report(base, joints, None if periods % scan_periods else robot.scan())
-            periods += 1
+            ranges = None
+            if (now := clock.monotonic()) >= scan_due - 0.5 * dt:
+                ranges, scan_due = robot.scan(), max(scan_due + 1.0 / _SCAN_RATE, now)
+            link.report(base, joints, ranges)
             robot.step(dt)  # until the next measurement: commands act on what is to come
             steps += 1
             if broken is None:

@@ -172,6 +172,15 @@ def test_time_passes_as_fast_for_a_robot_whose_periods_end_late(world, time):
     assert np.polyfit(seconds[moving], x[moving], 1)[0] == pytest.approx(0.2, rel=0.02)
 
 
+def test_scans_keep_their_rate_where_periods_end_late(world, time):
+    sleep, link = (lambda seconds: time.passes(seconds + 0.07)), Mock()
+    robot = SimulatedRobot(*world, clock=replace(time.clock, sleep=sleep))
+    simulate(robot, link, Mock(), 100.0, 2.0)
+    scans = sum(call.args[2] is not None for call in link.report.call_args_list)
+    assert link.report.call_count < 40
+    assert scans == pytest.approx(20, abs=3)
+
+
 @pytest.mark.parametrize("around", [{"task": load_task("ggr_obstacles", {})}, {"scene": "room"}])
 def test_solids_of_the_task_and_furniture_are_in_its_scan(time, around):
     backend, state = spawn(load_robot("hsr"), **around)
