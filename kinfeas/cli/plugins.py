@@ -27,6 +27,10 @@ app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
 
 _KINDS = f"Kind of plugin: {', '.join(Kind)}."
 _GENERATORS = "kinfeas.motion_generators"
+_CHECKED = (
+    "kinfeas.policies", "kinfeas.adapters", "kinfeas.filters", "kinfeas.backends", _GENERATORS,
+)  # fmt: skip
+"""Groups of the plugins that `check` covers, the first one with a name counts."""
 _PASSED = {
     "kinfeas.adapters": ("backend", "robot"),
     "kinfeas.backends": ("robot",),
@@ -104,7 +108,7 @@ def new(
 @app.command()
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     name: str = argument(
-        ..., "Motion generator, policy or adapter; or module:Class, with --robot of a policy."
+        ..., "Plugin; or module:Class of a motion generator, with --robot of a policy."
     ),
     overrides: options.Overrides = None,
     duration: float = option(120.0, "Seconds within which motions arrive.", min=0.1),
@@ -112,14 +116,16 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     max_velocity: float = option(0.1, "Speed limit, m/s.", min=0.0),
     max_angular_velocity: float = option(0.1, "The same in rad/s.", min=0.0),
     seed: options.Seed = 0,
-    robot: str | None = option(None, "Robot of a policy or adapter; policies need one."),
-    world: str = option("analytic", "Backend within an adapter."),
+    robot: str | None = option(None, "Robot of other plugins; policies need one."),
+    world: str = option("analytic", "Backend of filters and adapters."),
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Check a motion generator, policy or adapter. The exit code is 2 if a rule is broken.
+    """Check whether a plugin keeps its contract. The exit code is 2 if a rule is broken.
 
-    Settings: parameters of the generator or adapter, such as gain=0.2.
+    Motion generators, policies, adapters, command filters and simulators.
+
+    Settings: parameters of the plugin, such as gain=0.2.
 
     Example: kinfeas plugins check minimum_jerk --set min_duration=2 --picture motions.png
     """
@@ -127,50 +133,57 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.config import PluginSpec, nested
     from kinfeas.testing import Trial
 
-    kinds = ("kinfeas.motion_generators", "kinfeas.policies", "kinfeas.adapters")
-    known = [each for kind in kinds for each in registry.names(kind)]
-    if ":" not in name and name not in known:
-        for group, kind in GROUPS.items():
-            if name in registry.names(group):
-                covered = "check covers motion generators, policies and adapters"
-                raise KinfeasError(f"{name!r} is a {kind}; {covered}")
-        raise KinfeasError(f"no generator, policy or adapter {name!r}{no_such(name, known)}")
-    if name in registry.names("kinfeas.policies") or (":" in name and robot is not None):
-        if overrides or picture is not None:
-            raise KinfeasError(f"policy {name!r} has no settings and no picture")
-        _check_policy(name, robot, json)
-        return
-    parameters = nested(options.read_settings(overrides))
-    if name in registry.names("kinfeas.adapters"):
-        if picture is not None:
-            raise KinfeasError(f"adapter {name!r} has no picture")
-        _check_adapter(PluginSpec(name, parameters), robot or DEFAULT_ROBOT, world, json)
-    else:
+    group, parameters = _checked_group(name, robot), nested(options.read_settings(overrides))
+    if group == _GENERATORS:
         trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
         _check_generator(name, parameters, trial, picture, json)
+        return
+    if picture is not None:
+        raise KinfeasError(f"{GROUPS[group]} {name!r} has no picture")
+    if group == "kinfeas.policies":
+        if overrides:
+            raise KinfeasError(f"policy {name!r} has no settings")
+        if robot is None:
+            robots = ", ".join(registry.names("kinfeas.robots"))
+            raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a folder")
+    _check_on_robot(group, PluginSpec(name, parameters), robot or DEFAULT_ROBOT, world, json)
 
 
-def _check_policy(name: str, robot: str | None, json: Path | None) -> None:
+def _checked_group(name: str, robot: str | None) -> str:
+    """Return the group of a plugin that `check` covers."""
+    if ":" in name:
+        return _GENERATORS if robot is None else "kinfeas.policies"
+    names = {group: registry.names(group) for group in (*_CHECKED, *GROUPS)}
+    for group, installed in names.items():
+        if name in installed:
+            if group in _CHECKED:
+                return group
+            covered = ", ".join(GROUPS[each] for each in _CHECKED)
+            raise KinfeasError(f"{name!r} is a {GROUPS[group]}; check covers: {covered}")
+    known = [each for group in _CHECKED for each in names[group]]
+    raise KinfeasError(f"no plugin {name!r} that check covers{no_such(name, known)}")
+
+
+def _check_on_robot(
+    group: str, plugin: "PluginSpec", robot: str, world: str, json: Path | None
+) -> None:
+    from kinfeas import testing
     from kinfeas.policies.loading import load_policy
     from kinfeas.robots.loading import load_robot
-    from kinfeas.testing import check_policy
 
-    if robot is None:
-        robots = ", ".join(registry.names("kinfeas.robots"))
-        raise KinfeasError(f"policy {name!r} needs --robot: {robots}, or a folder")
-    model = load_robot(robot)
-    check_policy(load_policy(name, model), model)
-    write_json({"policy": name, "robot": robot, "passed": True}, json)
-    typer.echo(f"policy {name} keeps the contract on robot {model.name}")
-
-
-def _check_adapter(adapter: "PluginSpec", robot: str, world: str, json: Path | None) -> None:
-    from kinfeas.robots.loading import load_robot
-    from kinfeas.testing import check_adapter
-
-    check_adapter(adapter, load_robot(robot), world)
-    write_json({"adapter": adapter.name, "robot": robot, "world": world, "passed": True}, json)
-    typer.echo(f"adapter {adapter.name} keeps the contract in the world {world}")
+    model, kind, within = load_robot(robot), GROUPS[group], {"world": world}
+    if group == "kinfeas.policies":
+        testing.check_policy(load_policy(plugin.name, model), model)
+        within = {}
+    elif group == "kinfeas.backends":
+        testing.check_backend(plugin, model)
+        within = {}
+    elif group == "kinfeas.filters":
+        testing.check_filter(plugin, model, world)
+    else:
+        testing.check_adapter(plugin, model, world)
+    write_json({kind: plugin.name, "robot": robot, **within, "passed": True}, json)
+    typer.echo(f"{kind} {plugin.name} keeps the contract on robot {model.name}")
 
 
 def _check_generator(

@@ -1,4 +1,4 @@
-"""Conformance checks of motion generators, policies and adapters, for tests of plugins."""
+"""Conformance checks of plugins, for their tests."""
 
 import pickle
 from collections.abc import Callable, Sequence
@@ -12,24 +12,31 @@ from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.assemble import build_simulator, with_adapters
-from kinfeas.core.backend import ABILITIES, Backend, BackendWrapper, RobotState
+from kinfeas.core.backend import (
+    ABILITIES,
+    Backend,
+    BackendWrapper,
+    RobotState,
+    closed_on_error,
+)
 from kinfeas.core.checks import CheckedMotion, ConformanceError, check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, plugin_note
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.policy import Policy
-from kinfeas.core.spatial import IDENTITY, Array
+from kinfeas.core.spatial import IDENTITY, Array, planar_pose
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing.rules import RULES, Probe, Trial, describe, run_trial
 
 __all__ = [
-    "RULES", "ConformanceError", "Finding", "Trial", "check_adapter", "check_motion_generator",
-    "check_policy", "examine",
+    "RULES", "ConformanceError", "Finding", "Trial", "check_adapter", "check_backend",
+    "check_filter", "check_motion_generator", "check_policy", "examine",
 ]  # fmt: skip
 
-_ROWS, _STEPS, _RESTART = 6, 20, 10  # of the checks of policies and adapters
-_DT = 0.1  # s, of those of adapters
+_ROWS, _STEPS, _RESTART = 6, 20, 10  # of the checks of all but motion generators
+_DT = 0.1  # s, of those of adapters and backends
+_PLACED, _DRIVEN, _TURNED = 0.02, 0.1, 0.02  # of robots of a backend, metres and joint units
 
 
 @dataclass(frozen=True)
@@ -97,18 +104,19 @@ def check_policy(policy: Policy, robot: Robot) -> None:
     Raises:
         ConformanceError: If a rule is broken.
     """
-    run = partial(_run, policy, robot)
-    together = _check_rows(policy, run, "repeats its actions after reset")
+    run, subject = partial(_actions, policy, robot), f"policy {type(policy).__name__}"
+    together = _check_rows(subject, run, "repeats its actions after reset")
     try:
         copy = pickle.loads(pickle.dumps(policy))  # noqa: S301 - in memory, nothing is read
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise ConformanceError(f"{_subject(policy)} cannot be pickled: {error}") from error
-    same = np.array_equal(together, _run(copy, robot, range(_ROWS)))
-    _require(same, policy, "acts alike as a copy by pickle")
+        raise ConformanceError(f"{subject} cannot be pickled: {error}") from error
+    same = np.array_equal(together, _actions(copy, robot, range(_ROWS)))
+    _require(same, subject, "acts alike as a copy by pickle")
 
 
-def _run(policy: Policy, robot: Robot, episodes: Sequence[int]) -> Array:
+def _actions(policy: Policy, robot: Robot, episodes: Sequence[int]) -> Array:
     """Return the actions of each step, shape (steps, n, a)."""
+    subject = f"policy {type(policy).__name__}"
     world = World(robot, load_task("ggr"), WorldConfig(max_failures=10**6), seed=0)
     world.loop.set_policy(policy)
     world.start(list(episodes))
@@ -119,15 +127,15 @@ def _run(policy: Policy, robot: Robot, episodes: Sequence[int]) -> Array:
         observed = world.loop.observation
         arrays = {k: value for k, value in vars(observed).items() if isinstance(value, np.ndarray)}
         before = {key: value.copy() for key, value in arrays.items()}
-        with plugin_note(_subject(policy)):
+        with plugin_note(subject):
             action = policy.act(observed)
-        shape, subject = (len(episodes), world.action_size), f"{_subject(policy)}: the action"
-        check_array(action, shape, subject, error=ConformanceError)
+        shape = len(episodes), world.action_size
+        check_array(action, shape, f"{subject}: the action", error=ConformanceError)
         if np.abs(action).max() > 1.0:
-            raise ConformanceError(f"{subject} must be in [-1, 1]")
+            raise ConformanceError(f"{subject}: the action must be in [-1, 1]")
         for key, values in before.items():
             if not np.array_equal(values, getattr(observed, key), equal_nan=True):
-                raise ConformanceError(f"{_subject(policy)} writes into its input: {key}")
+                raise ConformanceError(f"{subject} writes into its input: {key}")
         actions.append(action.copy())
         world.step(action)
     return np.stack(actions)
@@ -143,8 +151,79 @@ def check_adapter(adapter: PluginSpec, robot: Robot, world: str = "analytic") ->
     Raises:
         KinfeasError: If the adapter cannot be built, or a rule is broken.
     """
-    run = partial(_measured, adapter, robot, world)
-    _check_rows(adapter, run, "repeats an episode of its seed")
+    subject = f"adapter {adapter.name!r}"
+
+    def build() -> Backend:
+        inner = _Checked(build_simulator(world, {}, robot=robot), subject)
+        with closed_on_error(inner):
+            backend = with_adapters(inner, [adapter], robot)
+            _check_effect(backend, inner, subject)
+        return backend
+
+    run = partial(_measured, build, robot, f"{subject}: modify_state")
+    _check_rows(subject, run, "repeats an episode of its seed")
+
+
+def check_backend(backend: PluginSpec, robot: Robot) -> None:
+    """Raise if a simulator breaks the contract of `Backend`; takes about a second.
+
+    Measurements must be finite and have their shapes; robots must be where a reset puts them, and
+    move as commanded; otherwise as `check_adapter`.
+
+    Raises:
+        KinfeasError: If the backend cannot be built or moves a real robot, or a rule is broken.
+    """
+    subject = f"backend {backend.name!r}"
+    build = partial(build_simulator, backend.name, backend.parameters, robot=robot)
+    run = partial(_measured, build, robot, f"{subject}: step")
+    _check_rows(subject, run, "repeats an episode of its seed")
+    home = robot.home["home"][np.newaxis]
+    with closing(build()) as simulator:
+        start = planar_pose(*np.array([[0.5], [-0.3], [0.0]]))
+        state = simulator.reset(start, home)
+        check_state(state, 1, home.shape[1], f"{subject}: reset")
+        moved = np.linalg.norm(state.base_pose[0, :3] - start[0, :3])
+        placed = moved < _PLACED and np.abs(state.joint_positions - home).max() < _TURNED
+        _require(placed, subject, "reset puts robots where they are asked for")
+        targets = np.clip(home + 2.0 * _TURNED, *robot.joint_limits)
+        for _ in range(_STEPS):
+            state = simulator.step(np.array([[_DRIVEN, 0.0, 0.0, 0.0, 0.0, 0.0]]), targets, _DT)
+        ahead = np.array([_DRIVEN * _STEPS * _DT, 0.0])
+        away = np.linalg.norm(state.base_pose[0, :2] - start[0, :2] - ahead)
+        _require(away < ahead[0] / 2.0, subject, "step moves bases by the world twist")
+        turned = np.abs(state.joint_positions - targets).max() < _TURNED
+        _require(turned, subject, "step moves arms to the joint targets")
+
+
+def check_filter(command_filter: PluginSpec, robot: Robot, world: str = "analytic") -> None:
+    """Raise if a filter breaks the contract of `CommandFilter` in the backend `world`.
+
+    Commands must be finite and of shape (n, a); no row may depend on the others; the period must
+    stay as it is; and a `reset` must make episodes repeatable, also of single rows.
+
+    Raises:
+        KinfeasError: If the filter cannot be built, or a rule is broken.
+    """
+    subject = f"filter {command_filter.name!r}"
+    config = WorldConfig(max_failures=10**6, filters=(command_filter,), backend=world)
+    run = partial(_filtered, config, robot)
+    _check_rows(subject, run, "repeats its commands after reset")
+
+
+def _filtered(config: WorldConfig, robot: Robot, episodes: Sequence[int]) -> Array:
+    """Return commands, bases and arms of each step, shape (steps, n, d), for random actions."""
+    world, rngs, measured = World(robot, load_task("ggr"), config, seed=0), _rngs(episodes), []
+    with closing(world):
+        world.start(list(episodes))
+        for step in range(_STEPS):
+            if len(episodes) > 1 and step == _RESTART:
+                rngs[0] = np.random.default_rng(_ROWS)
+                world.start([_ROWS], np.array([0]))
+            world.step(np.stack([rng.uniform(-1.0, 1.0, world.action_size) for rng in rngs]))
+            robots = world.loop.robots
+            parts = world.loop.previous_command, robots.base_pose, robots.joint_positions
+            measured.append(np.hstack(parts))
+    return np.stack(measured)
 
 
 class _Checked(BackendWrapper):
@@ -167,14 +246,13 @@ class _Checked(BackendWrapper):
         return self.backend.step(base_twist, joint_targets, dt)
 
 
-def _measured(adapter: PluginSpec, robot: Robot, world: str, seeds: Sequence[int]) -> Array:
+def _measured(
+    build: Callable[[], Backend], robot: Robot, source: str, seeds: Sequence[int]
+) -> Array:
     """Return the measurements of each step, shape (steps, n, d)."""
-    inner = _Checked(build_simulator(world, {}, robot=robot), _subject(adapter))
-    with closing(inner):
-        backend = with_adapters(inner, [adapter], robot)
-        _check_effect(backend, inner, _subject(adapter))
+    with closing(build()) as backend:
         n, home = len(seeds), robot.home["home"]
-        rngs, measured = [np.random.default_rng(seed) for seed in seeds], []
+        rngs, measured = _rngs(seeds), []
         backend.seed(np.array(seeds, dtype=np.uint64), np.arange(n))
         backend.reset(np.tile(IDENTITY, (n, 1)), np.tile(home, (n, 1)))
         for step in range(_STEPS):
@@ -187,12 +265,16 @@ def _measured(adapter: PluginSpec, robot: Robot, world: str, seeds: Sequence[int
             arm += [rng.uniform(-0.01, 0.01, len(home)) for rng in rngs]
             given = twist.copy(), arm.copy()
             state = backend.step(*given, _DT)
-            check_state(state, n, len(home), f"{_subject(adapter)}: modify_state")
+            check_state(state, n, len(home), source)
             if not np.array_equal(np.hstack(given), np.hstack([twist, arm])):
-                raise ConformanceError(f"{_subject(adapter)} writes into its input")
+                raise ConformanceError(f"{source.partition(':')[0]} writes into its input")
             parts = state.base_pose, state.joint_positions, state.ee_in_base, state.localised
             measured.append(np.hstack([part for part in parts if part is not None]))
     return np.stack(measured)
+
+
+def _rngs(seeds: Sequence[int]) -> list[np.random.Generator]:
+    return [np.random.default_rng(seed) for seed in seeds]
 
 
 def _check_effect(backend: Backend, inner: Backend, name: str) -> None:
@@ -206,27 +288,19 @@ def _check_effect(backend: Backend, inner: Backend, name: str) -> None:
         raise ConformanceError(f"{name} overrides no method of {base.__name__}")
 
 
-def _check_rows(
-    plugin: Policy | PluginSpec, run: Callable[[Sequence[int]], Array], repeats: str
-) -> Array:
+def _check_rows(subject: str, run: Callable[[Sequence[int]], Array], repeats: str) -> Array:
     """Check that episodes repeat, and are alone as in a batch; return those of the batch."""
     together = run(range(_ROWS))
-    _require(np.array_equal(together, run(range(_ROWS))), plugin, repeats)
+    _require(np.array_equal(together, run(range(_ROWS))), subject, repeats)
     for rule, episode, row in (
         ("no row depends on the others", _ROWS - 1, together[:, -1]),
         ("reset begins single rows anew", _ROWS, together[_RESTART:, 0]),
     ):
         alone = run([episode])[: len(row), 0]
-        _require(np.allclose(alone, row, atol=1e-6), plugin, rule)
+        _require(np.allclose(alone, row, atol=1e-6), subject, rule)
     return together
 
 
-def _require(holds: bool, plugin: Policy | PluginSpec, rule: str) -> None:
+def _require(holds: bool | np.bool_, subject: str, rule: str) -> None:
     if not holds:
-        raise ConformanceError(f"{_subject(plugin)} breaks the rule: {rule}")
-
-
-def _subject(plugin: Policy | PluginSpec) -> str:
-    if isinstance(plugin, PluginSpec):
-        return f"adapter {plugin.name!r}"
-    return f"policy {type(plugin).__name__}"
+        raise ConformanceError(f"{subject} breaks the rule: {rule}")

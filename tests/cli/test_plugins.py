@@ -56,12 +56,16 @@ def test_info_on_files_and_unknown_names(kinfeas, tmp_path):
     (("follow_ee", "--robot", "hsr"), ("follow_ee", "--robot", "hsr", "--set", "gain=1"),
      "follow_ee"),
     (("actuator_lag", "--set", "base=0.2"), ("actuator_lag", "--set", "base=-1"), "base"),
+    (("time_scaling", "--robot", "hsr"), ("time_scaling", "--picture", "scaling.png"), "picture"),
+    (("analytic", "--robot", "hsr"), ("ros2", "--robot", "hsr"), "simulators"),
 ])  # fmt: skip
-def test_check_of_a_policy_or_an_adapter(kinfeas, words, wrong, named):
+def test_check_of_plugins_on_a_robot(kinfeas, words, wrong, named):
     check = ("plugins", "check")
     assert kinfeas(*check, *words, "--json", "out.json", code=0).facts["passed"] is True
     check_one_line(kinfeas(*check, *wrong), named)
     check_one_line(kinfeas(*check, "follow_ee"), "--robot")
+    check_one_line(kinfeas(*check, "door"), "task")
+    check_one_line(kinfeas(*check, "time_scalin"), "'time_scaling'")
 
 
 def test_options_name_generators_of_the_working_directory(kinfeas, tmp_path, monkeypatch):

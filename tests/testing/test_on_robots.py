@@ -1,0 +1,164 @@
+import numpy as np
+import pytest
+
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.config import PluginSpec, registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.adapters.adapter import Adapter, measured
+from kinfeas.testing import check_adapter, check_backend, check_filter
+
+
+class NoEffect(Adapter):
+    def turn_around(self):
+        """A method that nothing calls."""
+
+
+class InfiniteLater(Adapter):
+    def on_reset(self, state):
+        return {"time": np.zeros(len(state.base_pose))}
+
+    def on_step(self, state, dt):
+        self.remember(time=self.memory["time"] + dt)
+
+    def modify_command(self, twist, targets, dt):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return twist / (self.memory["time"][:, np.newaxis] < 1.0), targets
+
+
+class Writes(Adapter):
+    def modify_command(self, twist, targets, dt):
+        twist *= 0.5
+        return twist, targets
+
+
+class MeansRows(Adapter):
+    def modify_command(self, twist, targets, dt):
+        return twist - twist.mean(axis=0), targets
+
+
+class OneClock(Adapter):
+    """Starts its memory anew in all rows as soon as one of them is reset."""
+
+    def on_reset(self, state):
+        self.time = 0.0
+        return {}
+
+    def on_step(self, state, dt):
+        self.time += dt
+
+    def modify_command(self, twist, targets, dt):
+        return twist * min(self.time, 1.0), targets
+
+
+class Smooths(Adapter):
+    """Keeps a mean of each row's commands, which no reset clears."""
+
+    mean = 0.0
+
+    def modify_command(self, twist, targets, dt):
+        self.mean = 0.9 * self.mean + 0.1 * twist
+        return self.mean.copy(), targets
+
+
+class OwnRandomness(Adapter):
+    rng = np.random.default_rng(0)
+
+    def modify_state(self, state):
+        noise = self.rng.normal(size=state.joint_positions.shape)
+        return measured(state, joint_positions=state.joint_positions + noise)
+
+
+@pytest.mark.parametrize(("kind", "named"), [
+    (NoEffect, "overrides no"), (InfiniteLater, "twist"), (Writes, "input"), (MeansRows, "row"),
+    (OneClock, "row"), (OwnRandomness, "seed"), (Smooths, "reset"),
+])  # fmt: skip
+def test_each_rule_of_adapters_is_checked(monkeypatch, kind, named):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.adapters", "mine", kind)
+    with pytest.raises(KinfeasError, match=f"adapter 'mine'.*{named}"):
+        check_adapter(PluginSpec("mine"), load_robot("pr2"))
+
+
+def test_misspelt_hooks_are_errors():
+    with pytest.raises(KinfeasError, match=r"modify_comand.*modify_command"):
+        type("Misspelt", (Adapter,), {"modify_comand": lambda self, *command: command})
+
+
+class BodyTwist(AnalyticBackend):
+    """Turns the twist as if it were in the frame of the base."""
+
+    def step(self, base_twist, joint_targets, dt):
+        return super().step(base_twist * [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0], joint_targets, dt)
+
+
+class StaysThere(AnalyticBackend):
+    def reset(self, base_pose, joint_positions, env_ids=None):
+        return super().reset(base_pose * [0, 0, 1, 1, 1, 1, 1], joint_positions, env_ids)
+
+
+class ArmOfAnother(AnalyticBackend):
+    def step(self, base_twist, joint_targets, dt):
+        return super().step(base_twist, np.roll(joint_targets, 1, axis=0), dt)
+
+
+class ResetsAll(AnalyticBackend):
+    def reset(self, base_pose, joint_positions, env_ids=None):
+        if env_ids is None:
+            self.first = base_pose, joint_positions
+        else:
+            super().reset(*self.first)
+        return super().reset(base_pose, joint_positions, env_ids)
+
+
+class Slack(AnalyticBackend):
+    def step(self, base_twist, joint_targets, dt):
+        return super().step(base_twist, joint_targets - 0.1, dt)
+
+
+@pytest.mark.parametrize(("kind", "named"), [
+    (BodyTwist, "twist"), (StaysThere, "reset puts"), (ArmOfAnother, "row depends"),
+    (ResetsAll, "row depends"), (Slack, "arms"),
+])  # fmt: skip
+def test_each_rule_of_backends_is_checked(monkeypatch, kind, named):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.backends", "mine", kind)
+    with pytest.raises(KinfeasError, match=f"backend 'mine'.*{named}"):
+        check_backend(PluginSpec("mine"), load_robot("hsr"))
+
+
+class Mean:
+    def __call__(self, period):
+        return period.commanded(0.5 * period.command + 0.5 * period.command.mean(axis=0))
+
+
+class Remembers:
+    """Smooths commands over the ends of episodes."""
+
+    command = 0.0
+
+    def __call__(self, period):
+        self.command = 0.5 * self.command + 0.5 * period.command
+        return period.commanded(self.command.copy())
+
+
+class Shakes:
+    rng = np.random.default_rng(0)
+
+    def __call__(self, period):
+        return period.commanded(0.9 * period.command * self.rng.uniform(size=period.command.shape))
+
+
+class Infinite:
+    def __call__(self, period):
+        return period.commanded(np.full_like(period.command, np.inf))
+
+
+@pytest.mark.parametrize(("kind", "named"), [
+    (Mean, "row depends"), (Remembers, "reset begins"), (Shakes, "repeats"), (Infinite, "finite"),
+])  # fmt: skip
+def test_each_rule_of_filters_is_checked(monkeypatch, kind, named):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.filters", "mine", kind)
+    with pytest.raises(KinfeasError, match=f"(mine|{kind.__name__}).*{named}"):
+        check_filter(PluginSpec("mine"), load_robot("hsr"))
