@@ -20,7 +20,7 @@ help:  ## Show the targets
 
 install: $(STAMP)  ## Build .venv with the tested versions
 
-demo: $(or $(wildcard $(STAMP)),$(DEMO_STAMP))  ## Train a PR2 base policy for two minutes, evaluate it and write a report
+demo: $(or $(wildcard $(STAMP)),$(DEMO_STAMP))  ## Train a PR2 base policy, evaluate it and write a report
 	$(BIN)/kinfeas demo
 
 test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests

@@ -16,7 +16,7 @@ SCENE = "{name: office, size: [4, 4], objects: {desk: {urdf: %s}}}"
 
 INPUT = {
     "": [("fly", "fly"), ("ceiling --robot pr3", "'pr3'")],
-    "demo": [("--minutes -1", "minutes"), ("--out ..", "..")],
+    "demo": [("--steps 0", "steps"), ("--out ..", "..")],
     "evaluate": [("", "--policy"), (f"--policy {'x' * 5000}", "File name too long")],
     "evaluate --policy follow_ee --robot hsr --episodes 2": [
         ("--policy follow_me", "'follow_me'"), ("--task gr", "'gr'"), ("--task gr", "YAML"),

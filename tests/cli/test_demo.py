@@ -8,7 +8,7 @@ import pytest
 
 from tests.cli.conftest import TINY
 
-QUICK = ("--minutes", "0.01", "--episodes", "3", *TINY)
+QUICK = ("--steps", "64", "--episodes", "3", *TINY)
 TASK = """
 name: fetch
 places: {my cup: {position: [1.5, [-0.5, 0.5], 0.8]}}
