@@ -184,17 +184,16 @@ def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[TrainedRun]) -> 
 def compute(case: Evaluation) -> Result:
     """Return the metrics of an evaluation, or the ceiling of its task."""
     robot = load_robot(case.robot)
-    if case.policy == CEILING:
-        task = load_task(case.task, case.parameters)
-        ik = read_settings(robot.folder, case.backend, case.settings).world.ik
-        bound = measure_reachability(robot, task, case.episodes, case.seed, ik).share
-        return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
-    policy = load_policy(case.source, robot)
     parameters = {f"task.{key}": value for key, value in case.parameters.items()}
     plan = configure(
         robot, case.task, case.backend, episodes=case.episodes, seed=case.seed,
         settings=nested(case.settings, parameters),
     )  # fmt: skip
+    if case.policy == CEILING:
+        numbers = plan.episodes, plan.seed, plan.world.ik
+        bound = measure_reachability(robot, plan.task, *numbers).share
+        return {"success": bound.value, "success_low": bound.low, "success_high": bound.high}
+    policy = load_policy(case.source, robot)
     metrics = evaluate(replace(plan, first=case.first), policy, case.policy)
     return {key: value for key, value in metrics.items() if key not in _LEFT_OUT}
 
@@ -233,7 +232,8 @@ def _of_task(
         for evaluation in policies
         for at in range(0, case.episodes, PART)
     ]  # fmt: skip
-    return [case, *(_without_physics(benchmark, evaluation) for evaluation in policies), *parts]
+    bound = replace(case, settings=_of_goals(benchmark.settings))
+    return [bound, *(_without_physics(benchmark, evaluation) for evaluation in policies), *parts]
 
 
 def _unplanned(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
@@ -249,7 +249,12 @@ def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation
     """Return an evaluation with the same filters in the analytic world, which has no obstacles."""
     used = read_settings(case.robot, benchmark.backend, case.settings).world.filters
     filters = tuple(spec for spec in used if spec.name != "obstacle_distance")
-    return replace(case, settings=_filters(filters))
+    return replace(case, settings=_of_goals(case.settings) | _filters(filters))
+
+
+def _of_goals(settings: dict[str, object]) -> dict[str, object]:
+    """Return the settings that change the episodes: the parameters of the task."""
+    return {key: value for key, value in nested(settings).items() if key == "task"}
 
 
 def _filters(filters: tuple[PluginSpec, ...] | None) -> dict[str, object]:

@@ -66,6 +66,17 @@ def test_jobs_with_other_results_have_other_files():
         assert not {job.name for job in small(change)} & set(names)
 
 
+@pytest.mark.parametrize("data", [SMALL, PYBULLET])
+def test_parameters_of_tasks_count_for_ceilings_and_references_too(data, tmp_path):
+    heights = [2.5, 2.6]  # out of reach
+    settings = {"settings.task.heights": heights, "robots": ["tiago"], "tasks": ["ggr"]}
+    planned = plan_evaluations(study(data, settings), [])
+    assert all(case.settings["task"] == {"heights": heights} for case in planned)
+    ceiling = next(case for case in planned if case.policy == CEILING)
+    (result,) = run_jobs([ceiling.job(tmp_path)], build_engine("local"))
+    assert result["success"] == 0.0
+
+
 def test_a_robot_that_changes_is_evaluated_anew(tmp_path):
     shutil.copytree(robot_file("hsr").parent, tmp_path / "hsr")
     case = replace(small()[0], robot=str(tmp_path / "hsr"))
