@@ -153,5 +153,5 @@ def default_folder(config: TrainConfig) -> Path:
 
 def _ended(folder: Path, progress: Progress) -> Run:
     metrics = training.read_evaluation(folder)
-    write_json(metrics, folder / "evaluation.json")
+    write_json(metrics, folder / training.EVALUATION)
     return Run(folder, metrics, progress.steps, progress.seconds)

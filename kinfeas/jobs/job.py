@@ -20,7 +20,7 @@ from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.files import write_json, writing
 from kinfeas.envs.episodes import WorkerDiedError, worker_pool
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.run import SETTINGS, read_evaluation
+from kinfeas.training.run import EVALUATION, SETTINGS, read_evaluation
 
 if TYPE_CHECKING:
     from kinfeas.training.train import Report
@@ -169,7 +169,7 @@ def training_job(settings: TrainConfig, folder: Path) -> Job:
     """Return the job of a training run; its folder may hold a part of this run, but no other."""
     if (folder / SETTINGS).is_file() and config.load(TrainConfig, folder / SETTINGS) != settings:
         raise KinfeasError(f"{folder}: a run of other settings; remove it, or use another --out")
-    return Job(finish_training, (settings, folder), folder / "evaluation.json")
+    return Job(finish_training, (settings, folder), folder / EVALUATION)
 
 
 def finish_training(

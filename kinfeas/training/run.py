@@ -33,6 +33,9 @@ from kinfeas.training.worlds import in_evaluation
 SETTINGS = "config.yaml"
 """File with the settings of a run, the first that it writes."""
 
+EVALUATION = "evaluation.json"
+"""File with the metrics of a finished run."""
+
 STATE = "state.json"
 """File with the numbers of a checkpoint."""
 

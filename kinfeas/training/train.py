@@ -39,6 +39,7 @@ from kinfeas.training.learner import (
 )
 from kinfeas.training.logs import LEARNER, Logs
 from kinfeas.training.run import (
+    EVALUATION,
     SETTINGS,
     Progress,
     check_begun,
@@ -302,6 +303,9 @@ class _Run:
                     "steps": self.progress.steps,
                     "evaluation": figures,
                 }
+                # It is of the best policy before, if a longer run was interrupted.
+                with writing(self.out):
+                    (self.out / EVALUATION).unlink(missing_ok=True)
                 self._write("best", lambda folder: self._write_policy(folder, about))
             row = {f"evaluation/{key}": float(value) for key, value in figures.items()}
             self.logs.write(self._row() | row)

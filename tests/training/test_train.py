@@ -17,6 +17,7 @@ from kinfeas.config import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import locked
 from kinfeas.envs.episodes import evaluate_episodes
+from kinfeas.io.policy_metadata import read_trained
 from kinfeas.training import learner as learners
 from kinfeas.training import logs, vec_env, worlds
 from kinfeas.training import train as training
@@ -120,7 +121,10 @@ def test_a_finished_run_resumes_to_nothing_and_a_longer_one_goes_on(whole, half)
     assert contents(whole / "checkpoints") == before
     with (half / "metrics.csv").open("a") as file:
         file.write("330,7.0\n470,9.0\n")  # written after the last checkpoint
+    (half / "evaluation.json").write_text("{}")  # of a best policy that is no longer there
     assert resume(half).steps == 480
+    assert read_trained(half).steps == 480
+    assert not (half / "evaluation.json").exists()
     assert [row[0] for row in evaluated(half)] == ["160", "320", "480"]
     assert not {"330", "470"} & {row["steps"] for row in rows(half)}
 
