@@ -242,6 +242,8 @@ def _own_values(sweep: SweepConfig) -> dict[str, object]:
             own[key] = json.dumps(dimension.choices[dimension.choices.index(value)])
         elif dimension.low is not None and isinstance(value, int | float):
             assert dimension.high is not None
-            if dimension.low <= value <= dimension.high:
+            ends = dimension.low, dimension.high
+            whole = all(isinstance(end, int) for end in ends)  # draws integers alone
+            if ends[0] <= value <= ends[1] and not (whole and value % 1):
                 own[key] = value
     return own

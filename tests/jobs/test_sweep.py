@@ -57,6 +57,13 @@ def test_the_first_trial_is_the_recipe_and_the_best_one_becomes_a_recipe(whole):
     assert recipe.num_envs == best["values"]["num_envs"]
 
 
+def test_a_fraction_of_the_recipe_is_not_in_a_range_of_integers(tmp_path):
+    ends = {"low": 0, "high": 1}  # the recipe has an entropy coefficient of 0.01
+    sweep.plan_trials(tiny(space={"learner.ent_coef": ends, "learner.anchor": ends}), tmp_path)
+    first = sweep.open_study(tmp_path).trials[0]
+    assert first.system_attrs["fixed_params"] == {"learner.anchor": 0}
+
+
 @pytest.mark.parametrize(
     ("owner", "name"),
     [(training._Run, "_step"), (optuna.Study, "tell"), (optuna.Trial, "suggest_categorical")],
