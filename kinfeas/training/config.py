@@ -109,7 +109,10 @@ class TrainConfig:
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
 
     def __post_init__(self) -> None:
-        """Check that each process has an environment, and the names of the terms."""
+        """Check that the policy learns, processes have environments, and the names of the terms."""
+        steps, starts = self.schedule.steps, self.learner.learning_starts
+        if self.init is None and steps is not None and steps <= starts:
+            raise ValueError(f"'schedule.steps' must be above 'learner.learning_starts', {starts}")
         if self.processes > self.num_envs:
             raise ValueError(
                 f"'processes' must be at most 'num_envs', {self.num_envs}, not {self.processes}"

@@ -17,7 +17,7 @@ LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/lea
 """Figures of SB3's own log that are kept."""
 
 _EVALUATED = (
-    "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
+    "success", "tracked_5cm", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
     "joint_jumps_per_episode",
 )  # fmt: skip
 

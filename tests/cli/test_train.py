@@ -49,7 +49,7 @@ def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas,
 def test_robot_and_recipe_by_path_and_default_folder(kinfeas, tmp_path):
     shutil.copytree(load_robot("hsr").folder, tmp_path / "mine")
     (tmp_path / "recipe.yaml").write_text("robot: ./mine\nnum_envs: 8\nseed: 5\n")
-    words = ("--config", "recipe.yaml", "--steps", "16", *TINY)
+    words = ("--config", "recipe.yaml", "--steps", "24", *TINY)
     kinfeas("train", *words, code=0)
     settings = yaml.safe_load((tmp_path / "runs" / "hsr-ggr-5" / "config.yaml").read_text())
     assert settings["robot"] == str(tmp_path / "mine")
@@ -95,9 +95,9 @@ def test_initial_policy_gives_robot_and_network(tmp_path):
 
 
 def test_options_win_over_the_recipe_and_set_over_both():
-    settings = configure("tiago", seed=7, steps=50, settings={"seed": 8, "num_envs": 4})
+    settings = configure("tiago", seed=7, steps=5000, settings={"seed": 8, "num_envs": 4})
     assert (settings.seed, settings.num_envs) == (8, 4)
-    assert (settings.schedule.steps, settings.schedule.minutes) == (50, None)
+    assert (settings.schedule.steps, settings.schedule.minutes) == (5000, None)
     assert settings.learner.net_arch == (256, 256, 256)
     physics = configure("pr2", world=default_engine())
     assert (physics.world.backend, physics.world.time_scale) == (default_engine(), 0.5)
