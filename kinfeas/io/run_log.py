@@ -59,7 +59,11 @@ class About:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A line of a run log: the command of a control period and the measurement after it."""
+    """A line of a run log: the command of a control period and the measurement after it.
+
+    The last line is the stop, or the control period whose measurement stopped the run; invalid
+    measurements are NaN.
+    """
 
     time: float  # seconds since the start
     age: float  # age of the measurement in seconds; NaN if unknown
@@ -95,8 +99,13 @@ class Record:
 
     @property
     def later(self) -> NDArray[np.bool_]:
-        """Whether each line is later than the line before: the last of a run may have its time."""
-        return np.diff(self.time, prepend=-np.inf) > 0.0
+        """Whether each line is later than the line before, and not the end of a run.
+
+        The end has no command, or a measurement that stopped the run.
+        """
+        later = np.diff(self.time, prepend=-np.inf) > 0.0
+        later[1:][-1:] &= not self.event[-1]
+        return later
 
 
 class Recorder:

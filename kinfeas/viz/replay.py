@@ -173,13 +173,15 @@ def as_recording(record: Record, robot: Robot) -> Recording:
             f"the record has the joints {', '.join(record.about.joints)}, and the arm of robot "
             f"{robot.name!r} {', '.join(joints)}"
         )
-    ee = forward(build_chain(robot), record.joint_positions)
+    kept = np.isfinite(record.base_pose[:, 0])  # the last measurement may be invalid
+    base, arm = record.base_pose[kept], record.joint_positions[kept]
+    ee = forward(build_chain(robot), arm)
     around = record.about.solids
     solids = Solids.from_table(np.array(around)) if around else None
     last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
     return Recording(
-        0, record.time, record.base_pose, record.joint_positions, record.desired,
-        compose(record.base_pose, ee), record.feasible, record.goal[last],
+        0, record.time[kept], base, arm, record.desired[kept], compose(base, ee),
+        record.feasible[kept], record.goal[last],
         reached=record.event[-1].startswith(REACHED), solids=solids, scene=_scene_of(record),
     )  # fmt: skip
 

@@ -209,7 +209,8 @@ class Guarded(BackendWrapper):
     Attributes:
         guards: Limits.
         commands: Filter of the commands.
-        state: Last state that passed the monitor.
+        command: Last world twist, shape (1, 6), and joint targets, (1, j), that were no stop: as
+            sent, or as given to adapters.
         unstopped: Why the base could not be commanded to zero; empty if it could.
         unclosed: Why the backend could not be closed; empty if it could.
     """
@@ -237,26 +238,24 @@ class Guarded(BackendWrapper):
         self._name = f"backend {type(backend).__name__}"
         self._monitor = StateMonitor(backend, robot, self.guards, clock)
         self._failures = 0
-        self._commanded: tuple[Array, Array] | None = None  # by the loop to adapters
+        self.command = self.commands.base_twist, self.commands.joint_targets
         self.unstopped = self.unclosed = ""
-        self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
+
+    @property
+    def state(self) -> RobotState:
+        """Newest state, also where the monitor stopped the robot for it; NaN if it is invalid."""
+        return self._monitor.state
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Start a run; shapes as in `Backend`. Raises KinfeasError if a limit is exceeded."""
         with plugin_note(self._name):
-            self.state = self.backend.reset(base_pose, joint_positions, env_ids)
-        self._monitor.begin(self.state)
-        self._failures, self._commanded, self.unstopped = 0, None, ""
-        return self.state
-
-    @property
-    def command(self) -> tuple[Array, Array]:
-        """Last world twist, shape (1, 6), and joint targets, (1, j): as sent, or to adapters."""
-        if self._commanded is None:
-            return self.commands.base_twist, self.commands.joint_targets
-        return self._commanded
+            state = self.backend.reset(base_pose, joint_positions, env_ids)
+        self._monitor.begin(state)
+        self.command = self.commands.base_twist, self.commands.joint_targets
+        self._failures, self.unstopped = 0, ""
+        return state
 
     def read(self) -> RobotState | None:
         """Return the state of a robot that moves in real time; None of a simulated world."""
@@ -273,8 +272,6 @@ class Guarded(BackendWrapper):
         self.commands.refresh(state)
         if state is None:
             self._monitor.begin(self.state)
-        else:
-            self.state = state
         if self._rate is not None and self._rate.waits:
             self._rate.restart()
         return self.state
@@ -282,16 +279,18 @@ class Guarded(BackendWrapper):
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Execute a command; shapes as in `Backend`. Before any error the robot is stopped."""
         steps, passed = self.commands.steps, False
-        if self.backend is not self.commands:
-            self._commanded = base_twist.copy(), joint_targets.copy()
+        command = base_twist.copy(), joint_targets.copy()
         try:
             state = self.backend.step(base_twist, joint_targets, dt)
             if self.commands.steps == steps:
                 raise Fault("an adapter has not passed the command on")
+            if self.backend is self.commands:
+                command = self.commands.base_twist, self.commands.joint_targets
+            self.command = command
             if self._rate is not None:
                 self._rate.wait()
             self._monitor.check(state, dt)
-            self.state, passed = state, True
+            passed = True
         finally:
             if not passed:
                 self.stop()
@@ -317,7 +316,6 @@ class Guarded(BackendWrapper):
 
     def stop(self) -> None:
         """Command the base to zero and the arm to hold, past the adapters; it raises nothing."""
-        self._commanded = None
         try:
             self.commands.stop()
         except PLUGIN_ERRORS as error:

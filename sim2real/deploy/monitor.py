@@ -15,7 +15,11 @@ from kinfeas.sim2real.link.rate import Clock
 
 
 class StateMonitor:
-    """Checks one measurement after the other, and the clocks they are dated by."""
+    """Checks one measurement after the other, and the clocks they are dated by.
+
+    Attributes:
+        state: Last measurement, also one that exceeds a limit; NaN if it is invalid.
+    """
 
     def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
         self._backend, self._source = backend, f"backend {type(backend).__name__}"
@@ -23,6 +27,8 @@ class StateMonitor:
         self._needs_age = backend.real_time is not None
         self._start: Array | None = None
         self._last, self._age = RobotState(np.empty((1, 7)), np.empty((1, 0))), 0.0
+        nothing = np.full((1, 7), np.nan), np.full((1, len(robot.arm)), np.nan)
+        self.state = self._invalid = RobotState(*nothing)
         self._times = (math.nan, math.nan)
 
     def begin(self, state: RobotState) -> None:
@@ -37,8 +43,10 @@ class StateMonitor:
 
         Worlds without a clock have moved for `dt` seconds since.
         """
-        elapsed = self._check_clocks()
+        self.state = self._invalid
         check_state(state, 1, len(self._robot.arm), self._source)
+        self.state = state
+        elapsed = self._check_clocks()
         if state.age is not None:
             self._check_age(state.age)
         elif self._needs_age:

@@ -190,7 +190,7 @@ class _Run:
         if setup.backend.real_time is not None:
             setup.backend.real_time.prepare = self.prepare
         self._unwritten: Moment | None = None
-        self.steps = self.failures = 0
+        self.steps = self.failures = self._recorded = 0
         self.time_scale, self.scales, self.began = 1.0, 0.0, 0.0
 
     def watchdog(self) -> Watchdog | nullcontext[None]:
@@ -341,6 +341,9 @@ class _Run:
     ) -> None:  # fmt: skip
         self.write()
         loop, state, (twist, targets) = self.loop, self.guarded.state, self.guarded.command
+        steps, self._recorded = self._recorded, self.guarded.commands.steps
+        if steps == self._recorded:  # nothing was sent since the last line but a stop
+            twist = np.zeros((1, 6))
         self._unwritten = Moment(
             time=self.seconds(),
             age=math.nan if state.age is None else float(state.age[0]),

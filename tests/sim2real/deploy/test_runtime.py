@@ -29,7 +29,7 @@ from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
 from kinfeas.sim2real.deploy.start import make_goal_task, warm_up
 from kinfeas.sim2real.link.rate import Rate
 from kinfeas.tasks.task import MotionSpec
-from kinfeas.viz.replay import record_episodes
+from kinfeas.viz.replay import as_recording, record_episodes
 
 DT = 0.02
 QUICK = MotionSpec("linear", {"gain": 1.0})
@@ -68,6 +68,10 @@ class RealTimeRobot(AnalyticBackend, RealTimeBackend):
 
 def silence(state):
     return state
+
+
+def far(state):
+    return replace(state, base_pose=state.base_pose + 9.0 * np.eye(7)[0])
 
 
 def nan(state):
@@ -218,6 +222,7 @@ def test_a_simulated_world_waits_for_the_clock_or_has_none(run, time):
 
 @pytest.mark.parametrize(("trouble", "reason"), [
     (silence, "measurement"),
+    (far, "jumped"),
     (nan, "base_pose is not finite"),
     (NOTHING, "RobotState"),
     (Mock(side_effect=ConnectionError("the bus is gone")), "the bus is gone"),
@@ -234,7 +239,15 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, caplog, trouble, reaso
     assert stopped - robot.commands[robot.after][0] < 0.3
     assert not any(twist.any() for _, twist in robot.commands[len(moving) :])
     assert record.event[-1] == outcome.reason
-    assert not record.base_twist[-1].any()
+    # The last line is the control period that was measured, or else the stop.
+    measured = trouble in (silence, far, nan, NOTHING)
+    assert record.base_twist[-1].any() == measured
+    assert np.isnan(record.base_pose[-1]).all() == (trouble in (nan, NOTHING))
+    assert (record.base_pose[-1, 0] > 9.0) == (trouble is far)
+    assert (record.age[-1] > Guards().max_age) == (trouble is silence)
+    assert len(record.time) == len(moving) + 1
+    assert np.isfinite(record.base_pose[record.later]).all()
+    assert np.isfinite(as_recording(record, PR2.robot).ee_pose).all()
     # A mistake in the code of a plugin needs its traceback.
     assert ("Traceback" in caplog.text) is ("raised" in reason)
 
