@@ -7,7 +7,7 @@ from typing import Any, TypedDict, Unpack
 
 from kinfeas.api import Name
 from kinfeas.api.load import Adapters, load_robot, read_adapters, robot_of, text_of
-from kinfeas.config import Settings, nested
+from kinfeas.config import Settings, merged, nested
 from kinfeas.config.registry import from_anywhere
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.files import write_json
@@ -105,7 +105,10 @@ def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainCon
         raise KinfeasError(f"world {world!r}: the recipe is for the world {recipe.world.backend!r}")
     robot_name, task_name = from_anywhere(recipe.robot), from_anywhere(recipe.task)
     recipe = replace(recipe, robot=robot_name, task=task_name)
-    return training.with_initial_policy(recipe, options.get("settings"))
+    asked = nested(options.get("settings"))
+    if recipe.learner.net_arch != TrainConfig().learner.net_arch:  # the recipe names it
+        asked = merged({"learner": {"net_arch": recipe.learner.net_arch}}, asked)
+    return training.with_initial_policy(recipe, asked)
 
 
 def begin(config: TrainConfig, folder: Path, on_progress: OnTraining | None = None) -> Run:

@@ -89,6 +89,10 @@ def test_initial_policy_gives_robot_and_network(tmp_path):
     for key, value in {"learner.net_arch": [32], "observation": ["ee_position"]}.items():
         with pytest.raises(KinfeasError, match=f"'{key}' is"):
             configure(init=str(tmp_path), settings={key: value})
+    recipe_file = tmp_path / "recipe.yaml"
+    recipe_file.write_text("robot: hsr\nlearner: {net_arch: [32]}\n")
+    with pytest.raises(KinfeasError, match=r"'learner.net_arch' is"):
+        configure(init=str(tmp_path), config=str(recipe_file))
     for other in ({"config": "paper/pr2"}, {"robot": "pr2"}):
         with pytest.raises(KinfeasError, match=r"'hsr'.*'pr2'"):
             configure(init=str(tmp_path), **other)
