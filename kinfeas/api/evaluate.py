@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -14,6 +13,7 @@ from kinfeas.config import Settings, from_mapping, nested
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
 from kinfeas.core.quantities import Episodes, Processes, Seed
+from kinfeas.envs.episodes import closed
 from kinfeas.envs.world import World
 from kinfeas.evaluation import evaluate as evaluation
 from kinfeas.evaluation.evaluate import EvalConfig, Summary
@@ -125,8 +125,10 @@ def evaluate(  # noqa: PLR0913 - options of the command
         counter(on_progress, f"episode {episode}")
         from kinfeas.viz.replay import run_episode
 
-        with closing(World(config.robot, config.task, config.world, config.seed)) as again:
+        again = World(config.robot, config.task, config.world, config.seed)
+        with closed(again) as unclosed:
             shown = run_episode(again, driver, episode)
+        metrics["unclosed"] += unclosed
         write_files(shown, model, picture, video, replay, on_progress=on_progress)
     return metrics
 

@@ -1,5 +1,6 @@
 """Episodes run to their end, many at a time, in one process or several."""
 
+import logging
 import math
 import multiprocessing
 import os
@@ -8,14 +9,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe
 from kinfeas.core.metrics import EpisodeRecords, join
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy
@@ -37,6 +38,9 @@ Watch = Callable[[World, Transition, Rows, Rows], None]
 
 OnDone = Callable[[int], None]
 """Called with the number of episodes that have just ended."""
+
+
+_log = logging.getLogger(__name__)
 
 
 class WorkerDiedError(KinfeasError):
@@ -90,7 +94,7 @@ def evaluate_episodes(
     Raises:
         KinfeasError: If a world cannot be built, or a worker process dies.
     """
-    with closing(build()) as world:
+    with closed(world := build()):
         if processes == 1:
             return run_episodes(world, policy, len(episodes), on_done, first=episodes.start)
         world.loop.set_policy(policy)
@@ -122,6 +126,23 @@ def evaluate_within(  # noqa: PLR0913, PLR0917 - an evaluation and its limits
         if now + (now - begun) > end:
             break
     return join(records)
+
+
+@contextmanager
+def closed(world: World) -> Iterator[list[str]]:
+    """Close a world after a block whose results must last.
+
+    An exception of the world's `close` is logged, and its description put into the yielded list.
+    """
+    unclosed: list[str] = []
+    try:
+        yield unclosed
+    finally:
+        try:
+            world.close()
+        except PLUGIN_ERRORS as error:
+            unclosed.append(describe(error))
+            _log.exception("could not be closed: %s", *unclosed)
 
 
 @contextmanager

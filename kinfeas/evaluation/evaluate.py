@@ -1,7 +1,6 @@
 """Evaluation of a policy: metrics of its episodes in any world, beside the reachability bound."""
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import astuple, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from kinfeas.config.recipes import section
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.metrics import EpisodeRecords, Metrics, summarize
 from kinfeas.core.policy import Policy
-from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes, run_episodes
+from kinfeas.envs.episodes import OnDone, Watch, closed, evaluate_episodes, run_episodes
 from kinfeas.envs.world import World, WorldConfig, evaluation_section, evaluation_world
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.robots.robot import Robot
@@ -25,9 +24,9 @@ from kinfeas.tasks.task import StreamTask, Task
 class Summary(Metrics):
     """Metrics of a policy, what they were measured on, and the ceiling; null if not measured.
 
-    `settings` are those given. `failed` are the numbers of the episodes without success, or with
-    a task that was not done, by the reason; `per_episode` has a column for each field of the
-    records.
+    `settings` are those given, `unclosed` errors while worlds were closed. `failed` are the
+    numbers of the episodes without success, or with a task that was not done, by the reason;
+    `per_episode` has a column for each field of the records.
     """
 
     robot: str
@@ -43,6 +42,7 @@ class Summary(Metrics):
     backend_parameters: dict[str, object]
     settings: dict[str, object]
     version: str
+    unclosed: list[str]
     failed: dict[str, list[int]]
     per_episode: dict[str, list[float | None]]
     ceiling: float | None
@@ -150,7 +150,7 @@ def evaluate(
     The ceiling is null, see `add_ceiling`; further arguments as in `evaluate_episodes`. A single
     process calls `watch` after each step.
     """
-    records, execution = run(config, policy, processes, on_done, watch)
+    records, execution, unclosed = run(config, policy, processes, on_done, watch)
     settings = config.world
     own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
@@ -162,6 +162,7 @@ def evaluate(
         "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
         "settings": to_mapping(nested(config.settings)), "version": __version__,
+        "unclosed": unclosed,
         **summarize(records),
         "failed": _failed(records, config.first),
         "per_episode": _per_episode(records, config.first),
@@ -175,19 +176,19 @@ def run(
     processes: int = 1,
     on_done: OnDone | None = None,
     watch: Watch | None = None,
-) -> tuple[EpisodeRecords, ExecutionConfig]:
-    """Return the record of each episode, and the execution of motions within the adapters.
+) -> tuple[EpisodeRecords, ExecutionConfig, list[str]]:
+    """Return the record of each episode, the execution of motions, and errors of closing worlds.
 
     Further arguments as in `evaluate`.
     """
     build = partial(World, config.robot, config.task, config.world, config.seed)
     episodes = range(config.first, config.first + config.episodes)
-    with closing(build()) as world:
+    with closed(world := build()) as unclosed:
         if processes == 1:
             records = run_episodes(world, policy, config.episodes, on_done, watch, config.first)
         else:
             records = evaluate_episodes(build, policy, episodes, processes, on_done)
-        return records, world.loop.execution
+    return records, world.loop.execution, unclosed
 
 
 def _failed(records: EpisodeRecords, first: int) -> dict[str, list[int]]:

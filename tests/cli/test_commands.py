@@ -3,10 +3,12 @@ import re
 import shutil
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config.recipes import default_engine
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
 from kinfeas.io.run_log import read_record
@@ -221,6 +223,14 @@ PLANNED = ["obstacle_distance", "path_planner", "feasibility"]
 EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "1")
 SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
 ENGINE = default_engine()
+
+
+def test_an_evaluation_whose_backend_cannot_be_closed_keeps_its_result(kinfeas, monkeypatch):
+    monkeypatch.setattr(AnalyticBackend, "close", Mock(side_effect=LookupError("still open")))
+    done = kinfeas(*SHORT, "--json", "out.json", code=2)
+    assert "still open" in done.err
+    assert done.facts["episodes"] == 1
+    assert "goal reached" in done.out
 
 
 @pytest.fixture
