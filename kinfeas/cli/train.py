@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     from kinfeas.training.run import Progress
 
 
+_OF_TRAINING = "adapters", "filters", "ik", "max_failures", "reward"
+"""Settings of worlds that differ between training and evaluation."""
+
+
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: str | None = option(
         None, f"{options.ROBOT}  [default: robot of --config or --init, else pr2]"
@@ -136,10 +140,18 @@ def describe(now: "Progress") -> str:
 
 
 def _show(run: "Run", adapters: str | None) -> None:
-    from kinfeas.config import to_options
+    from kinfeas.config import to_mapping, to_options
+    from kinfeas.evaluation import evaluate
     from kinfeas.training.run import read_settings
 
-    best, task = run.metrics, read_settings(run.folder).task_parameters
+    best, config = run.metrics, read_settings(run.folder)
+    usual = to_mapping(evaluate.read_settings(config.robot, config.world.backend).world)
+    settings = {f"task.{key}": value for key, value in config.task_parameters.items()}
+    settings |= {
+        f"world.{key}": value
+        for key, value in to_mapping(config.world).items()
+        if key not in _OF_TRAINING and value != usual[key]
+    }
     used = [*best["adapters"], *best["filters"]]
     within = f"with {', '.join(used)}" if used else "without filters"
     success = percent(best["success"], best["success_low"], best["success_high"])
@@ -153,7 +165,7 @@ def _show(run: "Run", adapters: str | None) -> None:
     command = ["kinfeas", "evaluate", "--robot", best["trained_with"], "--task", best["task"]]
     command += ["--world", best["world"], "--policy", str(run.folder)]
     command += [] if adapters is None else ["--adapters", adapters]
-    command += to_options({f"task.{key}": value for key, value in task.items()})
+    command += to_options(settings)
     typer.echo(f"evaluate it with the robot's filters: {shlex.join(command)}")
 
 

@@ -48,9 +48,12 @@ def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas,
 
 def test_robot_and_recipe_by_path_and_default_folder(kinfeas, tmp_path):
     shutil.copytree(load_robot("hsr").folder, tmp_path / "mine")
-    (tmp_path / "recipe.yaml").write_text("robot: ./mine\nnum_envs: 8\nseed: 5\n")
+    recipe = "robot: ./mine\nnum_envs: 8\nseed: 5\nworld: {dt: 0.05, max_failures: 9}\n"
+    (tmp_path / "recipe.yaml").write_text(recipe)
     words = ("--config", "recipe.yaml", "--steps", "24", *TINY)
-    kinfeas("train", *words, code=0)
+    outcome = kinfeas("train", *words, code=0)
+    (line,) = [line for line in outcome.out.splitlines() if "kinfeas evaluate" in line]
+    assert line.endswith("--policy runs/hsr-ggr-5 --set world.dt=0.05")
     settings = yaml.safe_load((tmp_path / "runs" / "hsr-ggr-5" / "config.yaml").read_text())
     assert settings["robot"] == str(tmp_path / "mine")
 
