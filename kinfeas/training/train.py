@@ -196,7 +196,7 @@ class _Run:
                 break
             if self.progress.analytic and self.progress.fraction >= self.config.schedule.analytic:
                 with uninterrupted():
-                    self.progress.analytic = False
+                    self.progress.analytic, self.observation = False, None
                     self._enter()
                     self._compile()
                     self._clock()
@@ -255,10 +255,11 @@ class _Run:
     def _step(self) -> None:
         """Step all environments once, and learn from the replay buffer."""
         config, learner, progress = self.part.learner, self.learner, self.progress
-        assert self.observation is not None
+        observation, self.observation = self.observation, None  # a broken step is not saved
+        assert observation is not None
         filling = progress.steps < max(config.learning_starts, self.config.num_envs)
         random = filling and self.config.init is None
-        action = explore(learner, self.observation, random=random)
+        action = explore(learner, observation, random=random)
         # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:
@@ -273,7 +274,7 @@ class _Run:
         after, ended = following.copy(), np.flatnonzero(dones)
         for row in ended:
             after[row] = infos[row]["terminal_observation"]
-        learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
+        learner.replay_buffer.add(observation, after, action, rewards, dones, infos)
         self.observation = following
         progress.steps += self.part.num_envs * self.part.action_repeat
         progress.ended(infos[row]["is_success"] for row in ended)
@@ -414,5 +415,5 @@ def uninterrupted() -> Iterator[None]:
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
-    if came:
-        signal.raise_signal(came[0])
+        if came:  # also where the block raises
+            signal.raise_signal(came[0])

@@ -75,12 +75,23 @@ def interrupt():
     signal.raise_signal(signal.SIGINT)
 
 
+def interrupt_and_kill():
+    interrupt()
+    kill()
+
+
 STOPS = [  # the first one with a replay buffer that is full
     (vec_env.EpisodesVecEnv, "step_wait", 35, kill),
+    (vec_env.EpisodesVecEnv, "step_wait", 35, interrupt_and_kill),
     (shutil, "copyfile", 1, kill),
     (training, "explore", 15, interrupt),
     (training, "write_network", 2, interrupt),
 ]
+
+
+def test_a_signal_is_not_lost_where_its_block_raises():
+    with pytest.raises(KeyboardInterrupt), training.uninterrupted():
+        interrupt_and_kill()
 
 
 @pytest.mark.parametrize("stop", STOPS)
