@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.observation import OBSERVATION, check_terms
 from kinfeas.control.observer import Observer
-from kinfeas.control.period import RECONFIGURATION_SECONDS, Arm, CommandFilter, Move, Period
+from kinfeas.control.period import (
+    RECONFIGURATION_SECONDS,
+    Arm,
+    CommandFilter,
+    Move,
+    Period,
+    check_time_scale,
+)
 from kinfeas.control.response import Predictor
 from kinfeas.control.sequence import MotionSequence
 from kinfeas.control.surroundings import Surroundings
@@ -190,6 +197,8 @@ class Loop:
                 raise KinfeasError(f"{note.plugin} must return a Period, not a {kind}")
             shape = self.previous_command.shape
             check_array(changed.command, shape, f"{note.plugin}: the command")
+            if changed.time_scale is not period.time_scale:
+                check_time_scale(changed.time_scale, shape[:1], f"{note.plugin}: the time_scale")
             period = changed.commanded(changed.command)
         self.previous_command = period.command
         sequence.move(period.step, period.paused)

@@ -96,12 +96,17 @@ class Period(KinematicInputs):
         Raises:
             KinfeasError: If they have another shape or are not in [0, 1].
         """
-        check_array(time_scale, self.time_scale.shape, "the argument of period.slowed")
-        if not ((time_scale >= 0.0) & (time_scale <= 1.0)).all():
-            raise KinfeasError("the argument of period.slowed must be in [0, 1]")
+        check_time_scale(time_scale, self.time_scale.shape, "the argument of period.slowed")
         step = self.motions.step(time_scale)
         desired = self.motions.arm_target(step, self.paused)
         return self.changed(step=step, desired=desired, time_scale=time_scale, move=None)
+
+
+def check_time_scale(time_scale: Array, shape: tuple[int, ...], name: str) -> None:
+    """Raise KinfeasError unless a value is an array of `shape` with fractions in [0, 1]."""
+    check_array(time_scale, shape, name)
+    if not ((time_scale >= 0.0) & (time_scale <= 1.0)).all():
+        raise KinfeasError(f"{name} must be in [0, 1]")
 
 
 class CommandFilter(Protocol):

@@ -354,6 +354,8 @@ def test_motions_slow_down_by_fractions(solver, scale):
     (Filter(lambda command: np.full_like(command, np.nan)), "Filter: the command is not finite"),
     (Filter(lambda command: None), "Filter.*NoneType"),
     (lambda period: period.command, "function.*Period.*ndarray"),
+    (lambda period: period.changed(time_scale=np.full(2, np.nan)), "function: the time_scale"),
+    (lambda period: period.changed(time_scale=np.full(2, -0.5)), "function: the time_scale"),
     (writing, "function.*write.*'base_pose'"),
 ])  # fmt: skip
 def test_wrong_results_of_a_filter_are_errors(solver, command_filter, word):
