@@ -42,6 +42,7 @@ class SimulationResult:
     base_commands: int  # number of commands to the base
     joint_commands: int  # number of trajectories for the arm
     timeouts: int  # how often the base stopped for lack of commands
+    dropped: int  # number of invalid messages, and of trajectories with unknown joints
     period_p99: float  # 99th percentile of the period of a simulation step, seconds
     longest: float  # longest period, seconds
 
@@ -104,7 +105,7 @@ class SimulatedRobot:
 
         After `command_timeout` seconds without a command the base stops.
         """
-        self.base_commands = self.joint_commands = self.timeouts = 0
+        self.base_commands = self.joint_commands = self.timeouts = self.dropped = 0
         self._timeout, self.clock = command_timeout, clock or Clock()
         self._backend, self._state, self._world = backend, state, world_of(backend)
         self._robot = self._world.robot
@@ -117,7 +118,7 @@ class SimulatedRobot:
 
     def orders(self) -> Orders:
         """Return the callbacks for commands."""
-        return Orders(self._drive, self._move, self._take_grip)
+        return Orders(self._drive, self._move, self._take_grip, self._drop)
 
     def step(self, dt: float) -> None:
         """Execute the orders for `dt` seconds."""
@@ -167,10 +168,15 @@ class SimulatedRobot:
         with self._lock:
             self._setpoints.follow(path, self.clock.monotonic())
             self.joint_commands += 1
+            self.dropped += not set(path.joints) <= set(self._arm)
 
     def _take_grip(self, grip: Grip) -> None:
         with self._lock:
             self._grip = grip
+
+    def _drop(self) -> None:
+        with self._lock:
+            self.dropped += 1
 
 
 def simulate(
@@ -215,8 +221,11 @@ def simulate(
                     broken, end = fault, clock.monotonic() + _LINGER
     if broken is not None:
         raise broken
-    timing, counts = rate.timing(), (robot.base_commands, robot.joint_commands, robot.timeouts)
-    return SimulationResult(clock.monotonic() - start, *counts, timing.p99, timing.longest)
+    timing = rate.timing()
+    return SimulationResult(
+        clock.monotonic() - start, robot.base_commands, robot.joint_commands, robot.timeouts,
+        robot.dropped, timing.p99, timing.longest,
+    )  # fmt: skip
 
 
 def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLink:

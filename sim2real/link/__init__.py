@@ -64,6 +64,7 @@ class Orders:
     # takes a joint trajectory; it replaces the one before of these joints
     move: Callable[[JointPath], None]
     grip: Callable[[Grip], None]  # takes `close` or `open`
+    drop: Callable[[], None] = lambda: None  # counts an invalid message, which has no effect
 
 
 class Link(Protocol):

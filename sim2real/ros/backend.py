@@ -243,12 +243,13 @@ class RosRobotLink:
         bus.open("kinfeas_robot")
         messages = bus.messages
         types, base = ros_messages.command_types(messages, topics), topics.base.command
-        bus.subscribe(base, types[base], _passing(_finite_velocity, orders.drive))
-        move = _passing(ros_messages.path, orders.move)
+        drop = orders.drop
+        bus.subscribe(base, types[base], _passing(_finite_velocity, orders.drive, drop))
+        move = _passing(ros_messages.path, orders.move, drop)
         for controller in topics.joints.controllers:
             bus.subscribe(controller.command, types[controller.command], move)
         if (gripper := topics.gripper) is not None:
-            grip = _passing(partial(ros_messages.from_gripper, gripper), orders.grip)
+            grip = _passing(partial(ros_messages.from_gripper, gripper), orders.grip, drop)
             bus.subscribe(gripper.command, types[gripper.command], grip)
         self._odometry = bus.publisher(topics.base.odometry, messages.Odometry)
         self._joints = bus.publisher(topics.joints.measured, messages.JointState)
@@ -330,12 +331,16 @@ def _finite_velocity(message: Any) -> Array | None:
     return velocity if np.isfinite(velocity).all() else None
 
 
-def _passing(read: Callable[[Any], Any], take: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a callback that passes on what `read` makes of a message, unless it is None."""
+def _passing(
+    read: Callable[[Any], Any], take: Callable[[Any], None], drop: Callable[[], None] = lambda: None
+) -> Callable[[Any], None]:
+    """Return a callback that passes on what `read` makes of a message, or calls `drop` for None."""
 
     def passing(message: Any) -> None:
         value = read(message)
-        if value is not None:
+        if value is None:
+            drop()
+        else:
             take(value)
 
     return passing

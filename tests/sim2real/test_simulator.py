@@ -125,9 +125,12 @@ def test_joints_and_grippers_follow_their_commands_and_are_reported_by_name(play
 def test_runs_in_real_time(world, time):
     link, ready, start = Mock(), Mock(), time.monotonic
     robot = SimulatedRobot(*world, clock=time.clock)
+    robot.orders().move(path(("nose",), (0.01, [1.0])))
+    robot.orders().drop()
     result = simulate(robot, link, ready, 50.0, 0.5)
     assert time.monotonic - start == pytest.approx(0.5, abs=0.03)
     assert result.seconds == pytest.approx(0.5, abs=0.03)
+    assert (result.joint_commands, result.dropped) == (1, 2)
     ready.assert_called_once()
     link.close.assert_called_once()
     assert link.report.call_count == pytest.approx(25, abs=2)

@@ -168,15 +168,16 @@ def bus():
     return made
 
 
-def test_a_simulated_robot_drops_velocities_that_are_not_finite(bus):
-    topics, taken = read_topics(load_robot("hsr"), 2), []
-    RosRobotLink(topics, bus).open(Orders(taken.append, taken.append, taken.append))
+def test_a_simulated_robot_drops_and_counts_velocities_that_are_not_finite(bus):
+    topics, taken, drop = read_topics(load_robot("hsr"), 2), [], Mock()
+    RosRobotLink(topics, bus).open(Orders(taken.append, taken.append, taken.append, drop))
     subscribed = {call.args[0]: call.args[2] for call in bus.subscribe.call_args_list}
     for x in (np.nan, 0.5):
         message = bus.messages.Twist()
         message.linear.x = x
         subscribed[topics.base.command](message)
     np.testing.assert_array_equal(taken, [[0.5, 0.0, 0.0]])
+    drop.assert_called_once_with()
 
 
 @pytest.mark.parametrize("stamped", [False, True])
