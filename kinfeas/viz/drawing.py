@@ -72,7 +72,7 @@ def scene_figure(scene: Scene) -> Figure:
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.2))
         points = shapes.corners(solids)
-        heading = _heading_from_middle(points)
+        heading = shapes.heading_from_middle(points)
         axes = add_axes(figure, (0.0, 0.0, 1.0, 0.95), heading, np.deg2rad(38.0))
         floor = draw_floor(axes, np.clip(points, -half, half), 1.0, 0.0)
         draw_solids(axes, solids)
@@ -88,20 +88,6 @@ def scene_figure(scene: Scene) -> Figure:
         show_all(axes, np.concatenate([points * [1.0, 1.0, 1.2], floor]), 1.4)
         axes.set_title(f"{scene.name}: {scene.size[0]:g} x {scene.size[1]:g} m, grid of 1 m")
     return figure
-
-
-def _heading_from_middle(points: Array) -> float:
-    """Return the heading of `add_axes` for furniture, whose open sides face the middle of the room.
-
-    Of four headings it is the one that looks at points (k, 3) from there; the first one if they are
-    around the middle.
-    """
-    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    headings = np.deg2rad(28.0) + np.pi / 2.0 * np.arange(4)
-    if np.all((low < 0.0) & (high > 0.0)):
-        return float(headings[0])
-    toward_viewer = np.stack([np.sin(headings), -np.cos(headings)], axis=1)
-    return float(headings[np.argmin(toward_viewer @ (low + high))])
 
 
 def _gripper_axes(robot: Robot) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from kinfeas.viz.shapes import (
     VisualShape,
     corners,
     far_end,
+    heading_from_middle,
     robot_poses,
     robot_shapes,
     robot_solids,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from kinfeas.viz.live import Episode
 
 _SKY, _FLOOR, _LINES = (232, 236, 241), (214, 218, 224), (188, 194, 202)  # colours
-_VIEW = np.array([0.82, -1.18, 0.85])  # to the camera, by the radius of the content
+_AWAY, _UP = 1.44, 0.85  # to the camera, by the radius of the content
 _STILL = 1e-4  # m, and of a quaternion
 
 
@@ -49,10 +50,12 @@ def draw_floor(
 
 
 def aim(server: Any, points: Array) -> None:
-    """Put the camera of a page where it shows all points, shape (k, 3), in metres."""
+    """Put the camera of a page where it shows furniture at points, (k, 3), from its open side."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius = (low + high) / 2.0, max(0.5, float(np.linalg.norm(high - low)) / 2.0)
-    server.initial_camera.position = middle + radius * _VIEW
+    heading = heading_from_middle(points)
+    view = np.array([_AWAY * np.sin(heading), -_AWAY * np.cos(heading), _UP])
+    server.initial_camera.position = middle + radius * view
     server.initial_camera.look_at = middle
 
 

@@ -186,6 +186,20 @@ def surrounding(scene: Scene) -> set[str]:
     return around
 
 
+def heading_from_middle(points: Array) -> float:
+    """Return the world heading to the right of a view of furniture that is open to the room.
+
+    Of four headings, in radians, it is the one that looks at points (k, 3) from the middle of the
+    room; the first one if they are around it.
+    """
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    headings = np.deg2rad(28.0) + np.pi / 2.0 * np.arange(4)
+    if np.all((low < 0.0) & (high > 0.0)):
+        return float(headings[0])
+    toward_viewer = np.stack([np.sin(headings), -np.cos(headings)], axis=1)
+    return float(headings[np.argmin(toward_viewer @ (low + high))])
+
+
 def corners(solids: Iterable[VisualShape]) -> Array:
     """Return the corners of the faces of solids in the world, shape (k, 3), metres."""
     return np.concatenate([face for solid in solids for face in faces(solid.shape)])

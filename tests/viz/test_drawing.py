@@ -1,22 +1,25 @@
+from unittest.mock import Mock
+
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import make_pose, rotation
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.drawing import Face, back_to_front, scene_figure
-from kinfeas.viz.shapes import faces
+from kinfeas.viz.shapes import corners, faces, scene_solids
 
 
 def test_the_nearest_face_is_drawn_last():
     rng, seen = np.random.default_rng(0), []
     for kind, size in (("box", (1.0, 0.4, 0.1)), ("cylinder", (0.2, 0.9))) * 4:
         pose = make_pose(rng.uniform(-0.5, 0.5, 3), Rotation.random(rng=rng))
-        for corners in faces(Shape(kind, size, pose)):
-            normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        for face in faces(Shape(kind, size, pose)):
+            normal = np.cross(face[1] - face[0], face[2] - face[0])
             normal /= np.linalg.norm(normal)
             if normal[2] > 1e-3:  # the viewer is above
-                seen.append(Face(corners, normal, np.ones(4)))
+                seen.append(Face(face, normal, np.ones(4)))
     drawn = back_to_front(list(seen))
     for point in rng.uniform(-0.7, 0.7, (300, 2)):
         depths = [depth for face in drawn if (depth := height(face, point)) is not None]
@@ -43,3 +46,10 @@ def test_furniture_at_a_wall_is_drawn_from_its_open_side():
     toward_viewer = np.array([np.cos(heading), np.sin(heading)])
     front = rotation(scene.objects["cabinet"].pose).apply([1.0, 0.0, 0.0])[:2]
     assert front @ toward_viewer > 0.7
+    pytest.importorskip("viser")
+    from kinfeas.viz.pages import aim
+
+    server, cabinet = Mock(), [each for each in scene_solids(scene) if each.link[0] == "cabinet"]
+    aim(server, corners(cabinet))
+    away = (server.initial_camera.position - server.initial_camera.look_at)[:2]
+    assert front @ away > 0.7 * np.linalg.norm(away)
