@@ -198,11 +198,10 @@ class _Bag:
                 when for when, other in self._paths[number + 1 :]
                 if not set(path.joints).isdisjoint(other.joints)
             )  # fmt: skip
-            until = next(later, np.inf)
-            for when, name_positions in _points(path, sent, aim):
-                if when < until or when == sent:
-                    aim.update(name_positions)
-                    points.append((when, name_positions))
+            until = next(later, self._now)  # or the end of the recording
+            for when, name_positions in _points(path, sent, until, aim):
+                aim.update(name_positions)
+                points.append((when, name_positions))
         aim = dict(zip(self._names, start, strict=True))
         for when, name_positions in sorted(points, key=itemgetter(0)):
             aim.update(name_positions)
@@ -212,9 +211,9 @@ class _Bag:
 
 
 def _points(
-    path: JointPath, sent: float, aim: dict[str, float]
+    path: JointPath, sent: float, until: float, aim: dict[str, float]
 ) -> Iterator[tuple[float, dict[str, float]]]:
-    """Yield the targets of a trajectory; between several points, each hundredth of a second."""
+    """Yield the targets of a trajectory up to a time; of several points, each 0.01 s."""
     names = [name for name in path.joints if name in aim]
     ends = path.positions[:, [path.joints.index(name) for name in names]]
     if not names:
@@ -224,7 +223,8 @@ def _points(
         return
     knots = np.append(sent, sent + path.times)
     values = np.concatenate([[[aim[name] for name in names]], ends])
-    times = np.arange(sent, knots[-1] + 0.005, 0.01)
+    times = np.arange(sent, min(knots[-1] + 0.005, until), 0.01)
+    times = times[times < until]  # rounding
     rows = interpolated_columns(times, knots, values)
     for when, row in zip(times.tolist(), rows.tolist(), strict=True):
         yield when, dict(zip(names, row, strict=True))

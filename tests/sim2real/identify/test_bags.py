@@ -154,6 +154,17 @@ def test_trajectories_of_one_controller_do_not_end_those_of_others(tmp_path):
     np.testing.assert_allclose(targets[round(7.0 / DT)], 1.0, atol=1e-9)
 
 
+def test_trajectories_longer_than_the_recording_end_with_it(bag, path, robot):
+    topic, name, message, _ = next(each for each in bag.messages if "Trajectory" in each[1])
+    (point,) = message.points
+    points = [
+        replace(point, time_from_start=replace(point.time_from_start, sec=sec, nanosec=0))
+        for sec in (1, 2_000_000_000)
+    ]
+    bag.messages.append((topic, name, replace(message, points=points), bag.time - DT))
+    assert len(read_bag(bag.write(path), robot).targets) * DT == pytest.approx(bag.time, abs=1.0)
+
+
 def test_other_files_are_no_bags(tmp_path, hsr):
     path = tmp_path / "run.bag"
     path.write_bytes(b"not a bag")
