@@ -5,11 +5,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
+from struct import error as StructError  # noqa: N812 - an exception
 from typing import Any
 
 import numpy as np
 
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, describe
 from kinfeas.core.extras import require
 from kinfeas.core.spatial import Array, interpolated_columns
 from kinfeas.robots.robot import Robot
@@ -34,6 +35,7 @@ def read_bag(path: Path, robot: Robot) -> Log:
             messages out of order, a clock that was set, or numbers that are not finite.
     """
     require("rosbags")
+    from apsw import Error as ApswError
     from rosbags import rosbag1, rosbag2
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import Stores, get_typestore
@@ -46,8 +48,14 @@ def read_bag(path: Path, robot: Robot) -> Log:
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             return _Bag(path, robot, read_topics(robot, 2 if reader.is2 else 1)).read(reader)
-    except (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, OSError) as error:
-        raise KinfeasError(f"{path}: no bag that can be read: {error}") from error
+    except KinfeasError:
+        raise
+    except (
+        AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, OSError,
+        # What else rosbags raises for broken bytes.
+        ApswError, StructError, AssertionError, LookupError, ValueError,
+    ) as error:  # fmt: skip
+        raise KinfeasError(f"{path}: no bag that can be read: {describe(error)}") from error
 
 
 @dataclass

@@ -165,6 +165,18 @@ def test_trajectories_longer_than_the_recording_end_with_it(bag, path, robot):
     assert len(read_bag(bag.write(path), robot).targets) * DT == pytest.approx(bag.time, abs=1.0)
 
 
+@pytest.mark.parametrize(("file", "old", "new"), [
+    ("metadata.yaml", b"topics", b"\xff\xfe"),
+    ("run.db3", b"TwistWithCovariance", b"TwinkWithCovariance"),
+    ("run.db3", b"SQLite format 3", b"SQLite format 9"),
+])  # fmt: skip
+def test_bags_with_broken_bytes_raise(tmp_path, hsr, file, old, new):
+    run = Bag(2, hsr, seconds=0.1).write(tmp_path / "run")
+    (run / file).write_bytes((run / file).read_bytes().replace(old, new))
+    with pytest.raises(KinfeasError, match="run: no bag that can be read"):
+        read_bag(run, hsr)
+
+
 def test_other_files_are_no_bags(tmp_path, hsr):
     path = tmp_path / "run.bag"
     path.write_bytes(b"not a bag")
