@@ -15,7 +15,7 @@ from kinfeas.cli.options import argument, option
 from kinfeas.cli.output import print_facts, print_table, progress, write_drawing, write_json
 from kinfeas.config import registry
 from kinfeas.config.registry import GROUPS, Plugin
-from kinfeas.core.errors import KinfeasError, no_such, plugin_note
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe, no_such, plugin_note
 from kinfeas.core.files import is_path
 from kinfeas.templates import Kind, write_distribution
 
@@ -48,8 +48,12 @@ def list_plugins(json: options.JsonPath = None) -> None:
     listed = []
     for group, kind in GROUPS.items():
         rows = []
-        for plugin in registry.plugins(group):
+        plugins = registry.plugins(group)
+        own = {plugin.name for plugin in plugins if plugin.distribution == "kinfeas"}
+        for plugin in plugins:
             text, error = _summary(plugin)
+            if plugin.distribution != "kinfeas" and plugin.name in own:
+                text, error = "", "ignored: kinfeas has one of this name"
             listed.append({**vars(plugin), "kind": kind, "description": text, "error": error})
             origin = f"{plugin.distribution} {plugin.version}"
             rows.append([plugin.name, origin, text if error is None else f"broken: {error}"])
@@ -234,7 +238,10 @@ def _summary(plugin: Plugin) -> tuple[str, str | None]:
             load_robot(plugin.name)
         return _documentation(registry.load(plugin.group, plugin.name)).partition("\n")[0], None
     except KinfeasError as error:
-        return "", " ".join(str(error).split())
+        text = str(error)
+    except PLUGIN_ERRORS as error:
+        text = describe(error)
+    return "", " ".join(text.split())
 
 
 def _documentation(factory: Any) -> str:

@@ -28,6 +28,22 @@ def test_list_has_every_group(kinfeas):
     assert all(kind[:-1] in outcome.out for kind in GROUPS.values())
 
 
+@pytest.mark.filterwarnings("ignore:.*is ignored:UserWarning")
+def test_list_shows_broken_plugins(kinfeas, tmp_path, monkeypatch):
+    (tmp_path / "odd.py").write_text("def robot():\n    raise RuntimeError('no file')\n")
+    installed = tmp_path / "odd-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Name: odd\nVersion: 1.0\n")
+    entries = "[kinfeas.robots]\nodd = odd:robot\n[kinfeas.filters]\nfeasibility = odd:robot\n"
+    (installed / "entry_points.txt").write_text(entries)
+    monkeypatch.syspath_prepend(tmp_path)
+    facts = kinfeas("plugins", "list", "--json", "out.json", code=0).facts
+    errors = {each["name"]: each["error"] for each in facts if each["distribution"] == "odd"}
+    assert errors.keys() == {"odd", "feasibility"}
+    assert "RuntimeError: no file" in errors["odd"]
+    assert "kinfeas has one" in errors["feasibility"]
+
+
 def test_info_on_parameters(info):
     facts = info("linear")
     assert {"name": "gain", "type": "float", "default": 0.1} in facts["parameters"]
