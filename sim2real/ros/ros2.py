@@ -185,7 +185,10 @@ class Ros2Bus:
             waits.wait(duration(infinite=True))
 
     def _topic(self, name: str, kind: Any) -> Any:
-        return Topic(self._participant, f"rt/{name.lstrip('/')}", kind)
+        try:
+            return Topic(self._participant, f"rt/{name.lstrip('/')}", kind)
+        except DDSException as error:
+            raise KinfeasError(f"{name!r} is no name of a topic: {error}") from error
 
 
 class _Ros2Publisher:

@@ -2,6 +2,7 @@ import select
 import socket
 import threading
 import time
+from contextlib import closing
 from unittest.mock import Mock
 
 import numpy as np
@@ -207,6 +208,13 @@ def test_a_robot_that_is_not_there_is_an_error(domain):
     with pytest.raises(KinfeasError, match=rf"{backend.topics.base.odometry} .*\b{domain}\b"):
         backend.reset(None, None)
     backend.close()
+
+
+def test_a_wrong_name_of_a_topic_is_an_error():
+    bus = Ros2Bus()
+    bus.open("test")
+    with closing(bus), pytest.raises(KinfeasError, match="'/cmd vel'"):
+        bus.subscribe("/cmd vel", MESSAGES.Twist, list)
 
 
 def test_a_path_in_the_ee_frame_is_a_relative_chunk():
