@@ -46,13 +46,14 @@ def laser_ranges(laser: LaserReading) -> Array:
     """Return the range of the nearest measured point in the sector of each beam, shape (b,).
 
     It is `SCAN_RANGE` without a point, and NaN in sectors where all rays are NaN, or none is. A
-    laser without any valid reading is NaN everywhere.
+    laser without any valid reading, or with invalid limits or angles, is NaN everywhere.
     """
     ranges = laser.ranges.copy()
     ranges[ranges == -np.inf] = laser.range_min
     rays = np.arange(len(ranges), dtype=np.float64)
     heading = laser.mount[2] + laser.angle_min + laser.angle_increment * rays
-    if not np.any(ranges >= laser.range_min):  # also if they are not numbers
+    sound = laser.range_min < laser.range_max and np.isfinite(heading).all()
+    if not (sound and np.any(ranges >= laser.range_min)):  # also if they are not numbers
         return np.full(SCAN_BEAMS, np.nan)
     nearest = np.full(SCAN_BEAMS, np.nan)
     measured = heading[~np.isnan(ranges)]

@@ -94,6 +94,9 @@ def test_readings_without_return_and_sectors_without_rays():
     np.testing.assert_allclose(right[middle:], 2.0)
     for dead in (np.nan, 0.0):
         assert np.isnan(laser_ranges(LaserReading(np.full(8, dead), **angles, **limits))).all()
+    for wrong in ({"range_max": np.nan}, {"range_max": 0.0}, {"angle_increment": np.nan}):
+        reading = LaserReading(np.full(8, 0.5), **{**angles, **wrong})
+        assert np.isnan(laser_ranges(reading)).all()
     assert not np.isnan(laser_ranges(LaserReading(np.full(8, np.inf), **angles))[middle])
 
 
