@@ -17,6 +17,7 @@ from kinfeas.sim2real.link.measurements import DRIFT, TransportDelay
 from kinfeas.sim2real.link.scans import ANGLES, CostmapReading, LaserReading
 from kinfeas.sim2real.ros.topics import CostmapTopic, GripperTopics, ScanTopic, Topics
 
+_FINEST = 1e-3  # m, least edge of the cells of a costmap: finer ones fill the memory
 _DEEPEST = 32  # frames from the base to the world; more of them are a cycle
 
 
@@ -123,7 +124,7 @@ def from_costmap(topic: CostmapTopic, frame: Array, message: Any) -> CostmapRead
     origin = planar(compose(frame, pose_of(info.origin.position, info.origin.orientation)))
     cells = np.array(message.data, dtype=np.int8)
     shape, resolution = (info.height, info.width), float(info.resolution)
-    valid = np.isfinite([*origin, resolution]).all() and resolution > 0.0
+    valid = np.isfinite([*origin, resolution]).all() and resolution >= _FINEST
     if not valid or not cells.size or cells.size != math.prod(shape):
         return None
     stamp = message.header.stamp.to_sec() or None

@@ -148,8 +148,9 @@ def test_costmaps_survive_a_round_trip_into_another_frame(messages):
     np.testing.assert_array_equal(reading.cells, cells)
     assert (reading.resolution, reading.occupied) == (0.25, 65)
     np.testing.assert_allclose(reading.origin, [1.0, 1.0, np.pi / 2])
-    message.info.width = 4
-    assert ros_messages.from_costmap(CostmapTopic("/map"), frame, message) is None
+    for width, resolution in ((4, 0.25), (3, 1e-6)):  # the second would fill the memory
+        message.info.width, message.info.resolution = width, resolution
+        assert ros_messages.from_costmap(CostmapTopic("/map"), frame, message) is None
 
 
 def transforms(*edges):
