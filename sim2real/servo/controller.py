@@ -274,7 +274,12 @@ class TargetController:
             count = "" if times is None else f" with {len(times)} times"
             self._reject(f"no {wanted}, but shape {values.shape}{count}")
             return
-        self._kept.append((when + message.keep, np.array([when]), *chunk))
+        due, until = when + message.keep, chunk[0][0, -1:] + self.rules.timeout
+        if due > now[0] and (due > until).any():
+            self._inbox.reject(_ROW, "late")
+            self._last = "late", f"'keep', {message.keep:g} s, ends after its last pose"
+            return
+        self._kept.append((due, np.array([when]), *chunk))
         self._put_kept(now)
 
     def _reject(self, why: str) -> None:

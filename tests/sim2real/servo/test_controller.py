@@ -196,6 +196,16 @@ def test_chunks_of_wrong_times_and_rotations_are_ignored():
     assert counts == {"accepted": 1, "repeated": 1, "late": 1, "ahead": 1, "invalid": 5}
 
 
+def test_chunks_that_end_before_the_last_one_does_are_late():
+    controller, clock, loop = begin()
+    chunk = np.tile(controller.pose, (2, 1)), clock.monotonic + np.array([0.1, 0.2])
+    controller.set_chunk(np.empty((0, 7)), [], keep=300.0)
+    controller.set_chunk(*chunk, keep=300.0)
+    step(clock, loop)
+    assert controller.counts["late"] == 1
+    assert "'keep', 300 s" in controller.refusal
+
+
 UP = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
 
 
