@@ -14,7 +14,7 @@ import numpy as np
 
 from kinfeas.config import registry
 from kinfeas.core import spatial
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, describe
 from kinfeas.core.files import writing
 from kinfeas.core.spatial import Array
 from kinfeas.io.demonstrations import Demonstration, write_demonstration
@@ -224,6 +224,8 @@ class PlayPage:
                 self._build(Choice(**selected, filters=filters))
             except (KinfeasError, ImportError) as error:
                 self._message.content = f"**{error}**"
+            except PLUGIN_ERRORS as error:
+                self._message.content = f"**{describe(error)}**"
 
         self._beside.on_update(lambda _: self._tasks.put(self._arrange))
         for control in (*inputs.values(), *boxes.values()):

@@ -4,6 +4,7 @@ import threading
 import urllib.error
 import urllib.request
 from importlib.metadata import version
+from unittest.mock import Mock
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -271,14 +272,12 @@ def test_a_recording_is_kept_until_it_is_saved(server, join, make_page, tmp_path
     assert len(read_demonstration(tmp_path / "demonstrations" / "001.csv").time) == 20
 
 
-def test_the_error_of_a_choice_goes_with_it(server, join, make_page, tmp_path, monkeypatch):
-    def broken(*_, **__):
-        raise KinfeasError("no such policy")
-
+@pytest.mark.parametrize("error", [KinfeasError("no such policy"), RuntimeError("a broken plugin")])
+def test_the_error_of_a_choice_goes_with_it(server, join, make_page, monkeypatch, error):
     page, client = make_page(), join(server.url)
-    monkeypatch.setattr("kinfeas.viz.live.Episode.__init__", broken)
+    monkeypatch.setattr("kinfeas.viz.live.Episode.__init__", Mock(side_effect=error))
     client.update("policy", value="follow_ee")
-    run_until(page, lambda: page._message.content == "**no such policy**")
+    run_until(page, lambda: str(error) in page._message.content)
     client.update("policy", value=page.choice.policy)
     run_until(page, lambda: page._message.content == "")
 
