@@ -274,12 +274,7 @@ class TargetController:
             count = "" if times is None else f" with {len(times)} times"
             self._reject(f"no {wanted}, but shape {values.shape}{count}")
             return
-        due, until = when + message.keep, chunk[0][0, -1:] + self.rules.timeout
-        if due > now[0] and (due > until).any():
-            self._inbox.reject(_ROW, "late")
-            self._last = "late", f"'keep', {message.keep:g} s, ends after its last pose"
-            return
-        self._kept.append((due, np.array([when]), *chunk))
+        self._kept.append((when + message.keep, np.array([when]), *chunk))
         self._put_kept(now)
 
     def _reject(self, why: str) -> None:
@@ -300,6 +295,9 @@ class TargetController:
                     metres, radians = spatial.distance(self._inbox.target, aims)
                     limits = f"limits {self.rules.max_jump:g} m, {self.rules.max_turn:g} rad"
                     self._last = "jump", f"{metres[0]:.2f} m, {radians[0]:.2f} rad; {limits}"
+            elif (due > times[0, -1:] + self.rules.timeout).any():
+                self._inbox.reject(_ROW, "late")
+                self._last = "late", f"'keep', {due - sent[0]:g} s, ends after its last pose"
             else:
                 self._kept.append((due, sent, times, poses))
 
