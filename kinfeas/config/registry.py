@@ -149,8 +149,6 @@ def build(
     else:
         entry = _find(group, name)
     factory, subject = _import(entry), str(_plugin(entry))
-    if not callable(factory):
-        raise KinfeasError(f"{subject} must be a class or function, not {type(factory).__name__}")
     try:
         signature = _signature(factory)
     except (ValueError, TypeError) as error:
@@ -241,7 +239,11 @@ def _plugin(entry: EntryPoint) -> Plugin:
 
 def _import(entry: EntryPoint) -> Any:
     try:
-        return entry.load()
+        factory = entry.load()
     except (Exception, SystemExit) as error:  # the code of others, run on import
         reason = missing_extra(error) or f"{type(error).__name__}: {error}"
         raise KinfeasError(f"{_plugin(entry)} cannot be loaded: {reason}") from error
+    if not callable(factory):
+        kind = type(factory).__name__
+        raise KinfeasError(f"{_plugin(entry)} must be a class or function, not {kind}")
+    return factory

@@ -35,11 +35,14 @@ def test_list_shows_broken_plugins(kinfeas, tmp_path, monkeypatch):
     installed.mkdir()
     (installed / "METADATA").write_text("Name: odd\nVersion: 1.0\n")
     entries = "[kinfeas.robots]\nodd = odd:robot\n[kinfeas.filters]\nfeasibility = odd:robot\n"
+    entries += "[kinfeas.tasks]\nno_class = odd:__name__\n"
     (installed / "entry_points.txt").write_text(entries)
     monkeypatch.syspath_prepend(tmp_path)
     facts = kinfeas("plugins", "list", "--json", "out.json", code=0).facts
     errors = {each["name"]: each["error"] for each in facts if each["distribution"] == "odd"}
-    assert errors.keys() == {"odd", "feasibility"}
+    assert errors.keys() == {"odd", "feasibility", "no_class"}
+    assert "class or function" in errors["no_class"]
+    check_one_line(kinfeas("plugins", "info", "no_class"), "class or function")
     assert "RuntimeError: no file" in errors["odd"]
     assert "kinfeas has one" in errors["feasibility"]
 
