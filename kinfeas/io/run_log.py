@@ -180,6 +180,9 @@ def read_record(path: Path) -> Record:
             if len(row) != len(names):
                 raise ValueError(f"{len(row)} columns, not {len(names)}")
             numbers[i] = [float(entry or "nan") for entry in row[:-1]]
+            for k in np.flatnonzero(~np.isfinite(numbers[i])):
+                if names[k] != "age":
+                    raise ValueError(f"{names[k]!r} is not finite")
         except ValueError as error:
             raise KinfeasError(f"{path}, line {i + 3}: {error}") from error
     if not text.endswith("\n"):

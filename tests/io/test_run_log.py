@@ -88,6 +88,7 @@ BROKEN = {
     "joints": ('["shoulder", "elbow, the left"]', "[]", "line 1.*'joints'"),
     "columns": ('elbow, the left"]', 'wrist"]', "line 2"),
     "more": ("\n0.0200,", "\n0.0200,1,", "line 4"),
+    "no number": ("\n0.0200,", "\nnan,", "line 4: 'time'"),
 }
 
 
