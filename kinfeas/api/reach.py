@@ -60,14 +60,18 @@ def reach(  # noqa: PLR0913 - options of the command
     together = checked(bool, together, "together")
     origin = None if start is None else base_pose(start, "start")
     placer = placer_of(robot)
-    around, names = solids_of(scene, solids, compose(goals, tool_pose(placer.solver.robot)))
-    _check_start(placer, origin, around, names)
-    where = around, origin, count
-    if together:
-        placements = [placer.place_for_all(goals, *where)]
-    else:
-        placements = [placer.place(goal, *where) for goal in goals]
-    return [placement.named(names) for placement in placements]
+    layout = _scene_of(scene)
+    every = solids_of(layout, solids)
+    queries = [goals] if together else list(goals[:, np.newaxis])
+    placements = []
+    for query in queries:
+        tips = compose(query, tool_pose(placer.solver.robot))
+        around, names = _not_grasped(layout, *every, tips)
+        _check_start(placer, origin, around, names)
+        find = placer.place_for_all if together else placer.place
+        placement = find(query if together else query[0], around, origin, count)
+        placements.append(placement.named(names))
+    return placements
 
 
 def placer_of(robot: Name | Robot | BasePlacer) -> BasePlacer:
@@ -112,20 +116,29 @@ def solids_of(
     """
     if solids is not None and not isinstance(solids, Solids):
         solids = Solids.from_table(solids)
-    others = [f"solid {k}" for k in range(0 if solids is None else solids.places)]
-    if scene is None:
-        return solids, others
-    layout = scene if isinstance(scene, Scene) else read_scene(str(scene))
-    objects, names = furniture_solids(layout, movable=True), solid_names(layout)
-    if tips is not None:
-        near = np.hypot(*objects.gaps(tips[np.newaxis, :, :3]))[0].min(axis=0) < _GRASPED
-        movable = {name for name, entry in layout.objects.items() if not entry.fixed}
-        grasped = movable & {names[k] for k in np.flatnonzero(near)}
-        kept = [k for k, name in enumerate(names) if name not in grasped]
-        objects, names = objects.only(np.array(kept, dtype=np.intp)), [names[k] for k in kept]
-    if solids is None:
-        return objects, names
-    return objects.joined(solids.repeated(1)), names + others
+    names = [f"solid {k}" for k in range(0 if solids is None else solids.places)]
+    layout = _scene_of(scene)
+    if layout is None:
+        return solids, names
+    objects, names = furniture_solids(layout, movable=True), solid_names(layout) + names
+    around = objects if solids is None else objects.joined(solids.repeated(1))
+    return (around, names) if tips is None else _not_grasped(layout, around, names, tips)
+
+
+def _not_grasped(
+    scene: Scene | None, around: Solids | None, names: list[str], tips: Array
+) -> tuple[Solids | None, list[str]]:
+    if scene is None or around is None:
+        return around, names
+    near = np.hypot(*around.gaps(tips[np.newaxis, :, :3]))[0].min(axis=0) < _GRASPED
+    movable = {name for name, entry in scene.objects.items() if not entry.fixed}
+    grasped = movable & {names[k] for k in np.flatnonzero(near)}
+    kept = [k for k, name in enumerate(names) if name not in grasped]
+    return around.only(np.array(kept, dtype=np.intp)), [names[k] for k in kept]
+
+
+def _scene_of(scene: Name | Scene | None) -> Scene | None:
+    return scene if scene is None or isinstance(scene, Scene) else read_scene(str(scene))
 
 
 def reach_map(

@@ -192,6 +192,15 @@ def test_reach_avoids_movable_objects_except_those_in_the_hand(x, blocked):
     assert ("box" in answer.solids) == blocked == (not len(answer.base_pose))
 
 
+def test_objects_in_the_hand_at_one_pose_are_in_the_way_of_others():
+    poses = [[2.5, 0.0, 0.66, 0, 0, 0, 1], [2.7, 0.0, 0.66, 0, 0, 0, 1]]
+    grasped, beyond = kinfeas.reach("pr2", poses, scene="room")
+    assert grasped.reachable
+    assert beyond.solids == ("box",)
+    (both,) = kinfeas.reach("pr2", poses, scene="room", together=True)
+    assert both.reachable
+
+
 @pytest.mark.parametrize("arguments", [
     {"goal": (0.9, 0.1)}, {"goal": "abc"}, {"goal": 3}, {"quaternion": np.array([0.0, 0.0, 1.0])},
     {"seconds": -1.0}, {"seconds": np.nan}, {"rate": 0.0}, {"rate": (50.0,)}, {"task": "ggr"},
