@@ -116,12 +116,14 @@ def solids_of(
     """
     if solids is not None and not isinstance(solids, Solids):
         solids = Solids.from_table(solids)
+    if solids is not None and len(solids.size) != 1:
+        raise KinfeasError(f"'solids' must be one row of `Solids`, not {len(solids.size)}")
     names = [f"solid {k}" for k in range(0 if solids is None else solids.places)]
     layout = _scene_of(scene)
     if layout is None:
         return solids, names
     objects, names = furniture_solids(layout, movable=True), solid_names(layout) + names
-    around = objects if solids is None else objects.joined(solids.repeated(1))
+    around = objects if solids is None else objects.joined(solids)
     return (around, names) if tips is None else _not_grasped(layout, around, names, tips)
 
 

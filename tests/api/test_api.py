@@ -9,6 +9,7 @@ import kinfeas
 from kinfeas.api.reach import reach_map
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from tests.builders import TRAINING
 
 SHORT = {"world.max_seconds": 1}
@@ -169,6 +170,7 @@ def test_unknown_options_of_a_training_are_errors(option, named):
 @pytest.mark.parametrize("arguments", [
     {"k": (3,)}, {"start": 3.0}, {"start": (0.0, 0.0)}, {"together": "no"}, {"poses": []},
     {"poses": None}, {"solids": [[1.0, 2.0]]}, {"start": (3.0, 0.0, 0.0), "scene": "room"},
+    {"solids": Solids.empty(0)}, {"solids": Solids.empty(2, 1)},
 ])  # fmt: skip
 def test_bad_arguments_of_reach_are_errors(arguments):
     pose = [2.0, 1.0, 0.8, 0.0, 0.0, 0.0, 1.0]
