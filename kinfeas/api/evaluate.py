@@ -8,7 +8,7 @@ from typing import cast
 
 from kinfeas.api import DEFAULT_ROBOT, Name, OnProgress, counter
 from kinfeas.api.load import Adapters, checked, load_robot, plugin_settings, robot_of, text_of
-from kinfeas.api.view import write_files
+from kinfeas.api.view import check_files, write_files
 from kinfeas.config import Settings, from_mapping, nested
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import Policy
@@ -99,8 +99,10 @@ def evaluate(  # noqa: PLR0913 - options of the command
     )  # fmt: skip
     driver = load_policy(name, model) if isinstance(policy, str | Path) else policy
     processes = checked(Processes, processes, "processes")
+    episode = checked(int, episode, "episode")
     if not 0 <= episode < config.episodes:
         raise KinfeasError(f"'episode' must be in [0, {config.episodes}), not {episode}")
+    check_files(picture=picture, video=video, replay=replay)
 
     def measure(config: EvalConfig, adapters: str) -> Summary:
         text = f"{config.episodes} episodes {adapters}".rstrip()

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinfeas.api import Name, OnProgress, counter
-from kinfeas.api.load import load_robot
+from kinfeas.api.load import load_robot, text_of
 from kinfeas.config import Settings
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.files import write_file
+from kinfeas.core.files import check_file_path, write_file
 from kinfeas.io.run_log import Record, read_record
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
@@ -38,6 +38,7 @@ def view(  # noqa: PLR0913 - options of the command
     """
     if record is None and video is not None:
         raise KinfeasError("'video' needs 'record'")
+    check_files(picture=picture, video=video, html=html)
     if record is None:
         layout = read_scene(str(scene or "room"), settings)
         facts = _scene_facts(layout)
@@ -47,7 +48,7 @@ def view(  # noqa: PLR0913 - options of the command
         return facts
     if scene is not None or settings:
         raise KinfeasError("'record' excludes 'scene' and settings")
-    run = read_record(Path(record))
+    run = read_record(Path(text_of(record, "record")))
     robot, facts = load_robot(run.about.robot), _run_facts(run)
     if picture is not None or video is not None or html is not None:
         from kinfeas.viz.replay import as_recording, replay_of
@@ -59,6 +60,17 @@ def view(  # noqa: PLR0913 - options of the command
         about = f"{robot.name}, {run.about.task}, {facts['seconds']:.0f} s: {end}"
         write_files(replay, robot, picture, video, html, title=about, on_progress=on_progress)
     return facts
+
+
+def check_files(**files: Name | None) -> None:
+    """Raise KinfeasError if a file of `write_files`, by its argument, cannot be written."""
+    for name, file in files.items():
+        if file is not None:
+            check_file_path(Path(text_of(file, name)))
+    if (video := files["video"]) is not None:
+        from kinfeas.viz.film import film_suffix
+
+        film_suffix(Path(video))
 
 
 def write_files(  # noqa: PLR0913 - an episode and its files

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from kinfeas.cli.output import STDOUT, check_file_path, progress
+from kinfeas.cli.output import STDOUT, progress
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
+from kinfeas.core.files import check_file_path
 from kinfeas.core.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 
 if TYPE_CHECKING:

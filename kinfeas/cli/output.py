@@ -3,7 +3,6 @@
 import json
 import math
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -14,7 +13,6 @@ import typer
 
 from kinfeas.config import strict_yaml
 from kinfeas.core import files
-from kinfeas.core.files import replacement_target, writing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,15 +26,6 @@ LINE_SECONDS = 15.0
 """Time between lines on progress where standard error is no terminal."""
 
 COMPILING = "compiling kernels (kept for next time)"
-
-
-def check_file_path(path: Path | None) -> Path | None:
-    """Return `path`; raise KinfeasError if no file can be written there."""
-    if path is not None:
-        with writing(path):
-            if (target := replacement_target(path)) is not None:
-                tempfile.TemporaryFile(dir=target.parent).close()
-    return path
 
 
 STDOUT = Path("-")

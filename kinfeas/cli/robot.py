@@ -10,7 +10,7 @@ import typer
 from kinfeas.api import counter
 from kinfeas.cli import options
 from kinfeas.cli.options import argument, option
-from kinfeas.cli.output import check_file_path, print_facts, progress, write_drawing, write_json
+from kinfeas.cli.output import print_facts, progress, write_drawing, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas robot import fetch.urdf --out robots/fetch --picture fetch.png
     """
     from kinfeas.core.errors import check_name
-    from kinfeas.core.files import write_file, writing
+    from kinfeas.core.files import check_file_path, write_file, writing
     from kinfeas.importer.draft import draft_robot
     from kinfeas.importer.text import warnings
 

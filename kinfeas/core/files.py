@@ -11,7 +11,7 @@ import stat
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from kinfeas.core.errors import KinfeasError
@@ -140,6 +140,15 @@ def check_new(path: str | Path | None) -> None:
     """Raise KinfeasError if there is a file or folder at `path`."""
     if path is not None and Path(path).exists():
         raise KinfeasError(f"{path}: exists")
+
+
+def check_file_path(path: Path | None) -> Path | None:
+    """Return `path`; raise KinfeasError if no file can be written there."""
+    if path is not None:
+        with writing(path):
+            if (target := replacement_target(path)) is not None:
+                TemporaryFile(dir=target.parent).close()
+    return path
 
 
 def write_file(path: Path, content: bytes) -> None:

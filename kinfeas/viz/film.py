@@ -63,6 +63,14 @@ class FilmCamera:
         self._camera.close()
 
 
+def film_suffix(path: Path) -> str:
+    """Return the suffix of a film in lower case; raise KinfeasError if it is another one."""
+    suffix = path.suffix.lower()
+    if suffix not in _RATES:
+        raise KinfeasError(f"{path}: a film must end in one of: {', '.join(_RATES)}")
+    return suffix
+
+
 def write_film(
     replay: EpisodeReplay, path: Path, on_done: Callable[[float], None] | None = None
 ) -> None:
@@ -73,9 +81,7 @@ def write_film(
     Raises:
         KinfeasError: If the suffix is another one, or PyBullet is not installed.
     """
-    suffix = path.suffix.lower()
-    if suffix not in _RATES:
-        raise KinfeasError(f"{path}: a film must end in one of: {', '.join(_RATES)}")
+    suffix = film_suffix(path)
     (rate, most), times = _RATES[suffix], replay.recording.times
     seconds = float(times[-1] - times[0])
     shown = shown_moments(times, min(most, math.ceil(seconds * rate)) if rate else most)

@@ -153,10 +153,19 @@ def test_a_servo_without_a_source_closes_its_backend(tmp_path, monkeypatch):
     {"seed": np.int64(-1)}, {"processes": 0}, {"filters": 3}, {"adapters": [3]},
     {"settings": {"world.dtt": 1}}, {"settings": {"world.dt": object()}},
     {"settings": {"world.dt": np.zeros(2)}}, {"settings": {5: 1}}, {"settings": 5},
+    {"episode": 0.5}, {"picture": "no_folder/a.png"}, {"video": "a.avi"}, {"replay": 3},
 ])  # fmt: skip
-def test_bad_input_is_an_error(arguments):
+def test_bad_input_is_an_error_before_the_first_episode(arguments):
+    progress = Mock()
     with pytest.raises(KinfeasError):
-        kinfeas.evaluate(**{"policy": "follow_ee", **arguments})
+        kinfeas.evaluate(**{"policy": "follow_ee", "on_progress": progress, **arguments})
+    assert not any(call.args[1] for call in progress.call_args_list)
+
+
+@pytest.mark.parametrize("arguments", [{"record": 3}, {"picture": 3}, {"video": "a.gif"}])
+def test_bad_arguments_of_view_are_errors(arguments):
+    with pytest.raises(KinfeasError, match=f"'{next(iter(arguments))}'"):
+        kinfeas.view(**arguments)
 
 
 @pytest.mark.parametrize(
