@@ -151,7 +151,7 @@ def deploy(  # noqa: PLR0913 - options of the command
         rate=rate, seconds=seconds, seed=checked(Seed, seed, "seed"), real_time=real_time,
         leading=follower,
     )  # fmt: skip
-    return recorded(setup, str(robot), str(policy), backend, record, on_moment)
+    return recorded(setup, text_of(robot, "robot"), str(policy), backend, record, on_moment)
 
 
 def recorded(  # noqa: PLR0913 - the parts of a recorded run
@@ -208,8 +208,9 @@ def read_config(  # noqa: PLR0913 - where settings come from
     if late:
         data = {**data, "filters": section("sim2real", robot.folder)[0]["world"]["filters"]}
     if guards is not None:
-        load_config(Guards, Path(guards))  # so that errors name this file
-        data = merged(data, {"guards": strict_yaml.read(Path(guards))})
+        file = Path(text_of(guards, "guards"))
+        load_config(Guards, file)  # so that errors name this file
+        data = merged(data, {"guards": strict_yaml.read(file)})
     return from_mapping(cls, data, source, nested(plugin_settings(filters), settings))
 
 
@@ -280,7 +281,7 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     **options: Any,
 ) -> Setup:
     """Return the parts of a run, compiled and connected; `inner` adapters are part of the robot."""
-    check_new(record)
+    check_new(None if record is None else text_of(record, "record"))
     dt = 1.0 / checked(Rate, rate, "rate")
     if seconds != inf:
         seconds = checked(NotNegative, seconds, "seconds")

@@ -101,7 +101,7 @@ def identify(
     paths = [Path(text_of(record, "records")) for record in records]
     if not paths:
         raise KinfeasError("give at least one record")
-    if out is not None and Path(out).suffix not in (".yaml", ".yml"):
+    if out is not None and Path(text_of(out, "out")).suffix not in (".yaml", ".yml"):
         raise KinfeasError(f"{out}: must end in .yaml")
     check_new(out)
     walk = _walk(prior)
@@ -174,4 +174,6 @@ def drive(  # noqa: PLR0913 - options of the command
         seed=checked(Seed, seed, "seed"), real_time=real_time, inner=around,
         leading=(excitation,),
     )  # fmt: skip
-    return recorded(setup, str(robot), "stationary", backend, record, on_moment, adapters=around)
+    return recorded(
+        setup, text_of(robot, "robot"), "stationary", backend, record, on_moment, adapters=around
+    )

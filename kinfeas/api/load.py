@@ -70,7 +70,7 @@ def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
         KinfeasError: If the policy is not a trained one or for another robot, or the file cannot
             be written.
     """
-    name, path = text_of(policy, "policy"), Path(out)
+    name, path = text_of(policy, "policy"), Path(text_of(out, "out"))
     if path.suffix != ".onnx":
         raise KinfeasError(f"{path}: must end in .onnx")
     model = load_robot(robot or robot_of(name))
@@ -160,4 +160,6 @@ def text_of(value: object, name: str) -> str:
     """Return an argument that is a name or a path; raise KinfeasError if it is not."""
     if not isinstance(value, str | Path):
         raise KinfeasError(f"{name!r} must be a name or a path, not {reprlib.repr(value)}")
-    return str(value)
+    # Without its "./" a folder would be a name.
+    alone = isinstance(value, Path) and len(value.parts) == 1 and value.is_dir()
+    return f"./{value}" if alone else str(value)

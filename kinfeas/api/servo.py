@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from kinfeas.api import Name
 from kinfeas.api.deploy import Deployment, make_setup, read_config, recorded
-from kinfeas.api.load import Adapters, load_robot, read_adapters, robot_of
+from kinfeas.api.load import Adapters, load_robot, read_adapters, robot_of, text_of
 from kinfeas.config import Settings, registry
 from kinfeas.config.recipes import default_engine
 from kinfeas.core.backend import closed_on_error
@@ -91,7 +91,7 @@ def servo(  # noqa: PLR0913 - options of the command
         try:
             with plugin_note(name), closed_on_error(setup.backend):
                 targets.start(controller)
-            done = recorded(setup, str(robot), str(policy), backend, record, on_moment)
+            done = recorded(setup, text_of(robot, "robot"), str(policy), backend, record, on_moment)
         finally:
             try:
                 targets.close()

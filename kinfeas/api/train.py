@@ -88,7 +88,7 @@ def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainCon
             setting = f'keys of the recipe are settings={{"{key}": {value!r}}}'
             raise KinfeasError(f"unknown option {key!r}{hint}; {setting}")
     init, config, world = options.get("init"), options.get("config"), options.get("world", _WORLD)
-    changes: dict[str, object] = {"robot": robot}
+    changes: dict[str, object] = {"robot": None if robot is None else text_of(robot, "robot")}
     changes |= {key: options.get(key) for key in ("task", "seed", "init", "processes")}
     changes = {key: value for key, value in changes.items() if value is not None}
     if (adapters := options.get("adapters")) is not None:

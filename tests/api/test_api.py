@@ -7,6 +7,7 @@ import pytest
 
 import kinfeas
 from kinfeas.api.reach import reach_map
+from kinfeas.api.train import configure
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
@@ -43,6 +44,16 @@ def test_a_folder_does_not_hide_an_included_policy(tmp_path, monkeypatch):
     metrics = kinfeas.evaluate("pretrained", episodes=1, settings=SHORT)
     assert metrics["policy"] == "pretrained"
     assert metrics["steps"] > 0
+
+
+def test_a_path_without_slash_is_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine").symlink_to(kinfeas.load_robot("hsr").folder)
+    assert kinfeas.load_robot(Path("mine")).name == "hsr"
+    assert configure(Path("mine")).robot == str(tmp_path / "mine")
+    options = {"backend": "analytic", "seconds": 0.0, "real_time": False, "record": "a.csv"}
+    kinfeas.deploy("follow_ee", robot=Path("mine"), goal=(0.9, 0.1, 0.8), **options)
+    assert kinfeas.view(record="a.csv")["robot"] == str(tmp_path / "mine")
 
 
 def test_policies_are_names_or_objects():
@@ -162,6 +173,12 @@ def test_bad_input_is_an_error_before_the_first_episode(arguments):
     assert not any(call.args[1] for call in progress.call_args_list)
 
 
+@pytest.mark.parametrize("function", [kinfeas.export, kinfeas.identify])
+def test_files_to_write_are_paths(function):
+    with pytest.raises(KinfeasError, match="'out'"):
+        function("pretrained", out=3)
+
+
 @pytest.mark.parametrize("arguments", [{"record": 3}, {"picture": 3}, {"video": "a.gif"}])
 def test_bad_arguments_of_view_are_errors(arguments):
     with pytest.raises(KinfeasError, match=f"'{next(iter(arguments))}'"):
@@ -215,7 +232,7 @@ def test_objects_in_the_hand_at_one_pose_are_in_the_way_of_others():
 @pytest.mark.parametrize("arguments", [
     {"goal": (0.9, 0.1)}, {"goal": "abc"}, {"goal": 3}, {"quaternion": np.array([0.0, 0.0, 1.0])},
     {"seconds": -1.0}, {"seconds": np.nan}, {"rate": 0.0}, {"rate": (50.0,)}, {"task": "ggr"},
-    {"backend": "ros2", "real_time": False},
+    {"backend": "ros2", "real_time": False}, {"record": 3}, {"guards": 3},
 ])  # fmt: skip
 def test_bad_deployments_are_errors(tmp_path, arguments):
     options = {"policy": "follow_ee", "backend": "analytic", "goal": np.array([0.9, 0.1, 0.8])}
