@@ -183,9 +183,10 @@ def ceiling(  # noqa: PLR0913 - options of the command
     """
     config = from_mapping(ReachabilityConfig, {}, "settings", settings)
     model, goals = load_robot(robot), load_task(str(task), config.task)
-    count = checked(Episodes, episodes, "episodes")
+    count, seed = checked(Episodes, episodes, "episodes"), checked(Seed, seed, "seed")
+    path = checked(bool, path, "path")
     reached = measure_reachability(
-        model, goals, count, checked(Seed, seed, "seed"), config.ik,
+        model, goals, count, seed, config.ik,
         counter(on_progress, f"{episodes} goals"), path=path, limits=True,
     )  # fmt: skip
     fraction = reached.share

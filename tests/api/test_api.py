@@ -1,4 +1,5 @@
 import json
+from dataclasses import asdict
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -69,6 +70,14 @@ def test_policies_are_names_or_objects():
         with pytest.raises(KinfeasError, match="'fetch', not for 'tiago'"):
             other = kinfeas.load_policy(source, robot="fetch")
             kinfeas.evaluate(other, robot="tiago", **options)
+
+
+def test_a_ceiling_is_plain_data():
+    options = {"episodes": np.int64(1), "seed": np.int64(1), "settings": {"ik.restarts": 1}}
+    bound = kinfeas.ceiling("hsr", path=np.bool_(False), **options)
+    assert json.loads(json.dumps(asdict(bound)))["seed"] == 1
+    with pytest.raises(KinfeasError, match="'path'"):
+        kinfeas.ceiling("hsr", path="no", **options)
 
 
 def test_adapters_are_entries_of_a_list():
