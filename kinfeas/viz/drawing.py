@@ -71,11 +71,12 @@ def scene_figure(scene: Scene) -> Figure:
     solids = [solid for solid in shapes.scene_solids(scene) if solid.link[0] in names]
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.2))
-        points = shapes.corners(solids)
+        points = shapes.corners(solids) if solids else np.stack([-half, half])
         heading = shapes.heading_from_middle(points)
         axes = add_axes(figure, (0.0, 0.0, 1.0, 0.95), heading, np.deg2rad(38.0))
         floor = draw_floor(axes, np.clip(points, -half, half), 1.0, 0.0)
-        draw_solids(axes, solids)
+        if solids:
+            draw_solids(axes, solids)
         for path in paths:
             axes.plot(*path.T, color=EE, lw=2.0, zorder=7, path_effects=_CASING)
         for name in scene.handles:

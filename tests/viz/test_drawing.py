@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import make_pose, rotation
 from kinfeas.robots.urdf import Shape
-from kinfeas.scenes.scene import read_scene
+from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.viz.drawing import Face, back_to_front, scene_figure
 from kinfeas.viz.shapes import corners, faces, scene_solids
 
@@ -37,6 +37,10 @@ def height(face, point):
 
 def test_scenes_of_walls_alone_have_a_picture():
     assert scene_figure(read_scene("doorway")).axes
+
+
+def test_scenes_without_objects_have_a_picture():
+    assert scene_figure(Scene("hall", (4.0, 3.0), {}, {})).axes
 
 
 def test_furniture_at_a_wall_is_drawn_from_its_open_side():
