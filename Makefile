@@ -26,8 +26,9 @@ demo: $(or $(wildcard $(STAMP)),$(DEMO_STAMP))  ## Train a PR2 base policy, eval
 test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests
 	$(BIN)/python -m pytest -n auto -m "not slow"
 
+# Those over ROS, in real time, are in one file: two of them at once are too much for two cores.
 test-slow: $(STAMP)  ## Run the tests that take longer
-	$(BIN)/python -m pytest -n auto --dist loadgroup -m slow
+	$(BIN)/python -m pytest -n auto --dist loadfile -m slow
 
 # In a copy of the tree, so that the wheel has no file of an earlier build; the tests import the
 # wheel, not the copy's packages, to which the pages link.

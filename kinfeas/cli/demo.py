@@ -48,17 +48,17 @@ dd{margin:0}
 
 def demo(
     robot: options.RobotName = DEFAULT_ROBOT,
-    steps: int = option(900_000, "Environment steps of training."),
+    steps: int = option(1_200_000, "Environment steps of training."),
     seed: options.Seed = 0,
     episodes: options.Episodes = 500,
     out: Path = option(Path("runs/demo"), "Folder of the run; numbered if it exists."),
     overrides: options.Overrides = None,
 ) -> None:
-    """Train, evaluate and report, within five minutes on two idle cores.
+    """Train, evaluate and report, within minutes.
 
     Settings are those of kinfeas train.
 
-    Example: kinfeas demo --robot hsr --steps 1500000 --out runs/hsr_demo
+    Example: kinfeas demo --robot hsr --steps 2000000 --out runs/hsr_demo
     """
     require("torch", "stable_baselines3", "matplotlib")
     from kinfeas.api.train import configure

@@ -43,7 +43,7 @@ LIMIT = 5.0
 """Seconds within which the base must be commanded to zero on a busy machine."""
 
 _BUSY = (
-    "guards.max_age=1", "guards.max_scan_age=2", "guards.max_period=1", "guards.max_clock_skew=1",
+    "guards.max_age=2", "guards.max_scan_age=2", "guards.max_period=1", "guards.max_clock_skew=1",
     "guards.max_tracking_delay=5", "guards.watchdog=1", "backend.timeout=120",
 )  # fmt: skip
 """Guards of deployments: with the defaults, a busy machine ends them before a test does."""

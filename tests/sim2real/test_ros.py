@@ -12,8 +12,7 @@ from kinfeas.robots.loading import load_robot
 from tests.builders import wait
 from tests.sim2real.ros_processes import LIMIT, SEND, Ros1, Ros2, needs_ros1
 
-# In real time: two of them at once are too much for two cores.
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("real_time")]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module", params=[pytest.param(Ros1, marks=needs_ros1), Ros2])
