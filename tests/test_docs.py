@@ -91,7 +91,7 @@ def test_options_links_and_targets_exist(page):
 ])  # fmt: skip
 def test_python_runs(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    shorter = code.replace("100_000", "256").replace(
+    shorter = code.replace("100_000", "4_000").replace(
         '_episodes": 20', '_episodes": 2, "schedule.final_episodes": 4'
     )
     names = {"__name__": "page"}

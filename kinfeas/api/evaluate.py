@@ -127,10 +127,8 @@ def evaluate(  # noqa: PLR0913 - options of the command
         counter(on_progress, f"episode {episode}")
         from kinfeas.viz.replay import run_episode
 
-        again = World(config.robot, config.task, config.world, config.seed)
-        with closed(again) as unclosed:
+        with closed(again := World(config.robot, config.task, config.world, config.seed)):
             shown = run_episode(again, driver, episode)
-        metrics["unclosed"] += unclosed
         write_files(shown, model, picture, video, replay, on_progress=on_progress)
     return metrics
 

@@ -129,20 +129,15 @@ def evaluate_within(  # noqa: PLR0913, PLR0917 - an evaluation and its limits
 
 
 @contextmanager
-def closed(world: World) -> Iterator[list[str]]:
-    """Close a world after a block whose results must last.
-
-    An exception of the world's `close` is logged, and its description put into the yielded list.
-    """
-    unclosed: list[str] = []
+def closed(world: World) -> Iterator[None]:
+    """Close a world after a block, whose result lasts: an exception of `close` is only logged."""
     try:
-        yield unclosed
+        yield
     finally:
         try:
             world.close()
         except PLUGIN_ERRORS as error:
-            unclosed.append(describe(error))
-            _log.exception("could not be closed: %s", *unclosed)
+            _log.error("%s could not be closed: %s", world.backend.name, describe(error))
 
 
 @contextmanager

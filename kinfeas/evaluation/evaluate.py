@@ -24,9 +24,9 @@ from kinfeas.tasks.task import StreamTask, Task
 class Summary(Metrics):
     """Metrics of a policy, what they were measured on, and the ceiling; null if not measured.
 
-    `settings` are those given, `unclosed` errors while worlds were closed. `failed` are the
-    numbers of the episodes without success, or with a task that was not done, by the reason;
-    `per_episode` has a column for each field of the records.
+    `settings` are those given. `failed` are the numbers of the episodes without success, or with
+    a task that was not done, by the reason; `per_episode` has a column for each field of the
+    records.
     """
 
     robot: str
@@ -42,7 +42,6 @@ class Summary(Metrics):
     backend_parameters: dict[str, object]
     settings: dict[str, object]
     version: str
-    unclosed: list[str]
     failed: dict[str, list[int]]
     per_episode: dict[str, list[float | None]]
     ceiling: float | None
@@ -150,7 +149,7 @@ def evaluate(
     The ceiling is null, see `add_ceiling`; further arguments as in `evaluate_episodes`. A single
     process calls `watch` after each step.
     """
-    records, execution, unclosed = run(config, policy, processes, on_done, watch)
+    records, execution = run(config, policy, processes, on_done, watch)
     settings = config.world
     own = () if isinstance(config.task, StreamTask) else getattr(policy, "filters", ())
     filters = [*own, *(command_filter.name for command_filter in settings.filters)]
@@ -162,7 +161,6 @@ def evaluate(
         "filters": list(dict.fromkeys(filters)),
         "backend_parameters": settings.backend_parameters,
         "settings": to_mapping(nested(config.settings)), "version": __version__,
-        "unclosed": unclosed,
         **summarize(records),
         "failed": _failed(records, config.first),
         "per_episode": _per_episode(records, config.first),
@@ -176,19 +174,19 @@ def run(
     processes: int = 1,
     on_done: OnDone | None = None,
     watch: Watch | None = None,
-) -> tuple[EpisodeRecords, ExecutionConfig, list[str]]:
-    """Return the record of each episode, the execution of motions, and errors of closing worlds.
+) -> tuple[EpisodeRecords, ExecutionConfig]:
+    """Return the record of each episode, and the execution of motions within the adapters.
 
     Further arguments as in `evaluate`.
     """
     build = partial(World, config.robot, config.task, config.world, config.seed)
     episodes = range(config.first, config.first + config.episodes)
-    with closed(world := build()) as unclosed:
+    with closed(world := build()):
         if processes == 1:
             records = run_episodes(world, policy, config.episodes, on_done, watch, config.first)
         else:
             records = evaluate_episodes(build, policy, episodes, processes, on_done)
-    return records, world.loop.execution, unclosed
+    return records, world.loop.execution
 
 
 def _failed(records: EpisodeRecords, first: int) -> dict[str, list[int]]:

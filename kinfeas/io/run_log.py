@@ -175,14 +175,17 @@ def read_record(path: Path) -> Record:
     if len(rows) < 2:
         raise KinfeasError(f"{path}: the run ended before its first step")
     numbers = np.empty((len(rows) - 1, len(names) - 1))
+    optional = np.array([name == "age" for name in names[:-1]])
+    measured = np.array([name.startswith(("age", "base.", "joint.")) for name in names[:-1]])
     for i, row in enumerate(rows[1:]):
         try:
             if len(row) != len(names):
                 raise ValueError(f"{len(row)} columns, not {len(names)}")
             numbers[i] = [float(entry or "nan") for entry in row[:-1]]
-            for k in np.flatnonzero(~np.isfinite(numbers[i])):
-                if names[k] != "age":
-                    raise ValueError(f"{names[k]!r} is not finite")
+            missing = measured if i == len(numbers) - 1 else optional  # NaN is allowed
+            wrong = ~np.isfinite(numbers[i]) & ~(missing & np.isnan(numbers[i]))
+            for k in np.flatnonzero(wrong):
+                raise ValueError(f"{names[k]!r} is not finite")
         except ValueError as error:
             raise KinfeasError(f"{path}, line {i + 3}: {error}") from error
     if not text.endswith("\n"):

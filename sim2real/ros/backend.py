@@ -5,6 +5,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -16,7 +17,14 @@ from kinfeas.core.errors import Fault
 from kinfeas.core.quantities import PositiveSeconds
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings, RobotLink
+from kinfeas.sim2real.link import (
+    BaseReading,
+    JointPath,
+    JointReading,
+    Orders,
+    Readings,
+    RobotLink,
+)
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.measurements import DRIFT, Drift
 from kinfeas.sim2real.link.scans import CostmapReading, LaserReading, costmap_of
@@ -245,7 +253,7 @@ class RosRobotLink:
         types, base = ros_messages.command_types(messages, topics), topics.base.command
         drop = orders.drop
         bus.subscribe(base, types[base], _passing(_finite_velocity, orders.drive, drop))
-        move = _passing(ros_messages.path, orders.move, drop)
+        move = _passing(self._path, orders.move, drop)
         for controller in topics.joints.controllers:
             bus.subscribe(controller.command, types[controller.command], move)
         if (gripper := topics.gripper) is not None:
@@ -258,6 +266,14 @@ class RosRobotLink:
             self._scan = bus.publisher(topics.scan.topic, messages.LaserScan)
         if topics.costmap is not None:
             self._costmap = bus.publisher(topics.costmap.topic, messages.OccupancyGrid)
+
+    def _path(self, message: Any) -> JointPath | None:
+        """Return a trajectory with the names of the URDF."""
+        names = {robots: urdf for urdf, robots in self._topics.joints.names.items()}
+        path = ros_messages.path(message)
+        if path is None:
+            return None
+        return replace(path, joints=tuple(names.get(name, name) for name in path.joints))
 
     def check(self) -> None:
         """Raise Fault if the connection is broken."""

@@ -225,10 +225,12 @@ SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
 ENGINE = default_engine()
 
 
-def test_an_evaluation_whose_backend_cannot_be_closed_keeps_its_result(kinfeas, monkeypatch):
+def test_an_evaluation_whose_backend_cannot_be_closed_keeps_its_result(
+    kinfeas, monkeypatch, caplog
+):
     monkeypatch.setattr(AnalyticBackend, "close", Mock(side_effect=LookupError("still open")))
-    done = kinfeas(*SHORT, "--json", "out.json", code=2)
-    assert "still open" in done.err
+    done = kinfeas(*SHORT, "--json", "out.json", code=0)
+    assert "still open" in caplog.text
     assert done.facts["episodes"] == 1
     assert "goal reached" in done.out
 

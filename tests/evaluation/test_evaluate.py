@@ -132,7 +132,7 @@ def test_packaged_policies_keep_their_success_rate(name):
         for cell in cells
         if (cell["robot"], cell["task"], cell["policy"]) == (name, "ggr", "pretrained")
     )
-    records, *_ = run(configure(robot, "ggr", episodes=episodes), load_policy("pretrained", robot))
+    records, _ = run(configure(robot, "ggr", episodes=episodes), load_policy("pretrained", robot))
     deviation = math.sqrt(rate * (1.0 - rate) / episodes)
     assert records.success.mean() >= rate - 3.0 * deviation
 

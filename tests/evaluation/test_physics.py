@@ -24,7 +24,7 @@ def policy(config):
 
 
 def test_records(config, policy):
-    records, *_ = run(config, policy)
+    records, _ = run(config, policy)
     assert np.all((records.steps > 0) & (records.steps <= 200))
     assert np.all(records.max_deviation >= records.mean_deviation)
     assert records.task_done is None  # a task without objects
@@ -32,7 +32,7 @@ def test_records(config, policy):
 
 
 def test_a_head_start_holds_the_ee(config, policy):
-    waiting, *_ = run(replace(config, world=replace(config.world, head_start=4.0)), policy)
+    waiting, _ = run(replace(config, world=replace(config.world, head_start=4.0)), policy)
     assert not waiting.reached.any()
     assert np.all(waiting.mean_deviation < 0.01)
 
@@ -40,7 +40,7 @@ def test_a_head_start_holds_the_ee(config, policy):
 def test_task_success_is_unknown_without_the_objects(config, policy):
     for objects in (True, False):
         world = replace(config.world, max_seconds=0.5, backend_parameters={"objects": objects})
-        done, *_ = run(EvalConfig(config.robot, load_task("door"), 1, 2, world), policy)
+        done, _ = run(EvalConfig(config.robot, load_task("door"), 1, 2, world), policy)
         assert (done.task_done is not None) == objects
         assert not objects or not done.task_done.any()
 
@@ -64,7 +64,7 @@ def test_an_episode_is_the_same_to_the_bit_in_any_row(name, engine, hsr):
 @pytest.mark.parametrize("task", ["drawer", "door"])
 def test_packaged_policies_do_their_tasks(robot, task, engine):
     model, world = load_robot(robot), evaluation_world(engine, robot)
-    records, *_ = run(
+    records, _ = run(
         EvalConfig(model, load_task(task), 2, 1, world), load_policy("pretrained", model)
     )
     assert records.reached.any()

@@ -103,6 +103,16 @@ def test_broken_lines_are_named(path, name):
         read_record(path)
 
 
+def test_the_last_measurement_alone_may_be_invalid(path):
+    invalid = moment(1, base_pose=np.full(7, np.nan))
+    write(path, [moment(0), invalid])
+    assert np.isnan(read_record(path).base_pose[-1]).all()
+    longer = path.with_name("longer.csv")
+    write(longer, [moment(0), invalid, moment(2)])
+    with pytest.raises(KinfeasError, match=r"line 4: 'base\.x' is not finite"):
+        read_record(longer)
+
+
 def test_empty_runs(path):
     write(path, [moment(0)])
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))

@@ -17,6 +17,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings
 from kinfeas.sim2real.link.scans import LaserReading, costmap_ranges, laser_ranges
 from kinfeas.sim2real.ros import bus as ros_bus
+from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import stop_base
 from kinfeas.sim2real.ros.ros1 import MasterWatch
@@ -179,6 +180,19 @@ def test_a_simulated_robot_drops_and_counts_velocities_that_are_not_finite(bus):
         subscribed[topics.base.command](message)
     np.testing.assert_array_equal(taken, [[0.5, 0.0, 0.0]])
     drop.assert_called_once_with()
+
+
+def test_a_simulated_robot_takes_joints_by_the_names_of_its_topics(bus, tmp_path):
+    path = tmp_path / "topics.yaml"
+    topics = TOPICS.replace("controllers", "names: {torso_lift_joint: lift}\n  controllers")
+    topics = topics.replace("[torso_lift_joint]", "[lift]")
+    path.write_text(topics % ("false", "odometry", ", ".join(ARM[1:])))
+    taken = Mock()
+    RosRobotLink(read_topics(TIAGO, 2, str(path)), bus).open(Orders(taken, taken, taken))
+    subscribed = {call.args[0]: call.args[2] for call in bus.subscribe.call_args_list}
+    message = ros_messages.trajectory(MESSAGES, {"lift": 0.3}, 1.0)
+    subscribed["/lift/joint_trajectory"](message)
+    assert taken.call_args.args[0].joints == ("torso_lift_joint",)
 
 
 @pytest.mark.parametrize("stamped", [False, True])
