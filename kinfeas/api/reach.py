@@ -130,6 +130,7 @@ def solids_of(
 def _not_grasped(
     scene: Scene | None, around: Solids | None, names: list[str], tips: Array
 ) -> tuple[Solids | None, list[str]]:
+    """Return solids and their names without objects in the hand at tool tips, shape (n, 7)."""
     if scene is None or around is None:
         return around, names
     near = np.hypot(*around.gaps(tips[np.newaxis, :, :3]))[0].min(axis=0) < _GRASPED

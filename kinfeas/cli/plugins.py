@@ -48,15 +48,11 @@ def list_plugins(json: options.JsonPath = None) -> None:
     listed = []
     for group, kind in GROUPS.items():
         rows = []
-        plugins = registry.plugins(group)
-        own = {plugin.name for plugin in plugins if plugin.distribution == "kinfeas"}
-        for plugin in plugins:
+        for plugin in registry.plugins(group):
             text, error = _summary(plugin)
-            if plugin.distribution != "kinfeas" and plugin.name in own:
-                text, error = "", "ignored: kinfeas has one of this name"
             listed.append({**vars(plugin), "kind": kind, "description": text, "error": error})
             origin = f"{plugin.distribution} {plugin.version}"
-            rows.append([plugin.name, origin, text if error is None else f"broken: {error}"])
+            rows.append([plugin.name, origin, text if error is None else f"not usable: {error}"])
         print_table(f"{kind}s".replace("ys", "ies"), ["name", "from", "description"], rows)
     write_json(listed, json)
 
@@ -175,18 +171,17 @@ def _check_on_robot(
     from kinfeas.policies.loading import load_policy
     from kinfeas.robots.loading import load_robot
 
-    model, kind, within = load_robot(robot), GROUPS[group], {"world": world}
+    model, kind = load_robot(robot), GROUPS[group]
+    facts = {kind.removeprefix("command "): plugin.name, "robot": robot}
     if group == "kinfeas.policies":
         testing.check_policy(load_policy(plugin.name, model), model)
-        within = {}
     elif group == "kinfeas.backends":
         testing.check_backend(plugin, model)
-        within = {}
-    elif group == "kinfeas.filters":
-        testing.check_filter(plugin, model, world)
     else:
-        testing.check_adapter(plugin, model, world)
-    write_json({kind: plugin.name, "robot": robot, **within, "passed": True}, json)
+        adapts = group == "kinfeas.adapters"
+        (testing.check_adapter if adapts else testing.check_filter)(plugin, model, world)
+        facts["world"] = world
+    write_json({**facts, "passed": True}, json)
     typer.echo(f"{kind} {plugin.name} keeps the contract on robot {model.name}")
 
 
@@ -233,6 +228,8 @@ def _summary(plugin: Plugin) -> tuple[str, str | None]:
     """Return a line on a plugin, and its error if it is broken."""
     from kinfeas.robots.loading import load_robot
 
+    if registry.is_ignored(plugin):
+        return "", "kinfeas has one of this name, which is used"
     try:
         if plugin.group == "kinfeas.robots":
             load_robot(plugin.name)

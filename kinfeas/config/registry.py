@@ -115,6 +115,12 @@ def plugins(group: str) -> list[Plugin]:
     return sorted(entries, key=lambda plugin: (plugin.name, plugin.distribution))
 
 
+def is_ignored(plugin: Plugin) -> bool:
+    """Return whether kinfeas has a plugin of the same name, which is used."""
+    same = [entry for entry in _entries(plugin.group) if entry.name == plugin.name]
+    return plugin.distribution != "kinfeas" and "kinfeas" in (_plugin(e).distribution for e in same)
+
+
 def names(group: str) -> list[str]:
     """Return the sorted names of a group."""
     return sorted({entry.name for entry in _entries(group)})

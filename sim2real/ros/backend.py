@@ -244,6 +244,7 @@ class RosRobotLink:
 
     def __init__(self, topics: Topics, bus: RosBus) -> None:
         self._topics, self._bus = topics, bus
+        self._urdf_names = {name: urdf for urdf, name in topics.joints.names.items()}
 
     def open(self, orders: Orders) -> None:
         """Connect; raise KinfeasError if there is no ROS to connect to."""
@@ -269,11 +270,10 @@ class RosRobotLink:
 
     def _path(self, message: Any) -> JointPath | None:
         """Return a trajectory with the names of the URDF."""
-        names = {robots: urdf for urdf, robots in self._topics.joints.names.items()}
         path = ros_messages.path(message)
         if path is None:
             return None
-        return replace(path, joints=tuple(names.get(name, name) for name in path.joints))
+        return replace(path, joints=tuple(self._urdf_names.get(n, n) for n in path.joints))
 
     def check(self) -> None:
         """Raise Fault if the connection is broken."""

@@ -82,9 +82,13 @@ def test_check_of_plugins_on_a_robot(kinfeas, words, wrong, named):
     check = ("plugins", "check")
     assert kinfeas(*check, *words, "--json", "out.json", code=0).facts["passed"] is True
     check_one_line(kinfeas(*check, *wrong), named)
-    check_one_line(kinfeas(*check, "follow_ee"), "--robot")
-    check_one_line(kinfeas(*check, "door"), "task")
-    check_one_line(kinfeas(*check, "time_scalin"), "'time_scaling'")
+
+
+@pytest.mark.parametrize(("name", "named"), [
+    ("follow_ee", "--robot"), ("door", "is a task"), ("time_scalin", "'time_scaling'"),
+])  # fmt: skip
+def test_check_names_what_it_needs_or_does_not_cover(kinfeas, name, named):
+    check_one_line(kinfeas("plugins", "check", name), named)
 
 
 def test_options_name_generators_of_the_working_directory(kinfeas, tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec, registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import rotation
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.adapters.adapter import Adapter, measured
 from kinfeas.testing import check_adapter, check_backend, check_filter
@@ -69,27 +70,18 @@ class OwnRandomness(Adapter):
         return measured(state, joint_positions=state.joint_positions + noise)
 
 
-@pytest.mark.parametrize(("kind", "named"), [
-    (NoEffect, "overrides no"), (InfiniteLater, "twist"), (Writes, "input"), (MeansRows, "row"),
-    (OneClock, "row"), (OwnRandomness, "seed"), (Smooths, "reset"),
-])  # fmt: skip
-def test_each_rule_of_adapters_is_checked(monkeypatch, kind, named):
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-    registry.register("kinfeas.adapters", "mine", kind)
-    with pytest.raises(KinfeasError, match=f"adapter 'mine'.*{named}"):
-        check_adapter(PluginSpec("mine"), load_robot("pr2"))
-
-
 def test_misspelt_hooks_are_errors():
     with pytest.raises(KinfeasError, match=r"modify_comand.*modify_command"):
         type("Misspelt", (Adapter,), {"modify_comand": lambda self, *command: command})
 
 
 class BodyTwist(AnalyticBackend):
-    """Turns the twist as if it were in the frame of the base."""
+    """Takes the twist as if it were in the frame of the base."""
 
     def step(self, base_twist, joint_targets, dt):
-        return super().step(base_twist * [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0], joint_targets, dt)
+        heading = rotation(self.state.base_pose)
+        twist = np.hstack([heading.apply(part) for part in (base_twist[:, :3], base_twist[:, 3:])])
+        return super().step(twist, joint_targets, dt)
 
 
 class StaysThere(AnalyticBackend):
@@ -114,17 +106,6 @@ class ResetsAll(AnalyticBackend):
 class Slack(AnalyticBackend):
     def step(self, base_twist, joint_targets, dt):
         return super().step(base_twist, joint_targets - 0.1, dt)
-
-
-@pytest.mark.parametrize(("kind", "named"), [
-    (BodyTwist, "twist"), (StaysThere, "reset puts"), (ArmOfAnother, "row depends"),
-    (ResetsAll, "row depends"), (Slack, "arms"),
-])  # fmt: skip
-def test_each_rule_of_backends_is_checked(monkeypatch, kind, named):
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-    registry.register("kinfeas.backends", "mine", kind)
-    with pytest.raises(KinfeasError, match=f"backend 'mine'.*{named}"):
-        check_backend(PluginSpec("mine"), load_robot("hsr"))
 
 
 class Mean:
@@ -154,11 +135,20 @@ class Infinite:
         return period.commanded(np.full_like(period.command, np.inf))
 
 
-@pytest.mark.parametrize(("kind", "named"), [
-    (Mean, "row depends"), (Remembers, "reset begins"), (Shakes, "repeats"), (Infinite, "finite"),
+@pytest.mark.parametrize(("check", "kind", "named"), [
+    (check_adapter, NoEffect, "overrides no"), (check_adapter, InfiniteLater, "twist"),
+    (check_adapter, Writes, "input"), (check_adapter, MeansRows, "row"),
+    (check_adapter, OneClock, "row"), (check_adapter, OwnRandomness, "seed"),
+    (check_adapter, Smooths, "reset"),
+    (check_backend, BodyTwist, "twist"), (check_backend, StaysThere, "reset puts"),
+    (check_backend, ArmOfAnother, "row depends"), (check_backend, ResetsAll, "row depends"),
+    (check_backend, Slack, "arms"),
+    (check_filter, Mean, "row depends"), (check_filter, Remembers, "reset begins"),
+    (check_filter, Shakes, "repeats"), (check_filter, Infinite, "Infinite.*finite"),
 ])  # fmt: skip
-def test_each_rule_of_filters_is_checked(monkeypatch, kind, named):
+def test_each_rule_is_checked(monkeypatch, check, kind, named):
+    group = check.__name__.removeprefix("check_")
     monkeypatch.setattr(registry, "_REGISTERED", [])
-    registry.register("kinfeas.filters", "mine", kind)
-    with pytest.raises(KinfeasError, match=f"(mine|{kind.__name__}).*{named}"):
-        check_filter(PluginSpec("mine"), load_robot("hsr"))
+    registry.register(f"kinfeas.{group}s", "mine", kind)
+    with pytest.raises(KinfeasError, match=f"{group} .*{named}"):
+        check(PluginSpec("mine"), load_robot("hsr"))
