@@ -26,7 +26,7 @@ from kinfeas.planning.reach import BasePlacer, Placement
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.access import Access
 
-_MOST_BYTES, _MOST_CONNECTIONS = 4_000_000, 32
+_MOST_BYTES, _MOST_CONNECTIONS, _MOST_BASE_POSES = 4_000_000, 32, 64_000
 _BUFFER, _PATIENCE = 65_536, 0.05  # bytes and seconds for connections beyond the limit
 _BUSY = (
     b"HTTP/1.1 503 Service Unavailable\r\nContent-Type: application/json\r\nContent-Length: 33\r\n"
@@ -47,6 +47,11 @@ class ReachRequest:
     start: Vector | None = None
     k: Annotated[int, Interval(ge=1, le=512)] = 8
     together: bool = False
+
+    def __post_init__(self) -> None:
+        """Check that the answer does not keep others waiting for long."""
+        if len(self.poses) * self.k > _MOST_BASE_POSES:
+            raise ValueError(f"'k' must be at most {_MOST_BASE_POSES} / number of poses")
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ def configure(
 
 
 def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
-    """Return no adapters, each one alone, and all but each one, by label.
+    """Return no adapters, each one alone, and all but each one, by label; none of these twice.
 
     The adapters of a name that repeats are numbered.
     """
@@ -132,7 +132,9 @@ def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpe
     subsets: dict[str, tuple[PluginSpec, ...]] = {"none": ()}
     subsets |= {label: (adapter,) for label, adapter in zip(labels, adapters, strict=True)}
     for n, label in enumerate(labels):
-        subsets[f"no {label}"] = (*adapters[:n], *adapters[n + 1 :])
+        others = (*adapters[:n], *adapters[n + 1 :])
+        if others not in subsets.values():
+            subsets[f"no {label}"] = others
     return subsets
 
 

@@ -125,6 +125,7 @@ def test_short_lists_are_answered_with_what_is_missing(post, short, named):
     ("/reach", {"poses": [AHEAD], "solids": [[1, 0, 0, -1, 1, 0, 1, 0, 0, 0, 0]]}, {}, 400),
     ("/reach", {"poses": [AHEAD], "solids": [[1, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0]]}, {}, 400),
     ("/reach", {"poses": [AHEAD], "start": [9000, 9000, 0]}, {}, 400),
+    ("/reach", {"poses": [AHEAD] * 126, "k": 512}, {}, 400),
     ("/plan", {"path": [AHEAD]}, {}, 400),
     ("/plan", {"path": [AHEAD, AHEAD], "joints": [0.0], "start": [0, 0, 0]}, {}, 400),
 ])  # fmt: skip

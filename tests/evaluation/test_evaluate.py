@@ -113,13 +113,13 @@ def test_an_empty_section_of_deployments_changes_nothing(tmp_path):
     assert [each.name for each in world.filters] == ["feasibility"]
 
 
-def test_adapters_of_one_name_are_evaluated_apart():
+def test_adapters_of_one_name_are_evaluated_apart_but_no_list_twice():
     one, other, lag = map(PluginSpec, ("base_noise", "base_noise", "actuator_lag"))
     assert adapter_subsets((one, other, lag)) == {
         "none": (), "base_noise 1": (one,), "base_noise 2": (other,), "actuator_lag": (lag,),
-        "no base_noise 1": (other, lag), "no base_noise 2": (one, lag),
-        "no actuator_lag": (one, other),
+        "no base_noise 1": (other, lag), "no actuator_lag": (one, other),
     }  # fmt: skip
+    assert list(adapter_subsets((one, lag))) == ["none", "base_noise", "actuator_lag"]
 
 
 @pytest.mark.slow
