@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.extras import require
-from kinfeas.core.spatial import Array, compose, make_pose
+from kinfeas.core.spatial import Array, compose, make_pose, rpy
 from kinfeas.robots.elements import (
     LARGEST,
     Element,
@@ -91,9 +91,9 @@ def _from_mjcf(path: Path, folder: Path) -> Element:
     """Return an MJCF as the element <robot>; its meshes are written to `folder`.
 
     The world is the root link. Where a body has several joints, or one beside its origin, bare
-    links are between. Free joints become fixed. Joints that an equality couples become mimic
-    joints; other constraints, such as those that close the loops of a gripper, are left out, and
-    so is the scenery.
+    links are between. Free joints become fixed, above the origin. Joints that an equality couples
+    become mimic joints; other constraints, such as those that close the loops of a gripper, are
+    left out, and so is the scenery.
     """
     require("mujoco")
     import mujoco
@@ -189,6 +189,10 @@ def _add_joints(robot: Element, model: Any, body: int, links: list[str]) -> None
     if count and model.jnt_type[first] == _BALL:
         raise robot.error(f"body {links[body]!r}: ball joints are not supported")
     origin = _pose(model.body_pos[body], model.body_quat[body])
+    if count and model.jnt_type[first] == _FREE:  # the place in a scene says nothing of the robot
+        origin = make_pose(
+            origin[:3] * [0, 0, 1], Rotation.from_euler("xyz", rpy(origin) * [1, 1, 0])
+        )
     parent, anchor = links[model.body_parentid[body]], np.zeros(3)
     for i in joints:
         position = model.jnt_pos[i]

@@ -219,6 +219,17 @@ def test_an_mjcf_is_imported_without_its_scenery(tmp_path, base, furniture):
     assert {name for name, link in links.items() if link.shapes} == {"base", "arm", *furniture}
 
 
+def test_a_free_robot_drives_from_its_own_place(tmp_path):
+    pytest.importorskip("mujoco")
+    path = tmp_path / "scene.xml"
+    path.write_text("""<mujoco><worldbody><body name="base" pos="3 2 0.1" euler="90 40 0">
+        <freejoint/><geom size="0.2"/>
+        <body name="arm"><joint name="pan"/><geom size="0.1"/></body>
+    </body></worldbody></mujoco>""")
+    pose = urdf_of(read_description(path, tmp_path)).link_poses({})["base"]
+    assert_near(pose, [0.0, 0.0, 0.1, 0.5**0.5, 0.0, 0.0, 0.5**0.5], 1e-9, 1e-6)
+
+
 def test_no_link_has_the_name_of_the_floor(tmp_path):
     path = tmp_path / "robot.urdf"
     path.write_text("""<robot name="r"><link name="world"/><link name="base"/>
