@@ -239,9 +239,10 @@ def _accelerated(x, y, before_x, before_y, most, jerk, seconds):
     """Return the feasible acceleration nearest to (x, y), as the adapter `acceleration_limit`."""
     if jerk == math.inf:
         return _shortened(x, y, most)
-    length = math.sqrt(square(x) + square(y))
-    # Reducing an acceleration a to zero changes the velocity by a^2 / (2 jerk).
-    x, y = _shortened(x, y, min(most, math.sqrt(2.0 * jerk * length * seconds)))
+    length, half = math.sqrt(square(x) + square(y)), 0.5 * jerk * seconds
+    # Reducing an acceleration a to zero in steps changes the velocity by a (a / jerk + step) / 2.
+    fading = math.sqrt(square(half) + 2.0 * jerk * length * seconds) - half
+    x, y = _shortened(x, y, min(most, fading))
     x, y = _shortened(x - before_x, y - before_y, jerk * seconds)
     return _shortened(before_x + x, before_y + y, most)
 

@@ -75,8 +75,9 @@ class AccelerationLimit(Adapter):
         if f"{name}_jerk" not in self.ranges:
             return shortened(target, largest)
         jerk = self.number(f"{name}_jerk")
-        # Reducing an acceleration a to zero changes the velocity by a^2 / (2 jerk).
-        fading = np.sqrt(2.0 * jerk * length(target) * dt)
+        # Reducing an acceleration a to zero in steps changes the velocity by a (a / jerk + dt) / 2.
+        half = 0.5 * jerk * dt
+        fading = np.sqrt(half * half + 2.0 * jerk * length(target) * dt) - half
         change = shortened(target, np.minimum(largest, fading)) - before
         return shortened(before + shortened(change, jerk * dt), largest)
 

@@ -119,6 +119,16 @@ def test_a_ramp_takes_the_time_that_it_must(rig, dt):
     np.testing.assert_allclose(limited.passed[:, 0, 5], -np.minimum(t, 1.0), atol=1e-12)
 
 
+@pytest.mark.parametrize("dt", [0.01, 0.02, 0.1])
+def test_limits_of_jerk_do_not_make_velocities_overshoot(rig, dt):
+    limited = rig(AccelerationLimit, linear=2.0, angular=3.0, **JERKS)
+    limited.run(np.tile([0.3, 0, 0, 0, 0, -0.5], (round(2.0 / dt), 1)), dt)
+    for axis, velocity, jerk in ((0, 0.3, 4.0), (5, -0.5, 6.0)):
+        reached = limited.passed[:, 0, axis] / velocity
+        assert reached[-1] == pytest.approx(1.0)
+        assert reached.max() <= 1.0 + 0.25 * jerk * dt**2 / abs(velocity)
+
+
 @pytest.mark.parametrize("dt", [0.02, 0.1])
 def test_velocities_are_never_exceeded(rig, drive, pr2, dt):
     clamped = rig(VelocityClamp, n=9, linear=0.1, angular=0.3, joints=0.5)
