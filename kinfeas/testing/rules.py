@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from kinfeas.control.observation import AHEAD
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.errors import KinfeasError, plugin_frames
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
@@ -249,6 +250,7 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
             probe.require(same, "rows", broken)
     probe.motion.twist(state, ee_pose, targets + _MOVED, dt)
     probe.motion.base_pose(state, targets)
+    probe.motion.ahead(state, ee_pose, targets, AHEAD)
     probe.motion.replan(state, ee_pose, targets, Solids.from_table([_BOX]).repeated(len(dt)))
     return _Step(step_state, step_pose, twist)
 

@@ -140,6 +140,11 @@ class ForgetsItsState(Good):
         return {"goal": target_pose[: len(solids.pose)]}
 
 
+class LooksOneStepAhead(Good):
+    def ahead(self, state, ee_pose, target_pose, distances):
+        return state["goal"]
+
+
 def bump(goal, time):
     return goal + 1e-3 * np.outer(np.maximum(0.0, 60.0 - time) * time, [0, 0, 1, 0, 0, 0, 0])
 
@@ -164,6 +169,7 @@ BAD = {
     ),
     "goal that comes back": ("goal", with_goal(bump)),
     "NaN for a target that moves": ("form", NeedsARestingTarget),
+    "one pose ahead": ("form", LooksOneStepAhead),
     "other keys after planning": ("layout", ForgetsItsState),
     "too fast": ("velocity", TooFast),
     "turns too fast": ("angular_velocity", TurnsTooFast),
