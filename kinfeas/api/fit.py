@@ -3,11 +3,14 @@
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Interval
 
 from kinfeas.api import Name
 from kinfeas.api.load import checked, text_of
 from kinfeas.core.extras import require
-from kinfeas.core.quantities import Count, Seed
+from kinfeas.core.quantities import Seed
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
 from kinfeas.plugins.fit import MotionFit, write_model
 from kinfeas.plugins.fit import fit as learn
@@ -33,7 +36,8 @@ def fit(
     """
     require("sklearn")
     kind = checked(Kind, kind, "kind")
-    components, seed = checked(Count, components, "components"), checked(Seed, seed, "seed")
+    most = Annotated[int, Interval(ge=1, le=50)]
+    components, seed = checked(most, components, "components"), checked(Seed, seed, "seed")
     if isinstance(demonstrations, str) or not isinstance(demonstrations, Sequence):
         demonstrations = [demonstrations]
     sources = [Path(text_of(source, "demonstrations")) for source in demonstrations]

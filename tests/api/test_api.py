@@ -194,6 +194,12 @@ def test_bad_arguments_of_view_are_errors(arguments):
         kinfeas.view(**arguments)
 
 
+@pytest.mark.parametrize("arguments", [{"components": 51}, {"kind": "spline"}, {"seed": -1}])
+def test_bad_arguments_of_fit_are_errors(tmp_path, arguments):
+    with pytest.raises(KinfeasError, match=next(iter(arguments))):
+        kinfeas.fit(tmp_path, tmp_path / "model.yaml", **arguments)
+
+
 @pytest.mark.parametrize(
     ("option", "named"), [("stepz", "'steps'"), ("num_envs", r'settings=\{"num_envs": 8\}')]
 )
