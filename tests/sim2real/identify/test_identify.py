@@ -185,6 +185,17 @@ def test_noise_is_found_with_periods_of_its_own():
         assert found[f"base_noise.{axis}"].value == pytest.approx(noise, rel=0.08)
 
 
+def test_motion_while_nothing_was_measured_is_no_jump_of_the_localisation():
+    walk = np.cumsum(np.random.default_rng(0).normal(scale=1e-3, size=(1000, 3)), axis=0)
+    walk[600:] += 0.4
+    times, rest, none = np.arange(1, 1001) * DT, np.zeros((1000, 3)), np.empty(0)
+    for kept, jumps in ((times > 0.0, True), ((times < 10.0) | (times > 13.0), False)):
+        log = Log("record", DT, rest, rest, times[kept], walk[kept], times, rest, none, 0.0)
+        found = base_noise([Track(log)], [rest], (0.0, 0.0), [])
+        assert (found["localisation.rate"].value > 0.0) is jumps
+        assert found["base_noise.linear"].value == pytest.approx(1e-3 / DT, rel=0.1)
+
+
 def test_pattern_stays_within_limits_and_returns(solver):
     robot, home = solver.robot, solver.robot.home["home"]
     base = base_pattern(robot, DT)
