@@ -96,8 +96,14 @@ def read_sweep(name: str, settings: Settings | None = None) -> SweepConfig:
         ends = [end for end in (dimension.low, dimension.high) if end is not None]
         for value in (*dimension.choices, *ends):
             settings_of(sweep, {key: value})
-        for condition in dimension.when.keys() - set(keys[: keys.index(key)]):
-            raise KinfeasError(f"{name}: space.{key}.when: {condition!r} is no key above")
+        for condition, choice in dimension.when.items():
+            if condition not in keys[: keys.index(key)]:
+                raise KinfeasError(f"{name}: space.{key}.when: {condition!r} is no key above")
+            if choice not in (choices := sweep.space[condition].choices):
+                raise KinfeasError(
+                    f"{name}: space.{key}.when: {condition!r} must be one of "
+                    f"{list(choices)}, not {choice!r}"
+                )
     return sweep
 
 

@@ -122,6 +122,7 @@ def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
     ({"num_envs": {"low": 1, "high": -1}}, "low"),
     ({"num_envs": {"choices": [0, 4]}}, "num_envs"),
     ({"num_envs": {"choices": [4], "when": {"seed": 1}}}, "seed"),
+    ({"seed": {"choices": [1]}, "num_envs": {"choices": [4], "when": {"seed": 2}}}, "envs.when"),
 ])  # fmt: skip
 def test_the_wrong_key_or_value_is_named(tmp_path, space, named):
     (tmp_path / "wrong.yaml").write_text(json.dumps({"space": space}))
