@@ -1,3 +1,4 @@
+import json
 import shutil
 from collections import Counter
 from dataclasses import replace
@@ -85,6 +86,20 @@ def test_a_robot_that_changes_is_evaluated_anew(tmp_path):
     names.append(case.name)
     (tmp_path / "hsr" / "recipes.yaml").unlink()
     assert len({*names, case.name}) == 3
+
+
+def test_a_motion_learned_anew_is_evaluated_anew(tmp_path):
+    (tmp_path / "reach.yaml").write_text("first")
+    motion = {"generator": "imitation", "parameters": {"model": "reach.yaml"}}
+    places = {"cup": {"position": [2.0, 0.0, 0.8]}}
+    task = {"name": "own", "places": places, "subgoals": [{"place": "cup", "motion": motion}]}
+    (tmp_path / "task.yaml").write_text(json.dumps(task))
+    own = replace(small()[0], task=str(tmp_path / "task.yaml"))
+    motion["parameters"]["model"] = str(tmp_path / "reach.yaml")
+    cases = [own, replace(small()[0], settings={"task": {"motion": motion}})]
+    names = [case.name for case in cases]
+    (tmp_path / "reach.yaml").write_text("second")
+    assert not {case.name for case in cases} & set(names)
 
 
 def test_a_policy_trained_anew_is_evaluated_anew(tmp_path):
