@@ -1,6 +1,7 @@
 """Recorded demonstrations of an EE, a base and an object, in CSV files."""
 
 import csv
+import logging
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,8 @@ from kinfeas.core.quantities import LONGEST, REMOTEST
 from kinfeas.core.spatial import POSE_COLUMNS, UNIT, Array
 
 _POSES = ("ee_pose", "base_pose", "object_pose")
+_GAP, _STEPS, _MOTION = 0.5, 10.0, 0.01  # of a gap: seconds, usual steps, and metres
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,8 @@ def demonstration_files(source: Path) -> list[Path]:
 def read_demonstration(path: Path, optional: Collection[str] = ("base_pose",)) -> Demonstration:
     """Return the demonstration in a CSV file, with normalized quaternions.
 
-    Poses that are `optional` may be missing and are NaN then; other columns are ignored.
+    Poses that are `optional` may be missing and are NaN then; other columns are ignored. A warning
+    names the longest time without samples, if the EE moves in it.
 
     Raises:
         KinfeasError: If the file cannot be read, lacks a column, has fewer than two samples,
@@ -59,6 +63,14 @@ def read_demonstration(path: Path, optional: Collection[str] = ("base_pose",)) -
         elif len(missing) < len(POSE_COLUMNS):
             raise KinfeasError(f"{path}: column {missing[0]!r} is missing")
     check_samples(path, time, poses)
+    steps, displacements = np.diff(time), np.diff(poses["ee_pose"][:, :3], axis=0)
+    longest = int(steps.argmax())
+    moved = float(np.linalg.norm(displacements[longest]))
+    if steps[longest] > max(_GAP, _STEPS * float(np.median(steps))) and moved > _MOTION:
+        _log.warning(
+            "%s: without samples for %.2g s after %.2f s, in which the EE moves by %.2g m: it is "
+            "interpolated", path, steps[longest], time[longest], moved,
+        )  # fmt: skip
     for pose in poses.values():
         pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
     unknown = np.full((len(time), 7), np.nan)

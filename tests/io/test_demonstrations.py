@@ -49,6 +49,16 @@ def test_the_base_may_be_missing(tmp_path):
     assert not result.has_base
 
 
+@pytest.mark.parametrize(("moves", "warnings"), [(0.0, 0), (0.3, 1)])
+def test_motion_in_a_gap_is_reported(tmp_path, caplog, moves, warnings):
+    time, pose = np.arange(40) * 0.05, np.tile([0.0] * 6 + [1.0], (40, 1))
+    time[20:], pose[20:, 0] = time[20:] + 2.0, moves
+    path = tmp_path / "one.csv"
+    write_demonstration(Demonstration(time, pose, pose, pose), path)
+    read_demonstration(path)
+    assert len(caplog.records) == warnings
+
+
 @pytest.mark.parametrize(("rows", "place"), [
     (changed(0, "time", 0.0)[:1], "at least 2"),
     (changed(0, "base_y", "nan"), "row 1: base_pose: y"),
