@@ -20,7 +20,9 @@ QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 
 def trained_policies(robot: Robot) -> list[str]:
     """Return the sorted names of the trained policies in the folder of a robot."""
-    return sorted(path.parent.name for path in robot.folder.glob("policies/*/policy.json"))
+    folder, best = robot.folder / "policies", "checkpoints/best/policy.json"  # of a training run
+    files = *folder.glob("*/policy.json"), *folder.glob(f"*/{best}")
+    return sorted({path.relative_to(folder).parts[0] for path in files})
 
 
 def trained_folder(name: str, robot: Robot) -> Path:
@@ -34,7 +36,7 @@ def trained_folder(name: str, robot: Robot) -> Path:
         raise KinfeasError(
             f"{folder}: no such policy; train one with kinfeas train, or take a baseline: planner"
         )
-    return folder if name in trained_policies(robot) else Path(name)
+    return folder if name in (PRETRAINED, *trained_policies(robot)) else Path(name)
 
 
 def load_policy(name: str, robot: Robot) -> Policy:

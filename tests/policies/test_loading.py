@@ -88,7 +88,13 @@ def test_policies_in_the_folder_of_a_robot_have_names(hsr, trained, tmp_path):
     with pytest.raises(KinfeasError, match=f"{tmp_path}.*kinfeas train"):
         load_policy("pretrained", own)
     shutil.copytree(trained, tmp_path / "policies" / "mine")
-    assert load_policy("mine", own).equals(read_network(trained, hsr))
+    shutil.copytree(trained, tmp_path / "policies" / "run" / "checkpoints" / "best")
+    (tmp_path / "policies" / "pretrained").mkdir()
+    assert trained_policies(own) == ["mine", "run"]
+    for name in ("mine", "run"):
+        assert load_policy(name, own).equals(read_network(trained, hsr))
+    with pytest.raises(KinfeasError, match=f"{tmp_path}.*not a training run"):
+        load_policy("pretrained", own)
 
 
 def test_each_shipped_policy_is_complete(robot):
