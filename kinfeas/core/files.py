@@ -26,7 +26,7 @@ MAX_JSON_BYTES = 1_000_000
 def is_path(name: object) -> bool:
     """Return whether a robot, task or scene is named by a path: with a slash, or a YAML file."""
     if isinstance(name, str):
-        return os.sep in name or name.endswith((".yaml", ".yml"))
+        return os.sep in name or name in {".", ".."} or name.endswith((".yaml", ".yml"))
     return isinstance(name, Path)
 
 

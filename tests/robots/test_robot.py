@@ -66,6 +66,12 @@ def test_each_finger_may_have_its_own_positions(tmp_path):
     assert gripper.ratio == pytest.approx(-2.0)
 
 
+def test_the_working_folder_may_be_that_of_a_robot(tmp_path, monkeypatch):
+    write(tmp_path, crane())
+    monkeypatch.chdir(tmp_path)
+    assert load_robot(".").name == "crane"
+
+
 def test_arm_limits_are_read_only_arrays(tmp_path):
     robot = load_robot(write(tmp_path, crane()))
     for found, values in (
