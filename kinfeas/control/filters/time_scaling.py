@@ -37,7 +37,8 @@ class TimeScalingFilter(FeasibilityFilter):
     Candidates have three speeds. Where none is feasible for the whole step of the EE, those for a
     part of it are tried. Then the EE rests, and of the candidates the one with the arm nearest to
     the end of the whole step is taken. Last are candidates with more deviation. Without any, base
-    and arm hold. Thus no IK failure and no joint jump is commanded. It must be the last filter.
+    and arm hold. Thus no IK failure and no joint jump is commanded to robots that respond at once;
+    commands of others are tried half a second ahead. It must be the last filter.
 
     Args:
         solver: IK of the robot.
