@@ -214,7 +214,7 @@ def pair_likelihood(logs: Sequence[TimeErrors], drawn: Sequence[Array]) -> float
         products = [each[:, lag:] * each[:, :-lag] for each in normal]
         covariance = float(np.nanmean(np.concatenate(products, axis=1))) * variance
         total += sum(
-            _pairs(log.late, variance + log.noise, covariance + noise, lag)
+            _pairs(log.late - np.nanmean(log.late), variance + log.noise, covariance + noise, lag)
             for log, noise in zip(logs, shared, strict=True)
         )
     return total

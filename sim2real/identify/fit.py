@@ -112,7 +112,8 @@ def fit(logs: Sequence[Log], walk: Sequence[float]) -> ResponseFit:
         missing.append(f"the base does not move: its lag and limits are unknown; {DRIVE}")
     if arm.moves:
         late = float(np.mean([arm_delay(dt, log.arm_seconds) for log in logs]))
-        estimates["actuator_lag.arm"] = lag_estimate(arm.lag + late, arm.error, dt)
+        error = 0.5 * dt if arm.lag < 0.5 * dt else arm.error  # as of `lag_estimate`
+        estimates["actuator_lag.arm"] = lag_estimate(arm.lag + late, error, dt)
     else:
         missing.append(f"no arm motion: arm lag and lost commands unknown; {DRIVE}")
     if arm.noise is not None:

@@ -18,6 +18,7 @@ from kinfeas.core.spatial import interpolated_columns
 from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.sim2real.identify.excitation import arm_amplitude, arm_pattern, base_pattern
+from kinfeas.sim2real.identify.fit import fit
 from kinfeas.sim2real.identify.log import Log, log_of
 from kinfeas.sim2real.identify.model import (
     Delays,
@@ -165,6 +166,20 @@ def test_latency_is_found_behind_an_arm_on_trajectories(tmp_path):
     assert found["command_latency.seconds"].value == pytest.approx(delays["seconds"], abs=0.015)
     lag = TRUTH["actuator_lag"]["arm"] + arm_delay(DT, seconds)
     assert found["actuator_lag.arm"].value == pytest.approx(lag, abs=0.015)
+
+
+def test_arms_earlier_than_their_trajectories_lose_no_commands():
+    """Motors with feedforward, as in MuJoCo, are ahead of cubics that end at rest."""
+    rng, times, late = np.random.default_rng(0), np.arange(1, 2000) * DT, 0.04
+    moving = np.sin(np.maximum(np.arange(2000) * DT - 4.0, 0.0))[:, np.newaxis]
+    joints = interpolated_columns(times - late, np.arange(2000) * DT, moving)
+    joints += rng.normal(scale=1e-5, size=joints.shape)
+    rest, ages = np.zeros((2000, 3)), np.empty(0)
+    found = fit(
+        [Log("record", DT, rest, moving[1:], times, rest[1:], times, joints, ages, 0.1)], (0, 0)
+    )
+    assert found.estimates["dropped_commands.probability"].value < 0.01
+    assert found.estimates["actuator_lag.arm"].value == pytest.approx(late, abs=0.015)
 
 
 def test_noise_is_found_with_periods_of_its_own():
