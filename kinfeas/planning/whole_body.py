@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -29,7 +30,8 @@ class WholeBodySettings:
     longest: float = 300.0  # time that a slower EE may need, seconds
     apart: float = 0.1  # time from a moment to the next, up to a half more, seconds
     rounds: int = 6  # of finer moments; where an arm needs longer even then, it has a jump
-    corrections: int = 3  # of the bases of short arms
+    tolerance: float = 1.2  # factor of the IK tolerances between the poses of the search
+    corrections: int = 2  # of bases by the errors of their arms
     resting: float = 1e-6  # `path_length` from a pose to the next while the EE rests
 
 
@@ -118,7 +120,12 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
     None if one of them has no arm near those of the path, which has arms at some EE poses only, an
     arm jumps, or base or arm touches a solid.
     """
-    near, motion_time = solver.local(), path.motion_time
+    options, motion_time = solver.options, path.motion_time
+    near = solver.local(
+        centering=0.0,
+        position_tolerance=_SETTINGS.tolerance * options.position_tolerance,
+        rotation_tolerance=_SETTINGS.tolerance * options.rotation_tolerance,
+    )
     for _ in range(_SETTINGS.rounds):
         moments = _moments(near, path, motion_time)
         if moments is None:
@@ -163,17 +170,20 @@ def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | 
 def _arms(solver: IkSolver, ee: Array, rows: Array) -> IkSolution:
     """Return arms near those of robots, (m, 3 + j), with EEs at poses, (m, 7).
 
-    For arms with fewer joints than a pose has numbers, the bases after the first move to where the
-    arms come nearest, if they can move sideways.
+    Joints get there from those of the robots within `apart`. The bases after the first move by the
+    errors that arms leave, if they can move sideways.
     """
-    arm, robot = solver.solve(relative(ee, planar_pose(*rows[:, :3].T)), rows[:, 3:]), solver.robot
-    if len(robot.arm) >= ee.shape[1] - 1 or robot.base.drive == "differential":
+    robot, base = solver.robot, planar_pose(*rows[:, :3].T)
+    step = _SETTINGS.apart * robot.max_joint_velocity
+    nearby = partial(solver.solve, max_joint_step=step, allow_reconfiguration=False)
+    arm = nearby(relative(ee, base), rows[:, 3:])
+    if robot.base.drive == "differential":
         return arm
     for _ in range(_SETTINGS.corrections):
-        reached = forward(solver.chain, arm.joint_positions)
-        error = ee - compose(planar_pose(*rows[:, :3].T), reached)
+        error = ee - compose(base, forward(solver.chain, arm.joint_positions))
         rows[1:, :2] += error[1:, :2]
-        arm = solver.solve(relative(ee, planar_pose(*rows[:, :3].T)), arm.joint_positions)
+        base = planar_pose(*rows[:, :3].T)
+        arm = nearby(relative(ee, base), rows[:, 3:])
     return arm
 
 

@@ -52,6 +52,19 @@ def test_plans_keep_to_the_path_the_limits_and_the_room(plan, robot):
     assert not collides(solver.collision, plan.joint_positions, plan.base_pose, solids).any()
 
 
+@pytest.mark.parametrize(("yaw", "joints", "target"), [
+    (1.17, [0.16, -1.66, -0.01, 0.36, -1.18], [-2.271, 2.659, 1.136, 0.051, -0.893, -0.428, 0.13]),
+    (-2.72, [0.69, -1.56, 0.51, -0.18, 1.42], [-1.644, 0.468, 0.485, -0.918, -0.267, 0.185, 0.228]),
+    (1.11, [0.53, -1.71, 0.4, -0.06, -1.5], [1.254, 1.888, 1.182, -0.032, -0.621, -0.178, 0.762]),
+])  # fmt: skip
+def test_arms_of_five_joints_do_not_jump_where_no_base_pose_is_exact(hsr, yaw, joints, target):
+    target = np.array(target) / np.append(np.ones(3), np.full(4, np.linalg.norm(target[3:])))
+    plan = kinfeas.plan(hsr, "linear", target=target, start=(0.0, 0.0, yaw), joints=joints)
+    metres, radians = distance(plan.reached, plan.ee_pose)
+    assert (metres.max() < 0.03, radians.max() < 0.25) == (True, True)
+    assert np.diff(plan.time).max() < 0.2
+
+
 def test_the_ee_is_slower_where_the_robot_cannot_follow():
     poses = FIRST * np.ones((2, 1))
     poses[1, 0] += 0.3
