@@ -16,6 +16,8 @@ from kinfeas.plugins.fit import MotionFit, write_model
 from kinfeas.plugins.fit import fit as learn
 from kinfeas.plugins.imitation import Kind
 
+Components = Annotated[int, Interval(ge=1, le=50)]
+
 
 def fit(
     demonstrations: Name | Sequence[Name],
@@ -36,8 +38,8 @@ def fit(
     """
     require("sklearn")
     kind = checked(Kind, kind, "kind")
-    most = Annotated[int, Interval(ge=1, le=50)]
-    components, seed = checked(most, components, "components"), checked(Seed, seed, "seed")
+    components = checked(Components, components, "components")
+    seed = checked(Seed, seed, "seed")
     if isinstance(demonstrations, str) or not isinstance(demonstrations, Sequence):
         demonstrations = [demonstrations]
     sources = [Path(text_of(source, "demonstrations")) for source in demonstrations]

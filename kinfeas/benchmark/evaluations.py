@@ -280,8 +280,9 @@ def _named_files(settings: object) -> list[str]:
         settings = list(settings.values())
     if isinstance(settings, list):
         return [each for value in settings for each in _named_files(value)]
-    named = isinstance(settings, str) and is_path(settings) and Path(settings).is_file()
-    return [file_hash(Path(str(settings)))] if named else []
+    if not isinstance(settings, str) or not Path(settings).is_file():
+        return []
+    return [file_hash(Path(settings))]
 
 
 def read_run(folder: Path) -> TrainedRun:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.extras import require
-from kinfeas.core.spatial import Array, compose, make_pose, rpy
+from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative, yaw
 from kinfeas.robots.elements import (
     LARGEST,
     Element,
@@ -190,9 +190,7 @@ def _add_joints(robot: Element, model: Any, body: int, links: list[str]) -> None
         raise robot.error(f"body {links[body]!r}: ball joints are not supported")
     origin = _pose(model.body_pos[body], model.body_quat[body])
     if count and model.jnt_type[first] == _FREE:  # the place in a scene says nothing of the robot
-        origin = make_pose(
-            origin[:3] * [0, 0, 1], Rotation.from_euler("xyz", rpy(origin) * [1, 1, 0])
-        )
+        origin = relative(origin, planar_pose(origin[0], origin[1], yaw(origin)))
     parent, anchor = links[model.body_parentid[body]], np.zeros(3)
     for i in joints:
         position = model.jnt_pos[i]

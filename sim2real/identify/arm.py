@@ -159,7 +159,10 @@ class ArmProblem:
         Time errors of the arm are compared with those of simulated delays, by the likelihood of
         pairs of neighbours.
         """
-        errors = self._time_errors(delays)
+        errors = [  # a constant lateness is no spread
+            each._replace(late=each.late - np.nanmean(each.late))
+            for each in self._time_errors(delays)
+        ]
         speeds = [positions.speed for positions in self._positions(delays, self.lag)]
         likelihood = np.empty((len(_JITTERS), len(_LOST)))
         latencies = np.empty_like(likelihood)
@@ -214,7 +217,7 @@ def pair_likelihood(logs: Sequence[TimeErrors], drawn: Sequence[Array]) -> float
         products = [each[:, lag:] * each[:, :-lag] for each in normal]
         covariance = float(np.nanmean(np.concatenate(products, axis=1))) * variance
         total += sum(
-            _pairs(log.late - np.nanmean(log.late), variance + log.noise, covariance + noise, lag)
+            _pairs(log.late, variance + log.noise, covariance + noise, lag)
             for log, noise in zip(logs, shared, strict=True)
         )
     return total

@@ -41,7 +41,7 @@ _ROUNDING = 1e-7  # rad and m, of the numbers of a record
 _LEAST_POSITION = 1e-4  # rad and m, the same of joints
 _CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
 _ENOUGH, _MORE = 200, 1.4  # measurements for a variance, and its factor that motion explains
-_LONGEST = 0.5  # s between measurements beyond which a base may have moved on its own
+_GAP = 0.5  # s between measurements, beyond which a base may have moved on its own
 _NEIGHBOURS = 2  # measurements whose noise may depend
 _ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
 
@@ -245,7 +245,7 @@ def base_noise(
         "noise of the base and drift of its localisation look alike: a drift of "
         f"{drifts[0]:.3g} m and {drifts[1]:.3g} rad after 1 s is assumed"
     )
-    return estimates | _localisation_jumps(tracks, rests, jump & (seconds[:, 0] < _LONGEST), drifts)
+    return estimates | _localisation_jumps(tracks, rests, jump & (seconds[:, 0] < _GAP), drifts)
 
 
 def _long_run(rest: Array, used: Flags) -> float:

@@ -88,17 +88,19 @@ def test_a_robot_that_changes_is_evaluated_anew(tmp_path):
     assert len({*names, case.name}) == 3
 
 
-def test_a_motion_learned_anew_is_evaluated_anew(tmp_path):
+def test_a_motion_learned_anew_is_evaluated_anew(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "reach.yaml").write_text("first")
     motion = {"generator": "imitation", "parameters": {"model": "reach.yaml"}}
     places = {"cup": {"position": [2.0, 0.0, 0.8]}}
     task = {"name": "own", "places": places, "subgoals": [{"place": "cup", "motion": motion}]}
     (tmp_path / "task.yaml").write_text(json.dumps(task))
     own = replace(small()[0], task=str(tmp_path / "task.yaml"))
-    motion["parameters"]["model"] = str(tmp_path / "reach.yaml")
-    cases = [own, replace(small()[0], settings={"task": {"motion": motion}})]
+    (tmp_path / "ee.csv").write_text("first")
+    cases = [own, replace(small()[0], settings={"task": {"motion": {"file": "ee.csv"}}})]
     names = [case.name for case in cases]
-    (tmp_path / "reach.yaml").write_text("second")
+    for file in ("reach.yaml", "ee.csv"):
+        (tmp_path / file).write_text("second")
     assert not {case.name for case in cases} & set(names)
 
 
