@@ -15,7 +15,6 @@ from kinfeas.config import strict_yaml
 from kinfeas.core import files
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.status import Status
     from rich.text import Text
 
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
 
 LINE_SECONDS = 15.0
 """Time between lines on progress where standard error is no terminal."""
-
-COMPILING = "compiling kernels (kept for next time)"
-
 
 STDOUT = Path("-")
 """Standard output, as the path of a JSON file."""
@@ -91,10 +87,9 @@ def progress() -> Iterator["OnProgress"]:
             sys.stderr.write(f"{fraction:4.0%}  {text}\n")
 
     if not console.is_terminal:
-        with _compiling(console):
-            yield write_line
+        yield write_line
         return
-    with _compiling(console), Progress(console=console, transient=True) as bar:
+    with Progress(console=console, transient=True) as bar:
         task = bar.add_task("", total=1.0)
 
         def show(text: str, fraction: float) -> None:
@@ -112,7 +107,7 @@ def status(text: str) -> Iterator["Status"]:
     from rich.markup import escape
 
     console = Console(stderr=True)
-    with _compiling(console), console.status(escape(text)) as shown:
+    with console.status(escape(text)) as shown:
         yield shown
 
 
@@ -141,28 +136,8 @@ def run_status(*, goal: bool = True) -> Iterator[Callable[["Moment"], None]]:
                 sys.stderr.write(f"{text}\n")
 
     # Few refreshes, since they take time from the control loop.
-    with _compiling(console), console.status("preparing", refresh_per_second=4.0) as shown:
+    with console.status("preparing", refresh_per_second=4.0) as shown:
         yield show
-
-
-@contextmanager
-def _compiling(console: "Console") -> Iterator[None]:
-    """Print a line when numba begins to compile kernels that it has not cached."""
-    from numba.core import event
-
-    printed = False
-
-    class Compiling(event.Listener):
-        def on_start(self, _: object) -> None:
-            nonlocal printed
-            if not printed:
-                console.print(COMPILING)
-            printed = True
-
-        def on_end(self, _: object) -> None: ...
-
-    with event.install_listener("numba:compile", Compiling()):
-        yield
 
 
 def percent(value: float | None, low: float | None = None, high: float | None = None) -> str:

@@ -10,17 +10,20 @@ process compiled before determine which copy runs. No kernel has a `**`, since n
 once in a process, with the flags of the first kernel.
 """
 
+import logging
 import os
 import stat
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba import njit
+from numba.core import event
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import try_lock
@@ -42,8 +45,22 @@ exact = njit(**_EXACT, **_CALLED)
 exact_inner = njit(**_EXACT, **_CALLED, **_UNCOUNTED)
 exact_inlined = njit(**_EXACT, forceinline=True)
 
+_log = logging.getLogger(__name__)
+
 _POLL, _DEADLINE = 0.02, time.monotonic() + 10.0
 """Seconds between attempts to lock, and the time after which an import does not wait."""
+
+
+class _Notice(event.Listener):
+    """Says, in the first process, that the first calls after an installation take long."""
+
+    def on_start(self, event: event.Event) -> None:
+        ours = event.data["dispatcher"].__module__.startswith("kinfeas.")
+        if ours and parent_process() is None:
+            self.on_start = self.on_end  # type: ignore[method-assign]
+            _log.warning("compiling kernels (kept for next time)")
+
+    def on_end(self, event: event.Event) -> None: ...
 
 
 def _settle() -> None:
@@ -119,6 +136,7 @@ def _private(folder: Path) -> Path:
 
 
 _settle()  # before the first kernel
+event.register("numba:compile", _Notice())
 
 
 @inlined

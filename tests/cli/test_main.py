@@ -2,11 +2,9 @@ import subprocess
 import sys
 from unittest.mock import Mock
 
-import numba
 import pytest
 
 from kinfeas.cli import main as module
-from kinfeas.cli.output import progress, status
 from kinfeas.core.errors import KinfeasError, plugin_note
 
 HEAVY = """
@@ -113,16 +111,3 @@ def test_help_and_version_succeed(kinfeas, monkeypatch, words):
 def test_a_group_without_a_command_prints_its_help(kinfeas, group):
     done = kinfeas(group, code=2)
     assert (done.out, done.err) == (kinfeas(group, "--help", code=0).out, "")
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-@pytest.mark.parametrize("shown", [progress, lambda: status("searching")])
-def test_commands_say_once_that_kernels_are_compiled(monkeypatch, capfd, shown, terminal):
-    monkeypatch.setenv("TTY_COMPATIBLE", "1" if terminal else "0")
-    double = numba.njit(lambda value: value + value)
-    with shown():
-        assert (double(1), double(1.0)) == (2, 2.0)
-    with shown():
-        double(1)
-    out, err = capfd.readouterr()
-    assert (out, err.count("compiling kernels")) == ("", 1)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 PROGRAM = """
+import sys
 import numba
 import kinfeas.core.kernels
 print(numba.config.CACHE_DIR)
@@ -15,6 +16,9 @@ def double(x):
     return 2 * x
 
 double(1)
+print("now ours", file=sys.stderr)
+kinfeas.core.kernels.square(1.0)
+kinfeas.core.kernels.square(1)
 """
 
 
@@ -44,6 +48,12 @@ def test_kernels_are_cached_in_the_temporary_folder_without_another(program, fol
     assert Path(done.stdout.strip()) == folder, done.stderr
     assert folder.stat().st_mode & 0o777 == 0o700
     assert list(folder.rglob("*.nbc"))
+
+
+def test_first_calls_of_our_kernels_say_once_that_they_are_compiled(program):
+    others, ours = program().stderr.split("now ours\n")
+    assert "compiling" not in others
+    assert ours == "compiling kernels (kept for next time)\n"
 
 
 @pytest.mark.parametrize("linked", [False, True])
