@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from kinfeas.core.kernels import compiled, inlined
+from kinfeas.core.kernels import compiled, copy_row, inlined
 
 PRISM = 10
 
@@ -111,8 +111,9 @@ def gaps(points, pose, size, cylinder, planar, vertical):
 )
 def swept(pose, size, cylinder, velocity, first, last, pose_out, size_out):
     """Poses and sizes of solids that fill the room of others between two times, seconds."""
-    pose_out[:], size_out[:] = pose, size
     for k in range(len(pose)):
+        copy_row(pose[k], pose_out[k])
+        copy_row(size[k], size_out[k])
         cosine, sine = math.cos(pose[k, 2]), math.sin(pose[k, 2])
         x, y = 0.5 * (last - first) * velocity[k, 0], 0.5 * (last - first) * velocity[k, 1]
         u, v = abs(cosine * x + sine * y), abs(cosine * y - sine * x)
