@@ -39,16 +39,16 @@ from kinfeas.plugins.path import below
 from kinfeas.plugins.replay import resampled
 
 _SAMPLES = 200  # of each demonstration
-_DIGITS = 8  # significant ones in a model
+_DIGITS = 8  # significant digits of the numbers in a model
 _CLOCK = 30.0  # seconds that a `gaussian_mixture` takes, as the authors' models do
 _METRES_PER_RADIAN = 0.2  # so that the index of `imitation` also advances in a rotation on the spot
 _STILL = 1e-3  # metres from its start, below which a demonstration has no motion to learn
 _MAX_ROTATION = 3.0  # radians from the mean orientation; at pi the rotation vector jumps
 _FARTHEST = 30.0  # metres from the object
 _STRONG = 0.7  # silhouette from which demonstrations follow two paths
-_APART = 0.1  # of the learned length, the distance from which they do
-_OUTLIER, _OFF = 3.0, 0.1  # medians, and metres, beyond which a residual is one of an outlier
-_PART, _TURNED = 0.25, 0.3  # of its path, and radians, beyond which it is one in any case
+_APART = 0.1  # least distance between two such paths, as a fraction of the learned length
+_OUTLIER, _OFF = 3.0, 0.1  # medians and metres; a residual above both is that of an outlier
+_PART, _TURNED = 0.25, 0.3  # fraction of its path, and radians; each suffices for an outlier
 _FEWEST = 3  # samples of a demonstration
 _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a thousandth of the path
 
@@ -132,7 +132,7 @@ def fit(
     metres, radians = apart.mean(axis=2).T.tolist()
     length, whole = _length(learned)
     sides = _sides(features, len(paths), whole)
-    # The median of all is hardly above that of the others, and there is one of a single take.
+    # The median includes the demonstration itself: hardly higher, and it exists for a single one.
     common = max(_OUTLIER * np.median(metres), _OFF)
     outliers = tuple(
         name
@@ -239,8 +239,8 @@ def _sides(features: Array, count: int, length: float) -> tuple[int, ...]:
 
     Two clusters count as two paths if their mean silhouette is that of a strong structure (Kaufman
     and Rousseeuw, Finding Groups in Data, 1990), which fewer than four demonstrations cannot have,
-    and their means are apart by a fraction of the `length` of the learned path. Starts may scatter:
-    the part of their offsets that is left at an index does not count.
+    and their means are apart by a fraction of the `length` of the learned path. Scattered starts do
+    not count: the part of the start's offset that is left at an index is subtracted there.
     """
     from sklearn.cluster import AgglomerativeClustering
     from sklearn.metrics import silhouette_score

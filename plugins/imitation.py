@@ -194,7 +194,7 @@ def read_model(name_or_path: str, kind: Kind) -> Model:
 
 
 def _read(path: Path) -> Any:
-    """Return the content of a model file as that of format 2."""
+    """Return the content of a model file, converted to format 2."""
     data: Any = strict_yaml.read(path)
     if data.get("format") == 1:
         try:

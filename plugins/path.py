@@ -26,7 +26,7 @@ FIRST = 0.2
 """`PathMotion.first` of paths whose first pose counts: 1 cm and 0.06 rad."""
 
 _END_SECONDS = 1.0
-"""Longest rest of a path that counts as its end, if it is within the tolerances of a goal, too."""
+"""Most remaining seconds that count as the end of a path, within the tolerances of a goal."""
 
 _FINEST = 0.05  # seconds from knot to knot, if the path is not too long for that
 _MOST_SEGMENTS = 20_000
@@ -79,7 +79,7 @@ class PosePath:
         return compose(below(object_pose), pose)
 
     def _segment(self, index: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return the segments of `index`, and the fraction of each that is behind it."""
+        """Return the segments that contain `index`, and the fraction of each that is passed."""
         count = len(self.segments)
         steps = index * count
         i = np.minimum(steps.astype(np.intp), count - 1)
@@ -107,7 +107,7 @@ class PathMotion:
     # the length a: the error at which the phase slows down by e, in metres
     position_scale: float = 0.05
     rotation_scale: float = 0.3  # the same angle b in radians
-    first: float = math.inf  # error, in units of a and b, with which an EE leaves the first pose
+    first: float = math.inf  # largest error, in units of a and b, at which the phase leaves 0
     max_velocity: float = 0.1  # upper limit of the speed in m/s
     max_angular_velocity: float = 0.1  # upper limit of the angular speed in rad/s
     _end: float = field(init=False, repr=False)

@@ -31,7 +31,7 @@ from kinfeas.plugins.minimum_jerk import MinimumJerk
 from kinfeas.plugins.path import norm
 
 _MOVED = 0.05
-"""Metres that a target may move before its path is planned anew; paths bend along until then."""
+"""Metres that a target may move before its path is planned anew; until then it is bent."""
 
 _MOMENT = 0.05  # seconds over which the velocity is measured when the path changes
 
@@ -230,14 +230,15 @@ class Planned(SmoothPath):
 class WholeBody(Planned):
     """Motion around solids along which the base can follow, from rest to rest.
 
-    A planner finds a motion of base and arm to the target without collisions; the EE moves as it
-    does there. Without one, the motion is that of `planned`, whose parameters it has.
+    A planner finds a motion of base and arm to the target without collisions, and the EE follows
+    the EE path of this motion. If there is none, it moves as with `planned`, whose parameters are
+    the same.
     """
 
     def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
         """Return straight motions.
 
-        The keys are those of `planned`, and 1 where there is a whole-body path, shape (n,).
+        The keys are those of `planned`, and `follows`, shape (n,): 1 on a whole-body path, else 0.
         """
         state = super().start(ee_pose, target_pose, rngs)
         return {**state, "follows": np.zeros(len(target_pose))}
@@ -266,7 +267,7 @@ class WholeBody(Planned):
         return merged(state, alone, super().replan(*rows), len(ee_pose))
 
     def _timed(self, path: WholeBodyPath) -> tuple[Array, Array, Array]:
-        """Return EE and robot at even times, (64, 7) and (64, 3 + j), and all time, seconds."""
+        """Return EE and robot at even times, (64, 7) and (64, 3 + j), and the duration, seconds."""
         seconds = np.maximum(self._seconds(path.ee[:-1], path.ee[1:]), path.seconds)
         time = np.concatenate([[0.0], np.cumsum(seconds + 1e-6)])
         at = np.linspace(0.0, time[-1], POINTS)

@@ -122,7 +122,7 @@ def _at_full_speed(
     spline = _spline(np.concatenate([[0.0], np.cumsum(apart)]), poses)
     parameter = np.linspace(0.0, apart.sum(), max(_FINE, 20 * len(poses)) + 1)
     seconds = _seconds(spline(parameter), limits)
-    # The speed of the slowest moment nearby: where a rotation reverses, the EE would jerk instead.
+    # Take the slowest speed nearby: otherwise the EE would jerk where a rotation reverses.
     nearby = max(1, round(min(ramp, 2.0 * parameter[-1]) / parameter[1]))
     spent = np.concatenate([[0.0], np.cumsum(maximum_filter1d(seconds, nearby))])
     ramp = min(ramp, spent[-1])

@@ -194,7 +194,7 @@ def furniture_solids(
 
 
 def solid_names(scene: Scene) -> list[str]:
-    """Return the object of each of `furniture_solids` with movable objects."""
+    """Return the object's name for each solid of `furniture_solids` with `movable`."""
     return [name for name, entry in scene.objects.items() for _ in entry.shapes()]
 
 

@@ -16,12 +16,12 @@ from kinfeas.robots.robot import Robot
 
 
 class AnalyticBackend(Backend):
-    """n robots without dynamics: the base integrates its twist, the arm is where it is sent."""
+    """n robots without dynamics: bases integrate their twists, arms jump to their targets."""
 
     solids: MovingSolids
 
     def __init__(self, robot: Robot | None = None) -> None:
-        """Make an empty world; only with a robot does it measure distances to obstacles."""
+        """Make an empty world; without `robot` it measures no distances to obstacles."""
         self._prisms = None if robot is None else base_prisms(build_collision_model(robot))
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
         self.solids, self.scanner, self.resumable = MovingSolids(), self, self
@@ -67,7 +67,7 @@ class AnalyticBackend(Backend):
         return {"base_pose": base, "joint_positions": joints, **self.solids.snapshot()}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
-        """Take on a state that `snapshot` returned and return what it measures."""
+        """Restore a state that `snapshot` returned, and return the measured state."""
         self.state = RobotState(snapshot["base_pose"].copy(), snapshot["joint_positions"].copy())
         self.solids.restore(snapshot, len(self.state.base_pose))
         return self.state

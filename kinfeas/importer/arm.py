@@ -14,15 +14,15 @@ from kinfeas.robots.spec import GripperSpec
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 
 _MIN_JOINTS = 3
-"""Joints of an arm; a branch nearer to the base is no hand."""
+"""Least number of joints of an arm; a branch nearer to the base is no hand."""
 
 _FIXED_JAW = 1.0 / 3.0
-"""Length of a fixed jaw, as a fraction of the moving one."""
+"""Least length of a fixed jaw, as a fraction of the length of the moving one."""
 
 _JAW = re.compile(r"jaw|finger|claw", re.IGNORECASE)
 _PAD = 0.025  # m, from the ends of fingers to where they hold an object
 _OFF_AXIS = 0.01  # m, by which shapes on an axis may be off it
-_NOTHING = 1e-6  # m
+_NOTHING = 1e-6  # m, length that counts as 0
 _MAX_EFFORT = 1e4  # N or N m; larger limits stand for none
 _GUESSED_EFFORT = {"prismatic": 20.0, "revolute": 2.0, "continuous": 2.0}  # N or N m, of a finger
 
@@ -58,8 +58,8 @@ class Arm:
 def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     """Return the arm of a robot.
 
-    By default the hand, the link that IK places, is where the longest chain of moving joints
-    branches last, into fingers, or the link with a fixed jaw on which a single finger closes.
+    IK places the link `hand`. By default this is the last link at which the longest chain of moving
+    joints branches into fingers, or the link with a fixed jaw on which a single finger closes.
     """
     if hand is None:
         hand, *others = dict.fromkeys(_hands(urdf, source).values())
@@ -90,7 +90,7 @@ def _on_hand(urdf: Urdf, hand: str) -> list[Joint]:
 def ends_of_arms(urdf: Urdf, source: str) -> frozenset[str]:
     """Return the links whose shapes decide where the hands of several arms are; none for one arm.
 
-    Errors as of `find_arm`, which needs the shapes.
+    Errors are as in `find_arm`, which needs these shapes.
     """
     hands = _hands(urdf, source)
     if len(set(hands.values())) == 1:
@@ -102,7 +102,7 @@ def ends_of_arms(urdf: Urdf, source: str) -> frozenset[str]:
 
 
 def _hands(urdf: Urdf, source: str) -> dict[str, str]:
-    """Return the hand of each of the longest chains of moving joints, by its last joint."""
+    """Return the hands of the longest chains of moving joints, by the name of the last joint."""
     paths = {link: [j for j in urdf.path_to(link) if j.moves] for link in urdf.links}
     longest = max(map(len, paths.values()))
     if longest < _MIN_JOINTS:
@@ -117,7 +117,7 @@ def _hands(urdf: Urdf, source: str) -> dict[str, str]:
 
 
 def _hand_of(urdf: Urdf, moving: list[Joint], forks: dict[frozenset[str], str]) -> str:
-    """Return the hand at the end of a chain of moving joints; `forks` has links that branch."""
+    """Return the hand of a chain of moving joints; `forks` has the link where a group branches."""
     for joint in reversed(moving[_MIN_JOINTS:]):
         if hand := forks.get(urdf.rigid[joint.parent]):
             return hand
@@ -130,7 +130,7 @@ def _hand_of(urdf: Urdf, moving: list[Joint], forks: dict[frozenset[str], str]) 
 
 
 def _last_common(urdf: Urdf, links: list[str]) -> str:
-    """Return the last link on the way to all of `links`, or one of them."""
+    """Return the last link that is on the paths from the root to all of `links`, inclusive."""
     paths = [[urdf.root, *(joint.child for joint in urdf.path_to(link))] for link in links]
     return [level[0] for level in zip(*paths, strict=False) if len(set(level)) == 1][-1]
 
@@ -155,9 +155,9 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
 
 
 def _off_axis(urdf: Urdf, joint: Joint) -> Array:
-    """Return the offset of the shapes that a joint moves from its axis, shape (3,), metres.
+    """Return the offset from a joint's axis to the shapes that it moves, shape (3,), metres.
 
-    It is in the frame of the child, and zero if the shapes are on the axis, as at a wrist.
+    It is in the child's frame, and zero if the shapes are on the axis, as at a wrist.
     """
     shapes = place(urdf, sorted(urdf.below(joint.name)), joint.child, urdf.link_poses({}))
     if not shapes:
@@ -170,7 +170,7 @@ def _off_axis(urdf: Urdf, joint: Joint) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """The tool tip (3,), metres, in the hand's frame, and the rotation of the gripper to it, xyzw.
+    """The tool tip (3,), metres, in the hand's frame, and the `gripper_rotation` of `RobotSpec`.
 
     `gripper` is None without two fingers that open and close; `no_gripper` is the reason.
     """
@@ -203,7 +203,7 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
         beside = np.roll(x, 1)
     y = np.abs(_nearest_axis(beside))  # either finger may be the first
     reach = max((shape.reach(x) for shape in shapes), default=float(front @ x) * several)
-    # Without fingers, a frame ahead of all shapes is that of the tool.
+    # Without fingers, a hand frame ahead of all shapes is at the tool tip itself.
     hold = front - (front @ x) * x + (reach - _PAD * bool(shapes)) * x
     tip = hold if several else max(0.0, reach) * x
     to_gripper = np.stack([x, y, np.cross(x, y)])
@@ -274,7 +274,7 @@ def effort_limits(fingers: Iterable[Joint]) -> list[float]:
 
 
 def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> Array:
-    """Return the mean position of a finger's shapes, or its own, in the hand's frame, (3,)."""
+    """Return a finger's mean shape position, or link position, in the hand's frame, (3,)."""
     shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, poses)
     if not shapes:
         return relative(poses[finger.child], poses[arm.hand])[:3]
@@ -284,8 +284,8 @@ def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> 
 def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:
     """Return the approach of a hand without fingers, shape (3,).
 
-    It is `reach`, the way to its farthest shape, or the axis of a last joint that turns the hand
-    about itself, away from the parent of that joint.
+    It is `reach`, the vector to its farthest shape; or, if the last joint turns the hand about its
+    own axis, this axis, away from the parent of that joint.
     """
     last = arm.joints[-1]
     if last.kind == "prismatic" or _off_axis(urdf, last).any():

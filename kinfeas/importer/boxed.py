@@ -34,7 +34,7 @@ _DIGITS = 4  # decimals of lengths and angles
 _THINNEST = 10.0**-_DIGITS  # m
 MARGIN = 5e-4  # m, by which primitives are too large on each side; more than rounding takes away
 
-_CORNERS = 256  # most hull points that orient a primitive; all of them determine its size
+_CORNERS = 256  # most hull points that orient a primitive; all points determine its size
 _FLAT = 1e-3  # m, thickness that flat meshes get
 _CUTS = 2  # halvings at most, for four primitives
 _WORTH = 0.7  # of the volume; halves that are larger together do not replace the whole
@@ -64,7 +64,7 @@ def boxed_urdf(
 
     Args:
         robot: The robot's element <robot>; its joints and inertias become part of the result.
-        folder: Absolute path of its file's folder, from which addresses of meshes start.
+        folder: Absolute path of its file's folder, to which addresses of meshes are relative.
         base: Link that becomes the root, with all that it carries; by default the root, or the link
             behind joints that move bare frames on the floor, as simulators add.
         on_link: Called with the name of each link that is done.
@@ -189,10 +189,10 @@ def box_masses(robot: Element, arm: Arm) -> list[str]:
 
 
 def on_the_floor(robot: Element, arm: Arm) -> float:
-    """Put a root on the floor into the element <robot>, and return the height of its own, metres.
+    """Add a root link on the floor, and return the height of the old root above it, metres.
 
     The lowest shape that the arm does not carry is on the floor. If it is not below the root, the
-    root is on the floor already, since wheels need not have shapes.
+    root is on the floor already, since wheels need not have shapes: nothing is added then.
     """
     urdf = urdf_of(robot)
     links = set(urdf.links) - urdf.below(arm.joints[0].name)
@@ -322,7 +322,7 @@ def _around(corners: Array, kind: ShapeKind, pose: Array) -> Shape:
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull; flat points get a thickness, since they have none."""
+    """Return the corners of the convex hull; flat sets of points get a thickness first."""
     middle = points.mean(axis=0)
     _, _, axes = np.linalg.svd(points - middle, full_matrices=len(points) < 3)
     for axis in axes:

@@ -91,7 +91,7 @@ def _complete_limits(robot: Element) -> None:
 
 
 def _couple_telescopes(robot: Element) -> None:
-    """Make joints that slide on alike ones follow the first of them.
+    """Make prismatic joints that extend a parallel one with equal limits mimic the first of these.
 
     Vendors describe the segments of a telescope as joints; one motor moves all of them.
     """
@@ -109,7 +109,7 @@ def _couple_telescopes(robot: Element) -> None:
 
 
 def _telescopes(urdf: Urdf) -> dict[str, list[str]]:
-    """Return the joints that follow a joint below them, by its name."""
+    """Return prismatic joints that mimic one nearer to the root, by the name of that leader."""
     segments: dict[str, list[str]] = {}
     for joint in urdf.joints.values():
         leader = urdf.followed(joint)[0]
@@ -119,10 +119,10 @@ def _telescopes(urdf: Urdf) -> dict[str, list[str]]:
 
 
 def find_drive(urdf: Urdf, arm: Arm, whole: Urdf) -> tuple[Drive, str]:
-    """Return the drive of a base and what it was read from: names and axes of its wheels.
+    """Return the drive of a base, and the reason as text.
 
-    If these leave a guess, sliding joints below the base in the `whole` description count: two are
-    those of an omnidirectional base. Without such joints the guess is differential.
+    Names and axes of the wheels decide. If they leave only a guess, horizontal prismatic joints
+    below the base in the `whole` description decide: two or more make the base omnidirectional.
     """
     drive, why = _wheel_drive(urdf, arm)
     below = [joint for joint in whole.path_to(arm.hand) if joint.name not in urdf.joints]
@@ -144,7 +144,7 @@ def _wheel_drive(urdf: Urdf, arm: Arm) -> tuple[Drive, str]:
     axes = {joint.name: axis_in_root(urdf, joint) for joint in joints if joint.moves}
     wheels = [j for j in joints if j.kind == "continuous" and abs(axes[j.name][2]) < _LEVEL]
     if driven := [wheel for wheel in wheels if not _CASTER.search(wheel.name + wheel.child)]:
-        wheels = driven  # the others follow
+        wheels = driven  # casters are passive
     steering = {wheel.name: _steering(urdf, wheel, axes) for wheel in wheels}
     fixed = [wheel for wheel in wheels if steering[wheel.name] is None]
     listed = _listed(wheel.name for wheel in wheels)

@@ -37,14 +37,14 @@ from kinfeas.robots.urdf import Joint, Urdf
 from kinfeas.robots.urdf_file import urdf_of
 
 _REACHED = (0.8, 0.4, 0.2)
-"""Fractions of reachable goals at the heights of a reach; a lower one where there is no range."""
+"""Least fractions of reachable goals at the heights of a reach, in the order of preference."""
 
 _BOXING, _TOUCHING, _REACHING = 0.3, 0.1, 0.6  # fractions of the work
 
 _MAX_TURNS = 4.0 * math.pi + 0.01  # rad; a wider range stands for no limit
 _HALF_TURN = 3.1416
 
-_BASE_LIMITS = (0.2, 1.0, 1.0, 2.0)  # of the shipped robots' bases
+_BASE_LIMITS = (0.2, 1.0, 1.0, 2.0)  # m/s, rad/s, m/s^2 and rad/s^2, as of the shipped robots
 _ROTATION_TOLERANCE = 0.2094  # rad, of HSR
 
 
@@ -192,8 +192,8 @@ def reach_of(heights: reach.Heights, source: str) -> Reach:
 def pose_tolerance(robot: Robot) -> PoseTolerance | None:
     """Return the pose tolerance of an arm that cannot move its EE in six dimensions, else None.
 
-    The rotation is HSR's. The position is how far this turn about the first joint moves the EE, at
-    its median horizontal distance from there: 0.1 m for HSR.
+    The rotation is that of HSR. The position is the distance by which this rotation about the first
+    joint moves an EE at its median horizontal distance from that joint: 0.1 m for HSR.
     """
     if reach.freedom(robot) == POSE_DIMENSIONS:
         return None

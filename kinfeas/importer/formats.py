@@ -90,10 +90,10 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> Element:
 def _from_mjcf(path: Path, folder: Path) -> Element:
     """Return an MJCF as the element <robot>; its meshes are written to `folder`.
 
-    The world is the root link. Where a body has several joints, or one beside its origin, bare
-    links are between. Free joints become fixed, above the origin. Joints that an equality couples
-    become mimic joints; other constraints, such as those that close the loops of a gripper, are
-    left out, and so is the scenery.
+    The world is the root link. A body with several joints, or a joint away from its origin, gets
+    bare links in between. Free joints become fixed ones, above the origin. Joints that an equality
+    couples become mimic joints; other constraints, such as those that close the loops of a gripper,
+    are left out, and so is the scenery.
     """
     require("mujoco")
     import mujoco
@@ -189,7 +189,7 @@ def _add_joints(robot: Element, model: Any, body: int, links: list[str]) -> None
     if count and model.jnt_type[first] == _BALL:
         raise robot.error(f"body {links[body]!r}: ball joints are not supported")
     origin = _pose(model.body_pos[body], model.body_quat[body])
-    if count and model.jnt_type[first] == _FREE:  # the place in a scene says nothing of the robot
+    if count and model.jnt_type[first] == _FREE:  # only height and tilt belong to the robot
         origin = relative(origin, planar_pose(origin[0], origin[1], yaw(origin)))
     parent, anchor = links[model.body_parentid[body]], np.zeros(3)
     for i in joints:
@@ -219,7 +219,7 @@ def _add_joint(robot: Element, name: str, kind: str, parent: str, child: str, or
 
 
 def _describe(joint: Any, model: Any, i: int) -> None:
-    """Add axis, limits and friction of joint `i`; it is at 0 where the model starts."""
+    """Add axis, limits and friction of joint `i`; its position is 0 at the model's `qpos0`."""
     dof, limits = model.jnt_dofadr[i], np.array([-LARGEST, LARGEST])
     if model.jnt_limited[i]:
         limits = model.jnt_range[i] - model.qpos0[model.jnt_qposadr[i]]
@@ -230,7 +230,7 @@ def _describe(joint: Any, model: Any, i: int) -> None:
 
 
 def _effort(model: Any, i: int) -> dict[str, float]:
-    """Return the effort limit of joint `i` as an attribute, from its actuators; none without."""
+    """Return the least effort limit of joint `i` and its actuators as an attribute, if any."""
     efforts = [model.jnt_actfrcrange[i][1]] if model.jnt_actfrclimited[i] else []
     for actuator in np.flatnonzero(model.actuator_trnid[:, 0] == i):
         if model.actuator_trntype[actuator] != 0:

@@ -29,16 +29,16 @@ from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 
 OFTEN, ALWAYS = 1.0 / 3.0, 0.95
-"""Fraction of configurations in which near neighbours, and any two links, touch by design."""
+"""Fractions of configurations above which near neighbours, or any links, touch by design."""
 
 _NEAR = 2
-"""Revolute joints between near neighbours at most: primitives around their meshes overlap."""
+"""Most revolute joints between near neighbours; primitives around their meshes overlap."""
 
 LOAD = 0.7
 """Largest gravity torque as a fraction of the effort limit; motors also accelerate the arm."""
 
 _HELD = 0.02
-"""Fraction of configurations that can be held below which effort limits are placeholders."""
+"""Least fraction of configurations that can be held; effort limits for fewer are placeholders."""
 
 RELEVANT = 0.01
 """Fraction of configurations from which on a false contact matters."""
@@ -48,7 +48,7 @@ _PARALLEL = 0.999  # cosine of the angle between two axes
 _FEW = 64  # configurations that show the degrees of freedom
 _STEP, _GOALS = 0.1, 48  # m between heights, and goals at each
 _MAX_HEIGHT = 100.0  # m
-_STAGES = (4, 16, 64, 256)
+_STAGES = (4, 16, 64, 256)  # base poses tried around a goal by the end of each stage
 _SEARCH = IkOptions(restarts=6, candidates=1)  # a quick one, since many base poses are tried
 _STIFF = 1e-3  # singular values below count as zero
 
@@ -132,10 +132,10 @@ def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
 def only_fitted(
     robot: Robot, originals: Mapping[str, Sequence[Part]], touching: Mapping[tuple[str, str], float]
 ) -> dict[tuple[str, str], float]:
-    """Return the pairs of links that touch in relevant fractions only by their primitives.
+    """Return the pairs of links whose primitives touch in relevant fractions, but not their meshes.
 
-    Their `originals`, as of `boxed_urdf`, touch in none of the configurations compared. `touching`
-    has all checked pairs, and the fraction of configurations in which they touch.
+    The `originals`, from `boxed_urdf`, touch in none of the configurations that are compared.
+    `touching` has the fraction of configurations in which each checked pair touches.
     """
     suspected = {
         pair: fraction
@@ -237,7 +237,7 @@ def freedom(robot: Robot) -> int:
 
 
 def _singular_values(robot: Robot, joints: Array) -> Array:
-    """Return those of the Jacobian in configurations (n, j), descending, shape (n, min(6, j))."""
+    """Return the Jacobian's singular values at joints (n, j), descending, (n, min(6, j))."""
     weights = np.repeat([1.0, ROTATION_WEIGHT], 3)[:, np.newaxis]
     return np.linalg.svd(jacobian(build_chain(robot), joints) * weights, compute_uv=False)
 
@@ -245,9 +245,9 @@ def _singular_values(robot: Robot, joints: Array) -> Array:
 def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None) -> Heights:
     """Return the fraction of reachable goals by height, from the floor up.
 
-    Goals have random orientations. IK decides, from up to 256 base poses around each goal; a pose
-    tolerance of the robot does not count beyond the tolerances of success. `on_done` is called with
-    the fraction of all work, 0-1, that has just been done.
+    Goals have random orientations. A goal is reachable if IK solves it from one of up to 256 base
+    poses around it, within the tolerances of success. `on_done` is called with the fraction of all
+    work, 0-1, that has just been done.
     """
     solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(0)
     ee = forward(solver.chain, sampled(robot))[:, 2]

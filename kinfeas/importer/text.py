@@ -43,7 +43,7 @@ class Guesses:
 
 
 def warnings(spec: RobotSpec, guesses: Guesses, free: float) -> list[str]:
-    """Return what limits the postures of a draft, and a guess of its drive.
+    """Return warnings about a guessed drive, self-collisions and gravity loads of a draft.
 
     `free` is as of `Draft`.
     """

@@ -25,7 +25,7 @@ Length = Metres | tuple[Metres, Metres]  # metres, or the ends of a range to dra
 
 Angle = Radians | tuple[Radians, Radians]  # radians, or the ends of a range to draw from uniformly
 
-_ROUNDS = 200
+_ROUNDS = 200  # draws of an episode or of a start before an error
 _scene = lru_cache(maxsize=16)(read_scene)
 
 
@@ -198,7 +198,7 @@ class ChainTask:
         rng: np.random.Generator,
         solids: Solids | None = None,
     ) -> Start:
-        """Return a random start, free of solids, of an episode with targets, (sub-goals, 7)."""
+        """Return a random start for `targets`, (sub-goals, 7); the robot touches no solid."""
         for _ in range(_ROUNDS):
             x, y = rng.uniform(-self.start.square / 2.0, self.start.square / 2.0, 2)
             bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)

@@ -69,8 +69,8 @@ def with_clutter(
 ) -> Solids:
     """Return one row of the furniture and of at most `places` random solids after it, if they fit.
 
-    These leave start and goals free and do not touch the furniture; the nearest to the ways from
-    goal to goal are taken.
+    Random solids near the start or a goal, or overlapping furniture, are left out; of the others,
+    those nearest to the route from start to goals are taken.
     """
     places = min(places, MOST_SOLIDS - furniture.places)
     ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
@@ -118,7 +118,7 @@ def free_places(solver: IkSolver, goal: Array, moments: Solids) -> Array:
 
 
 def all_reachable(solver: IkSolver, start: Start, solids: Solids) -> bool:
-    """Return whether a disc within the base can be driven to a free place near each goal."""
+    """Return whether a disc within the base can be driven to a free base pose near each goal."""
     places = [free_places(solver, goal, solids) for goal in start.target_poses]
     if not all(len(poses) for poses in places):
         return False

@@ -15,8 +15,8 @@ from kinfeas.tasks.clutter import SMALLEST, Clutter, free_places, touches_robot
 from kinfeas.tasks.ggr import GoalReaching
 from kinfeas.tasks.task import MotionSpec, named
 
-_ROUNDS = 200
-_MOMENTS = 16
+_ROUNDS = 200  # draws of an episode before an error
+_MOMENTS = 16  # times at which the positions of moving solids are checked
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class ReachingAmongSolids(GoalReaching, Clutter):
         raise KinfeasError(f"task {self.name!r}: {_ROUNDS} draws left no room for the base")
 
     def _solids(self, solver: IkSolver, start: Start, rng: np.random.Generator) -> Solids:
-        """Return the solids of an episode at moments of their way, one a row; the start first."""
+        """Return the solids of an episode at moments of their motion, a row each, start first."""
         goal = start.target_poses[0]
         drawn = self.draw_solids(rng, goal[:2] / 2.0)
         at_start = touches_robot(solver, start, drawn)
@@ -82,7 +82,7 @@ class ReachingAmongSolids(GoalReaching, Clutter):
 
 
 def _moments(solids: Solids) -> Solids:
-    """Return one row of solids at moments between the ends of their ways, one a row."""
+    """Return one row of solids at moments until all have turned back once, a row each."""
     speed = np.linalg.norm(solids.velocity, axis=2)
     if not speed.any():
         return solids

@@ -75,7 +75,7 @@ class SimulatedStream:
 
     Attributes:
         inbox: Takes the messages.
-        asked: Takes them for EEs that never wait, as the measure of those that do.
+        asked: Takes the same messages, but its targets never wait for slower EEs.
     """
 
     def __init__(self, task: Stream, heights: tuple[float, float]) -> None:
@@ -105,7 +105,7 @@ class SimulatedStream:
             self._drawn[key][rows] = values
 
     def targets(self, progress: StreamProgress) -> Array:
-        """Deliver the messages until now and begin the next period of some rows."""
+        """Deliver messages, move some targets to the end of the next period, and return all."""
         rows, desired, dt = progress.rows, progress.desired, progress.dt
         now = progress.periods.astype(np.float64) * dt
         received, last = self._drawn["received"], self._drawn["received"].shape[1] - 1

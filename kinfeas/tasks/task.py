@@ -25,8 +25,8 @@ from kinfeas.robots.robot import Robot
 
 T = TypeVar("T")
 
-_DRAWS, _ROUNDS = 16, 100
-_ROUNDING = 1e-3  # distance beyond the joint limits of a start at most, radians or metres
+_DRAWS, _ROUNDS = 16, 100  # configurations in a round, and rounds before an error
+_ROUNDING = 1e-3  # by which a start may be beyond the joint limits, radians or metres
 
 
 @dataclass(frozen=True)
@@ -86,16 +86,16 @@ class StagedTask(Task, Protocol):
         """Return one random episode, as `Task.sample` does, and prepare the robot's row for it."""
 
     def drawn(self, start: Start) -> tuple[str, dict[str, Array], Solids | None]:
-        """Return what is drawn around the first robot of an episode, when it has been sampled.
+        """Return the surroundings of the first robot that were drawn with a sampled episode.
 
-        This is a scene, empty for the floor alone, the world poses of the objects in it that were
-        moved, shape (7,), by name, and the solids that are not of the scene.
+        They are the name of a scene, empty for the floor alone; the world poses, shape (7,), of its
+        objects that were moved, by name; and the solids that are not in the scene.
         """
 
     def task_done(
         self, row: int, joint_positions: Array, dt: float, *, reached: bool
     ) -> bool | None:
-        """Return whether the episode that ends in a row did its task; None without a condition.
+        """Return whether an ended episode met the success condition of its task; None without one.
 
         Args:
             row: Row of the episode.
@@ -123,7 +123,7 @@ class StreamTask(Protocol):
 def sample_start(
     task: Task, solver: IkSolver, rng: np.random.Generator, row: int | None = None
 ) -> Start:
-    """Return one random episode of a task, also a plugin's, checked.
+    """Return one random episode of a task and check it, since tasks may come from plugins.
 
     `row` is the robot whose objects a `StagedTask` places; None for no backend.
     """
@@ -173,7 +173,7 @@ def named(
 
 
 def target_stream(task: Task, solver: IkSolver) -> TargetStream | None:
-    """Return the targets of a task that move; None for others."""
+    """Return the moving targets of a `StreamTask`; None for other tasks."""
     return task.target_stream(solver) if isinstance(task, StreamTask) else None
 
 
@@ -206,8 +206,8 @@ def random_arm(
 ) -> Array:
     """Return arm joints drawn uniformly within the limits, shape (j,), tool tip above the floor.
 
-    They are admissible for `IkSolver`, and `accept` allows their EE pose in the base frame, shape
-    (n, 7); with `either` one of the two is enough.
+    They are admissible for `IkSolver`, and `accept` is true for their EE poses in the base frame,
+    (n, 7) -> (n,); with `either`, one of these two is enough.
     """
     robot = solver.robot
     lower, upper = robot.finite_joint_limits

@@ -34,10 +34,11 @@ __all__ = [
     "check_filter", "check_motion_generator", "check_policy", "examine",
 ]  # fmt: skip
 
-_ROWS, _STEPS, _RESTART = 6, 20, 10  # of the checks of all but motion generators
-_DT = 0.1  # s, of those of adapters and backends
-_PLACED, _TURNED = 0.02, 0.02  # deviation of bases and arms of backends, metres and joint units
-_SPEED, _HEADING = 0.1, 0.8  # of their bases, m/s and radians: the twist is not in their frame
+# episodes, steps, and the step at which the first row restarts, except for motion generators
+_ROWS, _STEPS, _RESTART = 6, 20, 10
+_DT = 0.1  # s, control period of adapters and backends
+_PLACED, _TURNED = 0.02, 0.02  # largest errors of base and arm of backends, m and joint units
+_SPEED, _HEADING = 0.1, 0.8  # of their base, m/s and rad: not 0, as twists are in world axes
 
 
 @dataclass(frozen=True)
@@ -291,7 +292,7 @@ def _check_effect(backend: Backend, inner: Backend, name: str) -> None:
 
 
 def _check_rows(subject: str, run: Callable[[Sequence[int]], Array], repeats: str) -> Array:
-    """Check that episodes repeat, and are alone as in a batch; return those of the batch."""
+    """Check that episodes repeat and do not depend on the batch; return the batch's values."""
     together = run(range(_ROWS))
     _require(np.array_equal(together, run(range(_ROWS))), subject, repeats)
     for rule, episode, row in (

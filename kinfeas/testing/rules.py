@@ -78,9 +78,9 @@ def sample_motions(motion: CheckedMotion, trial: Trial) -> Samples:
 
 
 def describe(error: BaseException, motion: CheckedMotion) -> str:
-    """Return the message of an error, with subject and place if a generator's code raised it.
+    """Return the message of an error, with subject and line if a generator's code raised it.
 
-    The place is the last one in the generator's own file, if it is there.
+    The line is the last one in the generator's own file, if the traceback has any.
     """
     if isinstance(error, KinfeasError):
         return str(error)
@@ -248,6 +248,7 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
             alone, after_alone = probe.twist(_rows(state, single), *arrays)
             same = _near(alone, moved[single]) and _close(after_alone, _rows(later, single), _NEAR)
             probe.require(same, "rows", broken)
+    # The values of these calls are checked by `CheckedMotion`.
     probe.motion.twist(state, ee_pose, targets + _MOVED, dt)
     probe.motion.base_pose(state, targets)
     probe.motion.ahead(state, ee_pose, targets, AHEAD)
@@ -275,7 +276,7 @@ def _check_restart(probe: Probe, history: list[_Step], targets: Array) -> None:
 
 
 def _within(tolerances: float, ee_pose: Array, goal: Array) -> NDArray[np.bool_]:
-    """Return whether EEs are within some times the tolerances of success of their goals, (n,)."""
+    """Return whether EEs are within `tolerances` times those of success from their goals, (n,)."""
     metres, radians = distance(ee_pose, goal)
     return (metres <= tolerances * GOAL_METRES) & (radians <= tolerances * GOAL_RADIANS)
 

@@ -27,7 +27,7 @@ class MuJoCoBackend(PhysicsBackend):
 
     @cached_property
     def model(self) -> Model:
-        """Robot and room, with places for solids; the first use builds them."""
+        """Model of robot and room, with places for solids; the first use builds it."""
         return Model(self.robot, self.scene, self.config, self._handled, self._places)
 
     @cached_property
@@ -75,7 +75,7 @@ class MuJoCoBackend(PhysicsBackend):
         return self._measure(np.arange(n))
 
     def grip(self, grip: Grip, env_ids: Rows) -> None:
-        """Start to close or open grippers; they grasp what both fingers touch."""
+        """Start to close or open grippers, as in `PhysicsBackend`."""
         if self.robot.gripper is not None:
             self.sims.grip(grip, env_ids)
 
@@ -87,7 +87,7 @@ class MuJoCoBackend(PhysicsBackend):
         self.sims.scale_dynamics(env_ids)
 
     def touching(self, env_id: int) -> Contacts:
-        """Return the current contacts of a robot, except with the grasped link and the floor."""
+        """Return the current contacts of a robot, as in `PhysicsBackend`."""
         if self.sims.touches[env_id] == 0.0:
             return Contacts(frozenset(), frozenset())
         return self._contacts(env_id)
@@ -125,7 +125,7 @@ class MuJoCoBackend(PhysicsBackend):
         pair = np.array([numbers.index(below), numbers.index(name)])
         bodies, normals = self.sims.contacts(row)
         owners = self.model.owner[bodies]
-        # Normals point from the first to the second.
+        # Normals point from the first body of a contact to the second.
         upward = np.where(owners[:, 0] == pair[0], normals[:, 2], -normals[:, 2])
         return bool(np.any((np.sort(owners) == np.sort(pair)).all(axis=1) & (upward >= steepest)))
 
@@ -168,7 +168,7 @@ class MuJoCoBackend(PhysicsBackend):
             self.sims.adopt(old)
 
     def _set_places(self, places: int) -> None:
-        """Rebuild the model, with places for solids, at the next use."""
+        """Set the number of places for solids; the next use rebuilds the model."""
         self._places = places
         self.close()
 

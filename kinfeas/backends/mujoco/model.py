@@ -33,9 +33,9 @@ ROBOT, FLOOR = -2, -1
 LAG = 0.02
 """Seconds by which servos lag behind a moving setpoint; their natural frequency is 2 / LAG."""
 
-_BASE_LAG = 0.005  # s, of the base's velocity
+_BASE_LAG = 0.005  # s, time constant of the base's velocity
 _FINGER_COUPLING = 0.5  # of a finger's effort: largest force that keeps both equally far open
-_UNUSED = (0.1, 0.1, 0.0, 0.2)  # m, size of an empty place
+_UNUSED = (0.1, 0.1, 0.0, 0.2)  # m, `Solids.size` that stands for that of an empty place
 
 
 class Model:
@@ -48,18 +48,18 @@ class Model:
         scene: The scene; None for a floor only.
         objects: Its objects by name.
         servos: Motors of the arm's joints, then of the fingers.
-        velocity: Velocity limits of the servos, shape (s,).
+        velocity: Velocity limits of the servos, shape (s,), rad/s or m/s.
         joints: Addresses in `qpos` and `qvel` of the robot's joints by name.
-        at: The same of x, y, yaw and the joints of the servos, shape (2, 3 + s).
+        at: Addresses in `qpos` and in `qvel` of x, y, yaw and the servos' joints, shape (2, 3 + s).
         arm_at: Addresses in `qpos` of the joints of `ArmSetpoints`.
         rest: `qpos` with the robot's joints outside the arm at `fixed_joints`.
         owner: Index of each body's object in the scene, `FLOOR` or `ROBOT`, shape (bodies,).
         on_arm: Whether each body is a link that the arm carries, shape (bodies,).
         fingers: Bodies of each finger.
         grasp: Index of the equality constraint of a grasp; None without one.
-        grasped: Bodies of the hand and of the link that it can hold, with `grasp`.
-        turns: Whether that link can turn in the hand.
-        solid_bodies: Bodies of solids, shape (places,); as owners they follow the objects.
+        grasped: Bodies of the hand and of the link that it can hold; missing without `grasp`.
+        turns: Whether that link can turn in the hand; missing without `grasp`.
+        solid_bodies: Bodies of solids, shape (places,); in `owner` they come after the objects.
     """
 
     def __init__(
@@ -70,9 +70,9 @@ class Model:
         grasped: tuple[str, str, bool] | None = None,
         places: int = 0,
     ) -> None:
-        """Build the model; poses of objects, and `places` for solids, are those of a simulation.
+        """Build the model with `places` for solids; each simulation sets the poses of its objects.
 
-        `grasped` is the object and link that the gripper can hold, and whether it cannot turn.
+        `grasped` has an object and its link that the gripper can hold, and whether rigidly.
         """
         arm = ArmSetpoints(robot, config.arm_horizon)
         self.robot, self.scene, self.objects = robot, scene, dict(scene.objects) if scene else {}
@@ -137,7 +137,7 @@ class Model:
         }  # fmt: skip
 
     def solid_rows(self, name: str) -> Rows:
-        """Return the rows of solids in a field of `shapes`, shape (k,)."""
+        """Return the indices of solids in the model's field `name`, as of `shapes`, shape (k,)."""
         rows = self.engine.body_bvhadr if name == "bvh_aabb" else self.engine.body_geomadr
         return np.asarray(rows[self.solid_bodies], dtype=np.intp)
 

@@ -28,7 +28,7 @@ _AWAY = [0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0]  # pose of empty places, quaterni
 
 
 class Simulations:
-    """n simulations of a model, their motors and what they start from.
+    """n simulations of a model, the setpoints of their motors, and their start states.
 
     Attributes:
         n: Number of simulations.
@@ -48,7 +48,7 @@ class Simulations:
         self.fingers = np.tile(self._at_rest, (n, 1))
         self.dynamics = np.ones((n, len(_SCALED)))
         self._scaled: dict[str, Array] = {}
-        self._base = np.zeros((n, 3))  # commanded velocity; of a differential drive forward, 0, yaw
+        self._base = np.zeros((n, 3))  # velocity setpoints, as in `base_path`
         self._qpos = np.tile(model.rest, (n, 1))
         self._mocap = np.zeros((n, engine.nmocap, 7))
         solids = engine.body_mocapid[model.solid_bodies]
@@ -68,11 +68,11 @@ class Simulations:
         self._warning, self._active = self.batch.warning, self.batch.eq_active
         shapes = model.shapes(Solids.empty(1)) if model.solid_bodies.size else ()
         self._shapes = {name: self.batch.expand(name) for name in shapes}
-        # A period of a deployed robot cannot wait until the kernel is compiled.
+        # Compile the kernel now: a control period of a deployed robot cannot wait for it.
         self._base_path(np.arange(0), np.zeros((0, 6)), np.zeros(1))
 
     def state(self) -> dict[str, Any]:
-        """Return the whole state by name, as arrays of n rows that can be changed."""
+        """Return the arrays of n rows that hold the state, by name; writing to them changes it."""
         return {
             "physics_state": self.batch.state,
             "physics_arm": self._arm.at,
@@ -91,7 +91,7 @@ class Simulations:
         own, old = self.state() | self._shapes, other.state() | other._shapes
         pairs = [(own[key], old[key]) for key in own.keys() & old.keys() - {"physics_state"}]
         pairs += [(getattr(self.batch, name), getattr(other.batch, name)) for name in _FIELDS]
-        for mine, values in pairs:  # at least as long along each axis
+        for mine, values in pairs:  # `mine` is at least as long along each axis
             mine[tuple(slice(size) for size in values.shape)] = values
         self.scale_dynamics(np.arange(other.n))
 
@@ -113,14 +113,14 @@ class Simulations:
         self.batch.set_const(rows)
 
     def place_solids(self, rows: Rows, solids: Solids) -> None:
-        """Set the shapes and poses of the solids of m simulations, m rows."""
+        """Set shapes and poses of the solids of the m simulations `rows`; `solids` has m rows."""
         for name, values in self.model.shapes(solids).items():
             at = self.model.solid_rows(name)[: solids.places]
             self._shapes[name][np.ix_(rows, at)] = values
         self.move_solids(rows, solids)
 
     def move_solids(self, rows: Rows, solids: Solids) -> None:
-        """Set the poses of the solids of m simulations, m rows."""
+        """Set the poses of the solids of the m simulations `rows`; `solids` has m rows."""
         centre = solids.centre
         pose = np.concatenate([centre[..., :3], np.roll(centre[..., 3:], 1, axis=-1)], axis=-1)
         pose = np.where(solids.filled[..., np.newaxis], pose, _AWAY)
@@ -157,7 +157,7 @@ class Simulations:
     def step(
         self, rows: Rows, base_twist: Array, joint_targets: Array, dt: float, steps: int
     ) -> None:
-        """Drive bases, arms and grippers: world twists (m, 6), joint positions (m, j), seconds."""
+        """Simulate `dt` seconds in `steps` steps: world twists (m, 6), joint targets (m, j)."""
         model = self.model
         self._time_step[rows] = dt / steps
         time = dt / steps * np.arange(1.0, steps + 1.0)
@@ -221,7 +221,7 @@ class Simulations:
         else:
             self._ends[row, :10] = [*in_link, *in_hand, *rotation]
         self._active[row, model.grasp] = 1.0
-        # The fingers stay where they are: the constraint holds, not their force.
+        # The fingers stay where they are: the constraint holds the object, not their force.
         self.fingers[row] = self.qpos[row, model.at[0, -2:]]
         return True
 
@@ -245,13 +245,13 @@ class Simulations:
         return self.model.engine.geom_bodyid[contact.geom[near]], contact.frame[near, :3]
 
     def data(self, row: int) -> Any:
-        """Return MuJoCo's data of a simulation at its present positions, until the next call."""
+        """Return MuJoCo's data at a simulation's present positions; the next call overwrites it."""
         self._take(row)
         mujoco.mj_fwdPosition(self.model.engine, self._scratch)
         return self._scratch
 
     def _take(self, row: int) -> None:
-        """Write state and solids of a simulation where MuJoCo's functions read them."""
+        """Copy the state of a simulation to `_scratch`, and its solids' shapes to the model."""
         self.batch.get_data(row, self._scratch)
         for name, values in self._shapes.items():
             at = self.model.solid_rows(name)

@@ -23,11 +23,11 @@ OWN = "/robot:"
 SOLID = "/solid"
 """Prefix of the bodies of solids, before their number."""
 
-# Bits of contype and conaffinity: fixed things do not collide with each other, the base not with
-# the floor, and the robot not with itself.
+# Bits of contype and conaffinity: fixed objects do not collide with each other, nor the base with
+# the floor, nor the robot with itself.
 _GROUND, _FIXED, _LOOSE = 1, 2, 4
 _FRICTION = (0.5, 0.005, 0.0001)  # sliding (-), torsional and rolling (m)
-_PAD_DIMENSIONS = 4  # of the fingers' contacts: they resist twisting, too
+_PAD_DIMENSIONS = 4  # condim of the fingers' contacts, which also resist twisting
 _IMPRATIO = 10.0  # impedance of friction relative to normal forces: objects creep less in the hand
 _COUPLING = (0.01, 1.0)  # time constant (s) and damping ratio of mimicking joints
 # Time constant (s), damping ratio and impedance of a grasp: some thousand N/m, as fingers have.
@@ -47,7 +47,7 @@ class JointServo(NamedTuple):
 
 
 class RobotBodies(NamedTuple):
-    """The robot's bodies in physics: its URDF, those that the arm carries, and each finger's."""
+    """URDF of a robot for MuJoCo, and names of the bodies on its arm and of each finger."""
 
     urdf: str
     carried: set[str]
@@ -107,7 +107,7 @@ def room_spec(
     for name, item in objects.items():
         spec.attach(_object_spec(item), prefix=f"{name}:", frame=spec.worldbody.add_frame())
     for place in range(places):
-        # Its shape and its pose are those of a simulation.
+        # Each simulation sets its shape and pose.
         body = spec.worldbody.add_body(name=f"{SOLID}{place}", mocap=True)
         box = mujoco.mjtGeom.mjGEOM_BOX
         _collide([body.add_geom(type=box, size=[0.1] * 3, friction=_FRICTION)], _FIXED)
@@ -133,7 +133,7 @@ def _robot_spec(robot: Robot, urdf: str, servos: Iterable[JointServo]) -> Any:
         joint.frictionloss = 0.0  # of the gears, which the motors overcome
         if joint.name in PLANAR_JOINTS:
             joint.limited = joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-        # Motors carry the weight with their effort, springs carry it beside them.
+        # Carrying the weight is part of a motor's effort, unless springs carry it.
         joint.actgravcomp = joint.name not in robot.counterbalanced
     for mimic in (*arm_followers(robot), *finger_followers(robot)):
         coupling = spec.add_equality(

@@ -30,7 +30,7 @@ from kinfeas.scenes.scene import Scene, read_scene, solids_around
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.task import StreamTask, Task
 
-_FLAT = 1e-6
+_FLAT = 1e-6  # largest z (m), qx and qy of a base that is level on the floor
 _MAX_BATCH = 8  # simulations of ended episodes cost as much as others until the last one ends
 
 ROBOT = ""
@@ -40,7 +40,7 @@ LinkName = tuple[str, str]
 """Name of an object, or `ROBOT`, and of a link."""
 
 Motion = tuple[dict[str, float], dict[str, float]]
-"""Positions and velocities by joint, rad or m, and per second."""
+"""Positions, rad or m, and velocities, rad/s or m/s, by the name of the joint."""
 
 
 class PhysicsBackend(Backend):
@@ -58,8 +58,8 @@ class PhysicsBackend(Backend):
 
     engine: ClassVar[str]
     solids: MovingSolids
-    _handled: tuple[str, str, bool] | None = None  # object, link, and whether it cannot turn
-    _standing: Solids | None = None  # links that no robot moves, since the last reset
+    _handled: tuple[str, str, bool] | None = None  # object, link, `rigid` of `handle`
+    _standing: Solids | None = None  # links that cannot move; None after a reset
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class PhysicsBackend(Backend):
         gui: bool = False,
         physics: PhysicsConfig | None = None,
     ) -> None:
-        """Keep the settings; physics, in a window if `gui`, starts with the first use."""
+        """Keep the settings; the first use starts the physics, in a window if `gui`."""
         self.robot, self.scene, self.config = robot, scene, physics or PhysicsConfig()
         self.arm_seconds = self.config.arm_horizon
         self.objects, self._gui = objects, gui
@@ -120,7 +120,7 @@ class PhysicsBackend(Backend):
             self._place_solids(env_ids, bodies)
 
     def solid_bodies(self) -> Solids | None:
-        """Return the present solids beside the furniture; None without any."""
+        """Return the solids that are no furniture, at their present poses; None without any."""
         present = self.solids.after()
         if present is None or present.places <= self.furniture:
             return None
@@ -131,9 +131,10 @@ class PhysicsBackend(Backend):
         return Scan(scan(self.solids.after(), planar_pose(*self._positions[:, :3].T)))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return the obstacles nearer than `within` metres to the true bases, as in the sensor.
+        """Return obstacles closer than `within` metres to the true bases, as in `ObstacleSensor`.
 
-        These are the objects of the scene where they are now, except grasped links, and solids.
+        Obstacles are the objects of the scene at their present poses, without the link to grasp,
+        and the solids.
         """
         if self._standing is None:
             self._standing = self._links_as_solids(moving=False)
@@ -151,7 +152,7 @@ class PhysicsBackend(Backend):
         """
         self._check(base_twist, joint_targets, len(self._positions))
         rows = np.arange(len(self._positions))
-        # Contacts at the end of the period are those with the solids at that time.
+        # Solids move first, so that contacts at the end of the period are with their poses then.
         self.solids.step(dt)
         if self.solids.moving.any() and (bodies := self.solid_bodies()) is not None:
             self._move_solids(bodies)
@@ -179,7 +180,7 @@ class PhysicsBackend(Backend):
         return fine_base_prisms(build_collision_model(self.robot), self._base_meshes())
 
     def _links_as_solids(self, *, moving: bool) -> Solids:
-        """Return links of the scene, except one to be grasped, that can move or that cannot."""
+        """Return the links of the scene that can move, or cannot, but never the link to grasp."""
         objects, grasped = self.scene.objects if self.scene else {}, (self._handled or ())[:2]
         links = {
             (name, link.name): link.shapes
@@ -199,7 +200,7 @@ class PhysicsBackend(Backend):
 
     def _measure(self, rows: Rows) -> RobotState:
         """Return the state of all robots, `rows` measured anew; continuous joints in (-pi, pi]."""
-        # Earlier states keep their arrays.
+        # Copied, because earlier states share the arrays.
         self._positions, self._velocities = self._positions.copy(), self._velocities.copy()
         self._positions[rows], self._velocities[rows] = self._read(rows)
         twist = np.zeros((len(self._positions), 6))
@@ -223,7 +224,10 @@ class PhysicsBackend(Backend):
 
     @abstractmethod
     def grip(self, grip: Grip, env_ids: Rows) -> None:
-        """Start to close or open grippers; they grasp what both fingers touch."""
+        """Start to close or open grippers.
+
+        Closing ones grasp the link set by `handle` as soon as both fingers touch it.
+        """
 
     @abstractmethod
     def scale_dynamics(
@@ -233,15 +237,15 @@ class PhysicsBackend(Backend):
 
     @abstractmethod
     def touching(self, env_id: int) -> Contacts:
-        """Return contacts of a robot: not with the floor, nor of its arm with the link to grasp."""
+        """Return contacts of a robot, except base with floor and arm with the link to grasp."""
 
     @abstractmethod
     def place(
         self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
     ) -> bool:
-        """Place the objects of a row for its next resets, and its robot, (7,) and (j,).
+        """Place robot and objects of a row, and return whether the robot has no contact.
 
-        Returns whether the robot has no contact.
+        The base pose is (7,), the joints (j,). Later resets of the row place the same objects.
         """
 
     @abstractmethod
@@ -254,9 +258,9 @@ class PhysicsBackend(Backend):
 
     @abstractmethod
     def is_on(self, row: int, name: str, below: str, steepest: float) -> bool:
-        """Return whether an object is on another one.
+        """Return whether an object is on the object `below`.
 
-        The contact normal has a vertical part of at least `steepest`.
+        A normal of their contacts has a vertical part of at least `steepest`.
         """
 
     @abstractmethod
@@ -285,7 +289,7 @@ class PhysicsBackend(Backend):
 
     @abstractmethod
     def _place_solids(self, rows: Rows, solids: Solids) -> None:
-        """Put those of all n rows of solids into m rows that have been reset."""
+        """Put solids, which have all n rows, around the m robots `rows`, which have been reset."""
 
     @abstractmethod
     def _move_solids(self, solids: Solids) -> None:

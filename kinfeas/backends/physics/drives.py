@@ -60,7 +60,7 @@ class ArmSetpoints:
         self.effort = [joint.effort for joint in joints]
         self.velocity = [*self._fastest.tolist(), *(joint.velocity for joint in joints[len(arm) :])]
         self.at, self.speed = np.zeros((2, n, len(arm)))
-        # A period of a deployed robot cannot wait until the kernel is compiled.
+        # Compile the kernel now: a control period of a deployed robot cannot wait for it.
         self.plan(self.at, np.array([horizon]))
 
     def follow(self, joint_positions: Array) -> Array:
@@ -141,8 +141,8 @@ def base_path(base, rows, twist, yaw, time, differential, acceleration, rotation
     the end of the period, as in `kinfeas.kinematics.drive`.
 
     Args:
-        base: Velocity setpoints of all n robots, (n, 3), of a differential drive forward, 0 and
-            yaw; those of `rows` become the last ones.
+        base: Velocity setpoints of all n robots at the start, (n, 3): world x, y and yaw, or
+            forward, 0 and yaw of a differential drive. Those of `rows` become the last ones.
         rows: The m robots.
         twist: Their world twists, (m, 6).
         yaw: Headings of all n robots.

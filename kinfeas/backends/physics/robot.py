@@ -75,10 +75,10 @@ def _mimics(urdf: Urdf) -> Iterator[Joint]:
 
 
 def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
-    """Return the URDF for the engines, and the link that each of the robot's is merged into.
+    """Return the URDF for the engines and, by name of each link, the link that it is merged into.
 
     The root gets three planar joints. Joints that do not move are fixed, and links on fixed joints
-    are merged, except the EE frame: a physics step costs by the link. Mimic elements, which
+    are merged, except the EE frame: fewer links make a faster physics step. Mimic elements, which
     PyBullet does not support, are removed. Mesh paths are absolute.
     """
     xml = read_robot_xml(robot.urdf_path).xml

@@ -17,8 +17,8 @@ from kinfeas.tasks.task import StreamTask, Task
 if TYPE_CHECKING:  # it imports this module
     from kinfeas.backends.physics.backend import PhysicsBackend
 
-_DRAWS = 1000
-_SETTLE_SECONDS = 2.0  # for objects that were put down to come to rest
+_DRAWS = 1000  # starts that are drawn before an error
+_SETTLE_SECONDS = 2.0  # in which objects that were put down come to rest
 _REST = 0.05  # m/s, largest speed at rest
 _UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright unit vector
 
@@ -26,9 +26,9 @@ _UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright un
 class Stage:
     """A task whose episodes also place robot and objects in a physics backend.
 
-    The furniture is among the solids of each episode: plans, IK and scans know it. Starts in which
-    the robot touches something are drawn again, with the objects and goals of the first draw,
-    so that the goals equal those without physics.
+    The furniture is among the solids of each episode, so that plans, IK and scans include it. A
+    start in which the robot touches something is drawn again, with the objects and goals of the
+    first draw, so that the goals equal those without physics.
 
     Attributes:
         task: Task that draws the episodes.
@@ -85,7 +85,7 @@ class Stage:
         )
 
     def drawn(self, start: Start) -> tuple[str, dict[str, Array], Solids | None]:
-        """Return scene, poses of moved objects and solids beside it, as in `StagedTask`."""
+        """Return name of the scene, poses of moved objects and other solids, as in `StagedTask`."""
         solids = start.solids and start.solids.beyond(self.backend.furniture)
         beside = solids if solids and solids.places else None
         if self._task_scene is None:
@@ -96,9 +96,9 @@ class Stage:
     def task_done(
         self, row: int, joint_positions: Array, dt: float, *, reached: bool
     ) -> bool | None:
-        """Return whether the episode that ends in a row did its task, once objects are at rest.
+        """Return whether the episode of a row met the success condition; None without one.
 
-        None without a condition. The robot is held still; arguments as in `StagedTask`.
+        First the robot holds still until objects are at rest; arguments as in `StagedTask`.
         """
         if (success := self.success) is None:
             return None

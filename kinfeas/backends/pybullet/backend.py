@@ -45,11 +45,11 @@ class PyBulletBackend(PhysicsBackend):
         self.simulation(0)
 
     def touching(self, env_id: int) -> Contacts:
-        """Return the current contacts of a robot, except with the grasped link and the floor."""
+        """Return the current contacts of a robot, as in `PhysicsBackend`."""
         return self.sims[env_id].contacts()
 
     def grip(self, grip: Grip, env_ids: Rows) -> None:
-        """Start to close or open grippers; they grasp what both fingers touch."""
+        """Start to close or open grippers, as in `PhysicsBackend`."""
         for row in env_ids.tolist():
             self._sims[row].grip(grip)
 

@@ -16,7 +16,8 @@ SIZE = (480, 360)
 """Width and height of a picture in pixels."""
 
 _FIELD = 40.0  # degrees, vertical field of view
-_NEAR, _FAR = 0.05, 50.0  # m from the camera, between which things are drawn
+_NEAR, _FAR = 0.05, 50.0  # m from the camera, the range that is drawn
+# of half the field of view, along width and height
 _TANGENTS = np.tan(np.deg2rad(_FIELD) / 2.0) * np.array([SIZE[0] / SIZE[1], 1.0])
 
 
@@ -31,7 +32,7 @@ class View:
 
     @staticmethod
     def of_box(low: Array, high: Array, heading: float, elevation: float) -> "View":
-        """Return the nearest view in a direction that shows a box with two corners, (3,) each."""
+        """Return the nearest view in a direction that shows the box between two corners, (3,)."""
         corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
         view = View((low + high) / 2.0, 0.0, heading, elevation)
         ahead, *across = view.axes @ (corners - view.target).T
@@ -53,7 +54,7 @@ class View:
         return self.target - self.distance * self.axes[0]
 
     def pixels(self, points: Array) -> Array:
-        """Return where world points (k, 3) are in the picture, shape (k, 2): right and down."""
+        """Return pixel coordinates of world points (k, 3), shape (k, 2): to the right and down."""
         ahead, right, up = self.axes @ (points - self.position).T
         across = np.stack([right, -up], axis=1) / np.maximum(ahead, 1e-3)[:, np.newaxis]
         return (1.0 + across / _TANGENTS) * np.array(SIZE) / 2.0

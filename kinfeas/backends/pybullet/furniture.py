@@ -75,7 +75,7 @@ class SolidBodies:
     """The solids of a robot, a row of `Solids`, as bodies that no force moves.
 
     Attributes:
-        bodies: PyBullet's numbers by place.
+        bodies: PyBullet's numbers, by the place in the row.
     """
 
     def __init__(self, physics: Physics) -> None:

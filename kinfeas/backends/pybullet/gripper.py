@@ -13,7 +13,7 @@ _RELAXED = 0.1  # of a finger's effort
 _COUPLING = 0.5  # of a finger's effort: below 1, so that both close round an object off centre
 _PAD = 0.03  # m, distance from the tip at which the fingers hold an object that cannot turn
 _CENTRE = IDENTITY[np.newaxis]
-# In the plane of the pads, whose normal is the finger axis.
+# Points of a rigid grasp, in the plane of the pads, whose normal is the finger axis y.
 _PADS = np.repeat(_CENTRE, 4, axis=0)
 _PADS[:, [0, 2]] = _PAD * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 
@@ -107,7 +107,7 @@ class Grasp:
 
     Attributes:
         held: Numbers of body and link; None for nothing.
-        force: Of the last physics step, N.
+        force: Size of its force in the last physics step, N.
     """
 
     def __init__(self, body: RobotBody, gripper: GripperDrive) -> None:
@@ -153,7 +153,7 @@ class Grasp:
         self._ends, self.held, self.force = [], None, 0.0
 
     def _motion(self, end: tuple[int, int], points: Array) -> tuple[Array, Array]:
-        """Return world positions and velocities of points, poses (k, 7) in a link's inertia."""
+        """Return world positions and velocities of points, poses (k, 7) in an inertial frame."""
         pose, linear, (x, y, z) = self._physics.motion(*end)
         positions = compose(pose, points)[:, :3]
         # Cross product as a matrix: numpy's function takes ten times as long.

@@ -22,7 +22,7 @@ from kinfeas.robots.elements import Element, parse_xml, read_xml
 ROOT = -1
 """PyBullet's index of a body's root link."""
 
-_AWAY = 1000.0  # m, height without contacts
+_AWAY = 1000.0  # m, vertical distance at which bodies have no contacts
 _WINDOW_CAMERA = (3.2, 50.0, -30.0)  # m from the robot, degrees of yaw and pitch
 _WINDOW_HEIGHT = 0.6  # m above the floor
 _UNREAD_MESH = re.compile(r"cannot extract (?:mesh|anything)|issue extracting mesh")
@@ -36,7 +36,7 @@ class Physics:
     """One world, independent of others in the same process.
 
     Attributes:
-        config: Its numbers.
+        config: Settings of the physics.
         client: PyBullet's functions, bound to this world.
         floor: Number of the body that is the floor.
         step_time: Duration of a physics step in seconds.
@@ -66,7 +66,7 @@ class Physics:
         client = self.client
         flags = client.URDF_USE_INERTIA_FROM_FILE
         robot = read_xml(path, "robot") if urdf is None else parse_xml(urdf, "robot", str(path))
-        if _has_parents_first(robot):  # otherwise it cannot compute their dynamics
+        if _has_parents_first(robot):  # with the flag, dynamics of others would fail
             flags |= client.URDF_MAINTAIN_LINK_ORDER
         client.setAdditionalSearchPath(str(path.absolute().parent))
         with TemporaryFile() as output, NamedTemporaryFile(suffix=".urdf") as file:
@@ -149,7 +149,7 @@ class Physics:
             self.client.resetDebugVisualizerCamera(*_WINDOW_CAMERA, target)
 
     def save(self) -> None:
-        """Save the state for `restore`; no body may be added later."""
+        """Save the state for `restore`; bodies that are added later must be removed before."""
         self._saved = self.client.saveState()
 
     def restore(self) -> None:
@@ -163,7 +163,7 @@ class Physics:
 
     @contextmanager
     def connected(self) -> Iterator[None]:
-        """Return a context that turns errors of PyBullet, as of a closed window, into ours."""
+        """Return a context that turns errors, as of a closed window, into KinfeasError."""
         try:
             yield
         except self.client.error as error:
@@ -188,7 +188,7 @@ def connect(*, gui: bool) -> Any:
 
     class Client(BulletClient):  # type: ignore[misc]  # it has no types
         def __getattr__(self, name: str) -> Any:
-            # Cached, because it binds functions anew at each use: thirty in a physics step.
+            # Cached, because `BulletClient` binds a function at each use: thirty in a physics step.
             self.__dict__[name] = function = super().__getattr__(name)
             return function
 

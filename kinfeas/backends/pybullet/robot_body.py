@@ -121,7 +121,7 @@ class BaseDrive:
 
     def reset(self) -> None:
         """Set all velocities to zero."""
-        self._velocity = self._target = (0.0, 0.0)  # world x and y, or along the heading and 0
+        self._velocity = self._target = (0.0, 0.0)  # world x and y; forward and 0 if differential
         self._rotation = self._target_rotation = 0.0
 
     def command(self, twist: Array, dt: float) -> None:
@@ -164,7 +164,8 @@ class BaseDrive:
 class ArmDrive:
     """Position control of the arm's joints, and of those that mimic them, along `ArmSetpoints`.
 
-    The motors have the URDF's effort and velocity; `counterbalanced` joints have springs.
+    The motors have the URDF's limits of effort and velocity; at `counterbalanced` joints, springs
+    carry the weight.
 
     Attributes:
         gain: Factor on the gains of the motors.

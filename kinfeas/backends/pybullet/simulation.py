@@ -34,7 +34,7 @@ class Simulation:
     ) -> None:
         """Build robot and room.
 
-        `grasped` is the object and link that the gripper can hold, and whether it cannot turn.
+        `grasped` has an object and its link that the gripper can hold, and whether rigidly.
         """
         self.physics = Physics(physics, gui=gui)
         self.furniture = Furniture(self.physics, scene) if scene else None
@@ -51,9 +51,9 @@ class Simulation:
         self.physics.save()
 
     def reset(self, base_pose: Array, joint_positions: Array) -> None:
-        """Place robot and furniture at rest, equal to the bit: base pose (7,), arm joints (j,).
+        """Place robot and furniture at rest, bit-identically: base pose (7,), arm joints (j,).
 
-        Solids are taken away.
+        Solids are removed.
         """
         with self.physics.connected():
             if self.grasp is not None:
