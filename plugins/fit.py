@@ -104,10 +104,10 @@ def fit(
     """
     if not demonstrations:
         raise KinfeasError("there must be at least one demonstration to learn from")
-    called = names or [f"demonstration {number}" for number in range(1, len(demonstrations) + 1)]
+    labels = names or [f"demonstration {number}" for number in range(1, len(demonstrations) + 1)]
     paths = [
         _sampled(demonstration, kind, name)
-        for demonstration, name in zip(demonstrations, called, strict=True)
+        for demonstration, name in zip(demonstrations, labels, strict=True)
     ]
     duration = float(np.mean([path.duration for path in paths]))
     if not SHORTEST <= duration <= LONGEST:
@@ -136,12 +136,12 @@ def fit(
     common = max(_OUTLIER * np.median(metres), _OFF)
     outliers = tuple(
         name
-        for name, path, off, turned in zip(called, paths, metres, radians, strict=True)
+        for name, path, off, turned in zip(labels, paths, metres, radians, strict=True)
         if off > min(common, _PART * _length(path.ee_pose)[1]) or turned > _TURNED
     )
     bases = tuple(demonstration.has_base for demonstration in demonstrations)
     return MotionFit(
-        model, duration, length, tuple(metres), tuple(radians), sides, tuple(called), bases,
+        model, duration, length, tuple(metres), tuple(radians), sides, tuple(labels), bases,
         outliers,
     )  # fmt: skip
 
@@ -210,8 +210,8 @@ def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> Array:
 
 def _bases(paths: Sequence[_Path]) -> Array:
     """Return x, y and yaw of the base, shape (paths * m, 3), without jumps of 2 pi."""
-    began = np.array([path.base[0, 2] for path in paths])
-    shift = spatial.wrap(began - began[0]) + began[0] - began
+    first_yaw = np.array([path.base[0, 2] for path in paths])
+    shift = spatial.wrap(first_yaw - first_yaw[0]) + first_yaw[0] - first_yaw
     bases = np.stack([path.base for path in paths])
     bases[:, :, 2] += shift[:, np.newaxis]
     return bases.reshape(-1, 3)

@@ -55,13 +55,13 @@ class Linear:
 
     def twist(self, state: State, ee_pose: Array, target_pose: Array, dt: Array) -> TwistAndState:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
-        rest = twist_between(ee_pose, target_pose, 1.0)
-        metres = np.maximum(norm(rest[:, :3]), _TINY)
-        radians = np.maximum(norm(rest[:, 3:]), _TINY)
+        displacement = twist_between(ee_pose, target_pose, 1.0)
+        metres = np.maximum(norm(displacement[:, :3]), _TINY)
+        radians = np.maximum(norm(displacement[:, 3:]), _TINY)
         slowest = np.where(
             metres > _ON_THE_SPOT, self.min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
         )
         rate = np.minimum(np.maximum(self.gain, slowest), self.max_velocity / metres)
         rate = np.minimum(rate, (self.max_angular_velocity or np.inf) / radians)
-        # Never past the goal: at most the whole rest within dt.
-        return rest * np.minimum(rate, 1.0 / dt)[:, np.newaxis], dict(state)
+        # Never past the goal: at most the whole displacement within dt.
+        return displacement * np.minimum(rate, 1.0 / dt)[:, np.newaxis], dict(state)

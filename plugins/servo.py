@@ -61,8 +61,8 @@ class Servo:
         """Return the mean filtered twist of the next `dt` seconds."""
         first, second = state["filtered"], state["velocity"]
         # Where the EE would come to rest without further commands.
-        rest = integrate(ee_pose, self._tau * (first + second), 1.0)
-        command = twist_between(rest, target_pose, dt)
+        rest_pose = integrate(ee_pose, self._tau * (first + second), 1.0)
+        command = twist_between(rest_pose, target_pose, dt)
         command *= slowed(command, self.max_velocity, self.max_angular_velocity)[:, np.newaxis]
         periods = dt[:, np.newaxis] / self._tau
         decay, away = np.exp(-periods), first - command

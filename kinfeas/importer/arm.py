@@ -70,15 +70,15 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
             )
     if hand not in urdf.links:
         raise KinfeasError(f"{source}: there is no link {hand!r}{no_such(hand, urdf.links)}")
-    own = [joint for joint in urdf.path_to(hand) if joint.moves and joint.mimic is None]
-    joints = tuple(joint for joint in own if joint.soft_lower < joint.soft_upper)
+    on_path = [joint for joint in urdf.path_to(hand) if joint.moves and joint.mimic is None]
+    joints = tuple(joint for joint in on_path if joint.soft_lower < joint.soft_upper)
     if not joints:
         raise KinfeasError(f"{source}: no joint moves between {urdf.root!r} and {hand!r}")
     on_hand, links = _on_hand(urdf, hand), urdf.links
     shaped = [j for j in on_hand if any(links[name].shapes for name in urdf.below(j.name))]
     # The frames of fingers without shapes show how far apart these are, if they slide.
     fingers = tuple(shaped or [joint for joint in on_hand if joint.kind == "prismatic"])
-    return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
+    return Arm(hand, joints, tuple(joint for joint in on_path if joint not in joints), fingers)
 
 
 def _on_hand(urdf: Urdf, hand: str) -> list[Joint]:
@@ -142,10 +142,10 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
     """
     if not any(urdf.links[link].shapes for link in urdf.below(joint.name)):
         return _JAW.search(joint.name + joint.child) is not None
-    away = _off_axis(urdf, joint)
-    if not away.any():
+    offset = _off_axis(urdf, joint)
+    if not offset.any():
         return False
-    direction, poses = away / np.linalg.norm(away), urdf.link_poses({})
+    direction, poses = offset / np.linalg.norm(offset), urdf.link_poses({})
 
     def reach(links: frozenset[str]) -> float:
         shapes = place(urdf, sorted(links), joint.child, poses)
@@ -164,8 +164,8 @@ def _off_axis(urdf: Urdf, joint: Joint) -> Array:
         return np.zeros(3)
     middle = np.mean([shape.pose[:3] for shape in shapes], axis=0)
     along = float(middle @ joint.axis)
-    away: Array = middle - along * np.array(joint.axis)
-    return away if np.linalg.norm(away) > abs(along) + _OFF_AXIS else np.zeros(3)
+    offset: Array = middle - along * np.array(joint.axis)
+    return offset if np.linalg.norm(offset) > abs(along) + _OFF_AXIS else np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,14 +190,14 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     fingers = arm.fingers if len(arm.fingers) == 2 else ()
     closed, opened = _finger_positions(urdf, arm, fingers)
     links = urdf.rigid[arm.hand].union(*(urdf.below(finger.name) for finger in arm.fingers))
-    poses, wide = urdf.link_poses({}), urdf.link_poses(opened)
+    poses, open_poses = urdf.link_poses({}), urdf.link_poses(opened)
     shapes = place(urdf, sorted(links), arm.hand, poses)
     wrist = relative(poses[arm.joints[-1].child], poses[arm.hand])[:3]
-    at = np.array([_middle(urdf, arm, finger, wide) for finger in arm.fingers])
-    several = len(at) > 1
-    front = at.mean(axis=0) if several else _farthest(shapes, wrist)
+    middles = np.array([_middle(urdf, arm, finger, open_poses) for finger in arm.fingers])
+    several = len(middles) > 1
+    front = middles.mean(axis=0) if several else _farthest(shapes, wrist)
     x = _nearest_axis(front - wrist if several else _approach(urdf, arm, front - wrist))
-    across = np.ptp(at, axis=0) if several else _closing(urdf, arm, x)
+    across = np.ptp(middles, axis=0) if several else _closing(urdf, arm, x)
     beside = across - (across @ x) * x
     if np.linalg.norm(beside) < _NOTHING:
         beside = np.roll(x, 1)

@@ -131,7 +131,7 @@ def draft_robot(  # noqa: PLR0913 - each option is an argument
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
         stuck=tuple(joint.name for joint in arm.stuck),
         touching=ignored,
-        contacts={pair: share for pair, share in checked.items() if pair not in ignored},
+        contacts={pair: fraction for pair, fraction in checked.items() if pair not in ignored},
         overloads=overloads,
         overloaded_at_home=reach.overloads_at(robot, home),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),

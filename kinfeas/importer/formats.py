@@ -201,8 +201,8 @@ def _add_joints(robot: Element, model: Any, body: int, links: list[str]) -> None
         kind = _JOINTS[model.jnt_type[i]]
         if kind == "revolute" and not model.jnt_limited[i]:
             kind = "continuous"
-        step = compose(origin, _pose(position - anchor))
-        joint = _add_joint(robot, _joint_name(model, i), kind, parent, child, step)
+        joint_origin = compose(origin, _pose(position - anchor))
+        joint = _add_joint(robot, _joint_name(model, i), kind, parent, child, joint_origin)
         _describe(joint, model, i)
         parent, anchor, origin = child, position, _pose(np.zeros(3))
     if parent != links[body]:

@@ -149,15 +149,16 @@ class ChainTask:
         if self.scene is not None:
             self._check_grips(self.scene, scene)
 
-    def _check_grips(self, own: TaskScene, scene: Scene) -> None:
+    def _check_grips(self, task_scene: TaskScene, scene: Scene) -> None:
         """Raise ValueError if the gripper closes at an object or link that it does not grasp."""
         handles = {name: scene.handles[name] for name in scene.handles.keys() - self.places.keys()}
-        grasped = own.grasped_object
+        grasped = task_scene.grasped_object
         link = grasped and scene.objects[grasped.object].urdf.rigid[grasped.link]
         for number, subgoal in enumerate(self.subgoals):
             if subgoal.grip != "close":
                 continue
-            at = {name: link for name, move in own.moves.items() if move.place == subgoal.place}
+            moves = task_scene.moves.items()
+            at = {name: link for name, move in moves if move.place == subgoal.place}
             if handle := handles.get(subgoal.place):
                 at = {handle.object: scene.objects[handle.object].urdf.rigid[handle.link]}
             if at and (grasped is None or at.get(grasped.object) != link):

@@ -62,8 +62,8 @@ def _read(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, object]:
     base = data.pop("extends", None)
     if base is None:
         return data
-    below = _read(Path(str(base)), (*extended_by, path.resolve()))
-    return _changed(below, data, str(path))
+    extended = _read(Path(str(base)), (*extended_by, path.resolve()))
+    return _changed(extended, data, str(path))
 
 
 def _check_places(task: ChainTask, names: Iterable[str], source: str) -> None:

@@ -184,16 +184,16 @@ def check_backend(backend: PluginSpec, robot: Robot) -> None:
         start = planar_pose(*np.array([[0.5], [-0.3], [_HEADING]]))
         state = simulator.reset(start, home)
         check_state(state, 1, home.shape[1], f"{subject}: reset")
-        moved = np.linalg.norm(state.base_pose[0, :3] - start[0, :3])
-        placed = moved < _PLACED and np.abs(state.joint_positions - home).max() < _TURNED
+        error = np.linalg.norm(state.base_pose[0, :3] - start[0, :3])
+        placed = error < _PLACED and np.abs(state.joint_positions - home).max() < _TURNED
         _require(placed, subject, "reset puts robots where they are asked for")
         aim = np.clip(home + 2.0 * _TURNED, *robot.joint_limits)
         velocity = _SPEED * np.array([np.cos(_HEADING), np.sin(_HEADING)])
         for targets in np.linspace(home, aim, _STEPS):  # gently: motors may be weak
             state = simulator.step(np.append(velocity, np.zeros(4))[np.newaxis], targets, _DT)
-        ahead = velocity * _STEPS * _DT
-        away = np.linalg.norm(state.base_pose[0, :2] - start[0, :2] - ahead)
-        _require(away < np.linalg.norm(ahead) / 2.0, subject, "step moves bases by the world twist")
+        path = velocity * _STEPS * _DT
+        error = np.linalg.norm(state.base_pose[0, :2] - start[0, :2] - path)
+        _require(error < np.linalg.norm(path) / 2.0, subject, "step moves bases by the world twist")
         turned = np.abs(state.joint_positions - aim).max() < _TURNED
         _require(turned, subject, "step moves arms to the joint targets")
 
@@ -266,10 +266,10 @@ def _measured(
             twist, arm = np.zeros((n, 6)), np.tile(home, (n, 1))
             twist[:, [0, 1, 5]] = [rng.uniform(-0.2, 0.2, 3) for rng in rngs]
             arm += [rng.uniform(-0.01, 0.01, len(home)) for rng in rngs]
-            given = twist.copy(), arm.copy()
-            state = backend.step(*given, _DT)
+            arguments = twist.copy(), arm.copy()
+            state = backend.step(*arguments, _DT)
             check_state(state, n, len(home), source)
-            if not np.array_equal(np.hstack(given), np.hstack([twist, arm])):
+            if not np.array_equal(np.hstack(arguments), np.hstack([twist, arm])):
                 raise ConformanceError(f"{source.partition(':')[0]} writes into its input")
             parts = state.base_pose, state.joint_positions, state.ee_in_base, state.localised
             measured.append(np.hstack([part for part in parts if part is not None]))

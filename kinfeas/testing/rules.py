@@ -174,15 +174,15 @@ def run_trial(probe: Probe, on_step: Callable[[], None] | None = None) -> None:
         ConformanceError: At a severe violation.
     """
     ee_pose, targets = probe.trial.poses()
-    state, steps_seen = _check_start(probe, ee_pose, targets), []
+    state, history = _check_start(probe, ee_pose, targets), []
     goal, ended = probe.motion.goal_pose(state, targets), np.zeros(len(targets), dtype=np.bool_)
     steps = probe.trial.steps
     full = set((np.geomspace(1, steps, _FULL_CHECKS).astype(int) - 1).tolist())
     for step in range(steps):
         if step in full:
-            steps_seen.append(_check_step(probe, state, ee_pose, targets))
+            history.append(_check_step(probe, state, ee_pose, targets))
             _check_goal(probe, state, targets, goal)
-            _check_restart(probe, steps_seen, targets)
+            _check_restart(probe, history, targets)
         ended |= probe.motion.finished(state, targets) & _within(1.0, ee_pose, goal)
         twist, state = probe.twist(state, ee_pose, targets)
         ee_pose = integrate(ee_pose, twist, probe.trial.dt)
@@ -240,13 +240,14 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
     mixed = copy.deepcopy(probe.twist(state, ee_pose, targets, uneven))
     for row in _some(range(len(ee_pose))):
         single = slice(row, row + 1)
-        for steps, (moved, later), broken in (
+        for durations, (batch_twist, batch_after), broken in (
             (dt, (twist, after), f"moves {_BATCH}"),
             (uneven, mixed, "moves a motion differently if other rows have another dt"),
         ):
-            arrays = [values[single].copy() for values in (ee_pose, targets, steps)]
+            arrays = [values[single].copy() for values in (ee_pose, targets, durations)]
             alone, after_alone = probe.twist(_rows(state, single), *arrays)
-            same = _near(alone, moved[single]) and _close(after_alone, _rows(later, single), _NEAR)
+            expected = _rows(batch_after, single)
+            same = _near(alone, batch_twist[single]) and _close(after_alone, expected, _NEAR)
             probe.require(same, "rows", broken)
     # The values of these calls are checked by `CheckedMotion`.
     probe.motion.twist(state, ee_pose, targets + _MOVED, dt)

@@ -139,14 +139,14 @@ class Grasp:
         if self.held is None:
             return
         config, client = self._physics.config, self._physics.client
-        (hand, hand_speed), (link, link_speed) = (self._motion(*end) for end in self._ends)
+        (hand, hand_velocity), (link, link_velocity) = (self._motion(*end) for end in self._ends)
         fraction = 1.0 / len(hand)
         forces = config.grasp_stiffness * fraction * (hand - link)
-        forces += config.grasp_damping * fraction * (hand_speed - link_speed)
+        forces += config.grasp_damping * fraction * (hand_velocity - link_velocity)
         self.force = float(np.linalg.norm(forces.sum(axis=0)))
-        for point_in_hand, point, force in zip(hand, link, forces, strict=True):
-            for end, at, pull in ((self._hand, point_in_hand, -force), (self.held, point, force)):
-                client.applyExternalForce(*end, pull.tolist(), at.tolist(), client.WORLD_FRAME)
+        for on_hand, on_link, force in zip(hand, link, forces, strict=True):
+            for end, point, pull in ((self._hand, on_hand, -force), (self.held, on_link, force)):
+                client.applyExternalForce(*end, pull.tolist(), point.tolist(), client.WORLD_FRAME)
 
     def release(self) -> None:
         """Hold nothing."""

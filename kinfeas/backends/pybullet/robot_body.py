@@ -176,9 +176,9 @@ class ArmDrive:
     def __init__(self, body: RobotBody) -> None:
         robot = body.robot
         self._body = body
-        self._setpoints = moved = body.setpoints
-        joints = [body.joints[name] for name in moved.names]
-        self._motors = list(zip(joints, moved.effort, moved.velocity, strict=True))
+        self._setpoints = setpoints = body.setpoints
+        joints = [body.joints[name] for name in setpoints.names]
+        self._motors = list(zip(joints, setpoints.effort, setpoints.velocity, strict=True))
         order = list(body.joints)
         sprung = [joint.name for joint in robot.arm if joint.name in robot.counterbalanced]
         self._sprung = [(body.joints[name], order.index(name)) for name in sprung]
