@@ -40,7 +40,7 @@ class SmoothPath(MinimumJerk):
     """Motion along a path of its own for each start, from rest to rest.
 
     A path is a cubic B-spline of positions and quaternions. The speed rises and falls along quintic
-    ramps. A path may change; its beginning then has the twist of the motion before.
+    ramps. A new path begins with the twist of the motion that it replaces.
 
     Args:
         ramp: Seconds from rest to full speed, and from full speed to rest.
@@ -63,9 +63,9 @@ class SmoothPath(MinimumJerk):
         """Return straight motions.
 
         The keys are those of `minimum_jerk`; the target of the plan, shape (n, 7); its control
-        points, (n, 64, 7); its rates at the beginning and later as fractions of the path in a
-        second, (n,), 0 for straight motions; and the twist, (n, 6), by which the motion before
-        differs from the beginning of the plan.
+        points, (n, 64, 7); its rates at the beginning and later, as fractions of the path
+        per second, (n,), 0 for straight motions; and the twist, (n, 6), of the replaced motion
+        relative to that at the beginning of the plan.
         """
         state = super().start(ee_pose, target_pose, rngs)
         n = len(target_pose)

@@ -50,7 +50,7 @@ class Arm:
 
     hand: str  # link that carries the fingers; without fingers the last link
     joints: tuple[Joint, ...]  # from the root to the hand, without fixed and mimic joints
-    stuck: tuple[Joint, ...]  # joints on the way whose limits leave no range of motion
+    stuck: tuple[Joint, ...]  # joints on that path whose limits leave no range of motion
     # joints on the hand whose links have collision shapes; if none have, those that slide
     fingers: tuple[Joint, ...]
 

@@ -1,4 +1,4 @@
-"""Reading of a vendor's URDF beyond arm and hand: mesh options, drive of the base, doubts."""
+"""Reading of a vendor's URDF beyond arm and hand: mesh options, drive of the base, warnings."""
 
 import re
 from collections.abc import Iterable, Mapping

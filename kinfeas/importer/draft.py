@@ -253,7 +253,7 @@ def _middle(joint: Joint, spec: ArmJointSpec) -> float:
 
 
 def _fixed(urdf: Urdf, arm: Arm) -> dict[str, float]:
-    """Return the positions of joints on the way to the hand that are not joints of the arm."""
+    """Return the positions of joints on the path to the hand that are not joints of the arm."""
     leaders = [urdf.followed(joint)[0] for joint in urdf.path_to(arm.hand) if joint.moves]
     moving = [joint.name for joint in arm.joints]
     return {

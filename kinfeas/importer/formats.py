@@ -123,7 +123,7 @@ def _from_mjcf(path: Path, folder: Path) -> Element:
 
 
 def _scenery(model: Any) -> set[int]:
-    """Return the bodies that are not of the robot, the world (0) if its geoms are not.
+    """Return the bodies that are no part of the robot, with 0, the world, if its geoms are none.
 
     Free bodies without other joints are objects. Around a robot with a free or sliding base, bodies
     that do not move are furniture; otherwise the robot may stand on them.

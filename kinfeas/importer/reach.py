@@ -104,8 +104,8 @@ def built_to_touch(
 ) -> dict[tuple[str, str], float]:
     """Return the pairs of links that touch by design, or since their shapes are too large.
 
-    These are links that slide in one another, near neighbours that touch often, and others that
-    touch always. `fractions` are those of `touching`.
+    These are links that slide in one another and touch at all, near neighbours that touch often,
+    and others that touch almost always. `fractions` are those of `touching`.
     """
     return {
         pair: fraction for pair, fraction in fractions.items() if fraction > _allowed(robot, *pair)

@@ -24,7 +24,7 @@ class Guesses:
     lifted: float = 0.0  # height of the URDF's root above the floor, metres
     speeds: tuple[str, ...] = ()  # joints of arm and fingers without a velocity limit
     limits: tuple[str, ...] = ()  # arm joints of more than two turns that are not continuous
-    stuck: tuple[str, ...] = ()  # joints on the way to the hand without a range of motion
+    stuck: tuple[str, ...] = ()  # joints on the path to the hand without a range of motion
     # fraction of configurations in which ignored, and in which checked pairs of links touch, 0-1
     touching: Mapping[tuple[str, str], float] = field(default_factory=dict)
     contacts: Mapping[tuple[str, str], float] = field(default_factory=dict)

@@ -20,9 +20,9 @@ class GoalReaching:
 
     The base begins at the origin with a random heading; the goal lies at a random bearing, with
     uniformly random roll, pitch and yaw. Heights are by default those of the robot's reach, or of
-    its comfortable part with `restrict_start`. Of `start`, `free` draws arm configurations without
-    self-collision; `any` also allows self-collision at the goal heights and, even with
-    `restrict_start`, other heights without self-collision, as the paper's program does for
+    its comfortable part with `restrict_start`. With `start: free`, arm configurations have no
+    self-collision. With `start: any`, they may have one at the goal heights and, even with
+    `restrict_start`, be at other heights without one, as the paper's program does for
     `ggr_restricted`.
     """
 

@@ -26,10 +26,10 @@ _MARGIN = 0.1  # distance in metres from the limits of height at which targets s
 class Stream:
     """Follow a target that moves for a while, from a random arm configuration.
 
-    `joystick` sends twists of an Ornstein-Uhlenbeck process, as a person who keeps the EE within
-    the heights. `chunks` sends poses of a smooth path in advance, as a learned model: each chunk
-    is off by an offset of its own, so that the target jumps. `carried` sends poses of an object
-    that is carried along a curve at constant speed.
+    `joystick` sends twists of an Ornstein-Uhlenbeck process, like a person who keeps the EE within
+    the heights. `chunks` sends poses of a smooth path in advance, like a learned model: each chunk
+    has its own position error, so that the target jumps. `carried` sends poses of an object that is
+    carried along a curve at constant speed.
     """
 
     name: str  # task name

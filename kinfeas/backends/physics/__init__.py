@@ -1,4 +1,4 @@
-"""What physics engines share: the prepared robot, task checks, drives, obstacles and settings.
+"""Common parts of physics engines: the prepared robot, task checks, drives, obstacles, settings.
 
 Imports no engine; `kinfeas.backends.pybullet` and `kinfeas.backends.mujoco` use it.
 """

@@ -170,7 +170,7 @@ class PhysicsBackend(Backend):
         self.close()  # the next use builds simulations with it
 
     def hold(self, row: int, joint_positions: Array, dt: float, periods: int) -> None:
-        """Hold a robot still for some control periods, its arm at positions (j,)."""
+        """Hold a robot still for some periods of `dt` seconds, its arm at positions (j,)."""
         rows, still = np.array([row]), np.zeros((1, 6))
         for _ in range(periods):
             self._step(rows, still, joint_positions[np.newaxis], dt)

@@ -9,7 +9,7 @@ from kinfeas.core.backend import Grip
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative
 from kinfeas.robots.spec import GripperSpec
 
-_RELAXED = 0.1  # of a finger's effort
+_RELAXED = 0.1  # effort while holding, as a fraction of a finger's effort
 _COUPLING = 0.5  # of a finger's effort: below 1, so that both close round an object off centre
 _PAD = 0.03  # m, distance from the tip at which the fingers hold an object that cannot turn
 _CENTRE = IDENTITY[np.newaxis]
