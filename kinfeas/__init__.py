@@ -11,7 +11,7 @@ load_policy, load_robot policies and robots
 view                    facts on and pictures of scenes and records
 KinfeasError            raised for bad input
 
-Each is imported with its packages at the first use; `help(kinfeas.train)` shows the arguments.
+Each name is imported at its first use, with its packages; `help(kinfeas.train)` shows arguments.
 """
 
 __version__ = "0.3.0"
@@ -23,13 +23,13 @@ _MODULES = {
     "load_robot": "api.load", "plan": "api.plan", "reach": "api.reach", "resume": "api.train",
     "servo": "api.servo", "train": "api.train", "view": "api.view",
 }  # fmt: skip
-"""Module that has a name."""
+"""Module below `kinfeas` that defines each public name."""
 
 __all__ = ["__version__", *_MODULES]
 
 
 def __getattr__(name: str) -> object:
-    """Return a function or the error; its module is imported when first asked for."""
+    """Return a public function or KinfeasError; its module is imported at the first access."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
@@ -38,5 +38,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the names of this module, also of what it has not imported yet."""
+    """Return the names of this module, including those that are not imported yet."""
     return sorted({*globals(), *__all__})

@@ -1,7 +1,7 @@
 """The commands as functions: `kinfeas.train`, `evaluate`, `deploy` and so on.
 
-Each module has the function of its name; `import kinfeas` imports it with its first use. Functions
-raise KinfeasError for bad input. They print nothing, but report their progress.
+Each module defines the function of its name, and is imported at its first use. The functions raise
+KinfeasError for bad input. They print nothing; callbacks such as `on_progress` report progress.
 """
 
 from collections.abc import Callable
@@ -13,13 +13,13 @@ Name = str | Path
 """A name or the path of a file."""
 
 OnProgress = Callable[[str, float], None]
-"""Called with the present work and the fraction of it that is done, 0-1."""
+"""Called with a description of the current work and the fraction of it that is done, 0-1."""
 
 
 def counter(on_progress: OnProgress | None, text: str, total: float = 1.0) -> Callable[..., None]:
-    """Return a function that takes the amount that has just been done, and reports the sum.
+    """Return a function that adds an amount of work and reports the fraction of `total` done.
 
-    It also takes a `note` beside the text.
+    Its second argument, `note`, is appended to the text.
     """
     done = 0.0
 

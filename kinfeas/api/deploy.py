@@ -1,4 +1,4 @@
-"""Runs on a robot or a simulated one, behind guards and recorded: to a goal, or along a plan."""
+"""Guarded and recorded runs on a real or simulated robot: to a goal, or along a plan."""
 
 import re
 import reprlib
@@ -49,7 +49,7 @@ from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, StagedTask, Task
 
 T = TypeVar("T", bound=DeployConfig)
-_CATCH_UP = 0.2  # least speed with which the EE may come to the start of a plan, m/s and rad/s
+_CATCH_UP = 0.2  # lower bound of the speed limits with which the EE joins a plan, m/s and rad/s
 
 
 @dataclass(frozen=True)
@@ -90,14 +90,14 @@ def deploy(  # noqa: PLR0913 - options of the command
 
     Args:
         policy: Name, run folder, ONNX file, or `module:Class`.
-        plan: File of `kinfeas.plan`, in place of policy, goal and task.
+        plan: File that `Plan.save` wrote, in place of policy, goal and task.
         robot: Name or folder; by default the robot of the policy.
         backend: `analytic`, `pybullet`, `mujoco`, `ros2`, `ros1`, or a plugin; by default PyBullet
             or, without it, MuJoCo.
         goal: World position of the EE, shape (3,), metres; none for a motion with
             `generator.frame=world`.
-        rpy: Its roll, pitch and yaw, radians; unchanged by default.
-        quaternion: The same as a quaternion xyzw.
+        rpy: Goal orientation as roll, pitch and yaw, radians; that of the start by default.
+        quaternion: Goal orientation as a quaternion xyzw, in place of `rpy`.
         generator: Motion generator; `linear` by default, with a scene `whole_body`.
         task: Name or YAML file, in place of the goal.
         rate: Control rate, Hz.
@@ -105,8 +105,8 @@ def deploy(  # noqa: PLR0913 - options of the command
         seed: Random seed.
         record: New CSV file; by default one in `runs/deploy`.
         adapters: Name or YAML file of a list of adapters, or its entries.
-        guards: YAML file of limits.
-        real_time: Whether a simulation runs no faster than a robot.
+        guards: YAML file with the limits of the guards.
+        real_time: Whether a simulation is slowed down to real time.
         filters: Names of command filters; the robot's by default.
         settings: Values by key of `DeployConfig`, such as `scene` or `guards.max_tilt`.
         on_moment: Called with each line of the record.
@@ -134,7 +134,7 @@ def deploy(  # noqa: PLR0913 - options of the command
             raise KinfeasError("'plan' excludes a policy, a goal, 'generator' and 'task'")
         policy, dt = "stationary", 1.0 / checked(Rate, rate, "rate")
         motion_task, follower = _plan_task(plan, plan_robot, dt)
-        # It would plan anew.
+        # The path planner would plan another path.
         others = tuple(each for each in config.filters if each.name != "path_planner")
         config = replace(config, filters=others)
     elif task is None:
@@ -164,7 +164,7 @@ def recorded(  # noqa: PLR0913 - the parts of a recorded run
     *,
     adapters: tuple[PluginSpec, ...] = (),
 ) -> Deployment:
-    """Run and record a setup; `adapters` are those of the robot itself, within the guards."""
+    """Run and record a setup; the header also lists `adapters`, which are inside its backend."""
     with closed_on_error(setup.backend):
         about = _about(setup, robot, policy, backend, adapters)
         path = _new_record(about) if record is None else Path(record)
@@ -200,9 +200,9 @@ def read_config(  # noqa: PLR0913 - where settings come from
     *,
     late: bool = False,
 ) -> T:
-    """Return the settings of a section for a robot, with the guards of the user's file.
+    """Return a robot's settings of the section `name`, with the guards of the user's file.
 
-    A robot that responds late has the filters of its section `sim2real`.
+    With `late`, for a robot that responds late, the filters are those of its section `sim2real`.
     """
     data, source = section(name, robot.folder)
     if late:
@@ -237,13 +237,13 @@ def _goal_task(
 
 
 def _listed(kind: Any, numbers: object, name: str) -> Sequence[float]:
-    """Return numbers, also of an array, as a list of a kind."""
+    """Return numbers, such as an array, as a list of the type `kind`; or raise KinfeasError."""
     numbers = np.asarray(numbers, dtype=object).tolist()
     return cast("Sequence[float]", checked(kind, numbers, name))
 
 
 def _plan_task(file: Name, robot: Name | None, dt: float) -> tuple[Task, tuple[CommandFilter, ...]]:
-    """Return the EE motion of a plan as a task that begins at its start, and what follows it."""
+    """Return the EE motion of a plan as a task from its start, and a filter that follows it."""
     if not isinstance(file, str | Path):
         raise KinfeasError(f"'plan' must be a file, as of Plan.save, not {reprlib.repr(file)}")
     try:
@@ -280,7 +280,10 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     inner: tuple[PluginSpec, ...] = (),
     **options: Any,
 ) -> Setup:
-    """Return the parts of a run, compiled and connected; `inner` adapters are part of the robot."""
+    """Return the parts of a run: kernels are compiled, and the backend is connected.
+
+    `inner` adapters simulate the robot itself: guards and the other adapters are around them.
+    """
     check_new(None if record is None else text_of(record, "record"))
     dt = 1.0 / checked(Rate, rate, "rate")
     if seconds != inf:
@@ -308,7 +311,7 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
 
 
 def _drawn_scene(setup: Setup) -> dict[str, Any]:
-    """Return scene, objects and solids of the record; the episode is drawn in advance."""
+    """Return scene, objects and solids for the record, drawn as the run draws them later."""
     task = setup.task
     drawn: dict[str, Any] = {}
     if setup.solids is not None:

@@ -1,4 +1,4 @@
-"""Metrics of policies, files with one of their episodes, and the ceiling."""
+"""Metrics of policies, pictures and videos of an episode, and the ceiling of success."""
 
 import itertools
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from kinfeas.tasks.loading import load_task
 
 
 class Metrics(Summary, total=False):
-    """Metrics of a policy trained for `steps`; with `ablation` also those with other adapters."""
+    """Metrics of a policy trained for `steps`; `ablation` has those with fewer adapters."""
 
     steps: int | None
     ablation: dict[str, Summary]
@@ -67,21 +67,21 @@ def evaluate(  # noqa: PLR0913 - options of the command
         filters: Names of command filters; the robot's by default.
         adapters: Name or YAML file of a list of adapters, or its entries.
         ablation: Whether single adapters are evaluated, too.
-        picture: PNG file to write of an episode.
-        video: GIF, MP4 or PNG file to write of it.
-        replay: HTML file to write of it.
-        episode: Number of the episode of these files.
+        picture: PNG file to write, a drawing of an episode.
+        video: GIF or MP4 file to write, a video of it; or PNG file of four frames.
+        replay: HTML file to write, an interactive page of it.
+        episode: Number of the episode that these files show.
         processes: Number of parallel processes.
         settings: Values by key, such as `world.dt` or `task.KEY`.
-        on_progress: Called with the present work and the fraction of it that is done.
+        on_progress: Called with a description of the current work and the fraction that is done.
 
     Returns:
         Metrics by key: `success`, the fraction of episodes that reach the goal without an IK
-        failure; `within_5cm`, the fraction in which the EE is always within 5 cm of its path, and
-        in the end of the goal; `failed`, the numbers of failed episodes by the reason;
-        `per_episode`, columns for `pandas.DataFrame`; `steps` of the policy's training, if known;
-        `ceiling`, the fraction of reachable goals; each with its 95 % interval, `_low` and `_high`.
-        `Metrics` of `kinfeas.core.metrics` has the others, in metres and seconds.
+        failure; `within_5cm`, the fraction in which the EE is always within 5 cm of its path and
+        at the end of the goal; `ceiling`, the fraction of reachable goals. The 95 % intervals of
+        these have the suffixes `_low` and `_high`. `failed` lists the numbers of failed episodes by
+        reason, `per_episode` has columns for `pandas.DataFrame`, and `steps` are those of the
+        policy's training, if known. `kinfeas.core.metrics.Metrics` describes the other metrics.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid.
@@ -108,7 +108,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
         text = f"{config.episodes} episodes {adapters}".rstrip()
         count, steps = counter(on_progress, text, config.episodes), itertools.count(1)
 
-        def watch(*_: object) -> None:  # an episode may take minutes
+        def watch(*_: object) -> None:  # progress within an episode, which may take minutes
             count(0.0, f", {next(steps) * config.world.dt:.0f} s simulated")
 
         return evaluation.evaluate(config, driver, name, processes, count, watch)
@@ -120,7 +120,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
             label: measure(replace(config, world=replace(config.world, adapters=subset)), label)
             for label, subset in evaluation.adapter_subsets(config.world.adapters).items()
         }
-    # Last, so that an error of the configuration comes at once.
+    # After the evaluations, which raise errors of the configuration at once.
     summaries = (metrics, *metrics.get("ablation", {}).values())
     evaluation.add_ceiling(summaries, config, counter(on_progress, "ceiling"))
     if picture or video or replay:
@@ -154,9 +154,9 @@ class Ceiling:
     ceiling: float  # fraction of episodes of which all sub-goals are reachable
     ceiling_low: float  # lower end of its 95 % interval
     ceiling_high: float  # upper end
-    base_poses: tuple[int, ...]  # numbers of base poses that were tried for a goal
-    convergence: tuple[float, ...]  # fraction that was reachable with each of these numbers
-    # episodes in which each sub-goal is out of reach, by the limit
+    base_poses: tuple[int, ...]  # numbers of base poses that were tried for each goal
+    convergence: tuple[float, ...]  # fraction reachable with each of these numbers of base poses
+    # for each sub-goal, the number of episodes in which it is out of reach, by limit
     out_of_reach: tuple[dict[str, int], ...]
 
 

@@ -44,7 +44,7 @@ def fit(
         demonstrations = [demonstrations]
     sources = [Path(text_of(source, "demonstrations")) for source in demonstrations]
     out = Path(text_of(out, "out"))
-    # The model is for other machines, too: only the names of files and folders.
+    # Models are shared between machines: their command has names of files, but no paths.
     names = shlex.join(source.resolve().name for source in sources)
     command = f"kinfeas fit {names} --kind {kind} --components {components} --seed {seed}"
     files = [file for source in sources for file in demonstration_files(source)]

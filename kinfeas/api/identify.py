@@ -1,4 +1,4 @@
-"""Robots identified from records, and the runs that record them."""
+"""System identification: robots from records of runs, and the runs that excite and record them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -22,8 +22,8 @@ from kinfeas.sim2real.identify.excitation import SECONDS, Excitation
 from kinfeas.sim2real.identify.fit import ResponseFit, fit
 from kinfeas.sim2real.identify.log import log_of
 
-_LEAST = 2e-3  # smallest number of a response that is worth a line
-_UNUSED = {  # settings of other runs
+_LEAST = 2e-3  # smaller parameters of a response are left out of `response_lines`
+_UNUSED = {  # settings of `DeployConfig` without effect on the pattern
     "arm_settle_timeout", "filters", "generator", "grasp_settle_time", "head_start",
     "head_start_jitter", "task", "time_scale",
 }  # fmt: skip
@@ -86,12 +86,12 @@ def identify(
     Example: `kinfeas.identify("run.csv", out="my_robot.yaml").response.base_lag`
 
     Args:
-        records: Records of `kinfeas deploy`, of `drive`, or bags of ROS, of one robot.
-        robot: Robot; that of the first record by default. Bags need it.
+        records: Records of one robot, from `kinfeas deploy` or `drive`, or ROS bags.
+        robot: Robot; that of the first record by default. ROS bags need it.
         out: New YAML file of adapters.
         picture: PNG file to write, of measured and predicted velocities.
-        prior: Adapters whose drift of localisation is assumed: in the measured pose, drift and
-            noise of the base look alike.
+        prior: List of adapters from which the drift of the localisation is taken, since measured
+            poses do not tell drift from base noise.
 
     Raises:
         KinfeasError: If a record is invalid, of another robot, or shows no motion.
@@ -131,7 +131,7 @@ def identify(
 
 
 def _walk(prior: Name) -> tuple[float, float]:
-    """Return the drift of the localisation in a list of adapters, none without one."""
+    """Return the localisation's drift in a list of adapters, m and rad after 1 s; 0 without one."""
     for spec in read_adapters(prior):
         if spec.name == "localisation":
             world = build_backend("analytic", {})
@@ -153,10 +153,10 @@ def drive(  # noqa: PLR0913 - options of the command
     settings: Settings | None = None,
     on_moment: Callable[[Moment], None] | None = None,
 ) -> Deployment:
-    """Drive the pattern of a minute from which a robot is identified, and return the run.
+    """Drive a robot through the excitation of a minute for `identify`, and return the run.
 
     The guards are those of `kinfeas.deploy`, and `settings` are values by key of `DeployConfig`.
-    Adapters are part of a simulated robot here: they lie within the guards.
+    Adapters are part of the simulated robot here: they act between the guards and the backend.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.

@@ -23,7 +23,7 @@ Adapters = Name | Sequence[str | Mapping[str, object]]
 
 
 def load_robot(robot: Name | Robot) -> Robot:
-    """Return a robot by its name or folder; one that is loaded already as it is.
+    """Return a robot by its name or folder; a loaded robot is returned unchanged.
 
     Raises:
         KinfeasError: If there is no such robot, or a file is invalid.
@@ -85,7 +85,7 @@ def export(policy: Name, out: Name, *, robot: Name | None = None) -> PolicyFile:
 def check_export(path: Name, *, robot: Name | None = None) -> PolicyFile:
     """Return the description of a valid ONNX file, compared with a robot.
 
-    By default that is the installed robot of the name in the file, if there is one.
+    By default that is the installed robot with the name in the file, if there is one.
 
     Raises:
         KinfeasError: If the file is no valid policy, or for another robot.
@@ -126,7 +126,7 @@ def robot_of(policy: Name | None) -> str:
 
 
 def read_adapters(adapters: Adapters | None) -> tuple[PluginSpec, ...]:
-    """Return adapters by the name or path of their list, or each by itself; none for None."""
+    """Return adapters from a list, given by name, path or entries; an empty tuple for None."""
     if isinstance(adapters, Sequence) and not isinstance(adapters, str):
         kind = tuple[PluginSpec, ...]
         return cast("tuple[PluginSpec, ...]", checked(kind, adapters, "adapters"))
@@ -136,7 +136,7 @@ def read_adapters(adapters: Adapters | None) -> tuple[PluginSpec, ...]:
 def plugin_settings(
     filters: str | Sequence[str] | None, adapters: Adapters | None = None, above: str = ""
 ) -> dict[str, object]:
-    """Return settings of filters and adapters, where they are not None, below the keys `above`."""
+    """Return settings of filters and adapters unless None; `above` is a prefix of their keys."""
     settings: dict[str, object] = {}
     if filters is not None:
         names = filter_names(filters) if isinstance(filters, str) else filters
@@ -147,12 +147,12 @@ def plugin_settings(
 
 
 def filter_names(filters: str) -> tuple[str, ...]:
-    """Return the names of filters in a text with commas, or `none`."""
+    """Return the names in a comma-separated list of filters; an empty tuple for `none`."""
     return () if filters in ("", "none") else tuple(map(str.strip, filters.split(",")))
 
 
 def checked(kind: Any, value: object, name: str) -> Any:
-    """Return an argument, also of NumPy, as plain data of a kind; or raise KinfeasError."""
+    """Return an argument, plain or NumPy, as an instance of a type; or raise KinfeasError."""
     return validated(kind, value, "arguments", name)
 
 
@@ -160,6 +160,6 @@ def text_of(value: object, name: str) -> str:
     """Return an argument that is a name or a path; raise KinfeasError if it is not."""
     if not isinstance(value, str | Path):
         raise KinfeasError(f"{name!r} must be a name or a path, not {reprlib.repr(value)}")
-    # Without its "./" a folder would be a name.
+    # Path drops "./", without which a folder in the working directory would be read as a name.
     alone = isinstance(value, Path) and len(value.parts) == 1 and value.is_dir()
     return f"./{value}" if alone else str(value)

@@ -49,18 +49,18 @@ if TYPE_CHECKING:
     from kinfeas.viz.replay import EpisodeReplay
 
 _BASE = ("x", "y", "yaw")
-_AT_START, _TURNED = 0.02, 0.05  # of the EE from the first pose of a path, metres and radians
-_ROUNDING = 1e-6  # of the numbers of a file
-_ASIDE, _SLIPPING = 1e-3, 0.1  # of a differential base in a row: metres, and a fraction of the way
-_SLOWER = 0.5  # velocity of an EE that would be faster than the base, as a fraction of the base's
+_AT_START, _TURNED = 0.02, 0.05  # distance at which the EE counts as at a pose, metres and radians
+_ROUNDING = 1e-6  # tolerance for numbers that were rounded in a file
+_ASIDE, _SLIPPING = 1e-3, 0.1  # sideways motion of a differential base: m, and fraction of path
+_SLOWER = 0.5  # fraction of the base's speed to which an EE that exceeds it is slowed down
 
 
 @dataclass(frozen=True, eq=False)
 class Plan(Moments):
-    """Base, arm and EE at t times, within the velocity limits and free of solids."""
+    """Base, arm and EE at t times, within the velocity limits and free of collisions."""
 
     robot: Robot
-    solids: Solids | None = None  # in the world, one row; None without any
+    solids: Solids | None = None  # solids in the world, one row; None without any
 
     def __repr__(self) -> str:
         return f"Plan({self.robot.name!r}, {self.time[-1]:.1f} s, {len(self.time)} moments)"
@@ -72,13 +72,13 @@ class Plan(Moments):
 
     @property
     def reached(self) -> Array:
-        """World poses of the EE, shape (t, 7): the desired ones within the pose tolerance."""
+        """World poses of the EE by forward kinematics, (t, 7): `ee_pose` within the tolerance."""
         return compose(self.base_pose, forward(build_chain(self.robot), self.joint_positions))
 
     def save(self, path: Name) -> None:
         """Write a new CSV file: time, base x y yaw, arm joints by name, and the EE pose.
 
-        `replay` follows the EE poses of the file, `kinfeas deploy --plan` base and arm, too.
+        The generator `replay` follows its EE poses, `kinfeas deploy --plan` also base and arm.
         """
         check_new(path)
         names = ["time", *_BASE, *_joint_columns(self.robot), *columns("ee_pose")]
@@ -89,7 +89,7 @@ class Plan(Moments):
             rows.writerows([[f"{value:.9g}" for value in row] for row in table.tolist()])
 
     def joint_trajectory(self) -> dict[str, object]:
-        """Return the arm as a trajectory_msgs/JointTrajectory of plain data."""
+        """Return the arm motion as plain data, in the form of trajectory_msgs/JointTrajectory."""
         points = [
             {"positions": joints, "time_from_start": _stamp(seconds)}
             for joints, seconds in zip(
@@ -99,7 +99,7 @@ class Plan(Moments):
         return {"header": _header(0.0, ""), "joint_names": list(self.joint_names), "points": points}
 
     def base_path(self, frame: str = "map") -> dict[str, object]:
-        """Return the base as a nav_msgs/Path of plain data; stamps count from the start."""
+        """Return the base motion as plain data, in the form of nav_msgs/Path; stamps begin at 0."""
         poses = [
             {
                 "header": _header(seconds, frame),
@@ -144,23 +144,23 @@ def plan(  # noqa: PLR0913 - options of the command
     solids: Solids | ArrayLike | None = None,
     settings: Settings | None = None,
 ) -> Plan:
-    """Return base and arm along an EE path.
+    """Return a plan of base and arm along an EE path.
 
     Example: `kinfeas.plan("pr2", "ee.csv", scene="room").save("plan.csv")`
 
     Args:
         robot: Name, folder, loaded robot, or a `BasePlacer` of `kinfeas.planning.reach`.
         path: World poses of the EE, shape (k, 7), every `step` seconds, or later where the EE would
-            be faster than the base; a file of poses, as of the generator `waypoints`; or the name
+            be faster than the base; a file of poses, as for the generator `waypoints`; or the name
             of a motion generator, which needs a `target`.
         target: World pose at which the motion of a generator ends, shape (7,).
         step: Time from a pose to the next, seconds. Only for arrays of poses; files and generators
             have their own time.
-        start: x, y and yaw of the base now. The EE moves from there to the first pose. By default
-            the robot begins at one of the best base poses for it.
-        joints: Arm joints now, shape (j,), radians or metres; those of home by default.
-        scene: Scene, or its name or YAML file, whose objects base and arm avoid, except movable
-            ones within 5 cm of the tool tip at a pose, which it grasps.
+        start: Current x, y and yaw of the base, metres and radians. The EE first moves from its
+            current pose to the path. By default the plan begins at a base pose that suits the path.
+        joints: Current arm joints, shape (j,), radians or metres; those of home by default.
+        scene: Scene, or its name or YAML file. Base and arm avoid its objects, except movable ones
+            within 5 cm of the tool tip at one of the poses: these count as grasped.
         solids: Other solids in the world: one row of `kinfeas.core.solids.Solids`, or a table of
             shape (m, 11).
         settings: Parameters of the motion generator, such as `max_velocity`.
@@ -197,7 +197,7 @@ def plan(  # noqa: PLR0913 - options of the command
 
 
 def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> Plan:
-    """Return the plan of a file for a robot; a scene is drawn with it.
+    """Return the plan of a file for a robot; the scene only appears in its pictures.
 
     Raises:
         KinfeasError: If the file is no plan of the robot, or beyond the limits of base or arm.
@@ -218,7 +218,7 @@ def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> 
 
 
 def _joint_columns(robot: Robot) -> list[str]:
-    """Return the columns of the arm joints in a file: their names where no other column has it."""
+    """Return the column of each arm joint: its name, or `joint.NAME` if another column has it."""
     others = {"time", *_BASE, *columns("ee_pose")}
     names = (joint.name for joint in robot.arm)
     return [f"joint.{name}" if name in others else name for name in names]
@@ -269,7 +269,7 @@ def _state(robot: Robot, start: Sequence[float], joints: Sequence[float] | None)
 
 
 def _from_start(solver: IkSolver, base: Array, joints: Array, ee: Array) -> Array:
-    """Return EE poses with that of the robot before them, unless it is the first."""
+    """Return EE poses with the robot's EE pose before them, unless it is at the first already."""
     now = compose(base, forward(solver.chain, joints[np.newaxis]))
     metres, radians = distance(now, ee[:1])
     there = metres[0] <= _AT_START and radians[0] <= _TURNED
@@ -277,9 +277,9 @@ def _from_start(solver: IkSolver, base: Array, joints: Array, ee: Array) -> Arra
 
 
 def _divided(ee: Array, step: float, base: Base) -> tuple[Array, float]:
-    """Return poses at most `HORIZON` seconds apart, and the time from one to the next.
+    """Return EE poses at most `HORIZON` seconds apart, and their time step in seconds.
 
-    There are more of them where the EE would be faster than the base.
+    Where the EE would be faster than the base, more poses are inserted, which slow it down.
     """
     metres, radians = distance(ee[:-1], ee[1:])
     speed = np.maximum(metres / base.max_velocity, radians / base.max_rotation) / step
@@ -295,7 +295,7 @@ def _divided(ee: Array, step: float, base: Base) -> tuple[Array, float]:
 def _motion(
     path: Name, target: ArrayLike | None, start: Sequence[float] | None, settings: Settings | None
 ) -> tuple[MotionSpec, Array]:
-    """Return the motion of a file with its poses, or of a generator with its last one, (k, 7)."""
+    """Return the motion of a file with its EE poses, (k, 7), or of a generator with its target."""
     if isinstance(path, Path) or Path(path.rpartition(":")[2]).suffix:  # not module.name:Class
         if target is not None:
             raise KinfeasError("'target' is for generators, not for files")
@@ -305,7 +305,7 @@ def _motion(
         return MotionSpec("waypoints", {**parameters, **nested(settings)}), poses
     motion = MotionSpec(str(path), nested(settings))
     if target is None or start is None:
-        build_subgoals([Subgoal(motion)])  # is there one?
+        build_subgoals([Subgoal(motion)])  # raises an error for unknown generators
         missing = "start" if target is not None else "target"
         raise KinfeasError(f"motion generator {str(path)!r} needs {missing!r}")
     return motion, ee_poses(target, "target")[:1]
@@ -315,7 +315,7 @@ def _rolled_out(
     solver: IkSolver, motion: MotionSpec, poses: Array, state: State | None, solids: Solids | None
 ) -> Array:
     """Return the EE poses of a motion every `HORIZON` seconds, shape (k, 7)."""
-    if state is None:  # any robot with its EE at the first pose
+    if state is None:  # place the robot, its arm at home, with the EE at the first pose
         home = solver.robot.home["home"]
         ee = forward(solver.chain, home[np.newaxis])[0]
         state = compose(poses[0], relative(IDENTITY, ee)), home

@@ -20,7 +20,7 @@ from kinfeas.plugins.waypoints import read_waypoints
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, furniture_solids, read_scene, solid_names
 
-_GRASPED = 0.05  # distance from fingertips within which movable objects are grasped, metres
+_GRASPED = 0.05  # distance from the tool tip within which movable objects are grasped, metres
 
 
 def reach(  # noqa: PLR0913 - options of the command
@@ -38,19 +38,19 @@ def reach(  # noqa: PLR0913 - options of the command
     Example: `kinfeas.reach("pr2", [[2, 1, 0.8, 0, 0, 0, 1]])[0].base_pose`
 
     Args:
-        robot: Name, folder or loaded robot. A `BasePlacer` of `kinfeas.planning.reach` answers
-            many calls sooner.
-        poses: World poses of the EE, shape (n, 7), or a file of them, as of the generator
+        robot: Name, folder or loaded robot. With a `BasePlacer` of `kinfeas.planning.reach`,
+            repeated calls are faster.
+        poses: World poses of the EE, shape (n, 7), or a file of them, as for the generator
             `waypoints`.
-        scene: Scene, or its name or YAML file, whose objects base and arm avoid, except movable
-            ones within 5 cm of the tool tip at a pose, which it grasps.
+        scene: Scene, or its name or YAML file. Base and arm avoid its objects, except movable ones
+            within 5 cm of the tool tip at the EE pose: these count as grasped.
         solids: Other solids in the world: one row of `kinfeas.core.solids.Solids`, or a table of
             shape (m, 11).
-        start: x, y and yaw of the base, metres and radians, from which base poses must be
-            connected among solids; the base must be free of them there.
+        start: Current x, y and yaw of the base, metres and radians. The base must be free of solids
+            there, and able to drive from there to the base poses.
         k: Largest number of base poses for each EE pose.
-        together: Whether the base stands still: base poses reach all EE poses, and the list has one
-            element.
+        together: Whether the base stands still: each base pose reaches all EE poses, and the list
+            has one element.
 
     Raises:
         KinfeasError: If an argument is invalid.
@@ -75,7 +75,7 @@ def reach(  # noqa: PLR0913 - options of the command
 
 
 def placer_of(robot: Name | Robot | BasePlacer) -> BasePlacer:
-    """Return the placer of a robot; one that is built already as it is."""
+    """Return the placer of a robot; a placer is returned unchanged."""
     return robot if isinstance(robot, BasePlacer) else BasePlacer(load_robot(robot))
 
 
@@ -93,7 +93,7 @@ def _check_start(
 
 
 def facts(placement: Placement) -> dict[str, object]:
-    """Return base poses, arms, margins and the reason as plain data."""
+    """Return a placement as plain data: base poses, arm joints, margins and the reason."""
     arrays = ("base_pose", "joint_positions", "margin", "joint_margin", "manipulability")
     return {
         "reachable": placement.reachable, "limit": placement.limit, "reason": placement.reason,
@@ -110,9 +110,9 @@ def base_pose(planar: Sequence[float], name: str) -> Array:
 def solids_of(
     scene: Name | Scene | None, solids: Solids | ArrayLike | None, tips: Array | None = None
 ) -> tuple[Solids | None, list[str]]:
-    """Return one row of solids, the objects of a scene first, and their names; None for none.
+    """Return one row of solids, the objects of a scene first, or None; and their names.
 
-    Movable objects near `tips`, poses of fingertips of shape (n, 7), are grasped and left out.
+    Movable objects near `tips`, poses of the tool tip of shape (n, 7), are grasped and left out.
     """
     if solids is not None and not isinstance(solids, Solids):
         solids = Solids.from_table(solids)
@@ -130,7 +130,7 @@ def solids_of(
 def _not_grasped(
     scene: Scene | None, around: Solids | None, names: list[str], tips: Array
 ) -> tuple[Solids | None, list[str]]:
-    """Return solids and their names without objects in the hand at tool tips, shape (n, 7)."""
+    """Return solids and their names without the objects grasped at `tips`, as `solids_of`."""
     if scene is None or around is None:
         return around, names
     near = np.hypot(*around.gaps(tips[np.newaxis, :, :3]))[0].min(axis=0) < _GRASPED
@@ -152,7 +152,7 @@ def reach_map(
     solids: Solids | ArrayLike | None = None,
     start: Sequence[float] | None = None,
 ) -> bytes:
-    """Return a picture of all base poses that reach an EE pose, from above, as a PNG file.
+    """Return a PNG file of all base poses that reach an EE pose, seen from above.
 
     Arguments are those of `reach`.
     """

@@ -27,7 +27,7 @@ from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.access import Access
 
 _MOST_BYTES, _MOST_CONNECTIONS, _MOST_BASE_POSES = 4_000_000, 32, 64_000
-_BUFFER, _PATIENCE = 65_536, 0.05  # bytes and seconds for connections beyond the limit
+_BUFFER, _PATIENCE = 65_536, 0.05  # bytes read, and seconds of waiting, beyond `_MOST_CONNECTIONS`
 _BUSY = (
     b"HTTP/1.1 503 Service Unavailable\r\nContent-Type: application/json\r\nContent-Length: 33\r\n"
     b'Connection: close\r\n\r\n{"error": "too many connections"}'
@@ -49,7 +49,7 @@ class ReachRequest:
     together: bool = False
 
     def __post_init__(self) -> None:
-        """Check that the answer does not keep others waiting for long."""
+        """Limit the time of the answer, since requests are answered one at a time."""
         if len(self.poses) * self.k > _MOST_BASE_POSES:
             raise ValueError(f"'k' must be at most {_MOST_BASE_POSES} / number of poses")
 
@@ -66,14 +66,14 @@ class PlanRequest:
 
 
 class PlanningServer(ThreadingHTTPServer):
-    """Answers for one robot in one scene, one request at a time.
+    """Server of `reach` and `plan` for one robot in one scene; answers one request at a time.
 
-    HTTP answers only programs of this computer and pages of the same address. ROS 2 answers all
-    nodes of the domain. No request names a robot, a file or code.
+    HTTP requests are answered for programs on this computer and web pages of the server's address,
+    ROS 2 requests for all nodes of the domain. No request can name a robot, a file or code.
 
     Attributes:
         url: Address.
-        lock: Held by the request that is answered.
+        lock: Held while a request is answered.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class PlanningServer(ThreadingHTTPServer):
     ) -> None:
         """Listen on the loopback interface, and with `ros2` in the domain of `ROS_DOMAIN_ID`.
 
-        The furniture of the scene is avoided. Port 0 is a free one. The services of ROS 2 are those
-        of `kinfeas.sim2real.ros.moveit`.
+        Base and arm avoid the scene's furniture. Port 0 selects a free port. The services of ROS 2
+        are those of `kinfeas.sim2real.ros.moveit`.
 
         Raises:
             KinfeasError: If there is no such robot, scene or domain, or the port is in use.
@@ -109,11 +109,11 @@ class PlanningServer(ThreadingHTTPServer):
         self._opened.close()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own; connections beyond the limit with status 503."""
+        """Answer in a new thread, or with status 503 if there are too many connections."""
         if not self._free.acquire(blocking=False):
             with suppress(OSError):
                 request.settimeout(_PATIENCE)
-                with suppress(TimeoutError):  # unread requests would reset the connection
+                with suppress(TimeoutError):  # closing with unread data would reset the connection
                     request.recv(_BUFFER)
                 request.sendall(_BUSY)
                 request.shutdown(SHUT_WR)
@@ -134,7 +134,7 @@ class PlanningServer(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print errors, but not those of clients that have gone."""
+        """Print errors, except those of clients that have disconnected."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
@@ -157,7 +157,7 @@ class PlanningServer(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     server: PlanningServer
-    timeout = 10.0  # seconds of silence after which a request is given up
+    timeout = 10.0  # seconds without data after which a request is aborted
 
     def do_POST(self) -> None:
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
@@ -195,7 +195,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._answer(HTTPStatus.OK, data)
 
     def _has_left(self) -> bool:
-        """Return whether the client has closed the connection, while it waited for others."""
+        """Return whether the client closed the connection while its request was waiting."""
         self.connection.setblocking(False)
         try:
             return not self.connection.recv(1, MSG_PEEK)

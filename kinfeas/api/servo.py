@@ -1,4 +1,4 @@
-"""Runs that follow targets, which come from other programs while the robot moves."""
+"""Runs that follow EE targets, which other programs send while the robot moves."""
 
 import logging
 import threading
@@ -45,20 +45,20 @@ def servo(  # noqa: PLR0913 - options of the command
     Args:
         policy: Name, run folder, ONNX file, or `module:Class`.
         robot: Name or folder; by default the robot of the policy.
-        backend: As of `deploy`.
-        source: `ros2`, `ros1`, `module:Class`, a plugin, or a `TargetSource` of the program.
+        backend: As in `deploy`.
+        source: `ros2`, `ros1`, `module:Class`, a plugin, or a `TargetSource` object.
         rate: Control rate, Hz.
         seconds: Duration, seconds.
         record: New CSV file; by default one in `runs/deploy`.
         adapters: Name or YAML file of a list of adapters, or its entries.
-        guards: YAML file of limits.
+        guards: YAML file with the limits of the guards.
         filters: Names of command filters; the robot's by default.
         settings: Values by key of `ServoConfig`, such as `rules.KEY` or `source.KEY`.
         on_moment: Called with each line of the record.
 
     Returns:
-        A `Deployment`, whose `outcome.code` is 0 if the time is over, others as of `deploy`;
-        `targets` has the numbers of messages.
+        A `Deployment`, whose `outcome.code` is 0 when `seconds` are over, and otherwise as in
+        `deploy`; `targets` has the numbers of messages.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the run cannot start.
@@ -110,7 +110,7 @@ def servo(  # noqa: PLR0913 - options of the command
 
 @contextmanager
 def _watched(name: str, controller: TargetController) -> Iterator[None]:
-    """End the run of a controller if a thread that starts meanwhile raises an exception."""
+    """End a controller's run if a thread that was started in the block raises an exception."""
     before, hook = set(threading.enumerate()), threading.excepthook
 
     def failed(arguments: threading.ExceptHookArgs) -> None:

@@ -18,7 +18,7 @@ from kinfeas.training.run import Progress
 _WORLD = "analytic"
 
 OnTraining = Callable[[Progress], None]
-"""Called with the progress of a run now and then."""
+"""Called with the progress of a run every few seconds."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Run:
 
 
 class Options(TypedDict, total=False):
-    """Options of a training; absent ones and None have the value of the recipe."""
+    """Options of a training; where one is absent or None, the recipe's value applies."""
 
     task: Name | None
     seed: int | None
@@ -60,7 +60,7 @@ def train(
     Args:
         robot: Name or folder; by default the robot of `config` or `init`, else PR2.
         out: New folder.
-        on_progress: Called with the `Progress` of the run now and then.
+        on_progress: Called with the `Progress` of the run every few seconds.
         task: Name or YAML file; `ggr` by default.
         seed: Random seed.
         minutes: Wall-clock time of training, 3 by default.
@@ -68,9 +68,9 @@ def train(
         adapters: Name or YAML file of a list of adapters, or its entries.
         world: Backend: `analytic`, `pybullet`, `mujoco`, or a plugin.
         init: Policy to start from: a run folder, or `pretrained`.
-        processes: Processes of a world with physics.
+        processes: Number of processes of a world with physics.
         config: Recipe: a YAML file, or a name such as `train_rooms`.
-        settings: Values by key of the recipe, which win over the other options.
+        settings: Values by key of the recipe, which override the other options.
 
     Raises:
         KinfeasError: If an option or a setting is invalid, or the folder holds a run.
@@ -81,7 +81,7 @@ def train(
 
 
 def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainConfig:
-    """Return the configuration of a run: the recipe, then the options, then their settings."""
+    """Return the configuration of a run: the recipe, changed by options, then by settings."""
     for key, value in options.items():
         if key not in Options.__annotations__:
             hint = no_such(key, Options.__annotations__)
@@ -106,7 +106,7 @@ def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainCon
     robot_name, task_name = from_anywhere(recipe.robot), from_anywhere(recipe.task)
     recipe = replace(recipe, robot=robot_name, task=task_name)
     asked = nested(options.get("settings"))
-    if recipe.learner.net_arch != TrainConfig().learner.net_arch:  # the recipe names it
+    if recipe.learner.net_arch != TrainConfig().learner.net_arch:  # set by the recipe
         asked = merged({"learner": {"net_arch": recipe.learner.net_arch}}, asked)
     return training.with_initial_policy(recipe, asked)
 
@@ -130,7 +130,7 @@ def resume(
 ) -> Run:
     """Resume a run from its last checkpoint and return it; larger limits extend a finished run.
 
-    `robot` and `task` are new places of those that it was trained with.
+    `robot` and `task` are new paths of the run's robot and task, if these have been moved.
 
     Raises:
         KinfeasError: If the folder is no run, a limit is invalid, or robot or task have changed.

@@ -53,7 +53,7 @@ def view(  # noqa: PLR0913 - options of the command
     if picture is not None or video is not None or html is not None:
         from kinfeas.viz.replay import as_recording, replay_of
 
-        # Records have no later poses of objects.
+        # Records have the poses of objects at the start only.
         title = f"{robot.name}, furniture as at the start" if run.about.scene else robot.name
         replay = replay_of(as_recording(run, robot), robot, title)
         end = run.event[-1] or "the record breaks off"
@@ -63,7 +63,7 @@ def view(  # noqa: PLR0913 - options of the command
 
 
 def check_files(**files: Name | None) -> None:
-    """Raise KinfeasError if a file of `write_files`, by its argument, cannot be written."""
+    """Raise KinfeasError if a file, passed by its argument's name, cannot be written."""
     for name, file in files.items():
         if file is not None:
             check_file_path(Path(text_of(file, name)))
@@ -83,7 +83,7 @@ def write_files(  # noqa: PLR0913 - an episode and its files
     title: str | None = None,
     on_progress: OnProgress | None = None,
 ) -> None:
-    """Write an episode as picture, film and page; the picture has the title."""
+    """Write an episode as picture, video and page; `title` is that of the picture."""
     count = counter(on_progress, "drawing")
     if picture is not None:
         from kinfeas.viz.episodes import episodes_figure
@@ -126,7 +126,7 @@ def _run_facts(run: Record) -> dict[str, Any]:
     return {
         **{key: about[key] for key in keys},
         "seconds": float(run.time[-1] - run.time[0]),
-        "steps": int((periods > 0.5 * run.about.dt).sum()),  # the end is no step
+        "steps": int((periods > 0.5 * run.about.dt).sum()),  # the last line is no step
         "control_period_s": run.about.dt,
         "failures": int((~run.feasible).sum()),
         "top_speed_m_s": float((run.base_twist[:, :2] ** 2).sum(axis=1).max() ** 0.5),

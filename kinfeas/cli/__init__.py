@@ -1,1 +1,1 @@
-"""The command line: options of a command, a call of `api`, and the printed answer."""
+"""The command line: each command reads its options, calls `api` and prints the results."""

@@ -76,7 +76,7 @@ def demo(
         raise KinfeasError(f"task {task.name!r} has no goal; use kinfeas train and evaluate")
     folder = free_folder(out)
     train_run(settings, folder)
-    # Another seed than that of training, whose episodes the policy has seen.
+    # Not the seed of the training, with whose episodes the policy was trained.
     world = replace(evaluation_world(), filters=())
     config = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1, world=world)
     results = _evaluated(config, folder)
@@ -116,7 +116,7 @@ def _evaluated(config: "EvalConfig", run: Path) -> "list[Summary]":
 
 
 def _pictures(config: "EvalConfig", run: Path, results: "list[Summary]") -> dict[str, bytes]:
-    """Return the learning curve and the first episodes, which need not be the best, by caption."""
+    """Return PNG files by caption: the learning curve, and the first episodes, not the best."""
     from kinfeas.benchmark.evaluations import read_run
     from kinfeas.benchmark.pictures import curves_figure
     from kinfeas.envs.world import World
@@ -140,7 +140,7 @@ def _pictures(config: "EvalConfig", run: Path, results: "list[Summary]") -> dict
 
 
 def free_folder(path: Path) -> Path:
-    """Return `path`, or with a number from 2 on if the folder exists."""
+    """Return `path`, with a number from 2 on appended if the folder exists."""
     if path.name in ("", ".."):
         raise KinfeasError(f"--out must end in the name of a folder, not {str(path)!r}")
     folder, number = path, 1
@@ -158,7 +158,7 @@ def _line(command: str, values: Mapping[str, object], settings: Settings) -> str
 
 
 def _rows(results: "Sequence[Summary]") -> list[list[str]]:
-    """Return the table of a trained policy with its ceiling, baselines, and the paper's figures."""
+    """Return rows for the trained policy, the baselines, the ceiling and the paper's figures."""
     from kinfeas.benchmark.table import LEARNED, paper_figures
 
     rows = [
@@ -187,7 +187,7 @@ def _rows(results: "Sequence[Summary]") -> list[list[str]]:
 def _page(
     results: "Sequence[Summary]", pictures: Mapping[str, bytes], commands: Sequence[str]
 ) -> str:
-    """Return the page of a trained policy with its ceiling, and baselines.
+    """Return an HTML page that compares a trained policy with its ceiling and baselines.
 
     `pictures` are PNG files by caption, `commands` reproduce the page.
     """

@@ -110,7 +110,7 @@ def dataset(
 
 
 def _read(path: Path) -> "Demonstration":
-    """Return a demonstration, or the tool tip's motion in a record."""
+    """Return the demonstration in a file, or the tool tip's motion in the record of a run."""
     import numpy as np
 
     from kinfeas.control.execution import tool_pose

@@ -140,7 +140,7 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     link = simulator.robot_link(backend, model, topics)
     drawn_by = load_task(task) if task is not None else None
     rng = episode_rng(seed, episode)
-    with Signals():  # SIGINT also in the background of a script, where it is ignored
+    with Signals():  # also SIGINT, which background jobs of scripts ignore by default
         room, state = simulator.spawn(
             model, drawn_by, scene, rng=rng, engine=world, gui=gui, adapters=read_adapters(adapters)
         )
@@ -160,12 +160,12 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def report(done: "Deployment", json: Path | None) -> int:
-    """Print the results of a run and return its code."""
+    """Print the results of a run and return its exit code."""
     outcome, about = done.outcome, done.about
     code = int(outcome.code)
     facts = {**asdict(outcome), "code": code, **done.targets, "record": str(done.record)}
     title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
-    with suppress(OSError):  # of a terminal that was closed
+    with suppress(OSError):  # the terminal may have been closed
         print_facts(title, {key: fact for key, fact in facts.items() if fact or fact == 0})
         if code:
             sys.stderr.write(f"stopped: {outcome.reason}\n")

@@ -27,7 +27,7 @@ from kinfeas.core.extras import missing_extra
 
 
 class _Group(TyperGroup):
-    """Commands with their whole summaries, which Typer cuts in narrow terminals."""
+    """A group that shows whole summaries of its commands, which Typer cuts in narrow terminals."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         for command in self.commands.values():
@@ -82,7 +82,7 @@ def main() -> None:
         if message is None and raised_by(error) is None:
             raise
         if message is None:
-            # For the author of the plugin.
+            # The traceback within the plugin, for its author.
             traceback.print_exception(error, limit=-plugin_frames(error))
             message = describe(error)
     if message:

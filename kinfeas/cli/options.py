@@ -1,4 +1,4 @@
-"""Options that several commands share, and readers of their values."""
+"""Options that several commands share, and functions that read their values."""
 
 import os
 import sys
@@ -33,7 +33,7 @@ def option(default: object, text: str, *names: str, **more: Any) -> Any:
 
 
 def argument(default: object, text: str, **more: Any) -> Any:
-    """Return an argument, as `option` does."""
+    """Return a positional argument with a help text, required if the default is `...`."""
     return typer.Argument(default, help=text, **more)
 
 
@@ -51,7 +51,7 @@ def file_option(default: object, text: str, *suffixes: str) -> Any:
 
 
 def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
-    """Return the path of the JSON; with standard output, tables go to standard error."""
+    """Return the path of the JSON; if it is standard output, tables go to standard error."""
     if path not in (STDOUT, Path("/dev/stdout")):
         return check_file_path(path)
     context.with_resource(redirect_stdout(sys.stderr))
@@ -109,16 +109,16 @@ Video = Annotated[
 def read_settings(
     assignments: Sequence[str] | None, options: "Settings | None" = None
 ) -> dict[str, object]:
-    """Return the settings of `KEY=VALUE` texts, in which VALUE is YAML, over those of options.
+    """Return the settings of `options` that are not None, overridden by `KEY=VALUE` texts.
 
-    Options that are None are left out.
+    VALUE is YAML.
     """
     settings = {key: value for key, value in (options or {}).items() if value is not None}
     for text in assignments or ():
         key, equals, value = text.partition("=")
         if not equals or not all(key.strip().split(".")):
             raise KinfeasError(f"{text}: must have the form key=value or key.inner=value")
-        settings.pop(key.strip(), None)  # the later one counts
+        settings.pop(key.strip(), None)  # moves the key to the end, since later ones override
         settings[key.strip()] = strict_yaml.parse(value, text)
     return settings
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from kinfeas.io.run_log import Moment
 
 LINE_SECONDS = 15.0
-"""Time between lines on progress where standard error is no terminal."""
+"""Seconds between lines on progress where standard error is no terminal."""
 
 STDOUT = Path("-")
 """Standard output, as the path of a JSON file."""
@@ -66,14 +66,14 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def print_facts(title: str, facts: Mapping[str, object]) -> None:
-    """Print nested facts below a title as YAML, numbers with four digits."""
+    """Print nested facts below a title as YAML, numbers with four significant digits."""
     rounded = json.loads(json.dumps(facts), parse_float=lambda text: float(f"{float(text):.4g}"))
     typer.echo(f"{title}\n\n{strict_yaml.to_text(rounded, compact=True)}")
 
 
 @contextmanager
 def progress() -> Iterator["OnProgress"]:
-    """Show the work in progress on standard error: a bar, or lines where it is no terminal."""
+    """Show progress on standard error: as a bar, or as lines if that is no terminal."""
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import Progress
@@ -93,7 +93,7 @@ def progress() -> Iterator["OnProgress"]:
         task = bar.add_task("", total=1.0)
 
         def show(text: str, fraction: float) -> None:
-            if fraction < bar.tasks[0].completed:  # other work, with another speed
+            if fraction < bar.tasks[0].completed:  # new work, with another speed
                 bar.reset(task)
             bar.update(task, completed=fraction, description=escape(text))
 
@@ -102,7 +102,7 @@ def progress() -> Iterator["OnProgress"]:
 
 @contextmanager
 def status(text: str) -> Iterator["Status"]:
-    """Show work without known length on standard error."""
+    """Show a spinner on standard error during work of unknown length."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -113,9 +113,9 @@ def status(text: str) -> Iterator["Status"]:
 
 @contextmanager
 def run_status(*, goal: bool = True) -> Iterator[Callable[["Moment"], None]]:
-    """Show the state of a run on standard error, each second, or in lines if it is no terminal.
+    """Show the state of a run on standard error: each second, or as lines if that is no terminal.
 
-    Runs without a `goal` have no distance from it.
+    The distance to the goal is left out for runs without a `goal`.
     """
     from rich.console import Console
 
@@ -129,7 +129,7 @@ def run_status(*, goal: bool = True) -> Iterator[Callable[["Moment"], None]]:
         away = math.dist(moment.goal[:3], moment.desired[:3])
         distance = f", {away:.2f} m before the goal" if goal else ""
         text = f"moving for {printed:.0f} s{distance}; Ctrl-C stops"
-        with suppress(OSError):  # of a terminal that was closed
+        with suppress(OSError):  # the terminal may have been closed
             if console.is_terminal:
                 shown.update(text)
             else:

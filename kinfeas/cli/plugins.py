@@ -30,7 +30,7 @@ _GENERATORS = "kinfeas.motion_generators"
 _CHECKED = (
     "kinfeas.policies", "kinfeas.adapters", "kinfeas.filters", "kinfeas.backends", _GENERATORS,
 )  # fmt: skip
-"""Groups of the plugins that `check` covers, the first one with a name counts."""
+"""Groups that `check` covers; if several have a plugin of the name, the first group counts."""
 _PASSED = {
     "kinfeas.adapters": ("backend", "robot"),
     "kinfeas.backends": ("robot",),
@@ -225,7 +225,7 @@ def _drawing(name: str, parameters: dict[str, object], trial: "Trial") -> bytes:
 
 
 def _summary(plugin: Plugin) -> tuple[str, str | None]:
-    """Return a line on a plugin, and its error if it is broken."""
+    """Return the first line of a plugin's documentation, and its error if it is broken."""
     from kinfeas.robots.loading import load_robot
 
     if registry.is_ignored(plugin):
@@ -268,7 +268,7 @@ def _facts(plugin: Plugin) -> dict[str, Any]:
 
 
 def _facts_of_file(name: str) -> dict[str, Any]:
-    """Return the facts of the folder of a robot, or of the file of a task with its motions."""
+    """Return the facts of a robot's folder, or of a task's file after building its motions."""
     from kinfeas.tasks.loading import load_task
     from kinfeas.tasks.task import build_subgoals
 

@@ -102,7 +102,7 @@ def train_run(config: "TrainConfig", folder: Path) -> "Run":
 
 @contextmanager
 def training_progress(folder: Path) -> Iterator["OnTraining"]:
-    """Show progress; on Ctrl-C or SIGTERM print how the run continues, and end with its code."""
+    """Show progress; on Ctrl-C or SIGTERM print how to resume, and exit with 128 + signal."""
     from kinfeas.training.run import SETTINGS
 
     ended: list[int] = []

@@ -61,7 +61,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.viz.server import serving
 
     names, robot = filter_names(filters), robot or robot_of(policy)
-    # So that errors come before the address.
+    # Plugins are loaded here, so that errors are printed before the address.
     for each in {policy, second_policy} - {"none"}:
         load_policy(each, robot=robot)
     registry.load("kinfeas.motion_generators", generator)
