@@ -1,13 +1,13 @@
 """Configuration: YAML files and settings as frozen dataclasses, and back.
 
 A dataclass is the schema. Pydantic validates its fields in strict mode: unknown keys, values of
-another type, NaN and infinity raise an error with the path of the key. `core.quantities` has
+another type, NaN and infinity raise an error with the path of the key. `core.quantities` defines
 numbers with bounds. A dataclass checks relations of its fields in `__post_init__` and raises
 ValueError.
 
 Settings are values by key, which change a file before it is validated. Keys are nested, or joined
-by dots as in `world.dt`; `layers.0` is the first entry of a list of the file. An empty mapping
-replaces the entries of the file, others are merged with them.
+by dots as in `world.dt`; `layers.0` is the first entry of a list in the file. An empty mapping
+replaces the file's mapping; other mappings are merged into it.
 """
 
 import json
@@ -42,7 +42,7 @@ class PluginSpec:
 
     @classmethod
     def read(cls, data: object) -> "PluginSpec":
-        """Return the plugin of plain data; ValueError without a name or for other parameters."""
+        """Return the plugin that plain data describe; raise ValueError if they are invalid."""
         entry = {"name": data} if isinstance(data, str) else data
         if not isinstance(entry, Mapping) or not isinstance(entry.get("name"), str):
             raise ValueError("must be a name, or a mapping with the key 'name'")
@@ -70,9 +70,9 @@ def load(cls: type[T], path: Path, settings: Settings | None = None) -> T:
 
 
 def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None = None) -> T:
-    """Return plain data as an instance of the dataclass `cls`.
+    """Return plain data, changed by settings, as an instance of the dataclass `cls`.
 
-    Settings, values by key, change the data. Errors name its `source`, such as a file.
+    Errors name the `source` of the data, such as a file.
 
     Raises:
         KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.
@@ -84,8 +84,8 @@ def from_mapping(cls: type[T], data: Any, source: str, settings: Settings | None
 def convert(kind: Any, value: object, source: str, key: str) -> Any:
     """Return the plain value of a key as an instance of the type `kind`.
 
-    NumPy numbers count as plain ones. Values that no YAML file can hold, and types that pydantic
-    cannot validate, are passed through.
+    NumPy numbers are converted to plain ones. Values that YAML cannot express are returned
+    unchanged, and so are values of types that pydantic cannot validate.
     """
     import numpy as np  # slow to import, as pydantic
     from pydantic import PydanticUndefinedAnnotation, PydanticUserError
@@ -113,7 +113,7 @@ def dump(config: object, path: Path) -> None:
 
 
 def nested(*sources: Settings | None) -> dict[str, Any]:
-    """Return settings as nested mappings; the later one of two values of a key counts."""
+    """Return settings as nested mappings; later values of a key override earlier ones."""
     data: dict[str, Any] = {}
     for settings in filter(None, sources):
         if not isinstance(settings, Mapping) or not all(isinstance(key, str) for key in settings):
@@ -126,10 +126,10 @@ def nested(*sources: Settings | None) -> dict[str, Any]:
 
 
 def merged(data: Any, changes: Any, source: str = "settings", whole: str | None = None) -> Any:
-    """Return nested mappings with changed keys; other values, lists too, are replaced.
+    """Return `data` with `changes`: mappings are merged, other values, also lists, are replaced.
 
-    Keys such as `0` change an entry of a list; `source` names the changes in errors. A mapping
-    whose value of the key `whole` changes, such as the name of a plugin, is replaced.
+    A mapping with keys such as `0` changes entries of a list; `source` names the changes in errors.
+    A mapping in which `changes` alter the key `whole`, such as a plugin's name, is replaced.
     """
 
     def changed(value: Any, change: Any) -> Any:
@@ -153,7 +153,7 @@ def _is_empty(changes: Any) -> bool:
 
 
 def index_in(entries: Sequence[object], key: object, source: str) -> int:
-    """Return the index in a list that a key such as `0` names."""
+    """Return the index in a list that a key such as `0` denotes; `source` is for errors."""
     if str(key).isdecimal() and int(str(key)) < len(entries):
         return int(str(key))
     raise KinfeasError(f"{source}: unknown index {key!r} of a list of {len(entries)} entries")
@@ -170,22 +170,22 @@ def _adapter(kind: Any) -> "TypeAdapter[Any]":
     from pydantic import ConfigDict, TypeAdapter
 
     strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    # Pydantic takes a config for standard types only, and hands it on to the dataclasses within.
+    # Pydantic accepts a config for standard types only, and passes it on to dataclasses in them.
     return TypeAdapter(tuple[kind], config=strict)
 
 
 def validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = None) -> Any:
-    """Return plain data, arrays and tuples too, as an instance of the type `kind`.
+    """Return plain data, which may contain arrays and tuples, as an instance of the type `kind`.
 
     Raises:
-        KinfeasError: If it is not; the error names the key and the path below, and the source. It
-            is the settings if the error is in their `changes`.
+        KinfeasError: If the data are invalid. The error names the path of a key, which begins with
+            `key`, and the source, or the settings if the invalid value is one of their `changes`.
     """
     from pydantic import ValidationError
     from pydantic_core import PydanticSerializationError, to_json
 
     try:
-        # Read as JSON, a list may fill a tuple in strict mode.
+        # In JSON, strict mode accepts a list for a tuple.
         content = to_json((data,), inf_nan_mode="constants", fallback=_of_numpy)
         return _adapter(kind).validate_json(content)[0]
     except ValidationError as error:
@@ -193,10 +193,10 @@ def validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = N
     except PydanticSerializationError as error:  # text that is no valid UTF-8, or an object
         named = f"{source}: {key!r}" if key else source
         raise KinfeasError(f"{named}: {error}") from error
-    # A misspelt key is often a missing one as well.
+    # An unknown key before others: a misspelt key is often reported as missing, too.
     first = next((each for each in problems if each["type"] == _UNKNOWN), problems[0])
     keys = _keys(first["loc"], data)
-    # A union has a message for each of its types, a short list one for each missing entry.
+    # Join the messages on one value: of each type of a union, and of the last missing list entry.
     same = [each for each in problems if _keys(each["loc"], data) == keys]
     short = [each for each in same if each["type"] == "missing"]
     same = [each for each in same if each not in short[:-1]]
@@ -217,7 +217,7 @@ _UNKNOWN = "unexpected_keyword_argument"
 
 
 def _rule(problem: "ErrorDetails") -> str:
-    """Return what an error of pydantic demands."""
+    """Return the requirement that an error of pydantic states."""
     if problem["type"] == "missing" and isinstance(index := problem["loc"][-1], int):
         return f"must be a list of {index + 1} entries"
     if problem["type"] == "too_long":
@@ -234,7 +234,7 @@ def _of_numpy(value: Any) -> object:
 
 
 def _keys(location: Sequence[int | str], data: Any) -> list[str]:
-    """Return the keys that lead to an error; pydantic also names the types within a union."""
+    """Return the keys that lead to an error, without the types of unions that pydantic names."""
     keys: list[str] = []
     for key in location[1:]:
         indices = range(len(data)) if isinstance(data, list | tuple) else ()
@@ -244,7 +244,7 @@ def _keys(location: Sequence[int | str], data: Any) -> list[str]:
 
 
 def _has(changes: Any, keys: Sequence[str]) -> bool:
-    """Return whether settings change the value that the keys lead to."""
+    """Return whether settings change the value at a path of keys."""
     for key in keys:
         if not isinstance(changes, Mapping):
             return True
@@ -255,7 +255,7 @@ def _has(changes: Any, keys: Sequence[str]) -> bool:
 
 
 def _fields(kind: Any, keys: Sequence[str]) -> list[str]:
-    """Return the names of the fields of the dataclass that `keys` lead to."""
+    """Return the names of the fields of the dataclass at the path `keys`."""
     classes = _dataclasses(kind)
     for key in keys:
         hints = [get_type_hints(cls).get(key) for cls in classes]

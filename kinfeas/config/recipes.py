@@ -42,11 +42,11 @@ def find_recipe(name: str, folder: str, within: Path = Path()) -> Path:
 def read_recipe(
     name: str, within: Path = Path(), above: Sequence[Path] = ()
 ) -> tuple[dict[str, Any], str | None]:
-    """Return the keys of a training recipe, and the section of its robot that it completes.
+    """Return the keys of a training recipe, and the section of its robot that has all others.
 
     Args:
         name: Section such as `train_rooms`, shipped recipe such as `paper/pr2`, or path of a file.
-            The key `extends` of a file names another recipe, which has the keys that the file
+            The key `extends` of a file names another recipe, which supplies the keys that the file
             lacks.
         within: Folder of relative paths.
         above: Files that extend this recipe.
@@ -84,9 +84,9 @@ def section(name: str, robot: str | Path | None = None) -> tuple[dict[str, Any],
 
     The sections of `configs/default.yaml` are `train`, `train_rooms`, `train_physics`,
     `finetune_physics`, `deploy`, `servo`, `baselines`, and the settings of evaluations: `analytic`,
-    `physics` of all engines, and `sim2real` with adapters. The `recipes.yaml` in the robot's folder
-    changes their keys. The name may be a backend, which has no settings if it is in neither file.
-    Without a robot the settings are those of any robot.
+    `physics` for all engines, and `sim2real` with adapters. The `recipes.yaml` in the robot's
+    folder overrides their keys. The name may also be a backend; its settings are empty if neither
+    file has such a section. Without a robot the settings are the default ones.
     """
     name = "physics" if name in ENGINES else name
     default, path = strict_yaml.read(_DEFAULT), _DEFAULT
@@ -115,7 +115,7 @@ def robot_file(robot: str | Path) -> Path:
     """
     path: object = robot
     if not is_path(robot):
-        name = str(robot)  # a notebook may pass anything
+        name = str(robot)  # notebooks may pass other types
         if name not in registry.names("kinfeas.robots") and Path(name).is_dir():
             raise KinfeasError(f"unknown robot {name!r}; the folder is ./{name}")
         path = registry.build("kinfeas.robots", name, {})

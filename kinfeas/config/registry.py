@@ -41,10 +41,10 @@ _MEMBERS = {
     "kinfeas.filters": ("__call__",),
     "kinfeas.target_sources": ("start", "close"),
 }
-"""Required members; those of motion generators are called before an episode begins."""
+"""Required attributes; those of motion generators are called before an episode begins."""
 
 _LOCAL = ("kinfeas.motion_generators", "kinfeas.policies", "kinfeas.target_sources")
-"""Groups of which users may name a `module:name`; names of robots and tasks come from files."""
+"""Groups whose plugins may be given as `module:name`; robots and tasks are named in files."""
 
 _SHIPPED = {"kinfeas.robots": "*/robot.yaml", "kinfeas.tasks": "*.yaml"}
 """Files of robots and tasks that come without entry points."""
@@ -61,7 +61,7 @@ class _Shipped(EntryPoint):
         return distribution("kinfeas")
 
     def load(self) -> Callable[..., Any]:
-        """Return a function that returns the robot's folder or the task; its doc is the title."""
+        """Return a function that returns the robot's folder or the task; its help is the title."""
         path = Path(self.value)
 
         def folder() -> Path:
@@ -116,7 +116,7 @@ def plugins(group: str) -> list[Plugin]:
 
 
 def is_ignored(plugin: Plugin) -> bool:
-    """Return whether kinfeas has a plugin of the same name, which is used."""
+    """Return whether kinfeas has a plugin of the same name, which is used in its place."""
     same = [entry for entry in _entries(plugin.group) if entry.name == plugin.name]
     return plugin.distribution != "kinfeas" and "kinfeas" in (_plugin(e).distribution for e in same)
 
@@ -137,12 +137,12 @@ def build(
     parameters: Mapping[str, object],
     offered: Mapping[str, object] | None = None,
 ) -> Any:
-    """Return the object that a class or function makes of keyword parameters.
+    """Return the object that a plugin's class or function builds from keyword parameters.
 
     `name` is an entry point of the group; or `module:name` of a motion generator, policy or target
-    source, which is also searched for in the working directory. Readers of files reject these.
+    source, which is also searched for in the working directory. Files must not name the latter.
     Parameters are as in YAML and converted to their annotated types, such as a Path or a dataclass.
-    Objects of the run that are `offered` are passed on as they are, if the factory names them.
+    `offered` objects of the run are passed unchanged, if the factory has parameters of their names.
 
     Raises:
         KinfeasError: As `load`; also if a parameter is unknown, missing, invalid or offered by the
@@ -185,7 +185,7 @@ def from_anywhere(name_or_path: str) -> str:
 def _signature(factory: Any) -> inspect.Signature:
     try:
         return inspect.signature(factory, eval_str=True)
-    # Names that are imported for a type checker only.
+    # Annotations may use names that are imported for type checkers only.
     except (NameError, AttributeError, SyntaxError, TypeError):
         return inspect.signature(factory)
 
@@ -196,7 +196,7 @@ def _in_types(
     subject: str,
     taken: Container[str],
 ) -> dict[str, object]:
-    """Return values in the annotated types of a signature, without names that are `taken`."""
+    """Return values converted to the annotated types of a signature; the run sets those `taken`."""
     typed = dict(values)
     parameters = {key: each for key, each in signature.parameters.items() if key not in taken}
     if all(parameter.kind is not parameter.VAR_KEYWORD for parameter in parameters.values()):
@@ -239,7 +239,7 @@ def _find(group: str, name: object) -> EntryPoint:
 
 def _plugin(entry: EntryPoint) -> Plugin:
     distribution, version = (entry.dist.name, entry.dist.version) if entry.dist else ("?", "?")
-    # Both are None after an incomplete removal.
+    # Name and version are None after an incomplete removal.
     return Plugin(entry.group, entry.name, distribution or "?", version or "?", entry.value)
 
 

@@ -18,7 +18,7 @@ from kinfeas.core.files import read_file, reading, write_file
 MAX_BYTES = 1_000_000
 
 CODE = re.compile(r"[\w.]+:[\w.]+")
-"""A class or function as `module:name`, which options and programs may name, but no file."""
+"""Pattern of `module:name`, a class or function that options and programs may name, not files."""
 
 _INT = r"[-+]?(0|[1-9][0-9]*|[1-9][0-9]{0,2}(_[0-9]{3})+)"
 _FLOAT = (
@@ -110,7 +110,7 @@ def read(path: Path) -> dict[str, object]:
 
 
 def _check_runs_no_code(data: object, path: Path, generator: bool = False) -> None:
-    """Raise KinfeasError if a motion generator, also one to choose from, is `CODE`."""
+    """Raise KinfeasError if a motion generator, or one in a list of them, matches `CODE`."""
     if isinstance(data, dict):
         for key, value in data.items():
             _check_runs_no_code(value, path, generator or str(key).endswith("generator"))

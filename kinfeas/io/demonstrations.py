@@ -15,7 +15,7 @@ from kinfeas.core.quantities import LONGEST, REMOTEST
 from kinfeas.core.spatial import POSE_COLUMNS, UNIT, Array
 
 _POSES = ("ee_pose", "base_pose", "object_pose")
-_GAP, _STEPS, _MOTION = 0.5, 10.0, 0.01  # of a gap: seconds, usual steps, and metres
+_GAP, _STEPS, _MOTION = 0.5, 10.0, 0.01  # least seconds, median steps and EE metres of a gap
 _log = logging.getLogger(__name__)
 
 
@@ -25,7 +25,7 @@ class Demonstration:
 
     time: Array  # times in seconds, strictly ascending, shape (t,), t >= 2
     ee_pose: Array  # poses of the demonstrating EE, shape (t, 7)
-    base_pose: Array  # poses of its base, shape (t, 7); all NaN if it was not recorded
+    base_pose: Array  # poses of the demonstrating base, (t, 7); all NaN if it was not recorded
     object_pose: Array  # poses of the grasped object, the frame of the learned motion, shape (t, 7)
 
     @property
@@ -48,7 +48,7 @@ def read_demonstration(path: Path, optional: Collection[str] = ("base_pose",)) -
     """Return the demonstration in a CSV file, with normalized quaternions.
 
     Poses that are `optional` may be missing and are NaN then; other columns are ignored. A warning
-    names the longest time without samples, if the EE moves in it.
+    names the longest gap between samples, if it is unusually long and the EE moves in it.
 
     Raises:
         KinfeasError: If the file cannot be read, lacks a column, has fewer than two samples,
@@ -96,9 +96,9 @@ def columns(pose: str | None = None) -> list[str]:
 
 
 def unit_hint(time: Array) -> str:
-    """Return the end of an error on times (t,) that are too long: the unit that they may have."""
+    """Return a hint for errors on too long times, shape (t,): the unit that they may have."""
     step = float(np.median(np.diff(time)))
-    # A sample every millisecond to every second.
+    # In the right unit, samples are 1 ms to 1 s apart.
     for unit, factor in (("nanoseconds", "1e9"), ("microseconds", "1e6"), ("milliseconds", "1e3")):
         if 1e-3 <= step / float(factor) < 1.0:
             return f"; are these {unit}? Divide them by {factor} for seconds"

@@ -16,13 +16,13 @@ from kinfeas.core.spatial import Array, continuous, interpolated
 from kinfeas.io.demonstrations import Demonstration, columns
 
 EE = tuple(f"{name}.pos" for name in columns("ee_pose"))
-"""Names of a pose of the EE in features; LeRobot's rollout needs these endings."""
+"""Names of the numbers of an EE pose in features; LeRobot's rollout needs the ending `.pos`."""
 
 BASE = tuple(f"{name}.pos" for name in columns("base_pose"))
-"""Names of a pose of the base."""
+"""Names of the numbers of a base pose."""
 
 TWIST = tuple(f"ee_{axis}.vel" for axis in ("x", "y", "z", "wx", "wy", "wz"))
-"""Names of a twist of the EE."""
+"""Names of the numbers of an EE twist."""
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
@@ -37,8 +37,8 @@ def write_lerobot_dataset(
 ) -> None:
     """Write a new folder with an episode for each demonstration, resampled to `fps` frames/s.
 
-    `observation.state` has the poses of the EE and of the base, if that was recorded in all of
-    them; `observation.environment_state` has the pose of the object; `action` is the pose of the
+    `observation.state` is the pose of the EE, followed by that of the base if all demonstrations
+    have it; `observation.environment_state` is the pose of the object; `action` is the pose of the
     EE one frame later. Quaternions are xyzw with w >= 0 in the first state of an episode and no
     change of sign within it. `task` is the instruction in words, `robot` the type of the robot.
 
@@ -80,7 +80,7 @@ def write_lerobot_dataset(
 
 
 def _frames(demonstration: Demonstration, state: list[str], fps: int) -> dict[str, Any]:
-    """Return states, object poses and actions at even times, without the last moment."""
+    """Return states, object poses and actions at `fps`; the last frame is an action only."""
     seconds = demonstration.time[-1] - demonstration.time[0]
     times = demonstration.time[0] + np.arange(max(2, int(seconds * fps + 1e-6) + 1)) / fps
     poses = {
@@ -95,7 +95,7 @@ def _frames(demonstration: Demonstration, state: list[str], fps: int) -> dict[st
 
 
 def _at(times: Array, sample_times: Array, poses: Array) -> Any:
-    """Return poses (m, 7) at `times`, interpolated between those, (t, 7), of samples."""
+    """Return poses, (m, 7), at `times`, interpolated between `poses`, (t, 7), of samples."""
     poses_at = interpolated(np.clip(times, sample_times[0], sample_times[-1]), sample_times, poses)
     poses_at[:, 3:] = continuous(poses_at[:, 3:])
     return poses_at.astype(np.float32)
@@ -172,7 +172,7 @@ def _statistics(values: Any) -> dict[str, Any]:
 
 
 def _tasks(task: str) -> Any:
-    """Return the table of the tasks, whose index in pandas is the text."""
+    """Return the table of tasks; its pandas index is the text of the task."""
     import pyarrow as pa
 
     index = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"}

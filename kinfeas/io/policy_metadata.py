@@ -31,13 +31,13 @@ class Trained:
     layers: Count  # number of layers of its network
     observation: tuple[TermInfo, ...]  # observation terms in order
     action: tuple[TermInfo, ...]  # action terms in order
-    kinematics: str | None = None  # hash of the robot's kinematics, from `robots.fingerprint`
-    weights: str | None = None  # hash of `policy.safetensors`, from `io.files.file_hash`
+    kinematics: str | None = None  # hash of the kinematics, from `robots.robot.fingerprint`
+    weights: str | None = None  # hash of `policy.safetensors`, from `core.files.file_hash`
     config: dict[str, object] = field(default_factory=dict)  # configuration of the training
     steps: int | None = None  # environment steps of the training
     # metrics of the evaluation that selected it, which are biased
     evaluation: dict[str, Episodes | float] = field(default_factory=dict)
-    # metrics of as many other episodes, after the training
+    # metrics of other episodes, which did not select it
     fresh_evaluation: dict[str, Episodes | float] = field(default_factory=dict)
     # of shipped policies: seed, version of kinfeas and command of the training
     seed: int | None = None
@@ -77,7 +77,7 @@ def read_policy(folder: Path) -> tuple[dict[str, Any], Trained]:
     try:
         with reading(path):
             tensors = load_file(path)
-    # Exceptions of truncated or foreign files, and of types that NumPy lacks.
+    # For truncated files, files of other formats, and data types that NumPy lacks.
     except (SafetensorError, KeyError, TypeError, AttributeError) as error:
         raise KinfeasError(f"{path}: broken: {error}") from error
     return tensors, trained

@@ -1,4 +1,4 @@
-"""Run logs: a CSV file with a JSON header, written line by line, readable after a kill."""
+"""Run logs: CSV files with a JSON header, written line by line, readable even after a kill."""
 
 import csv
 import json
@@ -99,9 +99,9 @@ class Record:
 
     @property
     def later(self) -> NDArray[np.bool_]:
-        """Whether each line is later than the line before, and not the end of a run.
+        """Whether each line is later than the line before, and not the end of a run, shape (t,).
 
-        The end has no command, or a measurement that stopped the run.
+        The last line of a run has no command, or a measurement that stopped the run.
         """
         later = np.diff(self.time, prepend=-np.inf) > 0.0
         later[1:][-1:] &= not self.event[-1]
@@ -109,7 +109,7 @@ class Record:
 
 
 class Recorder:
-    """A context that writes a run log, line by line, to `path`.
+    """A context manager that writes a run log, line by line, to `path`.
 
     The file is removed if no line was written.
     """
@@ -146,7 +146,7 @@ class Recorder:
             self._file.write(_line([f"{moment.time:.4f}", age, *numbers, *rest]))
         self._begun = True
         if self._on_moment is not None:
-            with plugin_note("on_moment"):  # not the backend, within whose step this may be called
+            with plugin_note("on_moment"):  # errors are not those of a backend that calls this
                 self._on_moment(moment)
 
     def _end(self) -> None:
@@ -157,14 +157,14 @@ class Recorder:
 
 
 def is_record(path: Path) -> bool:
-    """Return whether a file begins as a run log does, of any version."""
+    """Return whether a file begins as a run log of any version."""
     begin = f"# {_FORMAT.rsplit(maxsplit=1)[0]} ".encode()
     with path.open("rb") as file:
         return file.read(len(begin)) == begin
 
 
 def read_record(path: Path) -> Record:
-    """Return a run log without an incomplete last line; raise KinfeasError on invalid ones."""
+    """Return a run log, without an incomplete last line; raise KinfeasError if it is invalid."""
     with reading(path):
         text = path.read_text(encoding="utf-8")
     head, *lines = text[: text.rfind("\n") + 1].splitlines() or [""]
@@ -182,7 +182,7 @@ def read_record(path: Path) -> Record:
             if len(row) != len(names):
                 raise ValueError(f"{len(row)} columns, not {len(names)}")
             numbers[i] = [float(entry or "nan") for entry in row[:-1]]
-            missing = measured if i == len(numbers) - 1 else optional  # NaN is allowed
+            missing = measured if i == len(numbers) - 1 else optional  # may be NaN
             wrong = ~np.isfinite(numbers[i]) & ~(missing & np.isnan(numbers[i]))
             for k in np.flatnonzero(wrong):
                 raise ValueError(f"{names[k]!r} is not finite")
