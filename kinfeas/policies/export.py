@@ -16,17 +16,18 @@ from kinfeas.policies.network import Network, read_network
 from kinfeas.robots.robot import Robot
 
 GOLDEN_PAIRS = 16
-"""Golden pairs in a file."""
+"""Number of golden pairs in a file."""
 
 OPSET, IR_VERSION = 14, 7
-"""Versions of operators and format that onnxruntime reads from 1.8 on."""
+"""Versions of the operators and of the format, which onnxruntime supports since 1.8."""
 
 
 def export(folder: Path, robot: Robot, out: Path) -> tuple[onnx_policy.OnnxPolicy, float]:
     """Write the policy of a run `runs/NAME` or of a checkpoint as an ONNX file.
 
     Returns:
-        The policy as read back, and the largest difference of onnxruntime's actions from its own.
+        The policy read back from the file, and the largest difference between onnxruntime's actions
+        and those of the trained network.
 
     Raises:
         KinfeasError: If there is no policy for this robot, the file cannot be written, or the

@@ -41,7 +41,7 @@ class Network:
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]  # biases of each layer, shape (outputs,), float32
     observation_terms: tuple[str, ...] = OBSERVATION  # names of its observation terms, in order
-    robot: Robot | None = None  # robot that it was read for; None of others
+    robot: Robot | None = None  # robot that it was read for, if any
 
     def __repr__(self) -> str:
         sizes = len(self.scale), *map(len, self.biases)
@@ -85,13 +85,13 @@ class Network:
 def write_network(network: Network, folder: Path, robot: Robot, about: Mapping[str, Any]) -> None:
     """Write a network as `policy.safetensors` and `policy.json` into an existing folder.
 
-    `about` has more fields of `Trained`: settings, steps, metrics.
+    `about` has further fields of `Trained`, such as `config`, `steps` and metrics.
     """
     tensors = {"scale": network.scale}
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors |= {f"weight.{i}": weight, f"bias.{i}": bias}
     contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
-    (folder / WEIGHTS).write_bytes(save(contiguous))  # `save_file` makes it private
+    (folder / WEIGHTS).write_bytes(save(contiguous))  # `save_file` writes with mode 0600
     trained = Trained(
         robot=robot.name, layers=len(network.weights), kinematics=fingerprint(robot),
         weights=file_hash(folder / WEIGHTS),
@@ -102,7 +102,7 @@ def write_network(network: Network, folder: Path, robot: Robot, about: Mapping[s
 
 
 def copy_network(source: Path, trained: Trained, target: Path) -> None:
-    """Write the network of the folder `source` into the folder `target`, with its own metadata."""
+    """Copy the weights in the folder `source` to the folder `target`, with other metadata."""
 
     def fill(folder: Path) -> None:
         shutil.copyfile(source / WEIGHTS, folder / WEIGHTS)

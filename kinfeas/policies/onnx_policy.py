@@ -86,7 +86,7 @@ class PolicyMetadata:
 
 
 class OnnxPolicy:
-    """A policy of a file; it acts as the trained one, to the bit.
+    """A policy of an ONNX file, whose actions equal those of the trained network to the bit.
 
     Args:
         content: Bytes of a file written by `kinfeas export`.
@@ -169,7 +169,7 @@ def describe_robot(robot: Robot) -> RobotInfo:
 
 
 def graph_nodes(layers: int) -> list[tuple[str, list[str], str]]:
-    """Return operator, inputs and output of each node of a graph with so many layers."""
+    """Return operator, inputs and output of each node of the graph of a network."""
     steps = [("Mul", ["scale"]), ("Clip", ["low", "high"])]
     for i in range(layers):
         steps += [("Gemm", [f"weight_{i}", f"bias_{i}"]), ("Relu", [])]
@@ -182,7 +182,7 @@ def graph_nodes(layers: int) -> list[tuple[str, list[str], str]]:
 
 
 def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
-    """Return metadata and network of a file; the numbers are those of the fields in onnx.proto."""
+    """Return metadata and network of a file; the integer keys are field numbers of onnx.proto."""
     try:
         model = _fields(content)
         pairs = [_fields(entry) for entry in model[14]]
@@ -209,7 +209,7 @@ def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
 
 
 def _fields(message: bytes) -> dict[int, list[Any]]:
-    """Return the values of a protocol buffer by field: integers, and bytes of anything else."""
+    """Return the values of a protocol buffer by field number: integers, or bytes of all others."""
     stream, fields = BytesIO(message), defaultdict[int, list[Any]](list)
 
     def integer() -> int:

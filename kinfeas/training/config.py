@@ -34,20 +34,20 @@ class LearnerConfig:
     # gradient steps of the critics for each one of the actor
     policy_delay: Annotated[int, Interval(ge=1, le=100)] = 1
     gamma: Fraction = 0.99  # discount of a reward one step later
-    tau: Fraction = 0.005  # of the critics that the target networks take over in a gradient step
+    tau: Fraction = 0.005  # fraction by which target networks approach the critics in a step
     # transitions in the replay buffer
     buffer_size: Annotated[int, Interval(ge=1, le=10_000_000)] = 1_000_000
     # steps of random actions, over all environments, before learning begins; with `init` these
     # actions are the policy's, with noise
     learning_starts: Annotated[int, Interval(ge=0)] = 3_000
-    # with `init`, steps after these in which only the critics learn
+    # with `init`, steps after `learning_starts` in which only the critics learn
     critic_steps: Annotated[int, Interval(ge=0)] = 0
     # units of each hidden layer
     net_arch: tuple[Annotated[int, Interval(ge=1, le=2048)], ...] = (256, 256)
     ent_coef: NotNegative | Literal["learned"] = 0.01  # fixed entropy coefficient, or `learned`
     # with `init`, factor on the squared difference between the actions of the actor and of the
-    # initial policy, in the actor's loss. Of a policy without the terms of the surroundings, it
-    # counts where these are 0: no base is planned, nothing in range
+    # initial policy, in the actor's loss. If that policy lacks observation terms of the
+    # surroundings, only where these are 0: without a planned base and without objects in range
     anchor: NotNegative = 0.0
 
 
@@ -57,19 +57,20 @@ class ScheduleConfig:
 
     steps: Count | None = None  # environment steps in all; null for no limit
     # wall-clock time of training; null for no limit. With physics it includes start and
-    # evaluations, in the analytic world it does not. At least one of the two is set, and the run
-    # ends at whichever comes first
+    # evaluations, in the analytic world it does not. `steps`, `minutes` or both are set, and the
+    # run ends at the first limit
     minutes: Positive | None = 3.0
     # number of evaluations, spread evenly over the run; the last one ends it
     evaluations: Annotated[int, Interval(ge=1, le=10_000)] = 3
     # episodes of each evaluation. With physics and `minutes`, evaluations have fewer episodes, or
-    # are left out, where they would take more than a quarter of it
+    # are left out, where they would take more than a quarter of that time
     evaluation_episodes: Episodes = 256
-    # fresh episodes on which the best policy is evaluated at the end; fewer, as above
+    # fresh episodes on which the best policy is evaluated at the end; with physics and `minutes`
+    # possibly fewer
     final_episodes: Episodes = 256
     checkpoint_seconds: Positive = 30.0  # time between checkpoints to resume from
-    # share of the run at its beginning in the analytic world, with robots that respond at once; for
-    # runs without `init`, with physics or with adapters that make robots late
+    # fraction of the run, at its beginning, in the analytic world with robots that respond at once.
+    # Applies to runs without `init` that have physics or adapters that make robots late
     analytic: Fraction = 0.8
 
     def __post_init__(self) -> None:
@@ -87,11 +88,11 @@ class TrainConfig:
     # keyword parameters of the task
     task_parameters: dict[str, object] = field(default_factory=dict)
     seed: Seed = 0  # of all randomness
-    num_envs: Annotated[int, Interval(ge=1, le=65_536)] = 256  # episodes side by side
+    num_envs: Annotated[int, Interval(ge=1, le=65_536)] = 256  # number of parallel environments
     # with physics, processes that share the environments; the analytic world has one
     processes: Processes = 1
-    # control periods of an action while learning, for exploration over longer times and a longer
-    # horizon. In an evaluation and on a robot each period has its own action
+    # control periods for which an action is repeated while learning, for exploration over longer
+    # times and a longer horizon. In an evaluation and on a robot each period has its own action
     action_repeat: Annotated[int, Interval(ge=1, le=1000)] = 1
     observation: tuple[str, ...] = OBSERVATION  # observation terms of the policy, in order
     # control period, limits of an episode, adapters, reward and IK
@@ -102,7 +103,7 @@ class TrainConfig:
     # where the curves of a run are shown, beside `metrics.csv`; `wandb` is an extra
     trackers: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
     # policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
-    # `learner.net_arch` and the first terms of `observation`; others have no effect at first
+    # `learner.net_arch` and the first terms of `observation`; additional ones begin without effect
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)  # hyperparameters
     # length, evaluations and checkpoints
@@ -121,7 +122,7 @@ class TrainConfig:
 
 
 def duration(minutes: float | None, steps: int | None) -> dict[str, object]:
-    """Return settings of the duration; one limit lifts the other one of the recipe."""
+    """Return settings of the duration: if one limit is given, the recipe's other one is lifted."""
     if minutes is None and steps is None:
         return {}
     return {"schedule.minutes": minutes, "schedule.steps": steps}
@@ -137,9 +138,9 @@ def load_recipe(
     """Return the recipe of a training.
 
     Args:
-        name: Recipe as in `read_recipe`; None for the robot's own. Keys that it lacks are those of
-            the section of the robot that it names, by default of `train`, or in worlds with physics
-            of `train_physics`, or of `finetune_physics` with `init`.
+        name: Recipe as in `read_recipe`; None for the robot's own. The keys that it lacks come from
+            the section of the robot that it names. By default that is `train`, in worlds with
+            physics `train_physics`, or with `init` as well `finetune_physics`.
         settings: Values by key, as in `from_mapping`.
         backend: World of the training.
         robot: Robot where neither the settings nor the recipe name one.

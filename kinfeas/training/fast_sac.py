@@ -35,7 +35,7 @@ class FastReplayBuffer(ReplayBuffer):
         self._widths = widths
 
     def sample(self, batch_size: int, env: object = None) -> ReplayBufferSamples:
-        """Return random transitions; the end of an episode by its time limit is not terminal."""
+        """Return random transitions; an episode that ends by its time limit is not terminal."""
         indices = torch.randint(self.size() * self.n_envs, (batch_size,))
         parts = self._flat.index_select(0, indices).split(self._widths, dim=1)
         observation, after, action, reward, done, timeout = parts
@@ -50,7 +50,8 @@ class Perceptrons:
     `dtype`, except those that lead to the outputs, which are float32.
 
     Args:
-        networks: The layers of each perceptron; the outputs of the modules of a layer are joined.
+        networks: The layers of each perceptron, each of one or more modules that have the same
+            inputs and whose outputs are concatenated.
     """
 
     def __init__(
@@ -76,11 +77,11 @@ class Perceptrons:
                     module.weight.data, module.bias.data = rows, shift
 
     def refresh(self) -> None:
-        """Take over the parameters, which have changed."""
+        """Update the copy of the parameters in the type `dtype` after these have changed."""
         self._rounded.copy_(self.vector.data)
 
     def forward(self, inputs: torch.Tensor) -> list[torch.Tensor]:
-        """Return the inputs, shape (b, d), and the output of each layer, shape (k, b, width)."""
+        """Return the inputs, (b, d), and the output of each layer, all as shape (k, b, width)."""
         values = [inputs.to(self._rounded.dtype).expand(self._shapes[0][0], *inputs.shape)]
         for weight, bias in self._fast[:-1]:
             values.append(torch.relu_(torch.baddbmm(bias, values[-1], weight.mT)))
@@ -138,7 +139,7 @@ class FastSAC(SAC):
         self.use(product_type())
 
     def use(self, dtype: torch.dtype) -> None:
-        """Use another type for products of matrices; resets the optimizers."""
+        """Compute matrix products in the type `dtype`; resets the optimizers."""
         trunk: list[Sequence[nn.Linear]] = [
             [module] for module in linear_layers(self.actor.latent_pi)
         ]
@@ -156,7 +157,7 @@ class FastSAC(SAC):
             )
 
     def anchor(self, weight: float, zero: Sequence[int] = ()) -> None:
-        """Hold the actor near its current actions where the observed numbers `zero` are all 0."""
+        """Hold the actor near its current actions where inputs with indices `zero` are all 0."""
         self.anchor_weight, self._zero = weight, torch.tensor(zero, dtype=torch.long)
         self._start = deepcopy(nn.Sequential(self.actor.latent_pi, self.actor.mu))
 
@@ -258,7 +259,7 @@ class FastSAC(SAC):
 
 
 class _Drawn(NamedTuple):
-    """Actions drawn from a policy, and what their gradient needs."""
+    """Actions drawn from a policy, and the values that their gradient needs."""
 
     layers: list[torch.Tensor]
     noise: torch.Tensor

@@ -32,7 +32,7 @@ _MOTION = "world.motion."  # prefix of the states of motions
 Arrays = dict[str, NDArray[Any]]
 
 INITIAL_STD = 0.1
-"""Standard deviation, before the bounds, of the actions when training starts from a policy."""
+"""Standard deviation of the actions, before tanh, when training starts from a policy."""
 
 
 class DivergedError(KinfeasError):
@@ -139,8 +139,8 @@ def take_network(
 ) -> None:
     """Copy a network into a fresh learner's actor, whose hidden layers are as wide.
 
-    Its actions get the deviation `INITIAL_STD`. A positive `anchor` holds it near the network
-    where all the inputs `surroundings` that the network ignores are 0.
+    Its actions get the standard deviation `INITIAL_STD`. A positive `anchor` holds the actor near
+    the network where all inputs with the indices `surroundings` that it ignores are 0.
     """
     with torch.no_grad():
         for layer, weight, bias in zip(
@@ -169,7 +169,7 @@ def save_learner(
     position = {"position": buffer.pos, "full": buffer.full}
     about = {"updates": learner._n_updates, "buffer": position, **state}
     write_state(folder, {"arrays": file_hash(folder / _ARRAYS), **about})
-    shutil.copymode(folder / STATE, folder / _ARRAYS)  # `save_file` makes it private
+    shutil.copymode(folder / STATE, folder / _ARRAYS)  # `save_file` writes with mode 0600
 
 
 def load_learner(
@@ -178,7 +178,7 @@ def load_learner(
     """Restore a fresh learner from a checkpoint and return the snapshot of the environments.
 
     The random state of torch, from which learners draw, is restored as well. `world` is a fresh
-    snapshot, which the saved one must resemble.
+    snapshot, whose names, types and shapes the saved one must have.
     """
     about = read_state(folder)
     with loading(folder):
@@ -236,7 +236,7 @@ def _check_layout(arrays: Arrays, expected: Arrays) -> None:
 
 
 def _optimizer_slots(learner: FastSAC, arrays: Arrays) -> Arrays:
-    """Return the state of Adam like that in `arrays`; what has not learned has none."""
+    """Return the layout that Adam's state in `arrays` must have; none before the first step."""
     slots: Arrays = {}
     for name, optimizer in _optimizers(learner).items():
         prefix = f"optimizer.{name}."

@@ -14,7 +14,7 @@ from kinfeas.core.files import reading, replacing, writing
 from kinfeas.training.config import TrainConfig
 
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
-"""Figures of SB3's own log that are kept."""
+"""Figures that are taken from SB3's own log."""
 
 _EVALUATED = (
     "success", "tracked_5cm", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
@@ -42,7 +42,7 @@ class TensorBoard:
 
     def log(self, figures: Mapping[str, float], steps: int) -> None:
         """Add figures by name."""
-        with writing(self._folder):  # its thread passes on its errors
+        with writing(self._folder):  # the writer's thread passes on its errors
             for key, value in figures.items():
                 self._board.add_scalar(key, value, steps)
 
@@ -73,14 +73,14 @@ class Wandb:
 
 
 TRACKERS: dict[str, type[TensorBoard | Wandb]] = {"tensorboard": TensorBoard, "wandb": Wandb}
-"""Classes that show figures of a run, made of its folder, settings and first step, by name."""
+"""Classes of trackers by name; they take the folder, settings and first step of a run."""
 
 
 class Logs:
     """The logs of a run, open for writing; a context manager."""
 
     def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
-        """Open them in the folder of a run that resumes from `steps`; later rows are dropped."""
+        """Open the logs of a run that resumes from `steps`; later rows are dropped."""
         self.path = out / "metrics.csv"
         with writing(self.path):
             rows = _rows_up_to(steps, self.path)

@@ -40,7 +40,7 @@ STATE = "state.json"
 """File with the numbers of a checkpoint."""
 
 EVALUATIONS = 0.25
-"""Share of `schedule.minutes` for evaluations with physics."""
+"""Fraction of `schedule.minutes` for evaluations with physics."""
 
 _Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
@@ -61,8 +61,8 @@ class Progress:
     steps: _Tally = 0  # environment steps so far
     seconds: NotNegative = 0.0  # wall-clock time of training so far, over all parts of the run
     fraction: float = 0.0  # fraction of the run that is done, 0-1
-    # score of the best checkpoint, the mean of success and of the share of episodes with tracking
-    # errors below 5 cm, 0-1; -1 before the first one
+    # score of the best checkpoint, the mean of success and of the fraction of episodes with
+    # tracking errors below 5 cm, 0-1; -1 before the first one
     best: Annotated[float, Interval(ge=-1.0, le=1.0)] = -1.0
     evaluations: _Tally = 0  # number of evaluations
     evaluated_at: Annotated[int, Interval(ge=-1)] = -1  # steps at the last one; -1 before the first
@@ -73,16 +73,16 @@ class Progress:
     # wall-clock seconds of parts in this process: `step`, of which `update` of the networks and
     # `waiting` for the environments; and `checkpoint`
     parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    # wall-clock time of start and evaluations, where `schedule.minutes` has it
+    # wall-clock time of start and evaluations, where `schedule.minutes` includes it
     other_seconds: NotNegative = 0.0
-    evaluating_seconds: NotNegative = 0.0  # that of evaluations alone, without the final one
+    evaluating_seconds: NotNegative = 0.0  # part of it in evaluations, without the final one
     # whether the run is in its part in the analytic world; see `ScheduleConfig`
     analytic: bool = False
-    left_seconds: float = 0.0  # wall-clock time to the end of the run, as far as its speed stays
+    left_seconds: float = 0.0  # estimated wall-clock time to the end of the run
 
     @property
     def success(self) -> float:
-        """Share of recent training episodes without a failure, NaN before the first has ended."""
+        """Fraction of recent training episodes without a failure; NaN before the first one ends."""
         return float(np.mean(self.recent)) if self.recent else float("nan")
 
     def ended(self, successes: Iterable[bool]) -> None:
@@ -95,7 +95,7 @@ class Progress:
 
 
 def check_run_folder(out: Path) -> None:
-    """Check that a run can begin in a folder."""
+    """Raise KinfeasError if no run can begin in a folder."""
     with writing(out):
         # Hidden files may be left by a run that was killed while it wrote its first file.
         if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
@@ -107,7 +107,7 @@ def check_run_folder(out: Path) -> None:
 
 
 def check_begun(out: Path) -> None:
-    """Check that a run has begun in a folder."""
+    """Raise KinfeasError if no run has begun in a folder."""
     with writing(out):
         if not (out / SETTINGS).is_file():
             raise KinfeasError(f"{out}: not a training run: there is no {SETTINGS} in it")
@@ -123,7 +123,7 @@ def finished(out: Path, settings: Settings | None = None) -> Progress | None:
     """Return the progress of a run that is finished with these settings; None for any other.
 
     Raises:
-        KinfeasError: If the settings would have ended the run before.
+        KinfeasError: If the run is beyond the limits of these settings already.
     """
     config, last = read_settings(out, settings), find_folder(out / "checkpoints" / "last")
     if not last.is_dir():
@@ -153,7 +153,7 @@ def read_evaluation(out: Path) -> dict[str, Any]:
 
 
 def read_progress(config: TrainConfig, last: Path) -> Progress:
-    """Return the progress of a run by its last checkpoint."""
+    """Return the progress of a run in its last checkpoint, the folder `last`."""
     state = read_state(last)
     with loading(last):
         # Keys that did not exist when the checkpoint was written have their defaults.
@@ -181,7 +181,7 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
 
 
 def evaluation_seconds(config: TrainConfig, episodes: int) -> float:
-    """Return the time limit of an evaluation of so many episodes; infinity where there is none.
+    """Return the time limit of an evaluation, in seconds; infinity where there is none.
 
     With physics, `schedule.minutes` includes start and evaluations.
     """
@@ -193,7 +193,7 @@ def evaluation_seconds(config: TrainConfig, episodes: int) -> float:
 
 
 def fraction_done(config: TrainConfig, progress: Progress) -> float:
-    """Return the share of a run's steps, or of its time if that is more, 0-1."""
+    """Return the fraction of a run's steps that is done, or of its time if that is more, 0-1."""
     fractions, schedule = [0.0], config.schedule
     if schedule.steps is not None:
         fractions.append(progress.steps / schedule.steps)
@@ -210,7 +210,7 @@ def evaluations_due(config: TrainConfig, progress: Progress) -> int:
 
 
 def identity(config: TrainConfig) -> dict[str, object]:
-    """Return the settings that must not change when a run is resumed: not schedule and trackers."""
+    """Return the settings that must not change on resuming: all but schedule and trackers."""
     mapping = configuration.to_mapping(config)
     return {key: mapping[key] for key in mapping if key not in ("schedule", "trackers")}
 
@@ -243,10 +243,10 @@ def _differences(one: object, other: object, key: str = "") -> Iterator[tuple[st
 
 
 def with_initial_policy(config: TrainConfig, settings: Settings | None = None) -> TrainConfig:
-    """Return the configuration with layers, terms and absolute path of its initial policy.
+    """Return the configuration with the layers, terms and absolute path of its initial policy.
 
     Raises:
-        KinfeasError: If `settings`, which have been made already, ask for other layers or terms.
+        KinfeasError: If `settings`, which `config` contains already, set other layers or terms.
     """
     if config.init is None:
         return config
@@ -270,7 +270,7 @@ def with_initial_policy(config: TrainConfig, settings: Settings | None = None) -
 
 
 def initial_policy(config: TrainConfig, scale: NDArray[np.float32]) -> Network:
-    """Return the policy that a run starts from, with observations of the same scale."""
+    """Return the policy that a run starts from; raise KinfeasError if its scale differs."""
     network = _initial_policy(config).widened(load_robot(config.robot), config.observation)
     if not np.array_equal(network.scale, scale):
         raise KinfeasError(f"init: {config.init}: its observations have another scale")

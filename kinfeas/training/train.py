@@ -112,7 +112,7 @@ def resume(out: Path, report: Report | None = None, settings: Settings | None = 
 class _Run:
     def __init__(self, config: TrainConfig, out: Path, report: Report | None) -> None:
         self.begun = time.monotonic()
-        require(*config.trackers)  # packages of their names
+        require(*config.trackers)  # each has the name of its package
         self.config, self.out, self.report = config, out, report or (lambda _: None)
         self.limited = evaluation_seconds(config, 1) < math.inf
         analytic = has_first_part(config)
@@ -120,7 +120,7 @@ class _Run:
         self.part = part_of(config, analytic=analytic)
         self.env = environments(self.part)
         self.hashes = content_hashes(config)  # files may change later
-        if analytic:  # shows its errors early
+        if analytic:  # raises errors of the later world at once
             training_world(config).close()
         self.learner = make_learner(config.learner, self.env, config.seed)
         self.observation: NDArray[np.float32] | None = None
@@ -171,7 +171,7 @@ class _Run:
         return self.progress
 
     def close(self) -> None:
-        """End the environments of the part of the run that it is in."""
+        """Close the environments of the current part of the run."""
         self.env.close()
 
     def _loop(self) -> None:
@@ -191,7 +191,7 @@ class _Run:
                 # Evaluations do not count as training time.
                 start = time.monotonic() - self.progress.seconds
                 saved = self.progress.seconds
-                continue  # an evaluation that counts may have ended the run
+                continue  # with physics, the evaluation may have used up the run's time
             if self.progress.fraction >= 1.0:
                 break
             if self.progress.analytic and self.progress.fraction >= self.config.schedule.analytic:
@@ -217,12 +217,12 @@ class _Run:
         self.report(self.progress)
 
     def _logged(self) -> int:
-        """Return the steps up to which metrics are not written again."""
+        """Return the steps up to which `metrics.csv` is kept; a due evaluation is written again."""
         again = evaluations_due(self.config, self.progress) > self.progress.evaluations
         return max(self.progress.steps - again, 0)
 
     def _clock(self) -> None:
-        """Bring the share up to date, with start and evaluations where they count."""
+        """Update the fraction and the time left; with physics, start and evaluations count."""
         if self.limited:
             now = time.monotonic() - self.begun
             self.progress.other_seconds = max(now - self.progress.seconds, 0.0)
@@ -231,7 +231,7 @@ class _Run:
         self.progress.left_seconds = max(self._left(), 0.0) if self.limited else left
 
     def _enter(self) -> None:
-        """Take the environments of the part of the run that it is in."""
+        """Build the environments of the current part of the run, if it has just begun."""
         part = part_of(self.config, analytic=self.progress.analytic)
         if part != self.part:
             self.env.close()
@@ -263,7 +263,7 @@ class _Run:
         # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:
-            first = config.learning_starts + config.critic_steps  # of the actor
+            first = config.learning_starts + config.critic_steps  # from then on the actor learns
             frozen = self.config.init is not None and progress.steps < first
             learner.actor.requires_grad_(not frozen)
             learner._current_progress_remaining = 1.0 - progress.fraction
@@ -304,7 +304,7 @@ class _Run:
                     "steps": self.progress.steps,
                     "evaluation": figures,
                 }
-                # It is of the best policy before, if a longer run was interrupted.
+                # In an extended run, the file is that of the best policy before.
                 with writing(self.out):
                     (self.out / EVALUATION).unlink(missing_ok=True)
                 self._write("best", lambda folder: self._write_policy(folder, about))
@@ -312,7 +312,7 @@ class _Run:
             self.logs.write(self._row() | row)
 
     def _is_evaluated(self, network: Network) -> bool:
-        """Return whether nothing has been learned since an evaluation, or since the best one."""
+        """Return whether the network is that of the last evaluation, or that of the best one."""
         if self.progress.best < 0.0:
             return False
         evaluated, best = self.progress.evaluated_at, read_best(self.out).steps
@@ -345,7 +345,7 @@ class _Run:
             self.config, network, episodes, seed_offset, count, seconds, self.pool
         )
         metrics: Mapping[str, Any] = summarize(records)
-        # Not all backends measure all of them.
+        # None for metrics that the backend does not measure.
         return {key: value for key, value in metrics.items() if value is not None}
 
     def _evaluate_best(self) -> None:
@@ -369,7 +369,7 @@ class _Run:
         return row | self._losses()
 
     def _losses(self) -> dict[str, float]:
-        """Return the figures that the learner logged last."""
+        """Return the figures that the learner logged last; raise DivergedError if not finite."""
         values = self.learner.logger.name_to_value
         losses = {key: float(values[key]) for key in LEARNER if key in values}
         check_finite(all(map(math.isfinite, losses.values())), self.config.learner)

@@ -42,10 +42,10 @@ class EpisodesVecEnv(VecEnv):
         workers: Sequence[Executor],
         call: Callable[..., Any],
     ) -> None:
-        """Set the spaces of batches of `sizes` episodes, one a worker.
+        """Set the spaces for one batch per worker; `sizes` are their numbers of episodes.
 
-        `terms` are those of the observation. `call` calls a method of the worker's batch: its name,
-        then its arguments.
+        `terms` are those of the observation. `call(method, *arguments)` calls a method of the
+        worker's batch.
         """
         super().__init__(
             sum(sizes),
@@ -71,7 +71,7 @@ class EpisodesVecEnv(VecEnv):
             KinfeasError: If the actions are of another shape or not finite.
         """
         assert self.action_space.shape is not None
-        # A copy, for the caller may change the actions meanwhile.
+        # A copy, since the caller may change the actions during the step.
         commands = np.array(actions, dtype=np.float64)
         check_array(commands, (self.num_envs, *self.action_space.shape), "the action")
         self._begin("step", *[[commands[rows]] for rows in self._rows])
@@ -134,7 +134,7 @@ class EpisodesVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def _begin(self, method: str, *arguments: Sequence[Any]) -> None:
-        """Let each worker call a method of its batch, with its own arguments."""
+        """Begin to call a method of each worker's batch, with the worker's own arguments."""
         with workers_alive(len(self._workers)):
             self._coming = [
                 worker.submit(self._call, method, *inputs)

@@ -25,9 +25,9 @@ FRESH_SEED = 2_000_003
 """Offset to the seed of the final episodes, which had no part in the selection."""
 
 TRAINING = (1,)
-"""Stream of training episodes; evaluations of any seed use other episodes."""
+"""Random stream of training episodes; evaluations of any seed have other episodes."""
 
-_WAITING = "time_scaling"  # filter with which the EE waits
+_WAITING = "time_scaling"  # filter by which the EE waits for the robot
 
 
 def training_world(config: TrainConfig) -> World:
@@ -40,12 +40,12 @@ def training_world(config: TrainConfig) -> World:
 
 
 def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
-    """Return the settings of a part of a run: the first one, or that in the world of the run.
+    """Return the settings of a part of a run: the first, `analytic` one, or that in its own world.
 
-    In the first part, in the analytic world, robots respond at once: a set response, and adapters
-    that make them late or need a physics engine, are left out. It has the control period of that
-    world, and actions of the same duration. Its failures and gradient steps are as many in a
-    second. In the world of the run, the EE waits for robots that respond late.
+    In the first part robots respond at once: their response model is the default one, and adapters
+    that make them late or need a physics engine are left out. Its control period is the default of
+    the analytic world. The duration of actions, and the failures and gradient steps per second, are
+    those of the run's own world. There, the EE waits for robots that respond late.
     """
     names = [spec.name for spec in config.world.filters]
     if not analytic:
@@ -75,7 +75,7 @@ def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
 
 
 def in_evaluation(config: TrainConfig) -> TrainConfig:
-    """Return the settings of a run with those of its evaluations: `evaluation_adapters`."""
+    """Return the settings of a run's evaluations, with `evaluation_adapters`."""
     world = replace(config.world, adapters=config.evaluation_adapters)
     return part_of(replace(config, world=world), analytic=False)
 
@@ -104,8 +104,8 @@ def evaluate_network(  # noqa: PLR0913, PLR0917 - an evaluation and how to run i
     """Return the records of a policy in the world of a run, with its `evaluation_adapters`.
 
     IK searches at least as hard as by default, and episodes end as in `evaluation_world`. Their
-    seed is that of training plus `offset`. `seconds` limit an evaluation in a pool; further
-    arguments as in `evaluate_episodes`.
+    seed is that of training plus `offset`. `seconds` limit an evaluation in a `pool`; the other
+    arguments are those of `evaluate_episodes`.
     """
     config = in_evaluation(config)
     failures, ik = evaluation_world(config.world.backend).max_failures, config.world.ik.thorough()
@@ -118,7 +118,7 @@ def evaluate_network(  # noqa: PLR0913, PLR0917 - an evaluation and how to run i
     return evaluate_within(*limits, build, network, range(episodes), on_done)
 
 
-_worker: tuple[TrainConfig, int, int] | Batch  # of a worker process
+_worker: tuple[TrainConfig, int, int] | Batch  # batch of this process; before, its arguments
 
 
 def begin_batch(config: TrainConfig, rows: int, first: int) -> None:

@@ -31,8 +31,8 @@ class FollowEe:
 
     Attributes:
         base: Drive and velocity limits.
-        feedback: Whether the velocity starts at the achieved EE position, so that the base also
-            reduces the tracking error, or at the desired one.
+        feedback: Whether the velocity is measured from the achieved EE position, so that the base
+            also reduces the tracking error, instead of the desired one.
         filters: Command filters before the others, see `Policy`.
     """
 
@@ -75,7 +75,7 @@ def stationary(robot: Robot) -> Stationary:
 
 @dataclass(frozen=True)
 class BaselineConfig:
-    """Settings for a robot: metres by which its base is ahead of the demonstrator's."""
+    """Settings for a robot: metres by which its base drives ahead of the demonstrator's."""
 
     forward_shift: float = 0.0
 
@@ -86,14 +86,14 @@ class FollowBase:
 
     Without one, it copies the EE's velocity.
 
-    It keeps the speed of the EE: a base at full speed would leave an EE behind that is still on
-    its way to the start of the demonstration. An omnidirectional base drives and turns at once; a
-    differential one drives there and turns then.
+    It keeps the speed of the EE: at full speed the base would leave the EE behind on its way to
+    the start of the demonstration. An omnidirectional base drives and turns at the same time; a
+    differential one drives to the position first and turns there.
 
     Attributes:
         base: Drive and velocity limits.
-        forward_shift: Distance ahead of that base pose, metres.
-        source: Which base pose.
+        forward_shift: Distance of the target ahead of that base pose, metres.
+        source: Field of `Observation` that has the base pose.
     """
 
     base: Base
@@ -114,10 +114,10 @@ class FollowBase:
 def _follow_base(
     target: Array, pose: Array, motion: Array, rules: Array, like: Array, out: Array
 ) -> None:
-    """Action that drives to a target base pose at the speed of the EE, or copies its velocity.
+    """Write the action toward a target base pose at the EE's speed; without one, copy its velocity.
 
     `motion` is the displacement of the EE in `HORIZON` seconds; `rules` are the velocity limits of
-    the base and its distance ahead of the target.
+    the base and its distance ahead of the target. `like` has the size of the action.
     """
     max_velocity, max_rotation, shift = rules
     now, x, y = heading(pose), motion[0] / HORIZON, motion[1] / HORIZON

@@ -1,10 +1,10 @@
-"""Geometric modulation: the base keeps between two ellipses around the EE.
+"""Geometric modulation: the base stays between two ellipses around the EE.
 
 After Welschehold et al., "Coupling mobile base and end-effector motion in task space" (IROS 2018),
-with ellipses fitted to the robot's own reach: the EE's height, and the pitch of its approach axis,
-determine which positions on the floor suit the base. IK finds them for targets spread evenly over
-heights, pitches, rolls and positions. The base copies the EE's velocity, is led around the ellipses
-where it would cross them, and turns to have the EE before it.
+with ellipses fitted to the robot's own reach: the EE's height and the pitch of its approach axis
+determine from which base positions the arm reaches it. IK finds these for targets spread evenly
+over heights, pitches, rolls and positions. The base copies the EE's velocity, is led around the
+ellipses where it would cross them, and turns to have the EE in front of it.
 """
 
 from dataclasses import dataclass
@@ -23,27 +23,27 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread, spread_configurations
 from kinfeas.robots.robot import Robot
 
-_RHO_INNER, _RHO_OUTER = 1.9, 0.1
+_RHO_INNER, _RHO_OUTER = 1.9, 0.1  # rho in `modulated`; a larger one acts from further away
 _PUSH, _FULL_PUSH = 0.1, 0.1
-"""Speed toward the allowed side, m/s, and the depth of the level below 1 at which it is full."""
+"""Speed of the push back into the ring, m/s, and the level's distance below 1 where it is full."""
 
 _CONE, _HEADING_GAIN = 0.15, 1.0
-"""Half angle of free heading, radians, and the gain beyond it, rad/s per radian."""
+"""Bearing error without correction, radians, and the gain beyond it, rad/s per radian."""
 
 _AHEAD = 0.6
-"""Metres ahead of a differential base at which a point can move in every direction."""
+"""Distance ahead of a differential base of the point that copies the velocity, metres."""
 
 _TINY = 1e-6
 
 CONE = 0.7
 """Half angle about the preferred bearing for which the ellipses are fitted, radians."""
 
-_SCOUTS, _TARGETS = 8192, 24576
-_HEIGHT_STEP, _HEIGHT_BLUR = 0.2, 0.1
-_PITCHES, _PITCH_BLUR = 9, 0.25
-_CELL, _HALF_WIDTH, _BLUR = 0.1, 1.5, 0.08
+_SCOUTS, _TARGETS = 8192, 24576  # numbers of targets, for the bearing and for the ellipses
+_HEIGHT_STEP, _HEIGHT_BLUR = 0.2, 0.1  # step of the grid, and deviation of the kernel, metres
+_PITCHES, _PITCH_BLUR = 9, 0.25  # number in the grid, and deviation of the kernel, radians
+_CELL, _HALF_WIDTH, _BLUR = 0.1, 1.5, 0.08  # of the grid of base positions, metres
 _REACHED = 0.6
-"""Reach of positions within the ellipses, as a fraction of that of the best positions."""
+"""Reach that positions between the ellipses should have, relative to the best positions."""
 
 _CENTRES = np.arange(-_HALF_WIDTH + _CELL / 2.0, _HALF_WIDTH, _CELL)
 _X, _Y = (grid.ravel() for grid in np.meshgrid(_CENTRES, _CENTRES, indexing="ij"))
@@ -55,7 +55,7 @@ _SCALES = np.arange(0.5, 1.3, 0.05)
 
 @dataclass(frozen=True, eq=False)
 class ReachEllipses:
-    """Ellipses over a grid of EE heights and pitches, aligned with the azimuth of the approach."""
+    """Ellipses over a grid of EE heights and pitches, with x along the azimuth of the approach."""
 
     heights: Array  # EE heights above the floor, evenly spaced, shape (h,), metres
     # pitches of the approach axis above the horizon, evenly spaced, shape (p,), radians
@@ -66,7 +66,7 @@ class ReachEllipses:
     bearing: float  # bearing of the EE from the base at which the arm reaches most, radians
 
     def at(self, height: Array, pitch: Array) -> Array:
-        """Return the shapes between those of the grid, for shape (n,) each, shape (n, 6)."""
+        """Return shapes, (n, 6), interpolated in the grid at heights and pitches of shape (n,)."""
         (i, u), (j, v) = _between(self.heights, height), _between(self.pitches, pitch)
         shapes = self.shapes
         low = (1.0 - v) * shapes[i, j] + v * shapes[i, j + 1]
@@ -82,12 +82,12 @@ def approach(robot: Robot, ee_pose: Array) -> tuple[Array, Array]:
 
 
 def fit_ellipses(robot: Robot) -> ReachEllipses:
-    """Return the ellipses of a robot: the same each time, in about two seconds.
+    """Return the ellipses of a robot, without randomness, in about two seconds.
 
-    First the bearing at which the arm reaches most is found among targets all around. Then each
-    cell of the grid takes the targets near it and near that bearing; the outer ellipse has the
-    centre and the proportions of the positions from which it reaches most of them, and both are of
-    the size at which they hold the most such positions and the fewest others.
+    First, targets in all directions give the bearing at which the arm reaches most. Then the
+    ellipses of each height and pitch in the grid are fitted to targets near these and that bearing.
+    The outer ellipse has the centre and the proportions of the base positions with enough reach.
+    The sizes of both are such that the ring has the most of these positions and the fewest others.
     """
     low, high = robot.reach.low, robot.reach.high
     solver = IkSolver(robot, IkOptions(candidates=1, restarts=8))
@@ -109,9 +109,10 @@ class _Targets:
     """EE poses spread over heights, pitches and rolls, and whether the arm reaches them.
 
     Attributes:
-        height: Shape (n,), metres, as is `pitch`, radians.
-        bearing: Of the EE from the base, shape (n,).
-        position: Of the base, seen from the EE along its azimuth, shape (n, 2), metres.
+        height: Height of the EE above the floor, shape (n,), metres.
+        pitch: Pitch of the approach axis above the horizon, shape (n,), radians.
+        bearing: Bearing of the EE from the base, shape (n,), radians.
+        position: Position of the base from the EE, x along the azimuth, shape (n, 2), metres.
         reached: Whether IK succeeded, shape (n,).
     """
 
@@ -137,7 +138,7 @@ class _Targets:
 
 
 def turned(vectors: Array, angle: Array) -> Array:
-    """Return planar vectors, shape (n, 2), turned by `angle`, shape (n,), radians."""
+    """Return planar vectors, shape (n, 2), rotated by `angle`, shape (n,), radians."""
     x, y = vectors[:, 0], vectors[:, 1]
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
@@ -152,7 +153,7 @@ def _best_bearing(targets: _Targets) -> float:
 
 
 def _fit(targets: _Targets, height: float, pitch: float) -> Array:
-    """Return the shape that holds near a height and a pitch, (6,); NaN if there is no reach."""
+    """Return the ellipses at a height and a pitch, (6,); NaN if the arm reaches too little."""
     off_height = (targets.height - height) / _HEIGHT_BLUR
     off_pitch = (targets.pitch - pitch) / _PITCH_BLUR
     kernel = np.exp(-0.5 * (off_height * off_height + off_pitch * off_pitch))
@@ -173,7 +174,7 @@ def _fit(targets: _Targets, height: float, pitch: float) -> Array:
 
 
 def _reach(targets: _Targets, kernel: Array) -> Array:
-    """Return the reach of the grid's positions as fractions of the best ones', shape (c,)."""
+    """Return the fraction of targets reached from each position, relative to the best, (c,)."""
     x, y = targets.position[:, 0], targets.position[:, 1]
     edges = np.append(_CENTRES - _CELL / 2.0, _HALF_WIDTH)
 
@@ -198,7 +199,7 @@ def _filled(shapes: Array) -> Array:
 
 
 def _between(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the index of the grid point below each value, and the way to the next one."""
+    """Return the index of the grid point below each value, and the fraction of the step above."""
     position = np.clip((value - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
     index = np.minimum(position.astype(np.intp), len(grid) - 2)
     return index, (position - index)[:, None]
@@ -209,9 +210,9 @@ class GeometricModulation:
     """Moves the base with the EE, within reach of it.
 
     The velocity is measured from the achieved EE position to the planned one, so that the base
-    also closes the arm's error. An omnidirectional base copies the modulated velocity and turns
-    freely. A differential one moves as if the velocity were that of a point ahead of it, and turns
-    for the bearing besides.
+    also reduces the tracking error. An omnidirectional base copies the modulated velocity and turns
+    to the bearing. A differential base gives that velocity to a point ahead of it, and adds the
+    rotation to the bearing.
     """
 
     robot: Robot
@@ -238,12 +239,12 @@ class GeometricModulation:
     def _correction(self, ee: Array, planned: Array, offset: Array) -> Array:
         """Return the correction of the EE's velocity by the ellipses, world axes, (n, 2), m/s.
 
-        They turn with the azimuth of the approach, so that a base that only moves as the EE does
-        drifts through them.
+        The ellipses turn with the azimuth of the approach axis: relative to them, a base that only
+        copies the EE's velocity drifts.
         """
         pitch, azimuth = approach(self.robot, ee)
         _, later = approach(self.robot, planned)
-        # Where the approach is all but vertical its azimuth spins, and the ellipses are round.
+        # Where the axis is nearly vertical, its azimuth is noise, and the ellipses are round.
         spin = np.where(np.cos(pitch) > 0.1, wrap(later - azimuth), 0.0)
         position = turned(offset, -azimuth)
         drift = (turned(offset, -azimuth - spin) - position) / HORIZON
@@ -264,7 +265,7 @@ def modulated(position: Array, velocity: Array, shape: Array) -> Array:
 
     Args:
         position: Position in the frame of the ellipses, shape (n, 2), metres.
-        velocity: Relative to them, shape (n, 2), m/s.
+        velocity: Velocity relative to the ellipses, shape (n, 2), m/s.
         shape: As `ReachEllipses.shapes`, shape (n, 6).
     """
     level_in, normal_in = _boundary(position, shape[:, 4:6])

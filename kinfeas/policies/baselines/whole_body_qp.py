@@ -1,7 +1,7 @@
-"""Reactive whole-body IK: one quadratic program over base and arm a step.
+"""Reactive whole-body IK: one quadratic program over base and arm per step.
 
-A baseline that the paper does not have: the base follows from the next step of the EE's motion and
-a preferred posture of the arm.
+The paper does not have this baseline. It looks one step ahead: the motion of the base results from
+the next EE pose and a preferred posture of the arm.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ _POSITION_COST, _ROTATION_COST = 10.0, 4.0
 """Weights of the distance to the planned EE pose, per metre and radian."""
 
 _POSTURE_COST, _POSTURE_GAIN = 0.3, 0.05
-"""Weight of the distance to the middle of a joint's range, and the gain toward it in a step."""
+"""Weight of the distance to the middle of a joint's range, and the fraction removed in a step."""
 
 _BASE_COST, _TURN_COST = 0.3, 0.1
 """Weights of base motion, per metre and radian."""
@@ -72,7 +72,7 @@ class WholeBodyQp:
         return actions
 
     def __reduce__(self) -> tuple[type["WholeBodyQp"], tuple[Robot, tuple[str, ...]]]:
-        """Leave out the model, which is built on first use."""
+        """Pickle without the model, which is built on first use."""
         return WholeBodyQp, (self.robot, self.filters)
 
     @cached_property
@@ -89,7 +89,7 @@ class Barriers:
         self.full_velocity = constraints.full
 
     def compute_qp_inequalities(self, body: Any, dt: float) -> tuple[Array, Array]:
-        """Return G and h of G dq <= h."""
+        """Return G, shape (c, v), and h, shape (c,), of G dq <= h."""
         gradient = np.zeros((len(self.limit), body.model.nv))
         size = len(self.full_velocity)
         gradient[:, :size] = self.normal * self.full_velocity / body.model.velocityLimit[:size]
@@ -105,7 +105,7 @@ def whole_body_qp(robot: Robot) -> WholeBodyQp:
 def planner(robot: Robot) -> FollowEe | WholeBodyQp:
     """Return the baseline that drives along planned paths of base and arm.
 
-    Where no path is found, it acts as `whole_body_qp`, without the extra `qp` as `follow_ee`.
+    Where no path is found, it acts as `whole_body_qp`, or as `follow_ee` without the extra `qp`.
     """
     filters = ("path_planner", "feasibility")
     if all(map(find_spec, EXTRAS["qp"])):
@@ -147,7 +147,7 @@ def build_model(robot: Robot) -> Any:
 
 
 def _first(tree: Tree) -> NDArray[np.intp]:
-    """Return the first joint with the variable of each joint, shape (m,)."""
+    """Return for each joint the index of the first joint with the same variable, shape (m,)."""
     return np.array([tree.variable.tolist().index(v) for v in tree.variable], dtype=np.intp)
 
 
@@ -167,9 +167,9 @@ def _bounds(velocity: float, lower: float, upper: float) -> list[Array]:
 
 
 def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array | None]:
-    """Return a function from planned EE pose in the base frame, joints and barriers to the action.
+    """Return a function that computes the action, or None if the program has no solution.
 
-    It returns None where the quadratic program has no solution.
+    Its arguments are the planned EE pose in the base frame, arm joints and barriers.
     """
     import pinocchio as pin
     from pink import Configuration, solve_ik
