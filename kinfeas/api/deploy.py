@@ -123,10 +123,10 @@ def deploy(  # noqa: PLR0913 - options of the command
     plan_robot, robot = robot, robot or robot_of(policy)
     model = load_robot(robot)
     late = respond_late(read_adapters(adapters)) or not model.response.immediate
-    given = DeployConfig, "deploy", model, guards, filters, settings
-    config = read_config(*given, late=late)
+    arguments = DeployConfig, "deploy", model, guards, filters, settings
+    config = read_config(*arguments, late=late)
     if config.late and not late:
-        config = read_config(*given, late=True)
+        config = read_config(*arguments, late=True)
     follower: tuple[CommandFilter, ...] = ()
     if plan is not None:
         excluded = (policy, goal, rpy, quaternion, generator, task)
@@ -135,8 +135,8 @@ def deploy(  # noqa: PLR0913 - options of the command
         policy, dt = "stationary", 1.0 / checked(Rate, rate, "rate")
         motion_task, follower = _plan_task(plan, plan_robot, dt)
         # The path planner would plan another path.
-        others = tuple(each for each in config.filters if each.name != "path_planner")
-        config = replace(config, filters=others)
+        kept = tuple(spec for spec in config.filters if spec.name != "path_planner")
+        config = replace(config, filters=kept)
     elif task is None:
         motion_task = _goal_task(goal, rpy, quaternion, generator, config)
     elif any(each is not None for each in (goal, rpy, quaternion)) or generator or config.generator:
@@ -255,13 +255,13 @@ def _plan_task(file: Name, robot: Name | None, dt: float) -> tuple[Task, tuple[C
         raise KinfeasError(f"{error}; {hint}") from error
     parameters: Settings = {"file": str(file), "frame": "world", "waits": False}
     seconds = np.diff(plan.time)
-    apart = distance(plan.ee_pose[:-1], plan.ee_pose[1:])
-    limits = [max(2.0 * float((each / seconds).max()), _CATCH_UP) for each in apart]
+    steps = distance(plan.ee_pose[:-1], plan.ee_pose[1:])
+    limits = [max(2.0 * float((step / seconds).max()), _CATCH_UP) for step in steps]
     names = ("max_velocity", "max_angular_velocity")
     motion = MotionSpec("replay", {**parameters, **dict(zip(names, limits, strict=True))})
     goal, start = plan.ee_pose[-1], (plan.base_pose[0], plan.joint_positions[0])
-    robots, ones = np.hstack([plan.base, plan.joint_positions]), np.ones(len(plan.time))
-    path = BasePath(plan.ee_pose, float(seconds.mean()), 0.0, plan.time, robots, ones)
+    states, ones = np.hstack([plan.base, plan.joint_positions]), np.ones(len(plan.time))
+    path = BasePath(plan.ee_pose, float(seconds.mean()), 0.0, plan.time, states, ones)
     follower = PlanFollower(plan.robot, dt, path)
     return GoalTask(goal[:3], goal[3:], motion, "plan", start), (follower,)
 

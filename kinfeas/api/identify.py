@@ -104,7 +104,7 @@ def identify(
     if out is not None and Path(text_of(out, "out")).suffix not in (".yaml", ".yml"):
         raise KinfeasError(f"{out}: must end in .yaml")
     check_new(out)
-    walk = _walk(prior)
+    drift = _drift(prior)
     runs = [None if is_bag(path) else read_record(path) for path in paths]
     if robot is None:
         if runs[0] is None:
@@ -119,7 +119,7 @@ def identify(
     periods = sorted({log.dt for log in logs})
     if len(periods) > 1:
         raise KinfeasError(f"records with different control periods: {periods} s")
-    result = Identified(**vars(fit(logs, walk)), robot=name, records=tuple(map(str, paths)))
+    result = Identified(**vars(fit(logs, drift)), robot=name, records=tuple(map(str, paths)))
     if out is not None:
         write_file(Path(out), result.adapter_lines.encode())
     if picture is not None:
@@ -130,7 +130,7 @@ def identify(
     return result
 
 
-def _walk(prior: Name) -> tuple[float, float]:
+def _drift(prior: Name) -> tuple[float, float]:
     """Return the localisation's drift in a list of adapters, m and rad after 1 s; 0 without one."""
     for spec in read_adapters(prior):
         if spec.name == "localisation":
@@ -167,13 +167,13 @@ def drive(  # noqa: PLR0913 - options of the command
     if unused := sorted(_UNUSED & nested(settings).keys()):
         raise KinfeasError(f"{unused[0]!r} has no effect on the pattern")
     config = replace(config, filters=(), arm_settle_timeout=0.0)
-    around = read_adapters(adapters)
+    specs = read_adapters(adapters)
     excitation = Excitation(IkSolver(model, config.ik), dt)
     setup = make_setup(
         "stationary", model, backend, excitation, config, record, rate=rate, seconds=SECONDS,
-        seed=checked(Seed, seed, "seed"), real_time=real_time, inner=around,
+        seed=checked(Seed, seed, "seed"), real_time=real_time, inner=specs,
         leading=(excitation,),
     )  # fmt: skip
     return recorded(
-        setup, text_of(robot, "robot"), "stationary", backend, record, on_moment, adapters=around
+        setup, text_of(robot, "robot"), "stationary", backend, record, on_moment, adapters=specs
     )

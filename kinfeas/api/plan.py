@@ -226,17 +226,17 @@ def _joint_columns(robot: Robot) -> list[str]:
 
 def _check_plan(file: Path, plan: Plan) -> None:
     """Raise KinfeasError on the first row that the robot cannot carry out."""
-    robot, robots = plan.robot, np.hstack([plan.base, plan.joint_positions])
+    robot, states = plan.robot, np.hstack([plan.base, plan.joint_positions])
     lower, upper = robot.joint_limits
-    arm, within = plan.joint_positions, np.abs(robots) <= FARTHEST
+    arm, within = plan.joint_positions, np.abs(states) <= FARTHEST
     within[:, 3:] &= (lower - _ROUNDING <= arm) & (arm <= upper + _ROUNDING)
-    x, y, *others = np.diff(robots, axis=0).T
-    planar, middle = np.hypot(x, y), robots[:-1, 2] + others[0] / 2.0
+    x, y, *others = np.diff(states, axis=0).T
+    planar, middle = np.hypot(x, y), states[:-1, 2] + others[0] / 2.0
     moved = np.column_stack([planar, planar, *np.abs(others)])
     drive = [robot.base.max_velocity, robot.base.max_velocity, robot.base.max_rotation]
-    farthest = np.array([*drive, *robot.max_joint_velocity]) * np.diff(plan.time)[:, np.newaxis]
+    largest = np.array([*drive, *robot.max_joint_velocity]) * np.diff(plan.time)[:, np.newaxis]
     slow, ahead = np.ones_like(within), np.ones_like(within)
-    slow[1:] = moved <= 1.001 * farthest + _ROUNDING
+    slow[1:] = moved <= 1.001 * largest + _ROUNDING
     if robot.base.drive == "differential":
         aside = np.abs(np.cos(middle) * y - np.sin(middle) * x)
         ahead[1:, 0] = aside <= _ASIDE + _SLIPPING * planar
@@ -272,8 +272,8 @@ def _from_start(solver: IkSolver, base: Array, joints: Array, ee: Array) -> Arra
     """Return EE poses with the robot's EE pose before them, unless it is at the first already."""
     now = compose(base, forward(solver.chain, joints[np.newaxis]))
     metres, radians = distance(now, ee[:1])
-    there = metres[0] <= _AT_START and radians[0] <= _TURNED
-    return ee if there else np.concatenate([now, ee])
+    at_start = metres[0] <= _AT_START and radians[0] <= _TURNED
+    return ee if at_start else np.concatenate([now, ee])
 
 
 def _divided(ee: Array, step: float, base: Base) -> tuple[Array, float]:

@@ -87,8 +87,8 @@ def _check_start(
         return
     start_pose, collision = origin[np.newaxis], placer.solver.collision
     if base_collides(collision, start_pose, around)[0]:
-        each = (around.only(np.array([place])) for place in range(around.places))
-        touched = [base_collides(collision, start_pose, solid)[0] for solid in each]
+        singles = (around.only(np.array([index])) for index in range(around.places))
+        touched = [base_collides(collision, start_pose, solid)[0] for solid in singles]
         raise KinfeasError(f"at the 'start' the base touches {names[touched.index(True)]}")
 
 

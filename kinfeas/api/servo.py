@@ -76,8 +76,8 @@ def servo(  # noqa: PLR0913 - options of the command
         if config.source:
             raise KinfeasError("'source' is an object, which takes no settings source.KEY")
         name, targets = f"target source {type(source).__name__!r}", source
-        ends = (getattr(source, end, None) for end in ("start", "close"))
-        if isinstance(source, type) or not all(map(callable, ends)):
+        methods = (getattr(source, method, None) for method in ("start", "close"))
+        if isinstance(source, type) or not all(map(callable, methods)):
             raise KinfeasError(
                 f"'source' must be a name or an object with start and close, not {source!r}"
             )

@@ -105,10 +105,10 @@ def configure(robot: Name | None = None, **options: Unpack[Options]) -> TrainCon
         raise KinfeasError(f"world {world!r}: the recipe is for the world {recipe.world.backend!r}")
     robot_name, task_name = from_anywhere(recipe.robot), from_anywhere(recipe.task)
     recipe = replace(recipe, robot=robot_name, task=task_name)
-    asked = nested(options.get("settings"))
+    explicit = nested(options.get("settings"))
     if recipe.learner.net_arch != TrainConfig().learner.net_arch:  # set by the recipe
-        asked = merged({"learner": {"net_arch": recipe.learner.net_arch}}, asked)
-    return training.with_initial_policy(recipe, asked)
+        explicit = merged({"learner": {"net_arch": recipe.learner.net_arch}}, explicit)
+    return training.with_initial_policy(recipe, explicit)
 
 
 def begin(config: TrainConfig, folder: Path, on_progress: OnTraining | None = None) -> Run:

@@ -80,15 +80,15 @@ def demo(
     world = replace(evaluation_world(), filters=())
     config = EvalConfig(load_robot(settings.robot), task, episodes, settings.seed + 1, world=world)
     results = _evaluated(config, folder)
-    again = {"robot": robot, "steps": steps, "seed": seed, "episodes": episodes, "out": folder}
-    same = {"robot": settings.robot, "task": settings.task, "episodes": episodes}
-    same |= {"seed": config.seed}
+    arguments = {"robot": robot, "steps": steps, "seed": seed, "episodes": episodes, "out": folder}
+    common = {"robot": settings.robot, "task": settings.task, "episodes": episodes}
+    common |= {"seed": config.seed}
     parameters = {f"task.{key}": value for key, value in settings.task_parameters.items()}
-    commands = [_line("demo", again, changes)]
+    commands = [_line("demo", arguments, changes)]
     for result in results:
-        alone = {"policy": result["policy"], "filters": "none"}
-        commands.append(_line("evaluate", {**same, **alone}, parameters))
-    commands.append(_line("ceiling", same, parameters))
+        specific = {"policy": result["policy"], "filters": "none"}
+        commands.append(_line("evaluate", {**common, **specific}, parameters))
+    commands.append(_line("ceiling", common, parameters))
     pictures = _pictures(config, folder, results)
     write_json(results[0], folder / "evaluation.json")
     for name, picture in zip(PICTURES, pictures.values(), strict=True):

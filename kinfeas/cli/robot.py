@@ -48,9 +48,9 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.importer.draft import draft_robot
     from kinfeas.importer.text import warnings
 
-    called = out.resolve().name if name is None else name
+    robot_name = out.resolve().name if name is None else name
     try:
-        check_name(called)
+        check_name(robot_name)
     except ValueError as error:
         raise KinfeasError(f"--name: {error}") from error
     yaml_path, urdf_path = out / "robot.yaml", out / "robot.urdf"
@@ -61,7 +61,7 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     xacro_arguments = dict(_argument(text) for text in arguments or ())
     with progress() as on_progress:
         draft = draft_robot(
-            file, called, ee, base, drive, counter(on_progress, f"reading {file.name}"),
+            file, robot_name, ee, base, drive, counter(on_progress, f"reading {file.name}"),
             meshes=not no_meshes, mesh_paths=replacements, arguments=xacro_arguments,
         )  # fmt: skip
     with writing(out):
@@ -70,11 +70,11 @@ def import_robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         check_file_path(path)
         write_file(path, text.encode())
     summary = _summary(draft)
-    found = [*draft.guesses.doubts, *warnings(draft.spec, draft.guesses, draft.free)]
-    write_json({**summary, "warnings": found}, json)
-    print_facts(f"robot {called}", summary)
-    for warning in found:
-        typer.echo(f"warning: {warning}", err=True)
+    messages = [*draft.guesses.doubts, *warnings(draft.spec, draft.guesses, draft.free)]
+    write_json({**summary, "warnings": messages}, json)
+    print_facts(f"robot {robot_name}", summary)
+    for message in messages:
+        typer.echo(f"warning: {message}", err=True)
     quoted = shlex.quote(str(out) if os.sep in str(out) else f"./{out}")
     typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
     write_drawing(lambda: _drawing(draft), picture)

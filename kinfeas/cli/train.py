@@ -145,20 +145,20 @@ def _show(run: "Run", adapters: str | None) -> None:
     from kinfeas.training.run import read_settings
 
     best, config = run.metrics, read_settings(run.folder)
-    usual = to_mapping(evaluate.read_settings(config.robot, config.world.backend).world)
+    defaults = to_mapping(evaluate.read_settings(config.robot, config.world.backend).world)
     settings = {f"task.{key}": value for key, value in config.task_parameters.items()}
     settings |= {
         f"world.{key}": value
         for key, value in to_mapping(config.world).items()
-        if key not in _OF_TRAINING and value != usual[key]
+        if key not in _OF_TRAINING and value != defaults[key]
     }
     used = [*best["adapters"], *best["filters"]]
-    within = f"with {', '.join(used)}" if used else "without filters"
+    using = f"with {', '.join(used)}" if used else "without filters"
     success = percent(best["success"], best["success_low"], best["success_high"])
     rows = [
         ["steps", f"{run.steps:,}"],
         ["time of training", f"{run.seconds / 60.0:.1f} min"],
-        [f"success of the best checkpoint, {best['episodes']} fresh episodes, {within}", success],
+        [f"success of the best checkpoint, {best['episodes']} fresh episodes, {using}", success],
         ["steps of the best checkpoint", f"{best['steps']:,}"],
     ]
     print_table(f"trained: {run.folder}", ["", "value (95 % interval)"], rows)

@@ -194,12 +194,12 @@ def validated(kind: Any, data: Any, source: str, key: str = "", changes: Any = N
         named = f"{source}: {key!r}" if key else source
         raise KinfeasError(f"{named}: {error}") from error
     # An unknown key before others: a misspelt key is often reported as missing, too.
-    first = next((each for each in problems if each["type"] == _UNKNOWN), problems[0])
+    first = next((problem for problem in problems if problem["type"] == _UNKNOWN), problems[0])
     keys = _keys(first["loc"], data)
     # Join the messages on one value: of each type of a union, and of the last missing list entry.
-    same = [each for each in problems if _keys(each["loc"], data) == keys]
-    short = [each for each in same if each["type"] == "missing"]
-    same = [each for each in same if each not in short[:-1]]
+    same = [problem for problem in problems if _keys(problem["loc"], data) == keys]
+    missing = [problem for problem in same if problem["type"] == "missing"]
+    same = [problem for problem in same if problem not in missing[:-1]]
     text = " or ".join(dict.fromkeys(map(_rule, same)))
     if first["type"] == _UNKNOWN:
         text = f"unknown key{no_such(keys[-1], _fields(kind, keys[:-1]))}"
