@@ -14,7 +14,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN
 from torch import nn
 
-_TINY, _HALF_LOG_TURN = 1e-6, 0.5 * math.log(2.0 * math.pi)
+_TINY, _HALF_LOG_2PI = 1e-6, 0.5 * math.log(2.0 * math.pi)
 
 
 class FastReplayBuffer(ReplayBuffer):
@@ -200,11 +200,11 @@ class FastSAC(SAC):
 
     def _draw(self, observations: torch.Tensor) -> "_Drawn":
         layers = self._actor.forward(observations)
-        mean, free = layers[-1][0].chunk(2, dim=1)
-        log_std = free.clamp(LOG_STD_MIN, LOG_STD_MAX)
+        mean, raw_log_std = layers[-1][0].chunk(2, dim=1)
+        log_std = raw_log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
         noise = torch.randn_like(mean)
         action = torch.tanh(mean + log_std.exp() * noise)
-        log_prob = -0.5 * noise.square() - log_std - _HALF_LOG_TURN
+        log_prob = -0.5 * noise.square() - log_std - _HALF_LOG_2PI
         log_prob = log_prob - torch.log(1.0 - action.square() + _TINY)
         return _Drawn(layers, noise, action, log_prob.sum(dim=1, keepdim=True))
 
@@ -227,19 +227,19 @@ class FastSAC(SAC):
         layers = self._critic.forward(torch.cat([observations, action], dim=1))
         value, lowest = layers[-1].min(dim=0, keepdim=True)
         weights = torch.zeros_like(layers[-1]).scatter_(0, lowest, -1.0 / n)
-        toward = self._critic.backward(layers, weights, columns=action.shape[1])
-        assert toward is not None
-        bend = 1.0 - action.square()
-        by_mean = bend * (toward.sum(dim=0) + 2.0 * ent_coef / n * action / (bend + _TINY))
-        mean, free = drawn.layers[-1][0].chunk(2, dim=1)
-        by_log_std = by_mean * free.exp() * drawn.noise - ent_coef / n
+        by_action = self._critic.backward(layers, weights, columns=action.shape[1])
+        assert by_action is not None
+        dtanh = 1.0 - action.square()
+        by_mean = dtanh * (by_action.sum(dim=0) + 2.0 * ent_coef / n * action / (dtanh + _TINY))
+        mean, raw_log_std = drawn.layers[-1][0].chunk(2, dim=1)
+        by_log_std = by_mean * raw_log_std.exp() * drawn.noise - ent_coef / n
         loss = (ent_coef * drawn.log_prob - value[0]).mean()
         if self.anchor_weight:
-            held = (observations[:, self._zero] == 0.0).all(dim=1, keepdim=True)
-            off = held * (torch.tanh(mean) - torch.tanh(self._start(observations)))
-            loss = loss + self.anchor_weight * off.square().sum(1).mean()
-            by_mean += 2.0 * self.anchor_weight / n * off * (1.0 - torch.tanh(mean).square())
-        by_log_std[(free < LOG_STD_MIN) | (free > LOG_STD_MAX)] = 0.0
+            anchored = (observations[:, self._zero] == 0.0).all(dim=1, keepdim=True)
+            difference = anchored * (torch.tanh(mean) - torch.tanh(self._start(observations)))
+            loss = loss + self.anchor_weight * difference.square().sum(1).mean()
+            by_mean += 2.0 * self.anchor_weight / n * difference * (1.0 - torch.tanh(mean).square())
+        by_log_std[(raw_log_std < LOG_STD_MIN) | (raw_log_std > LOG_STD_MAX)] = 0.0
         self._actor.backward(drawn.layers, torch.cat([by_mean, by_log_std], dim=1).unsqueeze(0))
         self.actor.optimizer.step()
         self._actor.refresh()

@@ -222,8 +222,8 @@ def content_hashes(config: TrainConfig) -> dict[str, str]:
         KinfeasError: If one of the files is not there.
     """
     for key in ("robot", "task"):
-        if is_path(place := getattr(config, key)) and not Path(place).exists():
-            raise KinfeasError(f"{key} {place} is not there; give its new place with --{key}")
+        if is_path(path := getattr(config, key)) and not Path(path).exists():
+            raise KinfeasError(f"{key} {path} is not there; give its new place with --{key}")
     hashes = {"robot": fingerprint(load_robot(config.robot))}
     if is_path(config.task):
         task = configuration.to_mapping(load_task(config.task, config.task_parameters))
@@ -233,13 +233,13 @@ def content_hashes(config: TrainConfig) -> dict[str, str]:
     return hashes
 
 
-def _differences(one: object, other: object, key: str = "") -> Iterator[tuple[str, str, str]]:
+def _differences(first: object, second: object, key: str = "") -> Iterator[tuple[str, str, str]]:
     """Yield keys with dots and both values where nested mappings differ."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        for name in sorted({*one, *other}):
-            yield from _differences(one.get(name), other.get(name), f"{key}.{name}".strip("."))
-    elif one != other:
-        yield key, str(one), str(other)
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        for name in sorted({*first, *second}):
+            yield from _differences(first.get(name), second.get(name), f"{key}.{name}".strip("."))
+    elif first != second:
+        yield key, str(first), str(second)
 
 
 def with_initial_policy(config: TrainConfig, settings: Settings | None = None) -> TrainConfig:

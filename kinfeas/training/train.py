@@ -407,13 +407,13 @@ def uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # Python delivers no signals here
         return
-    came: list[int] = []
+    received: list[int] = []
     numbers = signal.SIGINT, signal.SIGTERM
-    before = [signal.signal(number, lambda got, _: came.append(got)) for number in numbers]
+    before = [signal.signal(number, lambda got, _: received.append(got)) for number in numbers]
     try:
         yield
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
-        if came:  # also where the block raises
-            signal.raise_signal(came[0])
+        if received:  # also where the block raises
+            signal.raise_signal(received[0])

@@ -55,22 +55,22 @@ def part_of(config: TrainConfig, *, analytic: bool) -> TrainConfig:
         return replace(config, world=replace(config.world, filters=waiting))
     ratio = WorldConfig.dt / config.world.dt
 
-    def fewer(count: int) -> int:
+    def rescaled(count: int) -> int:
         return max(round(count / ratio), 1)
 
     world = replace(
         config.world,
-        adapters=tuple(spec for spec in config.world.adapters if not _is_of_robots(spec)),
+        adapters=tuple(spec for spec in config.world.adapters if not _needs_own_world(spec)),
         backend="analytic",
         backend_parameters={},
         dt=WorldConfig.dt,
         response=WorldConfig.response,
         time_scale=WorldConfig.time_scale,  # its robots have no inertia
         arm_settle_timeout=WorldConfig.arm_settle_timeout,
-        max_failures=fewer(config.world.max_failures),
+        max_failures=rescaled(config.world.max_failures),
     )
-    learner = replace(config.learner, gradient_steps=fewer(config.learner.gradient_steps))
-    repeat = fewer(config.action_repeat)
+    learner = replace(config.learner, gradient_steps=rescaled(config.learner.gradient_steps))
+    repeat = rescaled(config.action_repeat)
     return replace(config, world=world, processes=1, action_repeat=repeat, learner=learner)
 
 
@@ -83,11 +83,11 @@ def in_evaluation(config: TrainConfig) -> TrainConfig:
 def has_first_part(config: TrainConfig) -> bool:
     """Return whether a run begins in the analytic world, with robots that respond at once."""
     adapters = config.world.adapters
-    other = config.world.backend != "analytic" or any(_is_of_robots(spec) for spec in adapters)
+    other = config.world.backend != "analytic" or any(_needs_own_world(spec) for spec in adapters)
     return other and config.init is None and config.schedule.analytic > 0.0
 
 
-def _is_of_robots(adapter: PluginSpec) -> bool:
+def _needs_own_world(adapter: PluginSpec) -> bool:
     needs = getattr(registry.load("kinfeas.adapters", adapter.name), "needs", "")
     return bool(needs) or respond_late([adapter])
 

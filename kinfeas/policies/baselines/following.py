@@ -121,7 +121,7 @@ def _follow_base(
     """
     max_velocity, max_rotation, shift = rules
     now, x, y = heading(pose), motion[0] / HORIZON, motion[1] / HORIZON
-    turn, rest = 0.0, False
+    turn, arrived = 0.0, False
     if not math.isnan(target.sum()):
         angle = heading(target)
         offset_x = target[0] + shift * math.cos(angle) - pose[0]
@@ -129,11 +129,11 @@ def _follow_base(
         turn, distance = wrapped(angle - now), math.sqrt(offset_x * offset_x + offset_y * offset_y)
         step = max(math.sqrt((motion * motion).sum()), _MIN_SPEED * HORIZON)
         rate = step / max(distance, _LEVER * abs(turn), step) / HORIZON
-        x, y, turn, rest = offset_x * rate, offset_y * rate, turn * rate, distance <= _THERE
+        x, y, turn, arrived = offset_x * rate, offset_y * rate, turn * rate, distance <= _THERE
     write_action_toward(pose, (x, y), rules, HORIZON, out)
     if len(out) == 3:
         out[2] = clipped(turn / max_rotation)
-    elif rest:
+    elif arrived:
         forward = math.cos(now) * x + math.sin(now) * y
         out[0], out[1] = clipped(forward / max_velocity), clipped(turn / max_rotation)
 

@@ -27,7 +27,7 @@ _RHO_INNER, _RHO_OUTER = 1.9, 0.1  # rho in `modulated`; a larger one acts from 
 _PUSH, _FULL_PUSH = 0.1, 0.1
 """Speed of the push back into the ring, m/s, and the level's distance below 1 where it is full."""
 
-_CONE, _HEADING_GAIN = 0.15, 1.0
+_FREE_BEARING, _HEADING_GAIN = 0.15, 1.0
 """Bearing error without correction, radians, and the gain beyond it, rad/s per radian."""
 
 _AHEAD = 0.6
@@ -225,8 +225,8 @@ class GeometricModulation:
         velocity = (observation.planned[:, :2] - ee[:, :2]) / HORIZON
         velocity = velocity + self._correction(ee, observation.planned, offset)
         heading = yaw(observation.base_pose)
-        off = wrap(np.arctan2(-offset[:, 1], -offset[:, 0]) - heading - self.ellipses.bearing)
-        turn = _HEADING_GAIN * np.sign(off) * np.maximum(np.abs(off) - _CONE, 0.0)
+        error = wrap(np.arctan2(-offset[:, 1], -offset[:, 0]) - heading - self.ellipses.bearing)
+        turn = _HEADING_GAIN * np.sign(error) * np.maximum(np.abs(error) - _FREE_BEARING, 0.0)
         if base.drive == "omnidirectional":
             action = action_toward(base, observation.base_pose, velocity, HORIZON)
             action[:, 2] = turn / base.max_rotation

@@ -124,11 +124,11 @@ def build_model(robot: Robot) -> Any:
 
     model, chain = pin.Model(), build_chain(robot)
     base, tree = robot.base, chain.tree
-    carriers = [pin.JointModelPX(), pin.JointModelPY()][: command_size(base) - 1]
-    carriers.append(pin.JointModelRZ())
-    speeds = [*[base.max_velocity] * (len(carriers) - 1), base.max_rotation]
+    base_joints = [pin.JointModelPX(), pin.JointModelPY()][: command_size(base) - 1]
+    base_joints.append(pin.JointModelRZ())
+    speeds = [*[base.max_velocity] * (len(base_joints) - 1), base.max_rotation]
     parent = 0
-    for i, (kind, speed) in enumerate(zip(carriers, speeds, strict=True)):
+    for i, (kind, speed) in enumerate(zip(base_joints, speeds, strict=True)):
         bounds = _bounds(speed, -np.inf, np.inf)
         parent = model.addJoint(parent, kind, pin.SE3.Identity(), f"base_{i}", *bounds)
     first = _first(tree)
@@ -151,13 +151,13 @@ def _first(tree: Tree) -> NDArray[np.intp]:
     return np.array([tree.variable.tolist().index(v) for v in tree.variable], dtype=np.intp)
 
 
-def _coupling(tree: Tree, carried: int) -> Array:
+def _coupling(tree: Tree, base_size: int) -> Array:
     """Return a matrix whose product with velocities of base and joints is 0, (followers, v)."""
     first = _first(tree)
     followers = np.flatnonzero(first != np.arange(len(first)))
-    matrix = np.eye(carried + len(first))[carried + followers]
+    matrix = np.eye(base_size + len(first))[base_size + followers]
     ratios = tree.multiplier[followers] / tree.multiplier[first[followers]]
-    matrix[np.arange(len(followers)), carried + first[followers]] = -ratios
+    matrix[np.arange(len(followers)), base_size + first[followers]] = -ratios
     return matrix
 
 
@@ -178,23 +178,23 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array |
     from pink.tasks import FrameTask, LinearHolonomicTask, PostureTask
 
     model, tree = build_model(robot), build_chain(robot).tree
-    data, carried = model.createData(), command_size(robot.base)
+    data, base_size = model.createData(), command_size(robot.base)
     lower, upper, speeds = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit
     bounded = np.flatnonzero(np.isfinite(upper))
     middle = (lower[bounded] + upper[bounded]) / 2.0
-    coupling, start = _coupling(tree, carried), np.concatenate([np.zeros(carried), tree.bias])
+    coupling, start = _coupling(tree, base_size), np.concatenate([np.zeros(base_size), tree.bias])
     coupled = LinearHolonomicTask(coupling, np.zeros(len(coupling)), start)
     constraints = [coupled] if len(coupling) else None
     ee = FrameTask("ee", _POSITION_COST, _ROTATION_COST)
     costs = np.zeros(len(upper))
     costs[bounded] = _POSTURE_COST / (upper[bounded] - lower[bounded])
-    costs[: carried - 1], costs[carried - 1] = _BASE_COST, _TURN_COST
+    costs[: base_size - 1], costs[base_size - 1] = _BASE_COST, _TURN_COST
     posture = PostureTask(costs, gain=_POSTURE_GAIN)
     limits = (ConfigurationLimit(model), VelocityLimit(model))
     rest, q = np.zeros(model.nq), np.zeros(model.nq)
 
     def step(target: Array, joints: Array, barriers: list[Barriers]) -> Array | None:
-        q[carried:] = tree.multiplier * joints[tree.variable] + tree.bias
+        q[base_size:] = tree.multiplier * joints[tree.variable] + tree.bias
         np.clip(q, lower, upper, out=q)
         rest[:] = q
         rest[bounded] = middle
@@ -209,6 +209,6 @@ def _make_step(robot: Robot) -> Callable[[Array, Array, list[Barriers]], Array |
             )  # fmt: skip
         except NoSolutionFound:
             return None
-        return np.clip(velocity[:carried] / speeds[:carried], -1.0, 1.0)
+        return np.clip(velocity[:base_size] / speeds[:base_size], -1.0, 1.0)
 
     return step
