@@ -66,7 +66,7 @@ def evaluate(  # noqa: PLR0913 - options of the command
         seed: Random seed of the episodes.
         filters: Names of command filters; the robot's by default.
         adapters: Name or YAML file of a list of adapters, or its entries.
-        ablation: Whether single adapters are evaluated, too.
+        ablation: Whether also no adapter, each one alone, and all but one are evaluated.
         picture: PNG file to write, a drawing of an episode.
         video: GIF or MP4 file to write, a video of it; or PNG file of four frames.
         replay: HTML file to write, an interactive page of it.
