@@ -41,7 +41,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     filters: options.Filters = None,
     gui: bool = option(False, "PyBullet: show a window.", "--gui"),
     adapters: options.AdapterList = None,
-    ablation: bool = option(False, "Also evaluate single adapters.", "--ablation"),
+    ablation: bool = option(
+        False, "Also evaluate no adapter, each alone, and all but one.", "--ablation"
+    ),
     picture: Path | None = options.file_option(None, "Draw an episode.", ".png"),
     video: options.Video = None,
     replay: Path | None = options.file_option(

@@ -85,7 +85,10 @@ class Logs:
         with writing(self.path):
             rows = _rows_up_to(steps, self.path)
             # Replaced rather than overwritten, so that a kill here loses nothing.
-            with replacing(self.path) as fresh, fresh.open("w", newline="") as file:
+            with (
+                replacing(self.path) as fresh,
+                fresh.open("w", newline="", encoding="utf-8") as file,
+            ):
                 table = _table(file)
                 table.writeheader()
                 table.writerows(rows)

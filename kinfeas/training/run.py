@@ -19,7 +19,7 @@ from safetensors import SafetensorError
 from kinfeas import config as configuration
 from kinfeas.config import Settings
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.files import MAX_JSON_BYTES, find_folder, is_path, read_file, writing
+from kinfeas.core.files import MAX_JSON_BYTES, find_folder, is_path, read_file, reading, writing
 from kinfeas.core.quantities import NotNegative
 from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policies
@@ -108,7 +108,7 @@ def check_run_folder(out: Path) -> None:
 
 def check_begun(out: Path) -> None:
     """Raise KinfeasError if no run has begun in a folder."""
-    with writing(out):
+    with reading(out):
         if not (out / SETTINGS).is_file():
             raise KinfeasError(f"{out}: not a training run: there is no {SETTINGS} in it")
 
