@@ -211,6 +211,9 @@ def load_plan(path: Name, robot: Name, *, scene: Name | Scene | None = None) -> 
     )
     check_samples(file, values["time"], {"ee_pose": ee})
     ee = make_pose(ee[:, :3], rotation(ee))
+    # Other programs write angles within one turn.
+    base[:, 2] = np.unwrap(base[:, 2])
+    arm[:, model.continuous] = np.unwrap(arm[:, model.continuous], axis=0)
     seconds = values["time"] - values["time"][0]
     plan = Plan(seconds, base, arm, ee, model, solids_of(scene, None)[0])
     _check_plan(file, plan)

@@ -7,7 +7,7 @@ import kinfeas
 from kinfeas.api.plan import Plan
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import compose, distance, integrate
+from kinfeas.core.spatial import compose, distance, integrate, wrap
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides
@@ -135,6 +135,18 @@ def test_bases_of_plans_keep_their_planar_velocity_and_their_drive(
         return
     with pytest.raises(KinfeasError, match=message):
         kinfeas.load_plan(tmp_path / "plan.csv", name)
+
+
+def test_angles_in_files_may_be_within_one_turn(tmp_path):
+    robot, time = kinfeas.load_robot("pr2"), np.arange(0.0, 10.0, 0.1)
+    turns = wrap(3.0 + 0.1 * time)
+    base, joints = np.zeros((len(time), 3)), np.tile(robot.home["home"], (len(time), 1))
+    base[:, 2], joints[:, -1] = turns, turns
+    plan = Plan(time, base, joints, np.empty((len(time), 7)), robot)
+    replace(plan, ee_pose=plan.reached).save(tmp_path / "plan.csv")
+    loaded = kinfeas.load_plan(tmp_path / "plan.csv", "pr2")
+    for angle in (loaded.base[:, 2], loaded.joint_positions[:, -1]):
+        np.testing.assert_allclose(angle, 3.0 + 0.1 * time, atol=1e-6)
 
 
 def test_long_motions_and_other_files_are_errors(tmp_path):
