@@ -28,8 +28,8 @@ from kinfeas.jobs.job import Job, Result, finish_training
 from kinfeas.training.config import TrainConfig, load_recipe
 from kinfeas.training.run import Progress
 
-SETTINGS, BEST = "sweep.yaml", "best.yaml"
-"""Files of a sweep: its settings, and the recipe of its best trial."""
+SETTINGS, RECIPE, BEST = "sweep.yaml", "recipe.yaml", "best.yaml"
+"""Files of a sweep: its settings, the recipe, and that of its best trial."""
 
 
 @dataclass(frozen=True)
@@ -116,14 +116,20 @@ def plan_trials(sweep: SweepConfig, folder: Path) -> list[Job]:
     """Return the jobs of a sweep, after the missing trials have been added to its study.
 
     Raises:
-        KinfeasError: If the folder has a sweep with other settings than the number of trials.
+        KinfeasError: If the folder has a sweep with other settings than the number of trials, or of
+            another recipe.
     """
+    recipe = settings_of(sweep, {})
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / SETTINGS).exists():
             before = config.load(SweepConfig, folder / SETTINGS)
             if replace(before, trials=sweep.trials) != sweep:
                 raise KinfeasError(f"{folder}: a sweep with other settings; use another --out")
+        file = folder / RECIPE
+        if file.exists() and config.load(TrainConfig, file) != recipe:
+            raise KinfeasError(f"{folder}: a sweep of another recipe; use another --out")
+        config.dump(recipe, file)
         config.dump(sweep, folder / SETTINGS)
     study = open_study(folder)
     for number in range(len(study.trials), sweep.trials):

@@ -85,6 +85,17 @@ def test_a_sweep_can_be_extended_but_not_changed(tmp_path):
         sweep.plan_trials(tiny(seed=5), tmp_path)
 
 
+def test_a_sweep_of_an_edited_recipe_is_an_error(tmp_path):
+    file, out = tmp_path / "own.yaml", tmp_path / "out"
+    own = tiny(recipe=str(file))
+    file.write_text("robot: hsr\nlearner: {gamma: 0.9}\n")
+    for _ in range(2):
+        assert len(sweep.plan_trials(own, out)) == 2
+    file.write_text("robot: hsr\nlearner: {gamma: 0.8}\n")
+    with pytest.raises(KinfeasError, match="another recipe"):
+        sweep.plan_trials(own, out)
+
+
 @pytest.mark.parametrize("line", ["{", "7", '{"op_code": 99}', '{"op_code": 4}'])
 def test_a_broken_journal_is_an_error_that_names_it(tmp_path, line):
     sweep.plan_trials(tiny(), tmp_path)
