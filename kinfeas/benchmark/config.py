@@ -35,7 +35,7 @@ class Training:
 class Row:
     """A further row of the learned policies."""
 
-    # name of the row; the paper's `head_start` and `no_objects` have its figures beside
+    # name of the row; `head_start` and `no_objects`, as in the paper, show the paper's figures
     label: Label
     # command filters of this row; those of the world by default
     filters: tuple[PluginSpec, ...] | None = None
@@ -64,32 +64,32 @@ class Variant:
 class BenchmarkConfig:
     """The schema of `configs/benchmark/*.yaml`, except for `paper.yaml`.
 
-    Rows, variants, trainings and baselines of other robots and tasks are left out, so that `robots`
-    and `tasks` can be shortened.
+    Rows, variants, trainings and baselines are left out if their robots or tasks are not listed, so
+    that `robots` and `tasks` can be shortened.
     """
 
     note: str = ""  # a sentence above the tables
     robots: tuple[str, ...] = ("pr2", "tiago", "hsr")  # names or folders
     tasks: tuple[str, ...] = ("ggr", "ggr_restricted")  # names or YAML files
-    # tasks of each baseline, a policy by name or `module:Class`
+    # tasks by baseline; a baseline is a policy's name or `module:Class`
     baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)
     rows: tuple[Row, ...] = ()  # further rows of the learned policies
     # whether to `train` the learned policies, to take the shipped ones (`pretrained`), or to train
     # only robots without a shipped one (`either`)
     policies: Literal["train", "pretrained", "either"] = "train"
     trainings: tuple[Training, ...] = ()  # training of the policies
-    seeds: tuple[Seed, ...] = (0,)  # training seeds of each
+    seeds: tuple[Seed, ...] = (0,)  # training seeds of each policy
     episodes: Episodes = 500  # episodes of each policy on each task
     evaluation_seed: Seed = 1  # seed of these episodes, the same for all
     variants: tuple[Variant, ...] = ()  # further tables, in the analytic world only
-    # entry point in the group kinfeas.backends. Beside any but `analytic` the tables have the same
-    # policies in the analytic world
+    # entry point in the group kinfeas.backends. Tables of other backends than `analytic` also have
+    # the same policies in the analytic world
     backend: str = "analytic"
     # values by key of the evaluations, such as `world.time_scale`
     settings: dict[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the names of the baselines and that no row of a table is there twice."""
+        """Check the names of the baselines, and that no row of a table occurs twice."""
         policies = registry.names(GROUP)
         for name in self.baselines:
             if name not in policies and ":" not in name:
@@ -111,8 +111,8 @@ def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConf
     """Return a benchmark by its recipe's name or file.
 
     Raises:
-        KinfeasError: If there is none; or if a key, a robot, a task, its motion or a setting is
-            invalid; or if two robots or tasks have the same name.
+        KinfeasError: If the recipe does not exist; a key, a robot, a task, its motion or a setting
+            is invalid; or two robots or tasks have the same name.
     """
     benchmark = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), settings)
     robots = [load_robot(robot).name for robot in benchmark.robots]
@@ -135,7 +135,7 @@ def read_benchmark(name: str, settings: Settings | None = None) -> BenchmarkConf
 
 
 def restricted(benchmark: BenchmarkConfig, names: Collection[str]) -> BenchmarkConfig:
-    """Return a benchmark of those of its robots that have one of `names`."""
+    """Return a benchmark with only the named robots; raise KinfeasError for an unknown name."""
     robots = {load_robot(robot).name: robot for robot in benchmark.robots}
     for name in names:
         if name not in robots:

@@ -27,7 +27,7 @@ from kinfeas.training.run import read_settings as read_training
 from kinfeas.training.run import with_initial_policy
 
 RunJobs = Callable[[Sequence[Job], str], list[Result]]
-"""Returns the results of jobs of a kind, such as `trainings`."""
+"""Runs jobs and returns their results; the text names their kind, such as `trainings`."""
 
 LEARNED_POLICIES = ("sac", PRETRAINED)
 
@@ -49,7 +49,7 @@ class TrainedRun:
     robot: str
     seed: int
     task: str
-    label: str = ""  # of its rows; runs without one are averaged over their seeds
+    label: str = ""  # label of its rows; runs without a label are averaged over their seeds
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class Evaluation:
 
     @property
     def name(self) -> str:
-        """Name of its file: readable, and different for different results."""
+        """Name of the result file: readable parts, and a hash of all that determines the result."""
         parts = [
             self.robot, self.task, _weights(self) or self.source, self.episodes, self.seed,
             self.first, self.backend, self.settings, self.parameters,
@@ -108,9 +108,9 @@ def run_benchmark(
     out: Path,
     run_jobs: RunJobs,
 ) -> tuple[BenchmarkConfig, list[TrainedRun], list[tuple[Evaluation, Result]]]:
-    """Return a benchmark, its training runs, and its evaluations in some worlds with their results.
+    """Run a benchmark; return it, its training runs, and its evaluations in `worlds` with results.
 
-    Runs in `folders` replace its own, if there are any.
+    Training runs in `folders`, if there are any, replace those of the benchmark.
 
     Raises:
         KinfeasError: If the benchmark or a run is invalid, the benchmark is for another world, or
@@ -139,14 +139,14 @@ def run_benchmark(
         run_jobs(trainings, "trainings")
         runs = [read_run(job.path.parent) for job in trainings]
     plans = [plan_evaluations(replace(benchmark, backend=world), runs) for world in worlds]
-    # Engines have the same references.
+    # All physics engines have the same evaluations in the analytic world.
     unique = {(case.name, case.row, case.variant): case for cases in plans for case in cases}
     jobs = [case.job(out / "results") for case in unique.values()]
     return benchmark, runs, list(zip(unique.values(), run_jobs(jobs, "evaluations"), strict=True))
 
 
 def _check_table(path: Path, planned: Sequence[Evaluation]) -> None:
-    """Raise KinfeasError if a table has robots or tasks without an evaluation."""
+    """Raise KinfeasError if an old table has robots or tasks that are not planned."""
     if not path.exists():
         return
     with reading(path):
@@ -163,8 +163,8 @@ def _check_table(path: Path, planned: Sequence[Evaluation]) -> None:
 def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[TrainedRun]) -> list[Evaluation]:
     """Return the evaluations of a benchmark: ceiling and policies of each robot and task.
 
-    The learned policies are those of the runs; a robot without any has the shipped policy, if the
-    benchmark takes it, or none.
+    The learned policies are those of the runs. A robot without runs has its shipped policy, if the
+    benchmark takes it, else no learned policy.
     """
     names = {robot: load_robot(robot).name for robot in benchmark.robots}
     numbers = benchmark.episodes, benchmark.evaluation_seed
@@ -203,7 +203,7 @@ def compute(case: Evaluation) -> Result:
 def _of_task(
     benchmark: BenchmarkConfig, runs: Sequence[TrainedRun], case: Evaluation
 ) -> list[Evaluation]:
-    """Return a ceiling and what is beside it: learned policies, rows and baselines."""
+    """Return the ceiling `case`, and the evaluations of all policies on its robot and task."""
     base = replace(case, settings=benchmark.settings)
     own = [run for run in runs if run.robot == case.robot_name]
     learned = [replace(base, policy="sac", source=str(run.folder), training_seed=run.seed,
@@ -260,12 +260,12 @@ def _of_goals(settings: dict[str, object]) -> dict[str, object]:
 
 
 def _filters(filters: tuple[PluginSpec, ...] | None) -> dict[str, object]:
-    """Return filters as a setting; none if they are to stay."""
+    """Return filters as a setting; no setting for None, which keeps the default."""
     return {} if filters is None else {"world.filters": config.to_mapping(filters)}
 
 
 def _weights(case: Evaluation) -> str:
-    """Return the digest of a learned policy, which may be trained anew in the same folder."""
+    """Return the hash of a learned policy, since it may be trained anew in the same folder."""
     if case.policy not in LEARNED_POLICIES:
         return ""
     folder = trained_folder(case.source, load_robot(case.robot))
@@ -293,9 +293,9 @@ def read_run(folder: Path) -> TrainedRun:
 
 
 def find_runs(folders: Sequence[Path]) -> list[TrainedRun]:
-    """Return the runs in `folders` and one level below, by robot and seed.
+    """Return the runs in `folders` and one level below, in the order of robot and seed.
 
-    Those of a robot that has two of one seed are labelled with the names of their folders.
+    If a robot has two runs with one seed, all its runs are labelled with their folders' names.
     """
     runs: dict[Path, TrainedRun] = {}
     for folder in folders:
@@ -342,7 +342,7 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
 def publish(runs: Sequence[TrainedRun], folder: Path) -> list[Path]:
     """Copy the best policy of each robot into `folder/ROBOT` and return these folders.
 
-    The best one has the highest success in the evaluation that selected its checkpoint.
+    The best policy has the highest success in the evaluation that selected its checkpoint.
     """
     best: dict[str, tuple[TrainedRun, Trained]] = {}
     for run in runs:

@@ -39,7 +39,7 @@ _CAPTIONS = {
 }
 
 _PAPER_ROWS = ("head_start", "no_objects")
-"""Rows that are the plain one without physics."""
+"""Rows that do not differ from the plain row without physics."""
 
 Entry = Callable[[Cell], str]
 
@@ -97,7 +97,7 @@ def label(cell: Cell) -> str:
 
 
 def rows_of(cells: Sequence[Cell]) -> list[dict[str, Cell]]:
-    """Return the rows of a table in order: the cells of each by task."""
+    """Return the rows of a table in order, each as a mapping from task to cell."""
     rows: dict[tuple[str, str, str], dict[str, Cell]] = {}
     for cell in cells:
         rows.setdefault((cell.policy, cell.row, cell.world), {})[cell.task] = cell

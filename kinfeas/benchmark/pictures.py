@@ -30,13 +30,13 @@ from kinfeas.viz.style import BASE, EE, FAINT, GOAL, INK, STYLE, TITLES, png
 
 _PLOTTED = ("steps", "train/success", "evaluation/success")
 _CURVE_INCHES = 4.9
-_BEYOND = "#e4e7eb"
+_BEYOND = "#e4e7eb"  # colour beyond the ceiling
 _ROW_INCHES, _PANEL_INCHES = 0.27, 2.35
-_LEGEND_INCHES = (7.4, 9.0)
+_LEGEND_INCHES = (7.4, 9.0)  # width of the legend: alone, and with results without physics
 
 
 def table_figure(cells: Sequence[Cell], note: str = "") -> Figure:
-    """Return the picture of success: ours with its interval, the paper's, and the ceiling."""
+    """Return a picture of success rates with intervals, of the paper's rates and ceilings."""
     tasks = list(dict.fromkeys(cell.task for cell in cells))
     tables = {
         group: rows_of([cell for cell in cells if (cell.robot, cell.variant) == group])
@@ -74,7 +74,7 @@ def _draw_panel(
     axes.grid(axis="y", visible=False)
     axes.spines["left"].set_visible(False)
     complete = [cell for cell in cells if cell is not None]
-    if not complete:  # the names of the rows stay
+    if not complete:  # only the names of the rows are shown
         axes.xaxis.set_visible(False)
         axes.spines["bottom"].set_visible(False)
         return
@@ -108,7 +108,7 @@ def _draw_row(axes: Axes, row: int, cell: Cell) -> None:
 
 
 def _label_lowest(panels: Sequence[Axes]) -> None:
-    """Write the axis below the lowest panel of a column that shows anything."""
+    """Label the x axis of the lowest panel in a column that has an axis."""
     visible = [axes for axes in panels if axes.xaxis.get_visible()]
     for axes in visible[:-1]:
         axes.tick_params(axis="x", labelbottom=False)
@@ -227,7 +227,7 @@ def _levels(runs: Sequence[TrainedRun], cells: Sequence[Cell]) -> dict[str, dict
 
 
 def _examples(robot: str, cases: Sequence[Evaluation]) -> dict[str, Recording]:
-    """Return an episode of a learned policy on each task: number 0 of the first, then 1."""
+    """Return an episode of a learned policy on each task: number 0 on the first task, then 1."""
     model, examples = load_robot(robot), dict[str, Recording]()
     for case in cases:
         plain = case.robot == robot and not (case.variant or case.row)

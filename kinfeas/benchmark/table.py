@@ -22,7 +22,7 @@ _MEANS = (
 """Metrics that are means over episodes."""
 
 LEARNED = "policy"
-"""Name of the paper's learned policy."""
+"""Name of the paper's learned policy in `paper.yaml`."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Cell:
 def tabulate(results: Sequence[tuple[Evaluation, Result]], *backends: str) -> list[Cell]:
     """Return the cells of a benchmark by robot, learned policies first.
 
-    Evaluations in the analytic world beside other `backends` are references of their cells.
+    Cells are those in the worlds `backends`; with physics, they also have the success without it.
     """
     groups: dict[tuple[str, ...], list[tuple[Evaluation, Result]]] = {}
     for case, result in results:
@@ -122,7 +122,7 @@ def tabulate(results: Sequence[tuple[Evaluation, Result]], *backends: str) -> li
 def interval(rates: Sequence[float], episodes: int) -> Proportion:
     """Return the mean rate of several training seeds with a 95 % interval.
 
-    On each side the wider one of two: Student's t over the seeds, and Wilson's for `episodes`,
+    Each end is that of the wider interval: Student's t over the seeds, or Wilson's for `episodes`,
     which are the same for all seeds.
     """
     mean = float(np.mean(rates))

@@ -1,7 +1,7 @@
 """Jobs: a description in, one JSON file out; and engines, which run them anywhere.
 
 Trainings, parts of a benchmark and trials of a sweep are jobs. A job can be started again at any
-time: one with a file is done, a training resumes from its checkpoint, others begin anew.
+time: with a file it is done, a training resumes from its checkpoint, other jobs begin anew.
 """
 
 import json
@@ -38,9 +38,9 @@ Result = dict[str, Any]
 class Job:
     """A call whose result is kept in a file."""
 
-    # function at the top level of a module; its answer is plain data
+    # function at the top level of a module, which returns plain data
     call: Callable[[Any], Mapping[str, Any]]
-    description: Any  # argument of the call, which can be pickled. It determines the result
+    description: Any  # argument of the call; it can be pickled and determines the result
     path: Path  # JSON file of the result
 
     def run(self) -> None:
@@ -58,9 +58,9 @@ class Job:
 
 
 Engine = Callable[[Sequence[Job]], Iterator[Job]]
-"""Runs jobs and yields each one that is done; errors of a job are raised.
+"""Runs jobs and yields each finished job; errors of a job are raised.
 
-Machines of an engine share the files of this one. A job whose worker was killed may be left out:
+All machines of an engine use one file system. A job whose worker was killed may be left out:
 `run_jobs` runs it again.
 """
 
@@ -120,7 +120,7 @@ def _run_here(jobs: Sequence[Job], processes: int) -> Iterator[Job]:
             job.run()
             yield job
         return
-    # A worker that dies ends the others, too.
+    # If a worker dies, the pool ends the others, too.
     with suppress(WorkerDiedError), worker_pool(min(processes, len(jobs))) as pool:
         futures = {pool.submit(job.run): job for job in jobs}
         for future in as_completed(futures):
@@ -133,14 +133,14 @@ def _run_on_ray(jobs: Sequence[Job], processes: int, address: str | None) -> Ite
     from ray.exceptions import RayError, RayTaskError
 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    # Workers of a local cluster would give way to all other programs.
+    # By default, workers of a local cluster have a lower priority than all other programs.
     os.environ.setdefault("RAY_worker_niceness", "0")
     try:
         ray.init(
             address or "local", num_cpus=processes if address is None else None,
             include_dashboard=False, logging_level=logging.ERROR, log_to_driver=False,
         )  # fmt: skip
-    except (ValueError, ConnectionError) as error:  # the address is none, or nobody answers
+    except (ValueError, ConnectionError) as error:  # not an address, or no cluster there
         raise KinfeasError(f"'address' {address!r}: {error}") from error
     # Ray itself starts the jobs of killed workers again.
     call = ray.remote(num_cpus=1, max_retries=ATTEMPTS)(_run_in)
@@ -154,7 +154,7 @@ def _run_on_ray(jobs: Sequence[Job], processes: int, address: str | None) -> Ite
             except RayTaskError as error:
                 raise error.cause from None
             except RayError:
-                continue  # its worker or its machine has died
+                continue  # the job's worker or machine has died
             yield job
     finally:
         ray.shutdown()
@@ -166,7 +166,7 @@ def _run_in(job: Job, folder: Path) -> None:
 
 
 def training_job(settings: TrainConfig, folder: Path) -> Job:
-    """Return the job of a training run; its folder may hold a part of this run, but no other."""
+    """Return the job of a training run; its folder may hold this run, unfinished, but no other."""
     if (folder / SETTINGS).is_file() and config.load(TrainConfig, folder / SETTINGS) != settings:
         raise KinfeasError(f"{folder}: a run of other settings; remove it, or use another --out")
     return Job(finish_training, (settings, folder), folder / EVALUATION)
@@ -175,7 +175,7 @@ def training_job(settings: TrainConfig, folder: Path) -> Job:
 def finish_training(
     training: tuple[TrainConfig, Path], on_progress: "Report | None" = None
 ) -> Result:
-    """Return the fresh evaluation of a run of these settings in this folder, after its end."""
+    """Train or resume a run, given by settings and folder; return its evaluation at the end."""
     from kinfeas.training.train import resume, train
 
     settings, folder = training

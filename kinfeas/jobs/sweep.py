@@ -1,4 +1,4 @@
-"""Sweeps: trials of a recipe's keys, chosen by Optuna, each a training job.
+"""Sweeps: each trial is a training job with values of a recipe's keys, drawn by Optuna.
 
 The study is a journal file in the folder of the sweep, so that workers of any engine share it. The
 driver creates all trials; the worker of a trial draws its values, trains and reports.
@@ -37,10 +37,10 @@ class Dimension:
     """Values of one key: choices, or the numbers of a range."""
 
     choices: tuple[object, ...] = ()  # values to choose from
-    low: int | float | None = None  # lowest number of a range; integers only if both ends are
+    low: int | float | None = None  # lowest number of a range; integer ends give integers
     high: int | float | None = None  # highest number
     log: bool = False  # draw the logarithm of the number evenly
-    # choices of other keys, above this one, on which it depends
+    # choices of keys above this one, without which it has no value
     when: dict[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,17 +69,17 @@ class SweepConfig:
 
     space: dict[str, Dimension]  # keys of the recipe and their values
     robot: str = "pr2"  # name or YAML file; its section `train` is the recipe by default
-    # name or file of another recipe; its robot, if it has one, takes the place of this
+    # name or file of another recipe; its robot, if it names one, replaces `robot`
     recipe: str | None = None
     # values by key of the recipe, for all trials
     settings: dict[str, object] = field(default_factory=dict)
-    # number of trials. The first one is the recipe itself, as far as it is in the space
+    # number of trials. The first one has the recipe's own values, where the space has them
     trials: Count = 20
     # `tpe` learns from finished trials; `random` depends on the seed alone
     sampler: Literal["tpe", "random"] = "tpe"
-    # ends trials by their evaluations: below the `median` of the others, or by `asha`
+    # ends trials early: those with evaluations below the `median` of the others, or by `asha`
     pruner: Literal["median", "asha", "none"] = "median"
-    seed: Seed = 0  # of the sampler
+    seed: Seed = 0  # seed of the sampler
 
     def __post_init__(self) -> None:
         """Check that trials differ."""
@@ -147,7 +147,7 @@ def open_study(folder: Path) -> optuna.Study:
         "asha": optuna.pruners.SuccessiveHalvingPruner(1, reduction_factor=3),
         "none": optuna.pruners.NopPruner(),
     }
-    # Of a relative path, Optuna never releases the lock of a process that was killed.
+    # With a relative path, Optuna never releases the lock of a killed process.
     journal = (folder / "journal.log").resolve()
     try:
         with reading(journal):
@@ -161,13 +161,13 @@ def open_study(folder: Path) -> optuna.Study:
 
 
 def run_trial(description: tuple[Path, int]) -> Result:
-    """Train a trial of a sweep, or the rest of it; return its state, values and metrics."""
+    """Train or resume a trial of a sweep; return its state, values and metrics."""
     from kinfeas.training.learner import DivergedError
 
     folder, number = description
     sweep, study = config.load(SweepConfig, folder / SETTINGS), open_study(folder)
     frozen = study.trials[number]
-    if frozen.state.is_finished():  # killed before its file was written
+    if frozen.state.is_finished():  # the worker was killed before it wrote the file
         return dict(frozen.user_attrs["result"])
     if frozen.state == TrialState.WAITING:
         study._storage.set_trial_state_values(frozen._trial_id, TrialState.RUNNING)
@@ -215,7 +215,7 @@ def write_best(folder: Path, results: Sequence[Result]) -> Result:
 
 
 def importances(folder: Path) -> dict[str, float]:
-    """Return the fraction of the score's variance by key; empty for too few trials."""
+    """Return the fraction of the score's variance by key; empty if there are too few trials."""
     try:
         with warnings.catch_warnings(action="ignore"):
             return optuna.importance.get_param_importances(open_study(folder))
@@ -224,10 +224,10 @@ def importances(folder: Path) -> dict[str, float]:
 
 
 def _drawn(sweep: SweepConfig, trial: Trial) -> dict[str, object]:
-    """Return the values of a trial; those drawn before a kill stay."""
+    """Return the values of a trial; those drawn before an interruption stay."""
     values: dict[str, object] = {}
     for index, (key, dimension) in enumerate(sweep.space.items()):
-        # A sampler for each value, so that a kill in between does not change the next one.
+        # A sampler for each value, so that an interruption does not change the next value.
         seed = int(np.random.SeedSequence([sweep.seed, trial.number, index]).generate_state(1)[0])
         trial.study.sampler = (
             optuna.samplers.TPESampler(seed=seed, n_startup_trials=5)
@@ -255,7 +255,7 @@ def _own_values(sweep: SweepConfig) -> dict[str, object]:
         elif dimension.low is not None and isinstance(value, int | float):
             assert dimension.high is not None
             ends = dimension.low, dimension.high
-            whole = all(isinstance(end, int) for end in ends)  # draws integers alone
+            whole = all(isinstance(end, int) for end in ends)  # the range has integers only
             if ends[0] <= value <= ends[1] and not (whole and value % 1):
                 own[key] = value
     return own

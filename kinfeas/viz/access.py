@@ -1,4 +1,4 @@
-"""Addresses of servers, and the requests that come from their own page or from a program."""
+"""Addresses of servers, and a check that a request comes from the own page or from a program."""
 
 import re
 import secrets
@@ -12,7 +12,7 @@ _LOCAL = ("localhost", "127.0.0.1", "[::1]")
 
 
 class Access:
-    """A bound address, and which requests to it come from its own page.
+    """A listening socket with its address, and the check of requests to it.
 
     Attributes:
         listener: Listening socket.
@@ -34,22 +34,25 @@ class Access:
         self.url = f"http://{_bracketed(name)}:{port}/{self._token}".rstrip("/")
 
     def allows(self, target: str, hosts: Sequence[str], origins: Sequence[str]) -> bool:
-        """Return whether a request, also for a websocket, is one of the page or its reader.
+        """Return whether an HTTP or websocket request comes from the own page or a program.
 
-        Arguments are the target of its first line, and its headers Host and Origin.
+        Other web sites in the same browser reach this address, too. Their requests have their own
+        Origin, or as Host a domain name that they point here. They may link to the page, but not
+        with a query, which would connect viser's client to another server.
 
-        A web site in the same browser reaches this address, too. Its websockets have its own
-        Origin; under a domain name that it points here, they have that name as Host. It can link
-        to the page, but a query would make viser's client run another server's messages.
+        Args:
+            target: Path and query of the request line.
+            hosts: Values of the header Host.
+            origins: Values of the header Origin.
         """
         host = ",".join(hosts).lower()
         path, _, query = target.partition("?")
         return (
             self._is_here(re.sub(r":\d+$", "", host))
-            # There are none in programs, and if one opens the page.
+            # Programs, and a browser that opens the page, send no Origin.
             and all(origin.lower() in {f"http://{host}", f"https://{host}"} for origin in origins)
             and secrets.compare_digest(ascii(path.strip("/")), ascii(self._token))
-            and query in {"", f"websocket=ws://{host}/{self._token}"}  # viser adds the second
+            and query in {"", f"websocket=ws://{host}/{self._token}"}  # added by viser
         )
 
     def _is_here(self, name: str) -> bool:
@@ -59,7 +62,7 @@ class Access:
             ip_address(name.strip("[]"))
         except ValueError:
             return False
-        return self._any_address  # an address is no name that points elsewhere next time
+        return self._any_address  # unlike a name, an address cannot be pointed elsewhere
 
 
 def _listen(host: str, port: int) -> socket.socket:
@@ -79,7 +82,7 @@ def _listen(host: str, port: int) -> socket.socket:
 def _own_address() -> str:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("192.0.2.1", 9))  # for documentation; nothing is sent
+            probe.connect(("192.0.2.1", 9))  # an address for documentation; UDP sends nothing yet
         except OSError:
             return "localhost"
         return str(probe.getsockname()[0])

@@ -23,8 +23,8 @@ from kinfeas.viz.shapes import CORNERS, VisualShape, faces
 from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
 _AXES = {"approach": "#d1483e", "finger axis": "#3a9a52"}
-_LENGTH, _SHARE = 0.2, 0.3  # m, of the axes, and at most this share of the robot
-_SMALL = 0.8  # m, size of robots on a finer grid
+_LENGTH, _SHARE = 0.2, 0.3  # m, length of the gripper's axes; at most this part of the robot's size
+_SMALL = 0.8  # m; smaller robots have a finer grid
 _CASING = [patheffects.withStroke(linewidth=3.0, foreground="white", alpha=0.9)]
 
 
@@ -101,14 +101,18 @@ def _gripper_axes(robot: Robot) -> tuple[Array, Array]:
 
 _DARKEST = 0.55
 _LIGHT = np.array([0.48, -0.36, 0.8])  # world direction to the light
-_NOTHING = 1e-6  # m
-_FILL = 0.97  # share of the axes that is used
+_NOTHING = 1e-6  # m, distance from a plane that counts as zero
+_FILL = 0.97  # fraction of the axes that the content fills
 
 
 def add_axes(figure: Figure, position: Any, heading: float, elevation: float) -> Axes3D:
-    """Return 3-D axes without a frame; `heading` points right, `elevation` down, in radians.
+    """Return 3-D axes without a frame.
 
-    The position is as in `Figure.add_subplot`, or a rectangle in the figure.
+    Args:
+        figure: Figure that gets the axes.
+        position: Position as in `Figure.add_subplot`, or a rectangle in the figure.
+        heading: World direction that points right in the picture, radians.
+        elevation: Angle by which the camera looks down, radians.
     """
     add: Any = figure.add_axes if isinstance(position, tuple) else figure.add_subplot
     axes = add(position, projection="3d", proj_type="ortho", computed_zorder=False)
@@ -118,7 +122,7 @@ def add_axes(figure: Figure, position: Any, heading: float, elevation: float) ->
 
 
 def show_all(axes: Axes3D, points: Array, aspect: float = 1.0) -> None:
-    """Fit 3-D axes to points (k, 3) at equal scales; call it last. aspect: width by height."""
+    """Fit 3-D axes of `aspect` (width by height) to points (k, 3) at equal scales; call it last."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 0.1)
     axes.set(xlim=(low[0], low[0] + size[0]), ylim=(low[1], low[1] + size[1]))
@@ -133,7 +137,7 @@ def show_all(axes: Axes3D, points: Array, aspect: float = 1.0) -> None:
 
 
 class _Polygons(PolyCollection):
-    """Polygons in 3-D, each of shape (k, 3), drawn one after the other."""
+    """Polygons in 3-D, each of shape (k, 3), drawn in the order of the sequence."""
 
     def __init__(self, polygons: Sequence[Array], **looks: Any) -> None:
         super().__init__([], **looks)
@@ -171,7 +175,7 @@ def draw_solids(axes: Axes3D, solids: Sequence[VisualShape]) -> None:
                 seen.append(Face(face, normal, colour))
     if seen:
         polygons, _, colours = zip(*back_to_front(seen), strict=True)
-        # Edges hide the seams of cuts, but of translucent faces.
+        # Edges hide the seams between cut faces; translucent faces would show them twice.
         widths = [0.5 if colour[3] == 1.0 else 0.0 for colour in colours]
         looks: dict[str, Any] = {"facecolors": colours, "edgecolors": colours, "linewidths": widths}
         drawn = _Polygons(polygons, **looks, joinstyle="bevel", zorder=3)
@@ -179,9 +183,10 @@ def draw_solids(axes: Axes3D, solids: Sequence[VisualShape]) -> None:
 
 
 def back_to_front(faces: list[Face]) -> list[Face]:
-    """Return faces in an order in which none hides a later one; all of them face the viewer.
+    """Return faces, all toward the viewer, in drawing order: none hides a later one.
 
-    The plane of a face divides the others, and cuts some of them: those behind it come first.
+    A binary space partition: the plane of one face divides the others, and cuts some of them. Those
+    behind the plane come before this face, those in front of it after.
     """
     ordered, waiting = list[Face](), [faces]
     while waiting:

@@ -28,9 +28,9 @@ from kinfeas.viz.shapes import VisualShape
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE
 
 _ELEVATION = np.deg2rad(28.0)
-_PALEST = 0.62
-_NEAR = 1.0  # m, of furniture from the paths' bounds
-_AROUND = 0.7  # m, of solids in the side view from the paths
+_PALEST = 0.62  # fraction of white in the robot at the start
+_NEAR = 1.0  # m, margin around the paths within which furniture is drawn
+_AROUND = 0.7  # m, the same for solids in the side view
 _FURNITURE = (0.86, 0.79, 0.69, 0.6)
 _APPROACH = 0.2  # m, length of the line that shows the x axis of the EE
 _CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)]
@@ -70,9 +70,14 @@ def episodes_figure(
 def reach_figure(
     robot: Robot, goal: Array, best: Placement, placement: Placement, solids: Solids | None
 ) -> Figure:
-    """Return a picture from above of all base poses that reach an EE pose (7,), and of a robot.
+    """Return a top view of base poses that reach an EE pose, coloured by their margins.
 
-    Colours show their margins. The robot is at the first of the `best`. Solids are one row.
+    Args:
+        robot: Robot, drawn at the first base pose of `best`.
+        goal: World EE pose, shape (7,).
+        best: Best base poses.
+        placement: All base poses to draw.
+        solids: Solids, one row.
     """
     with rc_context(STYLE):
         figure = Figure(figsize=(7.0, 6.0), layout="constrained")
@@ -157,7 +162,7 @@ def _draw_side(
 
 
 def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
-    for moment, opacity in ((0, 0.2), (-1, 0.75)):  # pale where they began
+    for moment, opacity in ((0, 0.2), (-1, 0.75)):  # start (pale) and end
         for solid in _solids_near(recording, moment):
             colour = (*to_rgb(solid.colour[:7]), opacity)
             draw_outline(axes, shapes.corners([solid]), colour, 1.8)
@@ -180,7 +185,7 @@ def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
 
 
 def draw_outline(axes: Axes, points: Array, colour: tuple[float, ...], order: float) -> None:
-    """Draw the outline of points (k, 3) as seen from above; `order` is that of drawing."""
+    """Draw the convex outline of points (k, 3) as seen from above; `order` is the zorder."""
     outline = points[ConvexHull(points[:, :2]).vertices, :2]
     axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="#9aa2ad", lw=0.9, zorder=order))
 
@@ -207,7 +212,7 @@ def _draw_paths(axes: Axes, recording: Recording) -> None:
 def _fading(
     robot: Robot, recording: Recording
 ) -> Iterator[tuple[int, tuple[str, str], list[VisualShape]]]:
-    """Yield the drawn moments, colours of body and arm, the paler the earlier, and the solids."""
+    """Yield index, colours of body and arm (pale at first), and solids of each drawn moment."""
     drawn = moments(recording)
     for paleness, moment in zip(np.linspace(_PALEST, 0.0, len(drawn)), drawn.tolist(), strict=True):
         body, arm = (

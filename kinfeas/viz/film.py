@@ -17,17 +17,17 @@ from kinfeas.viz.replay import EpisodeReplay, Recording, result, shown_moments, 
 from kinfeas.viz.shapes import placed
 from kinfeas.viz.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, failures_text
 
-_REST_SECONDS = 1.5  # of the last picture
+_REST_SECONDS = 1.5  # for which the last picture stays
 _COLOURS = 128  # of a GIF
-_PANELS = (2, 2)  # of a PNG
+_PANELS = (2, 2)  # columns and rows of a PNG
 _RATES = {".gif": (8.0, 56), ".mp4": (25.0, 300), ".png": (0.0, _PANELS[0] * _PANELS[1])}
 """Pictures per second, and their largest number, by suffix."""
 
-_ELEVATION, _STEEP = np.deg2rad([30.0, 55.0])  # without and among solids, which hide the robot
-_AROUND, _HEIGHT = 0.7, 1.6  # m, of the view beyond the paths, and above the floor
-_BEYOND, _HORIZON = 3.0, 40.0  # m, of lines beyond the view, and of floor around them
-_CELL, _LINE, _FLOOR = 0.5, 0.012, 0.01  # m, cells of the floor, width of lines, thickness
-_FINE = 3  # pixels of the paths' layer in a pixel of the picture
+_ELEVATION, _STEEP = np.deg2rad([30.0, 55.0])  # without solids, and among them
+_AROUND, _HEIGHT = 0.7, 1.6  # m, margin of the view around the paths, and its least height
+_BEYOND, _HORIZON = 3.0, 40.0  # m, margin of the grid around the view; plain floor beside the grid
+_CELL, _LINE, _FLOOR = 0.5, 0.012, 0.01  # m, cells of the grid, width of lines, thickness of boxes
+_FINE = 3  # resolution of the layer of paths relative to the picture, against jagged lines
 
 
 class FilmCamera:
@@ -64,7 +64,7 @@ class FilmCamera:
 
 
 def film_suffix(path: Path) -> str:
-    """Return the suffix of a film in lower case; raise KinfeasError if it is another one."""
+    """Return the suffix of a film in lower case; raise KinfeasError for other formats."""
     suffix = path.suffix.lower()
     if suffix not in _RATES:
         raise KinfeasError(f"{path}: a film must end in one of: {', '.join(_RATES)}")
@@ -76,10 +76,10 @@ def write_film(
 ) -> None:
     """Write an episode as GIF or MP4, or four of its pictures as PNG.
 
-    `on_done` is called with the fraction of the pictures that has just been drawn.
+    `on_done` is called after each picture, with its fraction of all pictures.
 
     Raises:
-        KinfeasError: If the suffix is another one, or PyBullet is not installed.
+        KinfeasError: If the suffix is none of these, or PyBullet is not installed.
     """
     suffix = film_suffix(path)
     (rate, most), times = _RATES[suffix], replay.recording.times
@@ -184,7 +184,7 @@ def _write_gif(pictures: Sequence[Image.Image], path: Path, rate: float) -> None
 
 
 def _write_mp4(pictures: Sequence[Image.Image], path: Path, rate: float) -> None:
-    import av  # other films work without it
+    import av  # GIF and PNG do not need it
 
     pictures = [*pictures, *[pictures[-1]] * round(_REST_SECONDS * rate)]
     with av.open(str(path), "w") as file:

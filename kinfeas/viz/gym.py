@@ -31,7 +31,7 @@ _SCREEN = sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
 class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """One robot whose base motion keeps the EE motion feasible.
 
-    `reset(seed=s)` begins episode 0 of seed s, each reset without a seed the next one.
+    `reset(seed=s)` begins episode 0 of seed s; a reset without a seed begins the next episode.
     Observations are those of `kinfeas.control.observation`, unscaled. In the render mode
     `rgb_array`, PyBullet draws pictures; `human` needs the backend `pybullet` and a display.
     """
@@ -84,7 +84,8 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin an episode and return its observation, shape (d,), and its number.
 
-        The seed is that of this episode and all later ones, random at first; options are not used.
+        A seed holds for this episode and all later ones; it is random by default. `options` is not
+        used.
         """
         self._end_film()
         super().reset(seed=checked_seed(seed))

@@ -23,19 +23,19 @@ from kinfeas.tasks.task import MotionSpec, build_subgoals, start_at_home
 DT = 0.02
 """Control period, seconds."""
 
-_NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
-_UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
+_NEAR = (1e-3, 5e-3)  # m and rad from the target, within which the EE has arrived
+_UNLIMITED = 1e3  # m, m/s and rad/s: no limit on the motion of targets
 
 
 class Episode:
     """A simulated robot whose EE follows targets, step by step.
 
     Attributes:
-        loop: Loop of one robot.
+        loop: Control loop of the robot.
         backend: World of the robot.
         controller: Takes the targets; its clock is the simulated time.
-        feasible: Whether IK found the last desired pose.
-        deviation: Distance of the EE from it, metres.
+        feasible: Whether IK solved for the last desired EE pose.
+        deviation: Distance of the EE from the desired position, metres.
         joint_speeds: Joint speeds of the last step as fractions of their limits, shape (j,).
     """
 
@@ -49,9 +49,9 @@ class Episode:
         filters: Sequence[str] = ("time_scaling",),
         backend: str = "analytic",
     ) -> None:
-        """Build a robot, by the names of policy, motion generator, command filters and backend.
+        """Build a robot; policy, motion generator, filters and backend are given by their names.
 
-        The generator `servo` follows each target, others start when it is no longer held.
+        The generator `servo` follows the moving target; others start when it is released.
 
         Raises:
             KinfeasError: If a part cannot be built, or the backend is no simulator.
@@ -110,7 +110,7 @@ class Episode:
         if self.follows or begins:
             self._goal = target.copy()
         metres, radians = spatial.distance(self.loop.desired[0], self._goal)
-        if metres > _NEAR[0] or radians > _NEAR[1]:  # otherwise the base comes to rest
+        if metres > _NEAR[0] or radians > _NEAR[1]:  # without a new target the base comes to rest
             self.controller.set_target(self._goal)
         before = self.joint_positions.copy()
         outcome = self.loop.step()

@@ -34,14 +34,14 @@ if TYPE_CHECKING:
     from kinfeas.viz.live import Episode
 
 _SKY, _FLOOR, _LINES = (232, 236, 241), (214, 218, 224), (188, 194, 202)  # colours
-_AWAY, _UP = 1.44, 0.85  # to the camera, by the radius of the content
-_STILL = 1e-4  # m, and of a quaternion
+_AWAY, _UP = 1.44, 0.85  # distance and height of the camera, in radii of the content
+_STILL = 1e-4  # m, or of a quaternion's entry: smaller changes are not sent
 
 
 def draw_floor(
     server: Any, size: Sequence[float], cell: float, position: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> Any:
-    """Draw a sky and a floor of a size (2,) with a grid; return the handle of the floor."""
+    """Draw a sky, and a floor of `size` (2,) with a grid, metres; return the floor's handle."""
     server.scene.set_background_image(np.full((1, 1, 3), _SKY, dtype=np.uint8), "png")
     return server.scene.add_grid(
         "/floor", size[0], size[1], cell_size=cell, cell_color=_LINES, section_color=_LINES,
@@ -50,7 +50,7 @@ def draw_floor(
 
 
 def aim(server: Any, points: Array) -> None:
-    """Put the camera of a page where it shows furniture at points, (k, 3), from its open side."""
+    """Aim the camera of a page at furniture with corners (k, 3), seen from its open side."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius = (low + high) / 2.0, max(0.5, float(np.linalg.norm(high - low)) / 2.0)
     heading = heading_from_middle(points)
@@ -81,7 +81,7 @@ def place(drawn: Any, pose: Array) -> None:
 
 
 def rgb(colour: str) -> tuple[int, ...]:
-    """Return a colour, `#rrggbb` or `#rrggbbaa`, in the range of viser, 0 to 255."""
+    """Return the components of a colour `#rrggbb` or `#rrggbbaa`, 0 to 255."""
     return tuple(bytes.fromhex(colour.removeprefix("#")))
 
 
@@ -108,14 +108,14 @@ class Bodies:
         self._root.remove()
 
 
-_AROUND = 1.5  # m, of floor beyond the paths
+_AROUND = 1.5  # m, margin of the floor around the paths
 _PIECE = 0.02  # m, length of the pieces of a path
 _SCENE_FRAMES, _SCENE_RATE = 90, 30.0
-_RATE, _MOST = 15.0, 1200  # moments of an episode per second, and largest number
+_RATE, _MOST = 15.0, 1200  # shown moments of an episode per second, and in all
 
 
 def scene_html(scene: Scene) -> str:
-    """Return a page of a scene on which all joints open and close."""
+    """Return the HTML page of a scene, in which all joints open and close."""
     joints = {
         (name, joint.name): (at := entry.joint_positions[joint.name], far_end(joint, at))
         for name, entry in scene.objects.items()
@@ -140,7 +140,7 @@ def scene_html(scene: Scene) -> str:
 
 
 def replay_html(replay: EpisodeReplay) -> str:
-    """Return the page of an episode, on which everything moves as it did."""
+    """Return the HTML page of an episode, which replays all motions."""
     recording, times = replay.recording, replay.recording.times
     with serving(f"kinfeas: {replay.title}") as server:
         _draw_paths(server, recording)
@@ -186,12 +186,12 @@ def _draw_paths(server: Any, recording: Recording) -> None:
 
 
 _TRAIL = 500  # frames of a live page that paths and plots show
-_SECOND = "#e3d5c0", GOAL  # colours of the second robot
-_LOW = 0.5  # m, height of the parts that make the footprint of a base
+_SECOND = "#e3d5c0", GOAL  # colours of the second robot: body, arm and paths
+_LOW = 0.5  # m; shapes that reach below this height make the footprint
 
 
 class _Trail:
-    """The last points of a path, drawn as line segments of a constant number."""
+    """The last `_TRAIL` points of a path, drawn as line segments."""
 
     def __init__(self, server: Any, name: str, colour: str, start: Array) -> None:
         self._points = deque([start[:3].copy()] * _TRAIL, maxlen=_TRAIL)
@@ -240,7 +240,7 @@ class ShownRobot:
             f"{name}/footprint", np.stack([outline, np.roll(outline, -1, axis=0)], axis=1),
             rgb(colours[1] if second else BASE), thickness=3.0, thickness_units="screen",
         )  # fmt: skip
-        front = outline.min(axis=0) * [0.0, 1.0, 0.0]  # beside the base, which it would cover
+        front = outline.min(axis=0) * [0.0, 1.0, 0.0]  # not above the base, which it would hide
         server.scene.add_label(
             f"{name}/footprint/label", self._name, position=front, anchor="top-center"
         )
@@ -255,7 +255,7 @@ class ShownRobot:
         self._failures += not self._episode.feasible
 
     def report(self) -> str:
-        """Return how the arm keeps up, in words."""
+        """Return the number of IK failures and the time scale as Markdown."""
         scale = float(self._episode.loop.sequence.time_scale[0])
         reached = "the arm reached every pose"
         if self._failures:
@@ -263,7 +263,7 @@ class ShownRobot:
         return f"**{self._name}**: {reached}" + (f", slowed to {scale:.0%}" * (scale < 1.0))
 
     def draw(self, target: Array) -> None:
-        """Show the state of the episode, and the target of a robot that stands beside it."""
+        """Show the state of the episode, and for the second robot also the target (7,)."""
         episode = self._episode
         place(self._target, target)
         self._body.move(robot_poses(self._robot, episode.base_pose, episode.joint_positions))

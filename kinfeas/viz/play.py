@@ -35,12 +35,12 @@ _NO_PLOTS = "<style>@media (max-width: 36em) {.uplot-container {display: none}}<
 """Hides plots where the controls lie below the picture, as on phones."""
 
 NONE = "none"
-"""Choice of no second policy and of no scene."""
+"""Value of `second_policy` and `scene` for none."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What the page shows."""
+    """Settings of the page."""
 
     robot: str  # robot by name or path
     policy: str = "pretrained"  # policy by name or path
@@ -52,7 +52,7 @@ class Choice:
 
 
 class PlayPage:
-    """The page and what it shows; callbacks of the browser are carried out between steps.
+    """The page and its robots; callbacks of the browser run between two frames.
 
     Attributes:
         server: Server of viser.
@@ -61,7 +61,7 @@ class PlayPage:
     """
 
     def __init__(self, server: Any, choice: Choice, folder: Path) -> None:
-        """Draw robot and scene of a choice; `start` adds what moves them.
+        """Draw robot and scene of a choice, at rest; `start` builds their simulation.
 
         Demonstrations are written to `folder`.
         """
@@ -149,7 +149,7 @@ class PlayPage:
         self._record.label, self._message.content = "Stop and save", "Recording."
 
     def save(self) -> None:
-        """End the recording and write the demonstration; keep it if that is impossible."""
+        """End the recording and write the demonstration; if that fails, keep the recording."""
         if self._samples is None:
             return
         self._recording = False
@@ -168,7 +168,7 @@ class PlayPage:
             self._folder.mkdir(parents=True, exist_ok=True)
         numbers = (self._folder / f"{number:03}.csv" for number in count(1))
         path = next(path for path in numbers if not path.exists())
-        time, ee, base = map(np.array, zip(*samples, strict=True))  # of the tool tip
+        time, ee, base = map(np.array, zip(*samples, strict=True))  # ee: poses of the tool tip
         object_frame = np.repeat(ee[-1:], len(ee), axis=0)  # its last pose
         write_demonstration(Demonstration(time, ee, base, object_frame), path)
         return f"Saved {path}."
@@ -232,8 +232,8 @@ class PlayPage:
             control.on_update(lambda _: self._tasks.put(change))
 
     def _build(self, choice: Choice) -> None:
-        """Save the recording and replace the episodes; keep all if new ones cannot be built."""
-        from kinfeas.viz.live import Episode  # after the first picture
+        """Save the recording and replace the episodes; if they cannot be built, keep the old."""
+        from kinfeas.viz.live import Episode  # slow: after the first picture
 
         self._message.content = ""
         if self._episodes and choice == self.choice:
@@ -313,7 +313,7 @@ class PlayPage:
         self._draw_plots()
 
     def _add_plot(self, title: str, top: float, lines: list[tuple[str, str]]) -> Any:
-        """Add a plot from zero to `top` at least; uPlot labels ticks of tiny numbers with 0."""
+        """Add a plot from 0 to at least `top`, since uPlot labels all ticks of tiny values 0."""
         hue = len(lines) if len(lines) > 2 else 0
         series = [
             {"label": name, "stroke": f"hsl({360 * n // hue}, 60%, 45%)" if hue else colour}
@@ -351,7 +351,7 @@ def _generators() -> list[str]:
     """Return the names of the motion generators that need no parameters."""
     group, names = "kinfeas.motion_generators", []
     for name in registry.names(group):
-        with suppress(KinfeasError, TypeError):  # broken ones, and those that need some
+        with suppress(KinfeasError, TypeError):  # broken plugins, and required parameters
             inspect.signature(registry.load(group, name)).bind()
             names.append(name)
     return names

@@ -14,7 +14,7 @@ from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, STYLE
 if TYPE_CHECKING:  # takes long to import
     from kinfeas.sim2real.identify.fit import ResponseFit
 
-_STILL = 1e-3  # of the largest speed: too small to be seen
+_STILL = 1e-3  # fraction of the largest speed, below which nothing moves visibly
 _AXES = ("x (m/s)", "y (m/s)", "rotation (rad/s)")
 _SMOOTHED = 5  # measurements in a mean: single ones are noisy
 

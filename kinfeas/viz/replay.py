@@ -33,8 +33,8 @@ from kinfeas.viz.shapes import (
 )
 from kinfeas.viz.style import TITLES, failures_text
 
-_WALL = 4.0  # m; longer boxes hide the room
-_TURN = np.deg2rad(12.0)  # of a side view, so that the arm is in front
+_WALL = 4.0  # m; longer boxes are not drawn, since they hide the room
+_TURN = np.deg2rad(12.0)  # rotation of a side view, which brings the arm to the front
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Recording:
     joint_positions: Array  # arm joints, shape (t, j)
     desired: Array  # desired world pose of the EE, shape (t, 7)
     ee_pose: Array  # achieved world pose of the EE, shape (t, 7), without sensor errors
-    feasible: NDArray[np.bool_]  # whether IK found the desired pose, shape (t,); True at the start
+    feasible: NDArray[np.bool_]  # whether IK solved for the desired pose, (t,); True at the start
     goals: Array  # world poses of the EE at the ends of the started sub-goals, shape (sub-goals, 7)
     reached: bool  # whether the episode ended at the goal
     task_done: bool | None = None  # whether the objects met the success condition; None without one
@@ -125,7 +125,7 @@ class EpisodeReplay:
     recording: Recording  # the episode
     title: str  # robot and task
     shapes: Sequence[VisualShape]  # visible shapes in the frames of their links
-    links: Callable[[int], Mapping[LinkName, Array]]  # returns their world poses at a moment
+    links: Callable[[int], Mapping[LinkName, Array]]  # returns the links' world poses at a moment
 
 
 def replay_of(recording: Recording, robot: Robot, title: str) -> EpisodeReplay:
@@ -166,7 +166,7 @@ def run_episode(world: World, policy: Policy, episode: int) -> EpisodeReplay:
 
 
 def as_recording(record: Record, robot: Robot) -> Recording:
-    """Return a recorded run as an episode; the achieved EE pose is that of the measured joints."""
+    """Return a recorded run as an episode, with achieved EE poses from measured joints."""
     joints = tuple(joint.name for joint in robot.arm)
     if record.about.joints != joints:
         raise KinfeasError(
@@ -195,7 +195,7 @@ def _scene_of(record: Record) -> Scene | None:
 
 
 def present(world: World) -> EpisodeReplay:
-    """Return the present moment of the first robot of a world."""
+    """Return the present state of a world's first robot, as an episode of one moment."""
     loop, backend = world.loop, world.backend
     state = loop.robots
     now = Recording(
@@ -215,7 +215,7 @@ def present(world: World) -> EpisodeReplay:
 
 
 def shown_moments(times: Array, count: int) -> list[int]:
-    """Return indices of up to `count` times, evenly spaced, at least of the first and the last."""
+    """Return indices of up to `count` times, evenly spaced, with the first and the last."""
     evenly = np.linspace(times[0], times[-1], max(2, count))
     return np.unique(np.searchsorted(times, evenly)).tolist()
 

@@ -1,7 +1,7 @@
-"""The server of a page, which answers that page alone.
+"""A server of viser that answers its own page only.
 
-viser accepts websockets from every web site, sets any attribute of a control to any value, can
-publish the page through a tunnel, and searches for another port.
+By itself, viser accepts websockets from every web site, sets any attribute of a control to any
+value, can publish the page through a tunnel, and searches for another port.
 """
 
 import logging
@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 def _on_one_line(record: logging.LogRecord) -> bool:
-    """Put the exception of a connection, which then closes, in place of its traceback."""
+    """Replace the traceback of a connection, which then closes, by its exception."""
     if record.exc_info:
         record.msg, record.exc_info = f"{record.msg}: {record.exc_info[1]!r:.200}", None
     return True
@@ -35,7 +35,7 @@ _log.addFilter(_on_one_line)
 
 
 class PageServer(viser.ViserServer):
-    """A viser server that answers only its own page, and takes only what that page offers.
+    """A viser server that answers only its own page, and accepts only values that it offers.
 
     Attributes:
         url: Address of the page.
@@ -59,7 +59,7 @@ class PageServer(viser.ViserServer):
             options |= {"sock": listener, "process_request": respond, "logger": _log}
             return serve(handler, **options)
 
-        # The constructor starts the server, and has no arguments for these two.
+        # The constructor starts the server, and has no arguments for socket and request check.
         with patch.object(websockets.asyncio.server, "serve", serve_guarded):
             super().__init__(host, port, title, verbose=False)
         if not guarded:
@@ -89,7 +89,7 @@ class PageServer(viser.ViserServer):
             text = "This page opens only at the address that kinfeas printed.\n"
             return connection.respond(HTTPStatus.FORBIDDEN, text)
         request.path = "/"
-        request.headers.pop("Accept-Encoding", None)  # for plain text with a title
+        request.headers.pop("Accept-Encoding", None)  # a plain body, to replace its title
         response = process_request(connection, request)
         if response is not None:
             response.body = self.titled(response.body.decode()).encode()
@@ -99,7 +99,7 @@ class PageServer(viser.ViserServer):
         return response
 
     def _offers(self, message: Any) -> bool:
-        """Return whether a message is one of our controls: a click, a choice, a dragged handle."""
+        """Return whether a message drags a handle, or gives one of our controls a valid value."""
         kind = type(message).__name__
         if kind == "TransformControlsUpdateMessage":
             position, wxyz = np.array(message.position, float), np.array(message.wxyz, float)

@@ -31,10 +31,10 @@ CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in
 """Corners of the unit cube, shape (8, 3)."""
 
 LOW, HIGH, HIGHEST = "#d8c7a6", "#9fa9b580", 1.2
-"""Colours of solids: up to a height in metres, and higher ones."""
+"""Colours of low and of high solids, and the height between them, metres."""
 
-_SOLID = "/solid"  # stands for a solid in place of the name of an object
-_RANGE = 3.0  # rad to either side, of a joint without limits
+_SOLID = "/solid"  # stands for an object's name in the `LinkName` of a solid
+_RANGE = 3.0  # rad, largest shown angle to either side, for joints without limits
 _STICK = 0.03  # m, width of lines in place of links without shapes
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
@@ -64,7 +64,7 @@ def placed(shapes: Iterable[VisualShape], poses: Mapping[LinkName, Array]) -> li
 
 @lru_cache(maxsize=8)
 def robot_shapes(robot: Robot, colours: tuple[str, str] = (BODY, ARM)) -> list[VisualShape]:
-    """Return the shapes of a robot; thin boxes connect links without shapes. Colours: body, arm."""
+    """Return a robot's shapes, in `colours` of body and arm; thin boxes stand for missing ones."""
     path = robot.urdf.path_to(robot.ee_frame)
     while len(path) > 1 and (not path[0].moves or path[0].name in robot.fixed_joints):
         path = path[1:]
@@ -187,10 +187,10 @@ def surrounding(scene: Scene) -> set[str]:
 
 
 def heading_from_middle(points: Array) -> float:
-    """Return the world heading to the right of a view of furniture that is open to the room.
+    """Return the heading of a view from the middle of the room, where furniture is open.
 
-    Of four headings, in radians, it is the one that looks at points (k, 3) from the middle of the
-    room; the first one if they are around it.
+    The heading, in radians, is the world direction that points right in the picture. Of four it is
+    the one whose camera looks best at points (k, 3); the first one if they surround the middle.
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     headings = np.deg2rad(28.0) + np.pi / 2.0 * np.arange(4)
