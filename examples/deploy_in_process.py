@@ -20,7 +20,7 @@ def main() -> None:
     """Reach a goal with base noise, then read the record."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0)
-    given = parser.parse_args()
+    options = parser.parse_args()
 
     robot = load_robot("pr2")
     solver, dt = IkSolver(robot), 0.02
@@ -35,7 +35,7 @@ def main() -> None:
         backend=registry.build("kinfeas.backends", "analytic", {}),
         dt=dt,
         adapters=(noise,),
-        seconds=given.seconds,
+        seconds=options.seconds,
         real_time=False,
     )
     joints = tuple(joint.name for joint in robot.arm)
@@ -46,8 +46,8 @@ def main() -> None:
             outcome = deploy(setup, recorder)
         record = read_record(path)
     print(f"{outcome.code.name}: {outcome.reason}, {outcome.failures} failures")
-    way = np.linalg.norm(record.base_pose[-1, :2] - record.base_pose[0, :2])
-    print(f"{len(record.time)} lines recorded, base displacement {way:.2f} m")
+    displacement = np.linalg.norm(record.base_pose[-1, :2] - record.base_pose[0, :2])
+    print(f"{len(record.time)} lines recorded, base displacement {displacement:.2f} m")
 
 
 if __name__ == "__main__":

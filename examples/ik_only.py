@@ -19,11 +19,11 @@ def main() -> None:
     parser.add_argument("--robot", default="hsr", help="a name, or the path of a robot's YAML")
     parser.add_argument("--poses", type=int, default=1000)
     parser.add_argument("--goals", type=int, default=20)
-    given = parser.parse_args()
+    options = parser.parse_args()
 
-    robot = load_robot(given.robot)
+    robot = load_robot(options.robot)
     solver = IkSolver(robot)
-    joints = spread_configurations(robot, given.poses)
+    joints = spread_configurations(robot, options.poses)
     joints = joints[solver.admissible(joints)]
     poses, seeds = forward(solver.chain, joints), joints[::-1].copy()
     solver.solve(poses[:1], seeds[:1])  # compiles the kernels or loads them from the cache
@@ -33,15 +33,14 @@ def main() -> None:
     print(f"{robot.name}: {np.mean(solution.feasible):.3f} of {len(poses)} poses have a solution")
     print(f"{1e6 * seconds / len(poses):.1f} us a pose, from arbitrary seeds")
 
-    found = solution.feasible
-    reached = forward(solver.chain, solution.joint_positions[found])
-    metres, radians = spatial.distance(reached, poses[found])
+    feasible = solution.feasible
+    reached = forward(solver.chain, solution.joint_positions[feasible])
+    metres, radians = spatial.distance(reached, poses[feasible])
     print(f"maximum error {1000 * metres.max():.3f} mm and {np.rad2deg(radians.max()):.3f} degrees")
 
-    ceiling = measure_reachability(robot, load_task("ggr"), given.goals, seed=1)
-    print(
-        f"{ceiling.share.value:.2f} of {given.goals} random goals are reachable from some base pose"
-    )
+    ceiling = measure_reachability(robot, load_task("ggr"), options.goals, seed=1)
+    fraction = ceiling.share.value
+    print(f"{fraction:.2f} of {options.goals} random goals are reachable from some base pose")
 
 
 if __name__ == "__main__":

@@ -9,20 +9,20 @@ import onnxruntime
 def times(a, b):
     """Return the rotation `b` followed by `a`, unit quaternions x y z w with w >= 0."""
     vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
-    whole = np.append(vector, a[3] * b[3] - a[:3] @ b[:3])
-    return whole if whole[3] >= 0.0 else -whole
+    quaternion = np.append(vector, a[3] * b[3] - a[:3] @ b[:3])
+    return quaternion if quaternion[3] >= 0.0 else -quaternion
 
 
-def seen_from(frame, pose):
+def in_frame(frame, pose):
     """Return a world pose x y z qx qy qz qw in the coordinates of the pose `frame`."""
-    back, way = frame[3:] * [-1, -1, -1, 1], pose[:3] - frame[:3]
-    turned = way + 2.0 * np.cross(back[:3], np.cross(back[:3], way) + back[3] * way)
-    return np.concatenate([turned, times(back, pose[3:])])
+    q, offset = frame[3:] * [-1, -1, -1, 1], pose[:3] - frame[:3]
+    position = offset + 2.0 * np.cross(q[:3], np.cross(q[:3], offset) + q[3] * offset)
+    return np.concatenate([position, times(q, pose[3:])])
 
 
 def observe(terms, base, ee_in_base, planned, goal, joints):
     """Return the metadata's `terms` in order; `base`, `planned` and `goal` are world poses."""
-    planned, goal = seen_from(base, planned), seen_from(base, goal)
+    planned, goal = in_frame(base, planned), in_frame(base, goal)
     path = goal[:3] - planned[:3]  # straight
     length = max(np.linalg.norm(path), 1e-9)
     values = {

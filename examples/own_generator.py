@@ -31,14 +31,14 @@ class Wave:
 
     def twist(self, state, ee_pose, target_pose, dt):
         """Return the twist for the next `dt` seconds, and the next state."""
-        rest = spatial.twist_between(ee_pose, target_pose, 1.0)
+        error = spatial.twist_between(ee_pose, target_pose, 1.0)
         duration = max(
-            np.linalg.norm(rest[:3]) / self.speed, np.linalg.norm(rest[3:]) / 0.1, dt, 1.0
+            np.linalg.norm(error[:3]) / self.speed, np.linalg.norm(error[3:]) / 0.1, dt, 1.0
         )
-        sideways = np.array([-rest[1], rest[0], 0.0])
-        far = min(np.linalg.norm(sideways), 1.0)
-        sideways *= self.sway * far / max(np.linalg.norm(sideways), 1e-9)
-        twist = rest / duration
+        sideways = np.array([-error[1], error[0], 0.0])
+        distance = min(np.linalg.norm(sideways), 1.0)
+        sideways *= self.sway * distance / max(np.linalg.norm(sideways), 1e-9)
+        twist = error / duration
         twist[:3] += sideways * np.sin(0.5 * state["time"])
         return twist, {**state, "time": state["time"] + dt}
 

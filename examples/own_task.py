@@ -36,12 +36,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=2)
     parser.add_argument("--robots", nargs="+", default=["pr2", "hsr"])
-    given = parser.parse_args()
-    for name in given.robots:
+    options = parser.parse_args()
+    for name in options.robots:
         robot = load_robot(name)
-        trial = EvalConfig(robot, WATER_PLANTS, given.episodes)
+        trial = EvalConfig(robot, WATER_PLANTS, options.episodes)
         figures = evaluate(trial, load_policy("pretrained", robot))
-        ceiling = measure_reachability(robot, WATER_PLANTS, given.episodes, trial.seed).share
+        ceiling = measure_reachability(robot, WATER_PLANTS, options.episodes, trial.seed).share
         seconds = figures["mean_steps"] * trial.world.dt
         print(
             f"{name}: success {figures['success']:.2f} of at most {ceiling.value:.2f}, "

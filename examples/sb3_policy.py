@@ -19,7 +19,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--out", type=Path, default=Path("runs/sb3"))
-    given = parser.parse_args()
+    options = parser.parse_args()
 
     world = World(load_robot("hsr"), load_task("ggr"), WorldConfig(), seed=0)
     env = WorldVecEnv(world, num_envs=64)
@@ -27,20 +27,20 @@ def main() -> None:
         "MlpPolicy",
         env,
         policy_kwargs={"net_arch": [128, 128]},
-        learning_starts=min(3000, given.steps),
+        learning_starts=min(3000, options.steps),
         ent_coef=0.01,
         seed=0,
         device="cpu",
     )
-    model.learn(given.steps, progress_bar=False)
+    model.learn(options.steps, progress_bar=False)
 
-    given.out.mkdir(parents=True, exist_ok=True)
-    save_policy(model, env, given.out)
+    options.out.mkdir(parents=True, exist_ok=True)
+    save_policy(model, env, options.out)
     env.close()
-    summary = kinfeas.evaluate(given.out, robot="hsr", episodes=given.episodes)
-    print(f"success {100 * summary['success']:.0f} % of {given.episodes} episodes")
-    kinfeas.export(given.out, given.out / "policy.onnx", robot="hsr")
-    print(f"kinfeas deploy {given.out / 'policy.onnx'} --backend analytic --goal 1.5 0.5 0.9")
+    summary = kinfeas.evaluate(options.out, robot="hsr", episodes=options.episodes)
+    print(f"success {100 * summary['success']:.0f} % of {options.episodes} episodes")
+    kinfeas.export(options.out, options.out / "policy.onnx", robot="hsr")
+    print(f"kinfeas deploy {options.out / 'policy.onnx'} --backend analytic --goal 1.5 0.5 0.9")
 
 
 if __name__ == "__main__":

@@ -19,8 +19,8 @@ START = {"door": [-0.24, 0.0, 0.0], "drawer": [-0.1, 0.0, 0.04]}  # m, tool tip 
 OPENING, RISE = {"door": 1.6755, "drawer": 0.24}, {"door": 0.0, "drawer": 0.02}  # rad or m, m
 INERTIA = {"door": 0.02563, "drawer": 0.4}  # kg m^2 about the hinge, kg
 DRIFT, HAND_ERROR, TURN_ERROR, START_ERROR = 0.0025, 0.015, 0.1396, 0.02  # RMS: m, m, rad, m
-SLIP = 0.15  # share of the handle's rotation that the wrist does not make
-ARM_LENGTH, STAND_ERROR, BASE_SHARE = 0.75, 0.03, 0.935  # m, m, share of the EE path
+SLIP = 0.15  # fraction of the handle's rotation that the wrist does not make
+ARM_LENGTH, STAND_ERROR, BASE_FRACTION = 0.75, 0.03, 0.935  # m, m, base path / EE path
 MASS, ARM_STIFFNESS, GRIP_STIFFNESS = 1.0, 600.0, 2500.0  # kg, N/m, N/m
 ALL, NOT_FINGERS, PLANE = np.ones(3), np.array([1.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
 
@@ -57,9 +57,9 @@ class Mechanism:
 
 
 def minimum_jerk(time):
-    """Return the share of the path after each of `time` (t,) (Flash and Hogan 1985)."""
-    share = time / time[-1]
-    return share**3 * (10.0 + share * (6.0 * share - 15.0))
+    """Return the completed fraction of the path at each of `time` (t,) (Flash and Hogan 1985)."""
+    progress = time / time[-1]
+    return progress**3 * (10.0 + progress * (6.0 * progress - 15.0))
 
 
 def scatter(rng, size, mask):
@@ -86,9 +86,9 @@ def reach(name, mechanism, rng):
 
     end, end_turn = near(np.zeros(3), HAND_ERROR, NOT_FINGERS)
     start, start_turn = near(np.array(START[name]), START_ERROR, ALL)
-    share = minimum_jerk(time)[:, np.newaxis]
-    turn = Rotation.from_rotvec(share * (end_turn * start_turn.inv()).as_rotvec()) * start_turn
-    position = start + share * (end - start) + drift(rng, time)
+    progress = minimum_jerk(time)[:, np.newaxis]
+    turn = Rotation.from_rotvec(progress * (end_turn * start_turn.inv()).as_rotvec()) * start_turn
+    position = start + progress * (end - start) + drift(rng, time)
     return time, compose(mechanism.handle, make_pose(position, turn))
 
 
@@ -96,23 +96,23 @@ def pull(name, mechanism, hand, rng):
     """Return times and EE poses of a pull: a mass between springs to its plan and to the handle."""
     time, dt = np.arange(round(rng.uniform(*DURATION) * RATE) + 1) / RATE, 1.0 / RATE / SUBSTEPS
     fine = np.linspace(0.0, time[-1], (len(time) - 1) * SUBSTEPS + 1)
-    misjudged, share = scatter(rng, HAND_ERROR, ALL), minimum_jerk(fine)
+    misjudged, progress = scatter(rng, HAND_ERROR, ALL), minimum_jerk(fine)
     opening, slip = OPENING[name] * (1.0 + 0.02 * rng.normal()), SLIP + 0.02 * rng.normal()
-    wanted = mechanism.carry(hand[:3], opening * share, misjudged) + drift(rng, fine)
-    wanted[:, 2] += RISE[name] * share
+    desired = mechanism.carry(hand[:3], opening * progress, misjudged) + drift(rng, fine)
+    desired[:, 2] += RISE[name] * progress
     stiffness = np.array([[GRIP_STIFFNESS], [ARM_STIFFNESS]])
     damping, before = 2.0 * np.sqrt(stiffness * MASS), np.zeros((2, 3))
-    here, velocity, opened, opening_rate = hand[:3], np.zeros(3), 0.0, 0.0
-    path, openings = [here], [opened]
-    for aim in wanted[1:]:
+    position, velocity, opened, opening_rate = hand[:3], np.zeros(3), 0.0, 0.0
+    path, openings = [position], [opened]
+    for target in desired[1:]:
         point = mechanism.carry(hand[:3], opened)
-        stretch = np.stack([point, aim]) - here
+        stretch = np.stack([point, target]) - position
         grip, arm = stiffness * stretch + damping * (stretch - before) / dt
         before, grip = stretch, grip * PLANE  # the fingers slide up and down on the handle
         velocity = velocity + dt / MASS * (grip + arm)
-        here = here + dt * velocity
+        position = position + dt * velocity
         opened, opening_rate = mechanism.step(opened, opening_rate, -grip, point, dt)
-        path.append(here)
+        path.append(position)
         openings.append(opened)
     angle = 0.0 if mechanism.slides else (1.0 - slip) * np.array(openings)[::SUBSTEPS, np.newaxis]
     turn = Rotation.from_rotvec(angle * np.tile(mechanism.axis, (len(time), 1))) * rotation(hand)
@@ -131,12 +131,12 @@ def demonstrate(name, count, seed):
         stand = (mechanism.handle[:3] + rotation(mechanism.handle).apply(behind))[:2]
         pairs.append([])
         for (time, hand), arriving in zip(motions, (1.0, 0.0), strict=True):
-            share = minimum_jerk(time)[:, np.newaxis] - arriving
-            place = stand + BASE_SHARE * share * (hand[-1, :2] - hand[0, :2])
-            ahead = hand[:, :2] - place
-            base = planar_pose(place[:, 0], place[:, 1], np.arctan2(ahead[:, 1], ahead[:, 0]))
+            progress = minimum_jerk(time)[:, np.newaxis] - arriving
+            position = stand + BASE_FRACTION * progress * (hand[-1, :2] - hand[0, :2])
+            ahead = hand[:, :2] - position
+            base = planar_pose(position[:, 0], position[:, 1], np.arctan2(ahead[:, 1], ahead[:, 0]))
             poses = hand, base, np.broadcast_to(mechanism.handle, hand.shape)
-            pairs[-1].append(Demonstration(time, *(compose(room, one).round(6) for one in poses)))
+            pairs[-1].append(Demonstration(time, *(compose(room, pose).round(6) for pose in poses)))
     return pairs
 
 
@@ -147,13 +147,13 @@ def main():
     parser.add_argument("--out", type=Path, required=True, help="folder for grasp/ and open/")
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    for number, pair in enumerate(demonstrate(given.mechanism, given.count, given.seed)):
-        for motion, shown in zip(("grasp", "open"), pair, strict=True):
-            folder = given.out / motion
+    options = parser.parse_args()
+    for number, pair in enumerate(demonstrate(options.mechanism, options.count, options.seed)):
+        for motion, demonstration in zip(("grasp", "open"), pair, strict=True):
+            folder = options.out / motion
             folder.mkdir(parents=True, exist_ok=True)
-            write_demonstration(shown, folder / f"{number:02d}.csv")
-    print(f"{given.count} demonstrations of each motion in {given.out}")
+            write_demonstration(demonstration, folder / f"{number:02d}.csv")
+    print(f"{options.count} demonstrations of each motion in {options.out}")
 
 
 if __name__ == "__main__":

@@ -21,13 +21,13 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--episodes", type=int, default=4)
     parser.add_argument("--out", type=Path, default=None, help="folder of the run; else temporary")
-    given = parser.parse_args()
+    options = parser.parse_args()
 
     config = load_section(TrainConfig, "train", "pr2")
-    few = replace(config.learner, learning_starts=min(3000, given.steps // 2))
+    few = replace(config.learner, learning_starts=min(3000, options.steps // 2))
     schedule = replace(
         config.schedule,
-        steps=given.steps,
+        steps=options.steps,
         minutes=None,
         evaluations=1,
         evaluation_episodes=4,
@@ -35,13 +35,13 @@ def main() -> None:
     )
     config = replace(config, num_envs=64, learner=few, schedule=schedule)
     with tempfile.TemporaryDirectory() as folder:
-        out = given.out or Path(folder) / "run"
+        out = options.out or Path(folder) / "run"
         progress = train(config, out)
         print(f"{progress.steps} steps in {progress.seconds:.1f} s")
         print("the run holds", ", ".join(sorted(path.name for path in out.iterdir())))
         robot = load_robot(config.robot)
         alone = replace(evaluation_world(), filters=())
-        trial = EvalConfig(robot, load_task(config.task), given.episodes, world=alone)
+        trial = EvalConfig(robot, load_task(config.task), options.episodes, world=alone)
         for name in (str(out), "follow_ee", "follow_ee_feedback"):
             figures = evaluate(trial, load_policy(name, robot))
             failures = figures["ik_failures_per_episode"]

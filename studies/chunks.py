@@ -46,14 +46,15 @@ def main() -> None:
     parser.add_argument("--motions", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--robots", nargs="*", default=ROBOTS)
-    given = parser.parse_args()
+    options = parser.parse_args()
     print("| | good, % | jumps | RMS, mm | RMS from path, mm |\n|---|---|---|---|---|")
-    for name in given.robots:
-        solver, task = IkSolver(load_robot(name)), load_task("joystick", {"seconds": given.seconds})
+    for name in options.robots:
+        solver = IkSolver(load_robot(name))
+        task = load_task("joystick", {"seconds": options.seconds})
         trained = (solver.robot.folder / "policies").is_dir()
-        world = World(solver.robot, task, WorldConfig(filters=SCALING), given.motions)
+        world = World(solver.robot, task, WorldConfig(filters=SCALING), options.motions)
         recorder = load_policy("pretrained" if trained else "whole_body_qp", solver.robot)
-        motions = record_episodes(world, recorder, given.motions)
+        motions = record_episodes(world, recorder, options.motions)
         for label, (policy, filters) in ROWS.items():
             if policy == "pretrained" and not trained:
                 continue
@@ -95,8 +96,8 @@ def replay(
         if now >= sent + EVERY - 1e-9:
             sent, first = now, np.searchsorted(motion.times, now + 1e-9)
             ahead = slice(first, first + LENGTH)
-            seen = np.tile(loop.true_state[1][0], (len(motion.times[ahead]), 1))
-            chunk = motion.times[ahead], spatial.relative(motion.ee_pose[ahead], seen)
+            observed = np.tile(loop.true_state[1][0], (len(motion.times[ahead]), 1))
+            chunk = motion.times[ahead], spatial.relative(motion.ee_pose[ahead], observed)
         if chunk is not None and now >= sent + INFERENCE - 1e-9:
             times, poses = chunk
             columns = spatial.rotation(poses).as_matrix()[:, :, :2].transpose(0, 2, 1)

@@ -58,22 +58,23 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1000)
     parser.add_argument("--link", type=int, default=0)
     parser.add_argument("--ros2", type=int, default=0)
-    given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
+    options = parser.parse_args()
+    folder = options.folder
+    folder.mkdir(parents=True, exist_ok=True)
     runs = []
-    for number in range(given.draws):
-        robot, seed = ROBOTS[number % len(ROBOTS)], given.first + number
-        runs.append(done(given.folder / f"{robot}-{seed}", robot, seed, "analytic"))
+    for number in range(options.draws):
+        robot, seed = ROBOTS[number % len(ROBOTS)], options.first + number
+        runs.append(result_of(folder / f"{robot}-{seed}", robot, seed, "analytic"))
     if runs:
         report("analytic world", runs)
-    for backend, count in (("link", given.link), ("ros2", given.ros2)):
-        seeds = range(given.first, given.first + count)
-        runs = [done(given.folder / f"{backend}-{seed}", "pr2", seed, backend) for seed in seeds]
+    for backend, count in (("link", options.link), ("ros2", options.ros2)):
+        seeds = range(options.first, options.first + count)
+        runs = [result_of(folder / f"{backend}-{seed}", "pr2", seed, backend) for seed in seeds]
         if runs:
             report(f"kinfeas simulate over {backend}", runs)
 
 
-def done(path: Path, robot: str, seed: int, backend: str) -> Run:
+def result_of(path: Path, robot: str, seed: int, backend: str) -> Run:
     """Return truth, estimates and intervals of a draw, which is made if it does not exist."""
     record, result = path.with_suffix(".csv"), path.with_suffix(".json")
     if not record.exists():
@@ -89,12 +90,12 @@ def done(path: Path, robot: str, seed: int, backend: str) -> Run:
             drive_over_ros2(robot, seed, record)
     if not result.exists():
         begin = time.perf_counter()
-        found: Run = identify(record).facts()
-        found["seconds"] = time.perf_counter() - begin
-        found["truth"] = truth(robot, seed)
+        facts: Run = identify(record).facts()
+        facts["seconds"] = time.perf_counter() - begin
+        facts["truth"] = truth(robot, seed)
         if backend != "analytic":
-            found["truth"] = over_a_bus(found["truth"])
-        result.write_text(json.dumps(found, indent=2))
+            facts["truth"] = over_a_bus(facts["truth"])
+        result.write_text(json.dumps(facts, indent=2))
     return json.loads(result.read_text())
 
 
@@ -155,31 +156,32 @@ def report(title: str, runs: list[Run]) -> None:
     errors, held, within = defaultdict(list), defaultdict(list), defaultdict(list)
     for run in runs:
         for name, true in run["truth"].items():
-            found = run["estimates"].get(name)
-            if found is None:
+            estimate = run["estimates"].get(name)
+            if estimate is None:
                 if name in TARGETS:
                     within[name].append(False)
                 continue
-            errors[name].append(found["value"] - true)
-            held[name].append(found["low"] <= true <= found["high"])
+            errors[name].append(estimate["value"] - true)
+            held[name].append(estimate["low"] <= true <= estimate["high"])
             if name in TARGETS:
                 limit = TARGETS[name]
                 most = limit if isinstance(limit, float) else float(limit.split()[0]) / 100 * true
-                within[name].append(abs(found["value"] - true) <= most)
+                within[name].append(abs(estimate["value"] - true) <= most)
     seconds = np.mean([run["seconds"] for run in runs])
     print(f"{title}: {len(runs)} draws, {seconds:.1f} s a fit\n")
     print("| parameter | mean error | largest | within | of | interval holds the truth |")
     print("|---|---|---|---|---|---|")
-    for name, each in errors.items():
+    for name, differences in errors.items():
         enough = f"{sum(within[name])} of {len(within[name])}" if name in TARGETS else "-"
         limit = TARGETS.get(name, "-")
+        mean, most = np.mean(np.abs(differences)), np.max(np.abs(differences))
         text = f"{1000 * limit:.0f} ms" if isinstance(limit, float) else limit
         print(
-            f"| `{name}` | {np.mean(np.abs(each)):.3g} | {np.max(np.abs(each)):.3g} | {text} "
+            f"| `{name}` | {mean:.3g} | {most:.3g} | {text} "
             f"| {enough} | {sum(held[name])} of {len(held[name])} |"
         )
-    share = np.mean([flag for name in TARGETS for flag in held[name]])
-    print(f"\nintervals of the parameters with a target hold the truth in {share:.0%}\n")
+    fraction = np.mean([flag for name in TARGETS for flag in held[name]])
+    print(f"\nintervals of the parameters with a target hold the truth in {fraction:.0%}\n")
 
 
 if __name__ == "__main__":

@@ -68,9 +68,9 @@ class Judge:
             if joint.moves:
                 leader, scale, offset = self.robot.urdf.followed(joint)
                 value = scale * positions[leader.name] + offset
-                place = self.model.joints[self.model.getJointId(name)]
-                values = [math.cos(value), math.sin(value)] if place.nq == 2 else [value]
-                q[place.idx_q : place.idx_q + place.nq] = values
+                entry = self.model.joints[self.model.getJointId(name)]
+                values = [math.cos(value), math.sin(value)] if entry.nq == 2 else [value]
+                q[entry.idx_q : entry.idx_q + entry.nq] = values
         pinocchio.framesForwardKinematics(self.model, self.data, q)
         world = pinocchio.SE3(rotation(base).as_matrix(), base[:3])
         ee = world * self.data.oMf[self.model.getFrameId(self.robot.ee_frame)]

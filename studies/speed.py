@@ -114,16 +114,16 @@ def measure_plans(robot: Robot) -> Iterator[Figure]:
     planner, seconds, found = BasePathPlanner(IkSolver(robot)), [], []
     world.start(range(MOTIONS))
     robots = world.loop.robots
-    ways = world.loop.sequence.to_the_end(np.arange(MOTIONS))
+    paths = world.loop.sequence.to_the_end(np.arange(MOTIONS))
     with one_core():
-        for base, joints, ee in zip(robots.base_pose, robots.joint_positions, ways, strict=True):
+        for base, joints, ee in zip(robots.base_pose, robots.joint_positions, paths, strict=True):
             start = time.perf_counter()
             found.append(planner.plan(base, joints, ee, HORIZON, 0.0) is not None)
             seconds.append(time.perf_counter() - start)
-    yield Figure("motion, median", float(np.median([len(ee) for ee in ways])) * HORIZON, "s")
+    yield Figure("motion, median", float(np.median([len(ee) for ee in paths])) * HORIZON, "s")
     for name, times in (("plan", seconds), ("plan that is found", np.array(seconds)[found])):
-        for quantile, share in (("median", 0.5), ("p90", 0.9), ("p99", 0.99)):
-            yield Figure(f"{name}, {quantile}", float(np.quantile(times, share)), "s")
+        for quantile, level in (("median", 0.5), ("p90", 0.9), ("p99", 0.99)):
+            yield Figure(f"{name}, {quantile}", float(np.quantile(times, level)), "s")
     yield Figure("plans found", float(np.mean(found)), "")
 
 
@@ -166,11 +166,11 @@ def environment_rate(world: World, policy: Policy, batch: int, steps: int) -> fl
 def measure_action(robot: Robot) -> Iterator[Figure]:
     """Yield the time of the packaged policy from one observation to its action."""
     network = read_network(trained_folder("pretrained", robot), robot)
-    seen = np.random.default_rng(0).normal(size=(1, len(network.scale)))
+    observation = np.random.default_rng(0).normal(size=(1, len(network.scale)))
 
     def act() -> None:
         for _ in range(TIMED):
-            network(seen)
+            network(observation)
 
     act()
     with one_core():

@@ -40,8 +40,8 @@ def main() -> None:
     robot = parser.parse_args().robot
     config = recipe_of(robot, {})
     env = WorldVecEnv(training_world(config), config.num_envs)
-    seen: Any = env.reset()
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (len(seen), env.world.action_size))
+    observation: Any = env.reset()
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (len(observation), env.world.action_size))
     transition: Any = env.step(actions)
     after, rewards, dones, infos = transition
     width = len(config.learner.net_arch)
@@ -55,8 +55,8 @@ def main() -> None:
 
     def theirs() -> tuple[SAC, int]:
         options = {"net_arch": list(config.learner.net_arch), "optimizer_kwargs": {"fused": True}}
-        given: dict[str, Any] = {"ent_coef": 0.01, "learning_rate": 6e-4, "device": "cpu"}
-        learner = SAC("MlpPolicy", env, policy_kwargs=options, **given)
+        arguments: dict[str, Any] = {"ent_coef": 0.01, "learning_rate": 6e-4, "device": "cpu"}
+        learner = SAC("MlpPolicy", env, policy_kwargs=options, **arguments)
         learner.set_logger(ours(torch.float32)[0].logger)
         return learner, config.learner.batch_size
 
@@ -74,7 +74,7 @@ def main() -> None:
             learner, batch_size = make()
             assert learner.replay_buffer is not None
             for _ in range(20):
-                learner.replay_buffer.add(seen, after, actions, rewards, dones, infos)
+                learner.replay_buffer.add(observation, after, actions, rewards, dones, infos)
             print(f"{cost(learner, batch_size):6.2f} ms  {name}", flush=True)
     env.close()
 

@@ -132,8 +132,8 @@ def run_benchmark(
     _check_table(out / "table.json", planned)
     missing = [case for case in planned if not case.job(out / "results").path.exists()]
     # A missing extra is an error before hours of work.
-    others = [case for case in missing if case.policy not in (*LEARNED_POLICIES, CEILING)]
-    for source, robot in dict.fromkeys((case.source, case.robot) for case in others):
+    baselines = [case for case in missing if case.policy not in (*LEARNED_POLICIES, CEILING)]
+    for source, robot in dict.fromkeys((case.source, case.robot) for case in baselines):
         load_policy(source, load_robot(robot))
     if trainings:
         run_jobs(trainings, "trainings")
@@ -180,7 +180,7 @@ def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[TrainedRun]) -> 
         for robot in variant.robots
         if robot in names and variant.task in benchmark.tasks and benchmark.backend == "analytic"
     ]  # fmt: skip
-    return [case for ceiling in ceilings for case in _of_task(benchmark, runs, ceiling)]
+    return [case for ceiling in ceilings for case in _of_policies(benchmark, runs, ceiling)]
 
 
 def compute(case: Evaluation) -> Result:
@@ -200,7 +200,7 @@ def compute(case: Evaluation) -> Result:
     return {key: value for key, value in metrics.items() if key not in _LEFT_OUT}
 
 
-def _of_task(
+def _of_policies(
     benchmark: BenchmarkConfig, runs: Sequence[TrainedRun], case: Evaluation
 ) -> list[Evaluation]:
     """Return the ceiling `case`, and the evaluations of all policies on its robot and task."""
@@ -234,7 +234,7 @@ def _of_task(
         for evaluation in policies
         for at in range(0, case.episodes, PART)
     ]  # fmt: skip
-    bound = replace(case, settings=_of_goals(benchmark.settings))
+    bound = replace(case, settings=_task_parameters(benchmark.settings))
     return [bound, *(_without_physics(benchmark, evaluation) for evaluation in policies), *parts]
 
 
@@ -251,10 +251,10 @@ def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation
     """Return an evaluation with the same filters in the analytic world, which has no obstacles."""
     used = read_settings(case.robot, benchmark.backend, case.settings).world.filters
     filters = tuple(spec for spec in used if spec.name != "obstacle_distance")
-    return replace(case, settings=_of_goals(case.settings) | _filters(filters))
+    return replace(case, settings=_task_parameters(case.settings) | _filters(filters))
 
 
-def _of_goals(settings: dict[str, object]) -> dict[str, object]:
+def _task_parameters(settings: dict[str, object]) -> dict[str, object]:
     """Return the settings that change the episodes: the parameters of the task."""
     return {key: value for key, value in nested(settings).items() if key == "task"}
 
@@ -279,7 +279,7 @@ def _named_files(settings: object) -> list[str]:
     if isinstance(settings, Mapping):
         settings = list(settings.values())
     if isinstance(settings, list):
-        return [each for value in settings for each in _named_files(value)]
+        return [digest for value in settings for digest in _named_files(value)]
     if not isinstance(settings, str) or not Path(settings).is_file():
         return []
     return [file_hash(Path(settings))]

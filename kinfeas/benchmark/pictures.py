@@ -43,9 +43,9 @@ def table_figure(cells: Sequence[Cell], note: str = "") -> Figure:
         for group in groups(cells)
     }
     heights = [_ROW_INCHES * (len(rows) + 1.0) for rows in tables.values()]
-    beside = any(cell.analytic_success is not None for cell in cells)
+    with_analytic = any(cell.analytic_success is not None for cell in cells)
     with rc_context(STYLE):
-        width = max(_LEGEND_INCHES[beside], 1.9 + _PANEL_INCHES * len(tasks))
+        width = max(_LEGEND_INCHES[with_analytic], 1.9 + _PANEL_INCHES * len(tasks))
         height = 1.1 + sum(heights) + 0.3 * len(tables)
         figure = Figure(figsize=(width, height), layout="constrained")
         panels = figure.subplots(len(tables), len(tasks), squeeze=False, height_ratios=heights)
@@ -57,7 +57,7 @@ def table_figure(cells: Sequence[Cell], note: str = "") -> Figure:
         for column, task in enumerate(tasks):
             panels[0, column].set_title(task, loc="center", fontweight="normal")
             _label_lowest(list(panels[:, column]))
-        legend = _table_legend(beside=beside)
+        legend = _table_legend(with_analytic=with_analytic)
         figure.legend(handles=legend, loc="outside lower center", ncols=6, fontsize=9.5)
         if note:
             figure.suptitle(fill(note, int(13 * width)), fontsize=9.5, x=0.01, ha="left")
@@ -115,7 +115,7 @@ def _label_lowest(panels: Sequence[Axes]) -> None:
     visible[-1].set_xlabel("success, %", fontsize=9)
 
 
-def _table_legend(*, beside: bool) -> list[Line2D]:
+def _table_legend(*, with_analytic: bool) -> list[Line2D]:
     handles = [
         Line2D([], [], color=EE, lw=0, marker="o", ms=7, label="learned"),
         Line2D([], [], color=BASE, lw=0, marker="o", ms=7, label="baseline"),
@@ -124,7 +124,7 @@ def _table_legend(*, beside: bool) -> list[Line2D]:
         Line2D([], [], color=INK, lw=1.2, ls=(0, (4, 2)),
                label="ceiling"),
     ]  # fmt: skip
-    if beside:
+    if with_analytic:
         handles.append(
             Line2D([], [], color=INK, lw=0, marker="|", mew=2.2, ms=11, label="without physics")
         )

@@ -255,7 +255,7 @@ def _own_values(sweep: SweepConfig) -> dict[str, object]:
         elif dimension.low is not None and isinstance(value, int | float):
             assert dimension.high is not None
             ends = dimension.low, dimension.high
-            whole = all(isinstance(end, int) for end in ends)  # the range has integers only
-            if ends[0] <= value <= ends[1] and not (whole and value % 1):
+            integers = all(isinstance(end, int) for end in ends)  # the range has integers only
+            if ends[0] <= value <= ends[1] and not (integers and value % 1):
                 own[key] = value
     return own

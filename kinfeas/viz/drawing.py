@@ -23,7 +23,7 @@ from kinfeas.viz.shapes import CORNERS, VisualShape, faces
 from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
 _AXES = {"approach": "#d1483e", "finger axis": "#3a9a52"}
-_LENGTH, _SHARE = 0.2, 0.3  # m, length of the gripper's axes; at most this part of the robot's size
+_AXIS_LENGTH, _AXIS_FRACTION = 0.2, 0.3  # m, and at most this fraction of the robot's size
 _SMALL = 0.8  # m; smaller robots have a finer grid
 _CASING = [patheffects.withStroke(linewidth=3.0, foreground="white", alpha=0.9)]
 
@@ -42,7 +42,7 @@ def robot_figure(robot: Robot) -> Figure:
             floor = draw_floor(axes, points, 0.5 if size > _SMALL else 0.1)
             draw_solids(axes, solids)
             for colour, direction in zip(_AXES.values(), axes_of_gripper, strict=True):
-                ends = np.stack([tip, tip + min(_LENGTH, _SHARE * size) * direction])
+                ends = np.stack([tip, tip + min(_AXIS_LENGTH, _AXIS_FRACTION * size) * direction])
                 axes.plot(*ends.T, color=colour, lw=3.0, zorder=9)
                 axes.plot(*ends[1:].T, "o", color=colour, ms=6.0, zorder=9)
             show_all(axes, np.concatenate([points, floor]))
@@ -101,7 +101,7 @@ def _gripper_axes(robot: Robot) -> tuple[Array, Array]:
 
 _DARKEST = 0.55
 _LIGHT = np.array([0.48, -0.36, 0.8])  # world direction to the light
-_NOTHING = 1e-6  # m, distance from a plane that counts as zero
+_TOLERANCE = 1e-6  # m, distance from a plane that counts as zero
 _FILL = 0.97  # fraction of the axes that the content fills
 
 
@@ -164,7 +164,7 @@ def draw_solids(axes: Axes3D, solids: Sequence[VisualShape]) -> None:
     elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * np.cos(elevation)
     toward = level + np.array([0.0, 0.0, np.sin(elevation)])
-    seen = []
+    visible = []
     for solid in solids:
         for face in faces(solid.shape):
             normal = np.cross(face[1:-1] - face[0], face[2:] - face[0]).sum(axis=0)
@@ -172,9 +172,9 @@ def draw_solids(axes: Axes3D, solids: Sequence[VisualShape]) -> None:
             if normal @ toward > 0.0:
                 brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * normal @ _LIGHT)
                 colour = np.array(to_rgba(solid.colour)) * [*[brightness] * 3, 1.0]
-                seen.append(Face(face, normal, colour))
-    if seen:
-        polygons, _, colours = zip(*back_to_front(seen), strict=True)
+                visible.append(Face(face, normal, colour))
+    if visible:
+        polygons, _, colours = zip(*back_to_front(visible), strict=True)
         # Edges hide the seams between cut faces; translucent faces would show them twice.
         widths = [0.5 if colour[3] == 1.0 else 0.0 for colour in colours]
         looks: dict[str, Any] = {"facecolors": colours, "edgecolors": colours, "linewidths": widths}
@@ -198,17 +198,17 @@ def back_to_front(faces: list[Face]) -> list[Face]:
         behind, before = list[Face](), list[Face]()
         for face in group:
             height = (face.corners - divider.corners[0]) @ divider.normal
-            if height.max() <= _NOTHING:
+            if height.max() <= _TOLERANCE:
                 behind.append(face)
-            elif height.min() >= -_NOTHING:
+            elif height.min() >= -_TOLERANCE:
                 before.append(face)
             else:
                 after = np.roll(height, -1)
-                share = np.where(height * after < 0.0, height, np.nan) / (height - after)
+                fraction = np.where(height * after < 0.0, height, np.nan) / (height - after)
                 step = np.roll(face.corners, -1, axis=0) - face.corners
-                cuts = face.corners + share[:, np.newaxis] * step
+                cuts = face.corners + fraction[:, np.newaxis] * step
                 corners = np.stack([face.corners, cuts], axis=1).reshape(-1, 3)
-                side = np.column_stack([height, share * 0.0]).ravel()
+                side = np.column_stack([height, fraction * 0.0]).ravel()
                 behind.append(face._replace(corners=corners[side <= 0.0]))
                 before.append(face._replace(corners=corners[side >= 0.0]))
         waiting += [before, [divider], behind]

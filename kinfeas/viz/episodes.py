@@ -59,7 +59,7 @@ def episodes_figure(
         columns = {1: 3, 2: 4}.get(count, 7)
         failed = any(not recording.feasible.all() for recording in recordings)
         handles: list[Artist] = [*_legend(failed=failed)]
-        near = [_solids_near(each, moment) for each in recordings for moment in (0, -1)]
+        near = [_solids_near(episode, moment) for episode in recordings for moment in (0, -1)]
         drawn = {BODY, *(solid.colour for solid in chain.from_iterable(near))}
         named = {BODY: "robot", shapes.LOW: "solid", shapes.HIGH: "wall"}
         handles += [Patch(color=key[:7], label=text) for key, text in named.items() if key in drawn]

@@ -63,14 +63,14 @@ def draw(server: Any, name: str, visual: VisualShape) -> Any:
     """Draw a shape; return its handle."""
     _, shape, colour = visual
     red, green, blue, *alpha = rgb(colour)
-    how: dict[str, Any] = {"position": shape.pose[:3], "wxyz": np.roll(shape.pose[3:], 1)}
-    how |= {"color": (red, green, blue), "opacity": alpha[0] / 255.0 if alpha else None}
+    looks: dict[str, Any] = {"position": shape.pose[:3], "wxyz": np.roll(shape.pose[3:], 1)}
+    looks |= {"color": (red, green, blue), "opacity": alpha[0] / 255.0 if alpha else None}
     if shape.kind == "box":
-        return server.scene.add_box(name, dimensions=shape.size, **how)
+        return server.scene.add_box(name, dimensions=shape.size, **looks)
     if shape.kind == "cylinder":
         radius, height = shape.size
-        return server.scene.add_cylinder(name, radius=radius, height=height, **how)
-    return server.scene.add_icosphere(name, radius=shape.size[0], **how)
+        return server.scene.add_cylinder(name, radius=radius, height=height, **looks)
+    return server.scene.add_icosphere(name, radius=shape.size[0], **looks)
 
 
 def place(drawn: Any, pose: Array) -> None:
@@ -240,9 +240,9 @@ class ShownRobot:
             f"{name}/footprint", np.stack([outline, np.roll(outline, -1, axis=0)], axis=1),
             rgb(colours[1] if second else BASE), thickness=3.0, thickness_units="screen",
         )  # fmt: skip
-        front = outline.min(axis=0) * [0.0, 1.0, 0.0]  # not above the base, which it would hide
+        beside = outline.min(axis=0) * [0.0, 1.0, 0.0]  # not above the base, which it would hide
         server.scene.add_label(
-            f"{name}/footprint/label", self._name, position=front, anchor="top-center"
+            f"{name}/footprint/label", self._name, position=beside, anchor="top-center"
         )
         self.times: deque[float] = deque(maxlen=_TRAIL)
         self.deviations: deque[float] = deque(maxlen=_TRAIL)

@@ -68,20 +68,21 @@ def record_episodes(
     world: World, policy: Policy, episodes: int, first: int = 0, watch: Watch | None = None
 ) -> list[Recording]:
     """Return episodes `first` to `first + episodes - 1`; arguments as in `run_episodes`."""
-    kept = {first + i: _Kept(world, first + i) for i in range(episodes)}
+    recorders = {first + i: _Recorder(world, first + i) for i in range(episodes)}
 
     def add(world: World, transition: Transition, rows: Rows, numbers: Rows) -> None:
         for row, number in zip(rows, numbers, strict=True):
-            kept[number].add(world, transition, row)
+            recorders[number].add(world, transition, row)
         if watch is not None:
             watch(world, transition, rows, numbers)
 
     records = run_episodes(world, policy, episodes, watch=add, first=first)
     done = [None] * episodes if records.task_done is None else records.task_done.tolist()
-    return [recorder.recording(task) for recorder, task in zip(kept.values(), done, strict=True)]
+    pairs = zip(recorders.values(), done, strict=True)
+    return [recorder.recording(task) for recorder, task in pairs]
 
 
-class _Kept:
+class _Recorder:
     """Moments of one episode."""
 
     def __init__(self, world: World, episode: int) -> None:
@@ -173,15 +174,15 @@ def as_recording(record: Record, robot: Robot) -> Recording:
             f"the record has the joints {', '.join(record.about.joints)}, and the arm of robot "
             f"{robot.name!r} {', '.join(joints)}"
         )
-    kept = np.isfinite(record.base_pose[:, 0])  # the last measurement may be invalid
-    base, arm = record.base_pose[kept], record.joint_positions[kept]
+    valid = np.isfinite(record.base_pose[:, 0])  # the last measurement may be invalid
+    base, arm = record.base_pose[valid], record.joint_positions[valid]
     ee = forward(build_chain(robot), arm)
     around = record.about.solids
     solids = Solids.from_table(np.array(around)) if around else None
     last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
     return Recording(
-        0, record.time[kept], base, arm, record.desired[kept], compose(base, ee),
-        record.feasible[kept], record.goal[last],
+        0, record.time[valid], base, arm, record.desired[valid], compose(base, ee),
+        record.feasible[valid], record.goal[last],
         reached=record.event[-1].startswith(REACHED), solids=solids, scene=_scene_of(record),
     )  # fmt: skip
 
@@ -246,8 +247,8 @@ def _visible(backend: PhysicsBackend) -> tuple[list[VisualShape], list[LinkName]
     shapes = visual_shapes(backend.robot)
     if backend.scene is not None:
         shapes += scene_shapes(backend.scene)
-    shapes = [each for each in shapes if each.shape.kind != "box" or max(each.shape.size) <= _WALL]
-    return shapes, list(dict.fromkeys(each.link for each in shapes))
+    shapes = [s for s in shapes if s.shape.kind != "box" or max(s.shape.size) <= _WALL]
+    return shapes, list(dict.fromkeys(visual.link for visual in shapes))
 
 
 def _with_solids(episode: EpisodeReplay) -> EpisodeReplay:
@@ -259,7 +260,7 @@ def _with_solids(episode: EpisodeReplay) -> EpisodeReplay:
     ]
 
     def links(moment: int) -> Mapping[LinkName, Array]:
-        present = solid_shapes(episode.recording.solids_at(moment))
-        return {**episode.links(moment), **{solid.link: solid.shape.pose for solid in present}}
+        moved = solid_shapes(episode.recording.solids_at(moment))
+        return {**episode.links(moment), **{solid.link: solid.shape.pose for solid in moved}}
 
     return replace(episode, shapes=[*episode.shapes, *shapes], links=links)

@@ -78,8 +78,8 @@ def robot_shapes(robot: Robot, colours: tuple[str, str] = (BODY, ARM)) -> list[V
     for joint in robot.urdf.joints.values():
         length = float(np.linalg.norm(joint.origin[:3]))
         if length > 1e-6 and not links[joint.parent].shapes and not links[joint.child].shapes:
-            turn, _ = Rotation.align_vectors(joint.origin[np.newaxis, :3], [[0.0, 0.0, 1.0]])
-            pose = make_pose(joint.origin[:3] / 2.0, turn)
+            orientation, _ = Rotation.align_vectors(joint.origin[np.newaxis, :3], [[0.0, 0.0, 1.0]])
+            pose = make_pose(joint.origin[:3] / 2.0, orientation)
             shape = Shape("box", (_STICK, _STICK, length + _STICK), pose)
             shapes.append(VisualShape((ROBOT, joint.parent), shape, colours[joint.child in arm]))
     return shapes
@@ -216,8 +216,8 @@ def faces(shape: Shape) -> list[Array]:
     else:
         latitude = np.linspace(-np.pi / 2.0, np.pi / 2.0, 7)
         polygons = _lathed(shape.size[0] * np.cos(latitude), shape.size[0] * np.sin(latitude))
-    turn = rotation(shape.pose).as_matrix()
-    return [face @ turn.T + shape.pose[:3] for face in polygons]
+    matrix = rotation(shape.pose).as_matrix()
+    return [face @ matrix.T + shape.pose[:3] for face in polygons]
 
 
 def _lathed(radii: Array, heights: Array) -> list[Array]:

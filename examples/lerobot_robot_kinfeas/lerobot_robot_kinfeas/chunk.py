@@ -28,7 +28,7 @@ class RelativeChunk(AbsoluteActionsProcessorStep):
         """
         if action.ndim != 3:
             raise ValueError("relative actions need whole chunks: --inference.type=rtc")
-        seen = self.relative_step.get_cached_state()[:, None, :7].expand(-1, action.shape[1], -1)
+        pose = self.relative_step.get_cached_state()[:, None, :7].expand(-1, action.shape[1], -1)
         poses = spatial.from_columns(action.double().numpy(force=True))
-        world = spatial.compose(seen.double().numpy(force=True), poses)
+        world = spatial.compose(pose.double().numpy(force=True), poses)
         return torch.from_numpy(world).to(action)

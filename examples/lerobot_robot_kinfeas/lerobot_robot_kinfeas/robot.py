@@ -98,7 +98,7 @@ class Kinfeas(Robot):
         self._episode.restart()
         self._tool = tool_pose(robot)
         self._target, self._due = self._episode.ee_pose, 0.0
-        self._seen = np.stack([spatial.IDENTITY, spatial.IDENTITY])
+        self._poses = np.stack([spatial.IDENTITY, spatial.IDENTITY])
         if config.camera:
             import mujoco
 
@@ -120,11 +120,11 @@ class Kinfeas(Robot):
         episode = self._running()
         tool = spatial.compose(episode.ee_pose, self._tool)
         poses = np.stack([tool, episode.base_pose])
-        pairs = np.stack([self._seen[:, 3:], poses[:, 3:]], axis=1)  # IDENTITY first: qw >= 0
+        pairs = np.stack([self._poses[:, 3:], poses[:, 3:]], axis=1)  # IDENTITY first: qw >= 0
         poses[:, 3:] = spatial.continuous(pairs)[:, 1]
-        self._seen = poses
-        seen: dict[str, Any] = dict(zip((*EE, *BASE), poses.ravel().tolist(), strict=True))
-        return seen | {name: self._image() for name in self.cameras}
+        self._poses = poses
+        observation: dict[str, Any] = dict(zip((*EE, *BASE), poses.ravel().tolist(), strict=True))
+        return observation | {name: self._image() for name in self.cameras}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Move for one frame, and return the action; the EE holds its pose without a valid one."""
