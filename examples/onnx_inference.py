@@ -23,7 +23,7 @@ def in_frame(frame, pose):
 def observe(terms, base, ee_in_base, planned, goal, joints):
     """Return the metadata's `terms` in order; `base`, `planned` and `goal` are world poses."""
     planned, goal = in_frame(base, planned), in_frame(base, goal)
-    path = goal[:3] - planned[:3]  # straight
+    path = goal[:3] - planned[:3]  # of a straight motion
     length = max(np.linalg.norm(path), 1e-9)
     values = {
         "ee_position": ee_in_base[:3],

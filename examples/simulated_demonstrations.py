@@ -38,7 +38,7 @@ class Mechanism:
         self.slides = self.joint.kind == "prismatic"
 
     def carry(self, point, position, origin_error=0.0):
-        """Return where `point` (3,) of the closed mechanism is at `position` (...), (..., 3)."""
+        """Return a `point` (3,) of the closed mechanism at joint `position` (...), (..., 3)."""
         along = np.asarray(position)[..., np.newaxis] * self.axis
         if self.slides:
             return point + along
@@ -63,7 +63,7 @@ def minimum_jerk(time):
 
 
 def scatter(rng, size, mask):
-    """Return a normal vector of RMS length `size`, at most twice that, 0 where `mask` is."""
+    """Return a normally distributed vector of RMS `size`, at most twice it; `mask` selects axes."""
     drawn = rng.normal(size=3) * mask * size / np.sqrt(np.sum(mask))
     return drawn * min(1.0, 2.0 * size / np.linalg.norm(drawn))
 
@@ -93,7 +93,7 @@ def reach(name, mechanism, rng):
 
 
 def pull(name, mechanism, hand, rng):
-    """Return times and EE poses of a pull: a mass between springs to its plan and to the handle."""
+    """Return times and EE poses of a pull; springs connect a mass with its plan and the handle."""
     time, dt = np.arange(round(rng.uniform(*DURATION) * RATE) + 1) / RATE, 1.0 / RATE / SUBSTEPS
     fine = np.linspace(0.0, time[-1], (len(time) - 1) * SUBSTEPS + 1)
     misjudged, progress = scatter(rng, HAND_ERROR, ALL), minimum_jerk(fine)

@@ -35,7 +35,7 @@ class Port:
         while self.open:
             try:
                 take(json.loads(self.socket.recv(65536)))
-            except (TimeoutError, ValueError, TypeError, LookupError):  # none, or of somebody else
+            except (TimeoutError, ValueError, TypeError, LookupError):  # none, or another program's
                 continue
         self.socket.close()
 
@@ -117,6 +117,6 @@ class UdpBackend(LinkBackend):
 
 
 def stop_base():
-    """Return a function that commands zero velocity; slow set-up happens here, before."""
+    """Return a function that commands zero velocity; slow set-up happens before, in this call."""
     port, zero = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), json.dumps({"drive": [0, 0, 0]})
     return lambda: port.sendto(zero.encode(), ROBOTS)

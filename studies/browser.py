@@ -16,7 +16,7 @@ import numpy as np
 from kinfeas.core.spatial import rotation
 
 BINARY = shutil.which("chromium") or shutil.which("google-chrome")
-_PAUSE = 0.005  # s, while it waits
+_PAUSE = 0.005  # s, between polls
 
 
 class Browser:

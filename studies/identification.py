@@ -37,7 +37,7 @@ TARGETS: dict[str, float | str] = {
     "acceleration_limit.angular": "15 %", "base_noise.linear": "30 %", "base_noise.angular": "30 %",
     "joint_noise.deviation": "30 %",
 }  # fmt: skip
-"""How far off an estimate may be: seconds, or a share of the truth."""
+"""Largest accepted error of an estimate: seconds, or percent of the true value."""
 
 PERIOD, STEP, ARM_SECONDS = 0.02, 0.01, 0.1
 """Control period, simulation step and duration of arm trajectories behind a bus, seconds."""
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def result_of(path: Path, robot: str, seed: int, backend: str) -> Run:
-    """Return truth, estimates and intervals of a draw, which is made if it does not exist."""
+    """Return truth, estimates and intervals of a draw; drive and fit it if files are missing."""
     record, result = path.with_suffix(".csv"), path.with_suffix(".json")
     if not record.exists():
         if backend == "analytic":
@@ -135,7 +135,7 @@ def truth(robot: str, seed: int) -> dict[str, float]:
 
 
 def over_a_bus(true: dict[str, float]) -> dict[str, float]:
-    """Return what a record of a simulated robot behind a bus shows of drawn parameters.
+    """Return the parameters that a record of a simulated robot behind a bus shows, from drawn ones.
 
     A simulated robot takes commands at its own steps, and adapters draw their noise in each of
     them. The constant part of a sensor latency looks like a command latency.

@@ -17,7 +17,7 @@ CASES = (("pybullet", 1, 300), ("mujoco", 1, 1500), ("mujoco", 64, 100))
 
 
 def simulated_seconds(engine: str, robot: str, n: int, periods: int) -> float:
-    """Return the simulated seconds a second of n robots that drive and move their arms."""
+    """Return simulated seconds per second of CPU time; n robots drive and move their arms."""
     world = registry.load("kinfeas.backends", engine)(load_robot(robot), read_scene("room"))
     home = np.repeat(world.robot.home["home"][np.newaxis], n, axis=0)
     world.reset(planar_pose(*np.zeros((3, n))), home)

@@ -14,7 +14,7 @@ import numpy as np
 from browser import Browser, on_screen
 from PIL import Image
 
-FULL = 100  # colours of a picture with the robot
+FULL = 100  # least number of colours in a picture with the robot
 
 
 def first_picture(browser: Browser, out: Path) -> tuple[float, float]:

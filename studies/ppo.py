@@ -80,7 +80,7 @@ class _Squashed(VecEnvWrapper):
 
 
 class _Clock(BaseCallback):
-    """Ends a training after some CPU seconds; `left` is the rest, 0-1."""
+    """Ends a training after some CPU seconds; `left` is the remaining fraction of them, 0-1."""
 
     def __init__(self, seconds: float) -> None:
         super().__init__()

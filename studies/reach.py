@@ -175,7 +175,7 @@ def reasons(robot: Robot) -> dict[str, list[int]]:
 def cases(robot: Robot, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
     """Yield constructed reasons, and whether they are named."""
     placer = BasePlacer(robot)
-    # Beyond the heights and limits of joints; at arms that touch the robot; and with weak motors.
+    # EE poses beyond heights and joint limits, of arms that touch the robot, and for weak motors.
     strong = BasePlacer(replace(robot, max_gravity_load=None))
     weak = BasePlacer(replace(robot, max_gravity_load=0.1))
     joints = spread_configurations(robot, 20_000, seed=5)

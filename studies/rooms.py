@@ -1,10 +1,10 @@
 """Evaluate policies among solids and on empty floors, and print a table.
 
 `python studies/rooms.py DIR`: each evaluation is a JSON file in DIR, as `kinfeas evaluate --json`
-writes it; those that exist are not repeated. `--tasks`, `--policies` and `--filters`, the number of
-a row of `FILTERS`, restrict those of this process. With `--runs RUN RUN RUN` the rows of
-`pretrained` are of runs that differ by their seed, all episodes together. The last row is
-the upper bound, as `kinfeas ceiling --json` computes it.
+writes it; those that exist are not repeated. `--tasks`, `--policies` and `--filters` (numbers
+of rows in `FILTERS`) restrict the evaluations of this process. With `--runs RUN RUN RUN` the rows
+of `pretrained` pool the episodes of several runs, one for each seed. The last row is the upper
+bound, as `kinfeas ceiling --json` computes it.
 """
 
 import argparse

@@ -15,7 +15,7 @@ FIGURES = Path(__file__).parents[1] / "docs" / "figures" / "sim2real.json"
 ROBOTS, LISTS = ("pr2", "tiago", "hsr"), ("ideal", "pr2_like", "harsh")
 COLUMNS = "success", "tracked_5cm", "within_5cm", "mean_tracking_error_m", "mean_deviation_m"
 AT_ONCE: dict[str, object] = {"world.response": {}, "world.filters": []}
-"""Settings of a loop that takes commands to be carried out at once, as before version 0.3."""
+"""Settings of a loop that assumes that commands take effect at once, as before version 0.3."""
 
 
 def cells() -> list[tuple[str, str, str, str, bool]]:

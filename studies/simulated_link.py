@@ -33,7 +33,7 @@ DELAY, WORK, MORE_WORK = 0.001, 0.002, 0.0005
 
 
 class SimulatedLink:
-    """A link to a simulated robot, and the clock of both; sleeping lets the robot go on."""
+    """A link to a simulated robot, and the clock of both; sleeping lets simulated time pass."""
 
     robot: SimulatedRobot
     base_source = joint_source = "the simulated robot"

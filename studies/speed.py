@@ -65,7 +65,7 @@ _EE_STEP, _EE_TURN, _BASE_STEP = 0.01, 0.01, 0.02
 
 @dataclass(frozen=True)
 class Figure:
-    """One measurement: its name, its value and the unit (none for shares).
+    """One measurement: its name, its value and the unit (none for fractions).
 
     The value is None if the peer is not installed.
     """
@@ -85,14 +85,14 @@ class Targets:
 
 @dataclass(frozen=True)
 class IkTiming:
-    """Microseconds per target, and the share of targets with a valid solution, 0-1."""
+    """Microseconds per target, and the fraction of targets with a valid solution, 0-1."""
 
     microseconds: float
     solved: float
 
 
 def measure_ik(robot: Robot) -> Iterator[Figure]:
-    """Yield time and solved share of inverse kinematics, ours and that of peers."""
+    """Yield time and solved fraction of inverse kinematics, for our solver and its peers."""
     rng = np.random.default_rng(0)
     others = {"Pinocchio": peers.pinocchio_peer(robot), "PyBullet": peers.pybullet_peer(robot)}
     with one_core():
@@ -179,9 +179,9 @@ def measure_action(robot: Robot) -> Iterator[Figure]:
 
 
 def measure_training(robot: str) -> Iterator[Figure]:
-    """Yield speed and shares of the parts of a short training run by the robot's own recipe.
+    """Yield speed and fractions of time of a short training run by the robot's own recipe.
 
-    A step is a control period of one environment. Shares are of the wall-clock time of the steps;
+    A step is a control period of one environment. Fractions are of the time of all steps;
     the environments are stepped in a thread beside the updates.
     """
     # Not at the top: they load torch.

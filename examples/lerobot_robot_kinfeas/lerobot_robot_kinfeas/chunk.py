@@ -1,4 +1,4 @@
-"""A step of LeRobot's pipelines for policies whose actions are relative to the tool tip, as UMI."""
+"""A LeRobot processor step for policies whose actions are relative to the tool tip, as in UMI."""
 
 import torch
 from lerobot.processor import (
@@ -14,7 +14,7 @@ from kinfeas.core import spatial
 class RelativeChunk(AbsoluteActionsProcessorStep):
     """Turns chunks relative to the observed tool tip into world poses, the actions of the robot.
 
-    It stands at the end of a policy's postprocessor. A `RelativeActionsProcessorStep` in the
+    It is the last step of a policy's postprocessor. A `RelativeActionsProcessorStep` in the
     preprocessor keeps the observed state.
     """
 

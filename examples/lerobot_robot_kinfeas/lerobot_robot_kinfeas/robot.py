@@ -1,4 +1,4 @@
-"""A LeRobot robot whose action is an EE pose or twist; the base makes room for the arm."""
+"""A LeRobot robot whose action is an EE pose or twist; the base moves so that the arm can."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -139,7 +139,7 @@ class Kinfeas(Robot):
             self._due -= DT
             if twist:
                 episode.controller.set_twist(values)
-                self._target = episode.loop.desired[0]  # no pose: the twist leads
+                self._target = episode.loop.desired[0]  # no new target: the twist moves the EE
             episode.step(self._target)
         return action
 
