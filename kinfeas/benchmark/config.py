@@ -35,7 +35,7 @@ class Training:
 class Row:
     """A further row of the learned policies."""
 
-    # name of the row; `head_start` and `no_objects`, as in the paper, show the paper's figures
+    # name of the row; rows `head_start` and `no_objects` also show the paper's figures for these
     label: Label
     # command filters of this row; those of the world by default
     filters: tuple[PluginSpec, ...] | None = None

@@ -175,7 +175,7 @@ def training_job(settings: TrainConfig, folder: Path) -> Job:
 def finish_training(
     training: tuple[TrainConfig, Path], on_progress: "Report | None" = None
 ) -> Result:
-    """Train or resume a run, given by settings and folder; return its evaluation at the end."""
+    """Train or resume a run, given by settings and folder; return its final evaluation."""
     from kinfeas.training.train import resume, train
 
     settings, folder = training

@@ -40,7 +40,7 @@ class Dimension:
     low: int | float | None = None  # lowest number of a range; integer ends give integers
     high: int | float | None = None  # highest number
     log: bool = False  # draw the logarithm of the number evenly
-    # choices of keys above this one, without which it has no value
+    # choices that keys above this one must have; otherwise it has no value
     when: dict[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
