@@ -62,8 +62,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             world: `WorldConfig`, or changes by key to the default, as of `make_world`.
             task_parameters: Keyword parameters of the task, or changes to its file.
             backend: Backend of the default settings.
-            render_mode: `human` (a window of PyBullet; for the analytic world Gymnasium needs
-                pygame), `rgb_array` or None.
+            render_mode: `human` (a window of PyBullet, only with its backend), `rgb_array` or None.
             observation: Names of the observation terms, such as a policy's `observation_terms`.
 
         Raises:
