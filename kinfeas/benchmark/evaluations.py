@@ -205,11 +205,11 @@ def _of_policies(
 ) -> list[Evaluation]:
     """Return the ceiling `case`, and the evaluations of all policies on its robot and task."""
     base = replace(case, settings=benchmark.settings)
-    own = [run for run in runs if run.robot == case.robot_name]
+    robot_runs = [run for run in runs if run.robot == case.robot_name]
     learned = [replace(base, policy="sac", source=str(run.folder), training_seed=run.seed,
                        row=run.label)
-               for run in own]  # fmt: skip
-    if not own and takes_pretrained(benchmark, case.robot):
+               for run in robot_runs]  # fmt: skip
+    if not robot_runs and takes_pretrained(benchmark, case.robot):
         learned = [replace(base, policy=PRETRAINED, source=PRETRAINED)]
     rows = []
     for row in benchmark.rows:
@@ -304,13 +304,13 @@ def find_runs(folders: Sequence[Path]) -> list[TrainedRun]:
             runs[path] = read_run(path)
     seeds = Counter((run.robot, run.seed) for run in runs.values())
     several = {robot for (robot, _), count in seeds.items() if count > 1}
-    found: dict[tuple[str, int, str], TrainedRun] = {}
+    unique: dict[tuple[str, int, str], TrainedRun] = {}
     for path, run in runs.items():
         label = path.name if run.robot in several else ""
-        same = found.setdefault((run.robot, run.seed, label), replace(run, label=label))
+        same = unique.setdefault((run.robot, run.seed, label), replace(run, label=label))
         if same.folder != path:
             raise KinfeasError(f"{same.folder} and {path}: both {run.robot} with seed {run.seed}")
-    return [found[key] for key in sorted(found)]
+    return [unique[key] for key in sorted(unique)]
 
 
 def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:

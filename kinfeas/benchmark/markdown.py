@@ -72,8 +72,9 @@ def success_tables(cells: Sequence[Cell]) -> list[str]:
     """Return the lines of the tables of success, one for each robot and variant."""
     lines = []
     for robot, variant in groups(cells):
-        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
-        lines += [f"## {title(robot, variant)}", "", *_success_table(own), "", *_filters(own), ""]
+        group = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
+        lines += [f"## {title(robot, variant)}", "", *_success_table(group), ""]
+        lines += [*_filters(group), ""]
     return lines
 
 
@@ -107,16 +108,16 @@ def rows_of(cells: Sequence[Cell]) -> list[dict[str, Cell]]:
 def _success_table(cells: Sequence[Cell]) -> list[str]:
     tasks = list(dict.fromkeys(cell.task for cell in cells))
     rows: list[list[str]] = []
-    for own in rows_of(cells):
-        first = next(iter(own.values()))
+    for by_task in rows_of(cells):
+        first = next(iter(by_task.values()))
         seeds = f", {first.seeds} seeds" if first.seeds > 1 else ""
         name = f"**{label(first)}**{seeds}" if first.learned else label(first)
-        rows.append([name, *_entries(own, tasks, _measured)])
+        rows.append([name, *_entries(by_task, tasks, _measured)])
         below = [("*paper*", _of_paper)]
         if first.row not in _PAPER_ROWS:
             below.append(("without physics", _of_analytic))
         for text, entry in below:
-            entries = _entries(own, tasks, entry)
+            entries = _entries(by_task, tasks, entry)
             if set(entries) != {NOTHING}:
                 rows.append([f"&nbsp;&nbsp;{text}", *entries])
     ceilings = {cell.task: cell for cell in cells}
@@ -137,9 +138,9 @@ def _metric_table(cells: Sequence[Cell], entry: Entry) -> list[str]:
     rows = []
     for robot, variant in groups(cells):
         group = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
-        for own in rows_of(group):
-            first = next(iter(own.values()))
-            rows.append([title(robot, variant), label(first), *_entries(own, tasks, entry)])
+        for by_task in rows_of(group):
+            first = next(iter(by_task.values()))
+            rows.append([title(robot, variant), label(first), *_entries(by_task, tasks, entry)])
     return table(["robot", "policy", *tasks], rows, names=2)
 
 

@@ -82,8 +82,8 @@ def scene_figure(scene: Scene) -> Figure:
         for name in scene.handles:
             axes.plot(*scene.handle_pose(name)[:3, np.newaxis], "o", color=EE, ms=5.0, zorder=8)
         for name in names:
-            own = shapes.corners([solid for solid in solids if solid.link[0] == name])
-            position = (*own.mean(axis=0)[:2], own[:, 2].max() + 0.1)
+            furniture = shapes.corners([solid for solid in solids if solid.link[0] == name])
+            position = (*furniture.mean(axis=0)[:2], furniture[:, 2].max() + 0.1)
             axes.text(*position, name, fontsize=9, color=INK, ha="center", zorder=9,
                       path_effects=_CASING)  # fmt: skip
         show_all(axes, np.concatenate([points * [1.0, 1.0, 1.2], floor]), 1.4)

@@ -151,8 +151,8 @@ def _draw_side(
     axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[VisualShape]
 ) -> None:
     solids = [*furniture, *_solids_near(recording, -1, _AROUND)]
-    for *_, own in _fading(robot, recording):
-        solids += own
+    for *_, robot_solids in _fading(robot, recording):
+        solids += robot_solids
     ends = recording.desired[:, :3], recording.goals[:, :3]
     points = np.concatenate([shapes.corners(solids), *ends])
     floor = drawing.draw_floor(axes, points)

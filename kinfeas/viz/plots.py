@@ -63,8 +63,9 @@ def search_figure(results: Sequence[Mapping[str, Any]], importances: Mapping[str
         figure = Figure(figsize=(9.6, 3.8), layout="constrained")
         history, bars = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
         for state, colour in (("complete", EE), ("pruned", FAINT)):
-            own = [trial for trial in finished if trial["state"] == state]
-            numbers, scores = [trial["number"] for trial in own], [trial["score"] for trial in own]
+            trials = [trial for trial in finished if trial["state"] == state]
+            numbers = [trial["number"] for trial in trials]
+            scores = [trial["score"] for trial in trials]
             history.plot(numbers, scores, "o", color=colour, ms=6.0, mec="white", label=state)
         complete = [trial for trial in finished if trial["state"] == "complete"]
         best = np.maximum.accumulate([trial["score"] for trial in complete])
