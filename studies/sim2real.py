@@ -1,7 +1,7 @@
 """Shipped policies behind the adapters of a robot, with and without prediction of its response.
 
 `python studies/sim2real.py` writes docs/figures/sim2real.json and prints the table of
-docs/sim2real.md. It takes hours on two cores; it continues where it was interrupted.
+docs/reference/measurements.md. It takes hours on two cores; it continues where it was interrupted.
 """
 
 import argparse
