@@ -30,7 +30,7 @@ from kinfeas.tasks.task import Task
 
 _CATCH_UP = 10  # simulation steps in one period at most, if the machine is late
 _SCAN_RATE = 10.0  # Hz
-_AT_ONCE = 1e-9  # s; times are relative, since floats of an uptime in seconds are coarser
+_AT_ONCE = 1e-9  # s to a point at least; times are relative, since floats of an uptime are coarser
 _LINGER = 2.0  # s that a robot continues without its bus
 
 
@@ -62,9 +62,9 @@ class JointSetpoints:
         self._starts = dict.fromkeys(positions, 0.0)
 
     def follow(self, path: JointPath, time: float) -> None:
-        """Start a trajectory at a time in seconds; joints of others are ignored.
+        """Start a trajectory at a time in seconds; unknown joints are ignored.
 
-        Points whose time has passed are left out; if it is the last one, it is reached at once.
+        Points whose time has passed are left out, but the last one, which is reached at once.
         """
         left = path.times >= _AT_ONCE
         left[-1] = True
@@ -101,7 +101,7 @@ class SimulatedRobot:
         command_timeout: float = 0.25,
         clock: Clock | None = None,
     ) -> None:
-        """Start at rest in `state` of a world of `spawn`; the clocks are the system's by default.
+        """Start at rest in a world and `state` from `spawn`; `clock` is the system's by default.
 
         After `command_timeout` seconds without a command the base stops.
         """
@@ -144,7 +144,7 @@ class SimulatedRobot:
             stamp -= float(state.age[0])
         if self._backend is not self._world:
             exact = np.array([joints[name] for name in self._arm])
-            # With the turns of continuous joints.
+            # Keeps the turns of continuous joints.
             shown = exact + joint_displacement(self._robot, exact, state.joint_positions[0])
             joints = {**joints, **dict(zip(self._arm, shown.tolist(), strict=True))}
         assert state.base_twist is not None
@@ -212,7 +212,7 @@ def simulate(
             if (now := clock.monotonic()) >= scan_due - 0.5 * dt:
                 ranges, scan_due = robot.scan(), max(scan_due + 1.0 / _SCAN_RATE, now)
             link.report(base, joints, ranges)
-            robot.step(dt)  # until the next measurement: commands act on what is to come
+            robot.step(dt)  # ahead of time: commands that arrive during `wait` act on later steps
             steps += 1
             if broken is None:
                 try:
@@ -268,7 +268,7 @@ def spawn(  # noqa: PLR0913 - the parts of a world
     with closed_on_error(backend):
         world = world_of(backend)
         outer = with_adapters(backend, adapters, robot)
-        # As a loop does, before the task draws.
+        # Seeds the adapters as a loop does, from the numbers before those of the task.
         seeds = np.array([deepcopy(rng).integers(2**64, dtype=np.uint64)])
         outer.seed(seeds, np.array([0]))
         if task is not None:

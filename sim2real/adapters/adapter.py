@@ -29,7 +29,7 @@ Number = float | tuple[float, float]
 _HOOKS = ("on_reset", "modify_command", "on_step", "modify_state")
 _ALLOWED = Interval(ge=0.0, le=10_000.0)  # seconds, metres or radians
 
-# Of seeds: for numbers that are constant during an episode, for uniform ones, and between classes.
+# Separate the random numbers of episodes' parameters, of `uniform`, and of the adapter classes.
 _EPISODE, _UNIFORM = np.uint64(0x8CB92BA72F3D8DD7), 0xD1B54A32D192ED03
 _SPREAD, _MASK = 0x9FB21C651E98DF25, 2**64 - 1
 
@@ -42,16 +42,16 @@ class Range(NamedTuple):
 
 
 class Adapter(BackendWrapper):
-    """A backend around a backend; subclasses override some of four hooks.
+    """A wrapper that changes a backend's commands and measurements by up to four hooks.
 
     `on_reset` returns the memory of new episodes, `modify_command` changes the command, `on_step`
     updates the memory with the measurement, and `modify_state` changes the measurement.
     `modify_state` may only depend on the state, the memory and the random numbers, and may be
     called twice. Rows must not depend on each other. An adapter has the abilities of its backend;
-    a subclass replaces the one that it changes, and names those that it `needs`.
+    a subclass replaces the one that it changes, and names the one that it `needs`.
 
     Random numbers depend on the episode's seed, the step, the class and the number of adapters of
-    the same class within: adding an adapter does not change the random numbers of the others.
+    the same class that it wraps: adapters of other classes do not change them.
 
     Attributes:
         robot: Robot model.
@@ -61,7 +61,7 @@ class Adapter(BackendWrapper):
     """
 
     stream: ClassVar[str | None] = None  # of random numbers; the name of the class by default
-    late: ClassVar[bool] = False  # whether it makes robots respond later, and states its response
+    late: ClassVar[bool] = False  # whether robots respond later; it then changes `response`
     needs: ClassVar[str] = ""
     """Ability of `Backend` that the adapter cannot do without; empty for none."""
 
@@ -80,7 +80,7 @@ class Adapter(BackendWrapper):
         numbers: Mapping[str, Number] | None = None,
         within: Interval | None = None,
     ) -> None:
-        """Wrap a backend with parameters `within` an interval, [0, 10,000] by default."""
+        """Wrap a backend; its `numbers` must be `within` an interval, [0, 10,000] by default."""
         super().__init__(backend)
         self.robot, self.continuous, self.memory = robot, robot.continuous, Memory()
         self.ranges: dict[str, Range] = {}

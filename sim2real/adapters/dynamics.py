@@ -223,7 +223,7 @@ class DomainRandomisation(Adapter):
 
 
 def length(vector: Array) -> Array:
-    """Return norms, shape (n, 3) -> (n, 1), that do not depend on the batch."""
+    """Return norms, shape (n, 3) -> (n, 1), bit-identical in batches of any size."""
     squares = vector * vector
     return np.sqrt(squares[:, 0:1] + squares[:, 1:2] + squares[:, 2:3])
 

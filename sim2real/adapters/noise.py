@@ -30,7 +30,7 @@ class BaseNoise(Adapter):
         angular: Standard deviation of the turning rate, rad/s.
     """
 
-    stream = ""  # the random numbers of versions before other streams existed
+    stream = ""  # keeps the random numbers of early versions, which had a single stream
 
     def __init__(
         self, backend: Backend, robot: Robot, *, linear: Number = 0.015, angular: Number = 0.015
@@ -118,7 +118,7 @@ class Localisation(Adapter):
         super().__init__(backend, robot, {**numbers, "rate": rate})
 
     def on_reset(self, state: RobotState) -> Memory:
-        """Return a zero error (x, y, yaw), also of robots that have followed its jumps."""
+        """Return zero errors (x, y, yaw); `followed` tracks `error` at `LOCALISATION_SPEED`."""
         zero = np.zeros((len(state.base_pose), 3))
         return {"error": zero, "followed": zero}
 
@@ -154,7 +154,7 @@ class Localisation(Adapter):
         return measured(state, base_pose=base, localised=self._displaced(now, "followed"))
 
     def _displaced(self, pose: Array, name: str) -> Array:
-        """Return poses, shape (n, 7), displaced by an error of the memory."""
+        """Return poses, shape (n, 7), displaced by `error` or `followed` of the memory."""
         displacement = np.zeros((len(pose), 6))
         displacement[:, [0, 1, 5]] = self.memory[name]
         return displaced(pose, displacement)
@@ -197,7 +197,7 @@ class ScanNoise(Adapter):
         return {"scans": scans, "delay": np.zeros(n, dtype=np.intp), "age": np.zeros(n)}
 
     def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
-        """Keep the scan of before the step; return the command."""
+        """Store the scan before the step; return the command unchanged."""
         slots = round(self.ranges["seconds"].high / dt)
         if slots and self._exact is not None:
             now, before = self._exact.scan().ranges, self.memory["scans"]
@@ -207,7 +207,7 @@ class ScanNoise(Adapter):
         return twist, targets
 
     def scan(self) -> Scan:
-        """Return the late ranges with noise, and the age of the latest."""
+        """Return the delayed ranges with noise, and the age of the oldest."""
         assert self._exact is not None
         exact = self._exact.scan()
         scans, delay = self.memory["scans"], self.memory["delay"]
@@ -224,6 +224,6 @@ class ScanNoise(Adapter):
 
 
 def displaced(pose: Array, by: Array) -> Array:
-    """Return poses (n, 7) moved and rotated `by` m and rad (n, 6); bit for bit if all are 0."""
+    """Return poses (n, 7) displaced `by` (n, 6), m and rad; a row of zeros changes no bit."""
     moved = np.any(by != 0.0, axis=1, keepdims=True)
     return np.where(moved, integrate(pose, by, 1.0), pose)

@@ -31,8 +31,8 @@ _MEASURED = (*_POSES, _JOINTS, "base_twist", "joint_velocities", "age")
 class CommandLatency(Adapter):
     """Delayed commands; the robot rests until the first one arrives.
 
-    The newest command that has arrived is active. If it changes within a control period, the mean
-    by time is passed on.
+    The newest command that has arrived is active. If it changes within a control period, the
+    time-weighted mean is passed on.
 
     Args:
         seconds: Minimum delay of a command, s.
@@ -215,15 +215,16 @@ def pushed(buffer: NDArray[Any], values: NDArray[Any], slots: int) -> NDArray[An
 
 
 def slots_for(seconds: float, dt: float) -> int:
-    """Return the number of entries, one each `dt`, that span `seconds`."""
+    """Return the number of entries, one per `dt` seconds, that span `seconds`."""
     return int(np.ceil(seconds / dt)) + 2
 
 
 @njit(cache=True)
 def durations(begins):
-    """Return how long each command is active, shape (n, s), in periods.
+    """Return for how long each command is active, shape (n, s), in periods.
 
-    Commands become active at `begins`, shape (n, s), in the order of sending, 0 to 1.
+    A command is active from `begins`, shape (n, s), on, 0 to 1 within the period, until one that
+    was sent later begins. Commands are in the order of sending.
     """
     active = np.empty_like(begins)
     for i in range(len(begins)):
@@ -231,7 +232,7 @@ def durations(begins):
         for k in range(begins.shape[1] - 1, -1, -1):
             active[i, k] = max(end - begins[i, k], 0.0)
             end = min(end, begins[i, k])
-        active[i, 0] += end  # the command before all of these
+        active[i, 0] += end  # until one begins, the oldest is active
     return active
 
 

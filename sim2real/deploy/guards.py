@@ -34,15 +34,15 @@ _ROUNDING = 1e-12  # m, rad and their rates up to which the limits change a comm
 class SafetyFilter(BackendWrapper):
     """Limits and checks each command before the backend of one robot gets it.
 
-    Commands are finite and made of a recent measurement. After `stop` nothing is sent until the
-    next reset.
+    A command must be finite and computed from a recent measurement. After `stop` nothing is sent
+    until the next reset.
 
     Attributes:
         base_twist: Last world twist that was sent, shape (1, 6).
         joint_targets: Last joint targets that were sent, shape (1, j).
         hold: Reason why the arm held its position in the last step; empty otherwise.
         brake: Whether the base stops at once, past the limits of acceleration.
-        stopped: Whether nothing is sent, as before the first reset.
+        stopped: Whether commands raise Fault: before the first reset, and after `stop`.
         steps: Number of commands sent.
     """
 
@@ -83,7 +83,7 @@ class SafetyFilter(BackendWrapper):
         check_array(joint_targets, arm, "the arm command", error=Fault)
         base, pose = self._robot.base, self._state.base_pose
         velocity = base_velocity(base, pose, base_twist, dt)[0]
-        # The measured heading is a part of it, and an adapter may hide it from the monitor.
+        # It depends on the measured heading, which an adapter may hide from the monitor.
         check_array(velocity, (3,), "the base command", error=Fault)
         if base.drive == "differential":
             velocity[1] = 0.0
@@ -110,16 +110,13 @@ class SafetyFilter(BackendWrapper):
         return self._state
 
     def refresh(self, state: RobotState | None) -> None:
-        """Take a measurement as the newest; None is that of a world that stood still."""
+        """Take a measurement as the newest; None renews the last one of a world that is at rest."""
         if state is not None:
             self._state = state
         self._measured = self._clock.monotonic()
 
     def scan(self) -> Scan:
-        """Return the ranges that the backend measures; raise Fault if they are old or blind.
-
-        Ranges that are no finite numbers are a Fault, too.
-        """
+        """Return the newest ranges; raise Fault if they are old, not finite, or all blind."""
         assert self.backend.scanner is not None
         scan = self.backend.scanner.scan()
         check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
@@ -162,7 +159,7 @@ class SafetyFilter(BackendWrapper):
         check_age(sentence, age, self._guards.max_age, self.backend)
 
     def _arm_targets(self, targets: Array, dt: float) -> Array:
-        """Return targets that the arm can reach within `dt`, or where it is to hold, shape (j,)."""
+        """Return targets that the arm reaches within `dt`, (j,); if it must hold, the last ones."""
         robot, guards, before = self._robot, self._guards, self.joint_targets[0]
         limits = self._joint_speed, robot.continuous, *robot.joint_limits
         measured = self._state.joint_positions[0]
@@ -183,10 +180,10 @@ def _limited_targets(  # noqa: PLR0913, PLR0917 - a kernel of flat arrays
     targets: Array, before: Array, measured: Array, speed: Array, continuous: NDArray[np.bool_],
     lower: Array, upper: Array, dt: float, out: Array, farthest: Array, lag: Array,
 ) -> None:  # fmt: skip
-    """Joint targets, from the last ones towards the next, that joints reach in `dt` seconds.
+    """Write to `out` how far the joints get from `before` towards `targets` in `dt` seconds.
 
-    Joints are in radians or metres. `farthest` is the longest displacement of a joint to its next
-    target, `lag` the seconds that each needs to its last one.
+    Joints are in radians or metres, and slow down alike. `farthest` is the largest displacement of
+    a joint to its next target, `lag` the seconds that each needs to its last one, `before`.
     """
     farthest[0], periods = 0.0, 1.0
     for j in range(len(out)):
@@ -209,8 +206,8 @@ class Guarded(BackendWrapper):
     Attributes:
         guards: Limits.
         commands: Filter of the commands.
-        command: Last world twist, shape (1, 6), and joint targets, (1, j), that were no stop: as
-            sent, or as given to adapters.
+        command: Last world twist, shape (1, 6), and joint targets, (1, j), except those of `stop`:
+            as sent or, if there are adapters, as passed to `step`.
         unstopped: Why the base could not be commanded to zero; empty if it could.
         unclosed: Why the backend could not be closed; empty if it could.
     """
@@ -243,7 +240,7 @@ class Guarded(BackendWrapper):
 
     @property
     def state(self) -> RobotState:
-        """Newest state, also where the monitor stopped the robot for it; NaN if it is invalid."""
+        """Newest state, even if the monitor stopped the robot because of it; NaN if invalid."""
         return self._monitor.state
 
     def reset(
@@ -258,7 +255,7 @@ class Guarded(BackendWrapper):
         return state
 
     def read(self) -> RobotState | None:
-        """Return the state of a robot that moves in real time; None of a simulated world."""
+        """Return the state of a robot that moves in real time; None for a simulated world."""
         if self.real_time is None:
             return None
         with plugin_note(self._name):
@@ -267,7 +264,7 @@ class Guarded(BackendWrapper):
         return state
 
     def refresh(self) -> RobotState:
-        """Return a new measurement after a long start, without motion; the first period begins."""
+        """Return the newest measurement after a long start at rest; begin the first period."""
         state = self.read()
         self.commands.refresh(state)
         if state is None:
@@ -277,7 +274,7 @@ class Guarded(BackendWrapper):
         return self.state
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
-        """Execute a command; shapes as in `Backend`. Before any error the robot is stopped."""
+        """Execute a command; shapes as in `Backend`. If anything raises, the robot is stopped."""
         steps, passed = self.commands.steps, False
         command = base_twist.copy(), joint_targets.copy()
         try:
@@ -297,7 +294,7 @@ class Guarded(BackendWrapper):
         return state
 
     def scan(self) -> Scan:
-        """Return the newest ranges; before any error the robot is stopped."""
+        """Return the newest ranges; if anything raises, the robot is stopped."""
         assert self.backend.scanner is not None
         try:
             return self.backend.scanner.scan()
@@ -315,19 +312,19 @@ class Guarded(BackendWrapper):
             raise Fault(f"{why}, for more than {most} steps in a row")
 
     def stop(self) -> None:
-        """Command the base to zero and the arm to hold, past the adapters; it raises nothing."""
+        """Command the base to zero and the arm to hold, bypassing adapters; raise nothing."""
         try:
             self.commands.stop()
         except PLUGIN_ERRORS as error:
-            self.unstopped = str(error) or repr(error)  # and the watchdog tries again
+            self.unstopped = str(error) or repr(error)  # the watchdog will try again
 
     def close(self) -> None:
-        """Stop the robot and close the backend; it raises nothing."""
+        """Stop the robot and close the backend; raise nothing."""
         self.stop()
         try:
             self.backend.close()
         except PLUGIN_ERRORS as error:
-            if not self.unstopped:  # or the connection is known to be lost
+            if not self.unstopped:  # else the connection is already reported as lost
                 self.unclosed = str(error) or repr(error)
 
 
@@ -339,7 +336,7 @@ def _within(velocity: Array, speed: float, rotation: float) -> Array:
 
 
 def _unrounded(limited: Array, command: Array) -> Array:
-    """Return limited commands; those within the limits are the original ones to the bit."""
+    """Return limited commands; where these differ by rounding only, the original ones."""
     return np.where(np.abs(limited - command) <= _ROUNDING, command, limited)
 
 

@@ -41,7 +41,7 @@ class StateMonitor:
     def check(self, state: RobotState, dt: float = 0.0) -> None:
         """Raise Fault if a measurement, or the time since the last one, exceeds a limit.
 
-        Worlds without a clock have moved for `dt` seconds since.
+        In worlds without a clock, `dt` seconds have passed since then.
         """
         self.state = self._invalid
         check_state(state, 1, len(self._robot.arm), self._source)
@@ -52,7 +52,7 @@ class StateMonitor:
         elif self._needs_age:
             raise Fault(f"{self._source}: a real robot must return the age of its state")
         age = 0.0 if state.age is None else float(state.age[0])
-        between = max(elapsed, dt) + max(0.0, self._age - age)  # of the two measurements
+        between = max(elapsed, dt) + max(0.0, self._age - age)  # s between the two measurements
         self._check_pose(state.base_pose[0], between)
         self._check_joints(state.joint_positions[0], between)
         base, joints = state.base_pose.copy(), state.joint_positions.copy()
@@ -102,7 +102,7 @@ class StateMonitor:
 
 
 def check_age(sentence: str, age: float, most: float, backend: Backend) -> None:
-    """Raise Fault if a measurement is too old, with the source that fell silent."""
+    """Raise Fault if a measurement is too old; it names the source that fell silent."""
     robot = backend.real_time
     source = robot.silent_source(most) if robot is not None and not age <= most else ""
     check_limit(f"{source}: {sentence}" if source else sentence, age, most)

@@ -37,18 +37,18 @@ from kinfeas.tasks.task import StagedTask, Task, build_subgoals, target_stream
 _log = logging.getLogger(__name__)
 
 _LATE = 0.1  # fraction of control periods that may end late without a warning
-_DOUBT = 0.05  # seconds by which a base is later or sooner than its response model, to be reported
+_DOUBT = 0.05  # s that the base may be later or sooner than its response model without a warning
 
 
 class Code(IntEnum):
     """Exit code of a run; 2 is left for runs that do not start.
 
-    From 128 on it is the signal that ended the run, as in a shell.
+    Codes from 128 on are 128 plus the number of the signal that ended the run, as in a shell.
     """
 
     REACHED = 0
     FAULT = 3
-    TIME_OVER = 4  # also of a task that is not done
+    TIME_OVER = 4  # also if the goal was reached, but the task is not done
     HUNG_UP = 128 + signal.SIGHUP
     INTERRUPTED = 128 + signal.SIGINT
     QUIT = 128 + signal.SIGQUIT
@@ -108,11 +108,11 @@ class Setup:
 
 
 class Signals:
-    """A context for SIGINT, SIGQUIT, SIGTERM and SIGHUP, in the main thread.
+    """A context that handles SIGINT, SIGQUIT, SIGTERM and SIGHUP in the main thread.
 
-    They raise KeyboardInterrupt, but while `noting` the first one is only noted. Where another one
-    than SIGINT raises it, the context ends with SystemExit and the code of the signal. SIGHUP is
-    left alone if it is ignored, as by nohup; all are in other threads, which get none.
+    They raise KeyboardInterrupt, but while `noting` the first one is only noted. If it leaves the
+    context and the first signal was not SIGINT, SystemExit with the signal's code replaces it.
+    A SIGHUP that is ignored, as by nohup, stays ignored. In other threads, nothing is handled.
 
     Attributes:
         noting: Whether the first signal is only noted.
@@ -140,7 +140,7 @@ class Signals:
             raise SystemExit(128 + self.caught)
 
     def _note(self, number: int, _: FrameType | None) -> None:
-        # A terminal and its shell both send SIGHUP.
+        # A SIGHUP after the first signal is ignored: a terminal and its shell both send one.
         passes = self.noting if self.caught is None else number == signal.SIGHUP
         self.caught = self.caught or signal.Signals(number)
         if not passes:
@@ -253,7 +253,7 @@ class _Run:
             self.guarded.stop()
             if watchdog is not None and self.guarded.unstopped:
                 watchdog.abandon()
-            with suppress(*PLUGIN_ERRORS):  # who hears of the moments may have raised already
+            with suppress(*PLUGIN_ERRORS):  # the recorder's `on_moment` may have raised already
                 self.record(reason + TASK_DONE[done] + self.doubt())
                 self.write()
         timing = self.rate.timing()
@@ -282,7 +282,7 @@ class _Run:
 
     def run(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
         setup, loop = self.setup, self.loop
-        # Half a period, since none ends to the microsecond.
+        # Half a period of tolerance, since periods do not end to the microsecond.
         while self.seconds() + 0.5 * setup.dt < setup.seconds:
             if (caught := signals.caught) is not None:
                 by_hand = caught is signal.SIGINT
@@ -326,7 +326,7 @@ class _Run:
         return self.guarded.commands.steps * self.setup.dt
 
     def prepare(self) -> None:
-        # While the robot moves; a disk may be slow.
+        # Done while the robot moves, since a disk may be slow.
         self.write()
         self.loop.prepare()
 

@@ -96,14 +96,14 @@ def begin(
 ) -> Start:
     """Return the start of a run, as a batch of one, at the measured state of a real robot if any.
 
-    `solids`, one row, are by default those of the task; around a real robot, its furniture.
+    `solids`, one row, replace those of the task; around a real robot, those of its furniture.
     """
     start = sample_start(task, solver, rng)
     if measured is not None:
         base, joints = measured.base_pose[0], measured.joint_positions[0]
         around = None
         if isinstance(task, ChainTask) and task.scene is not None:
-            # Of what the task draws at random, nothing is around the robot.
+            # Objects that the task draws at random are not around the robot.
             around = task.furniture(start.target_poses)
         start = replace(start, base_pose=base, joint_positions=joints, solids=around)
         if isinstance(task, GoalTask):
@@ -140,7 +140,7 @@ def warm_up(
 ) -> None:
     """Compile the kernels of a run by a few steps in the analytic world.
 
-    Adapters for some backends only are left out.
+    Adapters that need an ability of their backend are left out.
     """
     robot, rng = solver.robot, np.random.default_rng(0)
     joints = robot.home["home"][np.newaxis]

@@ -1,8 +1,8 @@
 """A second process that stops the base if the run stalls or dies.
 
-The run sends heartbeats through a pipe, which closes when it dies. The process answers each,
-so that the run notices a watchdog that stalls or dies. It imports little beside the function of the
-backend that stops its robot.
+The run sends heartbeats through a pipe, which closes when the run dies. The watchdog answers each,
+so that the run notices if it stalls or dies. It imports little besides the backend's function that
+stops the base.
 """
 
 import json
@@ -24,10 +24,10 @@ if TYPE_CHECKING:  # takes long to import
     from kinfeas.core.backend import StopCall
 
 INTERVAL, REPEATS = 0.05, 10
-"""Seconds between stops, which are repeated since messages may be lost, and stops after a death."""
+"""Seconds between stops, and their number after the run died: messages may be lost."""
 
 LAST_TRY = 5.0
-"""Seconds after a death during which a stop that fails is repeated."""
+"""Seconds after the run died during which failing stops are repeated."""
 
 _BEAT, _END, _READY, _FIRED = b".", b"q", b"r", b"f"
 _CHUNK = 4096  # bytes, more than arrive at a time
@@ -35,7 +35,7 @@ _CONNECT_TIMEOUT, _EXIT_TIMEOUT = 60.0, LAST_TRY + 2.0  # s
 
 
 class Watchdog:
-    """The watchdog from the side of the run; a context."""
+    """The run's side of the watchdog; a context."""
 
     def __init__(self, stop: "StopCall", seconds: float) -> None:
         """Start the process and wait until it can stop the base; raise KinfeasError if it cannot.
@@ -65,13 +65,13 @@ class Watchdog:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """End the process; an error that is no KinfeasError lets it stop the base before."""
+        """End the process; after an exception other than KinfeasError it stops the base first."""
         if kind is not None and not issubclass(kind, KinfeasError):
             self.abandon()
         self.close()
 
     def beat(self) -> str:
-        """Send a heartbeat; return why the watchdog guards the base no more, empty if it does."""
+        """Send a heartbeat; return why the watchdog no longer guards the base, empty if it does."""
         try:
             self._in.write(_BEAT)
         except (OSError, ValueError):  # ValueError: closed by `abandon`
@@ -113,7 +113,7 @@ class Watchdog:
 
 
 def main(order: str) -> None:
-    """Watch standard input, with an order in JSON."""
+    """Watch the heartbeats on standard input; `order` is the JSON that `Watchdog` passes."""
     settings, answers = json.loads(order), os.dup(1)
     os.dup2(2, 1)  # prints of libraries must not be read as answers
     try:
@@ -130,7 +130,7 @@ def main(order: str) -> None:
 
 
 class _Stop:
-    """Returns whether the base could be commanded to zero, and prints a result that is new."""
+    """Commands the base to zero, prints the result if it is new, and returns whether it worked."""
 
     def __init__(self, stop: Callable[[], None]) -> None:
         self._stop, self._printed = stop, ""
@@ -149,10 +149,10 @@ class _Stop:
 
 
 def _watch(stop: _Stop, seconds: float, answers: int) -> bool:
-    """Stop the base while heartbeats are missing, after the first one; return whether the run died.
+    """Stop the base if heartbeats stop coming after the first one; return whether the run died.
 
-    The pipe closes when it dies. After the first stop it repeats them, since a stalled run that
-    continues must not move the base.
+    The pipe closes when the run dies. Once begun, stops are repeated although heartbeats return: a
+    stalled run that continues must not move the base.
     """
     timeout: float | None = None
     fired, stalled = False, f"no heartbeat of the run for {seconds:g} s"

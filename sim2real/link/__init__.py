@@ -32,7 +32,7 @@ class JointReading:
     """Measured joints by the robot's joint names; a message may hold some of them only."""
 
     positions: Mapping[str, float]  # radians or metres
-    # per second, for the joints where they are measured
+    # rad/s or m/s, of the joints for which they are measured
     velocities: Mapping[str, float] = field(default_factory=dict)
     stamp: float | None = None  # as in `BaseReading`
 
@@ -61,7 +61,7 @@ class Orders:
 
     # takes the velocity in the base frame, shape (3,), m/s and rad/s
     drive: Callable[[Array], None]
-    # takes a joint trajectory; it replaces the one before of these joints
+    # takes a joint trajectory, which replaces the last one of these joints
     move: Callable[[JointPath], None]
     grip: Callable[[Grip], None]  # takes `close` or `open`
     drop: Callable[[], None] = lambda: None  # counts an invalid message, which has no effect
@@ -70,7 +70,7 @@ class Orders:
 class Link(Protocol):
     """The deployment's end of a transport. Only `open` may block.
 
-    A link with laser or costmap also has `scan_sources`: the source by type of reading.
+    A link with a laser or costmap also has the attribute `scan_sources`: source by type of reading.
 
     Attributes:
         base_source: Source of the base pose for errors, such as `/odom`.

@@ -24,7 +24,7 @@ _CHECK = "is the robot on, its controllers running, and do the names in the topi
 
 
 class LinkBackend(RealTimeBackend):
-    """A robot with a gripper that moves in real time, and with a scan if its link has sources.
+    """A robot that moves in real time, with a gripper, and a scanner if the link has scan sources.
 
     Commands are sent as they are: `kinfeas.sim2real.deploy.guards` limits them and checks their
     age.
@@ -64,7 +64,7 @@ class LinkBackend(RealTimeBackend):
         self._inbox = Inbox(robot, self._names, drift, self._clock.monotonic)
         self.arm_seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
-        # The measured arm behind the last command, and the target of the latter, with turns.
+        # Arm positions, measured before the last command, and its targets; both with turns.
         self._last: tuple[Array, Array] | None = None
         self._opened = False
         self._scan_sources: Any = getattr(link, "scan_sources", None)
@@ -94,7 +94,7 @@ class LinkBackend(RealTimeBackend):
             self.rate = Rate(dt, self._clock)
             self.rate.prepare = self.prepare
             self.rate.wait()
-        # Of the state that the caller has seen and checked; the newest may jump.
+        # Of the state that the caller has checked; a newer one may jump.
         arm, pose = self._inbox.arm, self._inbox.base_pose
         self.read()  # raises if the link is broken or the sensors have failed
         velocity = base_velocity(self.robot.base, pose, base_twist, dt)[0]
@@ -120,8 +120,8 @@ class LinkBackend(RealTimeBackend):
     def stop(self) -> None:
         """Command the base to zero and the arm to where it was measured before the last command.
 
-        Later measurements may be false. Before the first command the arm gets none. It is commanded
-        even if commanding the base raises.
+        Later measurements may be wrong. Before the first command the arm is not commanded; later it
+        is, even if commanding the base raises.
         """
         if not self._opened:
             return
@@ -138,7 +138,7 @@ class LinkBackend(RealTimeBackend):
         self._joint_speed = np.minimum(velocity, self.robot.max_joint_velocity)
 
     def silent_source(self, seconds: float) -> str:
-        """Return which source sent nothing valid for some seconds; empty if all did."""
+        """Return which source sent nothing valid for some seconds; empty if none is silent."""
         base, joints = self._inbox.missing(seconds)
         if base:
             return f"no pose of the base came from {self.link.base_source}"
@@ -165,13 +165,13 @@ class LinkBackend(RealTimeBackend):
     def scan(self) -> Scan:
         """Return the newest scan; raise KinfeasError if none comes.
 
-        The first call waits for it: other policies do not need one.
+        The first call waits for it, and not `reset`, since most policies need no scan.
         """
         self._wait(self._missing_scan)
         return self._inbox.scan()
 
     def _wait(self, missing: Callable[[], str]) -> None:
-        """Wait until nothing is missing; raise KinfeasError with what is after the timeout."""
+        """Wait until `missing` returns no text; raise KinfeasError with it after the timeout."""
         end = self._clock.monotonic() + self._timeout
         while reason := missing():
             self.link.check()
@@ -189,7 +189,7 @@ class LinkBackend(RealTimeBackend):
 
     def _hold(self) -> None:
         if self._last is not None:
-            # The arm is between the two; also after the first of several stops.
+            # The arm is somewhere between these two, also if it was stopped before.
             self._move(np.clip(self._last[0], *self.robot.joint_limits), *self._last)
 
     def _move(self, target: Array, *starts: Array) -> None:

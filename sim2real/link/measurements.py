@@ -111,7 +111,7 @@ class Inbox:
     def missing(self, seconds: float = math.inf) -> tuple[bool, list[str]]:
         """Return whether the base pose is missing, and the names of the missing arm joints.
 
-        Those that are older than some `seconds` are missing, too.
+        Measurements older than `seconds` count as missing.
         """
         since = self._now() - seconds
         with self._lock:

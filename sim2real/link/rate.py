@@ -11,7 +11,7 @@ import numpy as np
 from kinfeas.core.errors import KinfeasError
 
 _LATE = 1.5  # control periods after which a period that the robot times itself counts as late
-_KEPT = 180_000  # the last periods that percentiles are of: an hour at 50 Hz
+_KEPT = 180_000  # number of last periods from which percentiles are computed: an hour at 50 Hz
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Rate:
         return now
 
     def worked(self) -> None:
-        """Note the end of computing, with the command to be sent."""
+        """Note that computing has ended: the command of this period is about to be sent."""
         if not math.isnan(self._last):
             self._work.append(self._clock.monotonic() - self._last)
 

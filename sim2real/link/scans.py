@@ -45,8 +45,8 @@ class CostmapReading:
 def laser_ranges(laser: LaserReading) -> Array:
     """Return the range of the nearest measured point in the sector of each beam, shape (b,).
 
-    It is `SCAN_RANGE` without a point, and NaN in sectors where all rays are NaN, or none is. A
-    laser without any valid reading, or with invalid limits or angles, is NaN everywhere.
+    It is `SCAN_RANGE` in a sector without such a point, and NaN in one without rays or with NaN
+    rays only. A laser without any valid reading, or with invalid limits or angles, is all NaN.
     """
     ranges = laser.ranges.copy()
     ranges[ranges == -np.inf] = laser.range_min
@@ -125,8 +125,8 @@ def costmap_of(
     """Return a square costmap around a base with the first obstacle of each beam.
 
     Obstacles are two cells deep, and cells behind them unknown. `base` is x, y and yaw in the
-    world, `edge` that of the map along the axes of the world, `resolution` that of a cell; metres
-    and radians.
+    world, `edge` the length of the map's sides, which lie along the axes of the world, and
+    `resolution` that of a cell's; metres and radians.
     """
     x, y, yaw = base
     count = round(edge / resolution)

@@ -73,8 +73,8 @@ class RosBackend(LinkBackend):
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
-        """Connect, as `LinkBackend` does, and warn of other nodes that publish what one should."""
-        opened = self._opened  # a watchdog that sends, too, begins after it
+        """Connect, as `LinkBackend` does, and warn of other publishers of exclusive topics."""
+        opened = self._opened  # after the first reset, the watchdog publishes, too
         state = super().reset(base_pose, joint_positions, env_ids)
         if not opened and (shared := self._shared()):
             topics = ", ".join(shared)
@@ -148,7 +148,7 @@ class RosLink:
         return next((topic for topic in topics if not self._publishers[topic].listeners()), None)
 
     def shared(self) -> list[str]:
-        """Return the command topics that others send, too, and an odometry of several robots."""
+        """Return the command topics that other nodes publish, too, and a shared odometry topic."""
         shared = [topic for topic, kind in self._types.items() if self._bus.senders(topic, kind)]
         odometry, kind = self._topics.base.odometry, self._bus.messages.Odometry
         if self.base_source == odometry and self._bus.senders(odometry, kind) > 1:
@@ -233,7 +233,7 @@ class RosLink:
             tree.take(message)
             return tree.reading()
 
-        # Each message has other transforms, so that none may be skipped.
+        # Each message may have other transforms, so that none may be skipped.
         self._bus.subscribe("/tf", kind, _passing(read, readings.base), every=True)
         self._bus.subscribe("/tf_static", kind, partial(tree.take, static=True), every=True)
         return tree.pose

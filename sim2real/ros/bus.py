@@ -12,7 +12,7 @@ from kinfeas.core.errors import KinfeasError
 Version = Literal[1, 2]
 """Version of ROS."""
 
-_SETTLING = 0.05  # s after which a connection that ROS counts carries messages
+_SETTLING = 0.05  # s until a connection that ROS already counts carries messages
 
 
 class Publisher(Protocol):

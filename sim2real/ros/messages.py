@@ -224,14 +224,14 @@ class TfTree:
         return _base_reading(pose, None, stamp or None, max(0.0, self._now() - oldest))
 
     def pose(self, frame: str) -> Array | None:
-        """Return the world pose of a frame above the base, shape (7,); None if one is missing."""
+        """Return the world pose of a frame above the base, (7,); None without its transforms."""
         in_world, in_frame = self._base_in(self._world), self._base_in(frame.lstrip("/"))
         if in_world is None or in_frame is None:
             return None
         return compose(in_world[0], relative(IDENTITY, in_frame[0]))
 
     def _base_in(self, world: str) -> tuple[Array, float, float | None] | None:
-        """Return the pose of the base in a frame, when its oldest transform was sent, and stamp."""
+        """Return the base pose in a frame, when its oldest transform was sent, and its stamp."""
         edges, frame = dict(self._edges), self._base
         pose, oldest, stamp = IDENTITY, math.inf, None
         for _ in range(_DEEPEST):

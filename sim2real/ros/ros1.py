@@ -118,8 +118,8 @@ def ros1_message_classes() -> Any:
 def ros(module: str) -> Any:
     """Return a module of ROS 1, such as `rospy`; raise KinfeasError if it is not installed.
 
-    It is searched on the path, then among the system's packages, which come last on the path so
-    that they replace none of ours.
+    It is searched on the path, then among the system's packages, which are appended to the path, so
+    that they shadow none of ours.
     """
     try:
         return import_module(module)

@@ -177,7 +177,7 @@ class Ros2Bus:
         while not end.read():
             for reader, kind, take in tuple(self._readers):
                 try:
-                    for message in reader.take(1):  # the others outlive an invalid one
+                    for message in reader.take(1):  # one at a time: an invalid one loses no others
                         if isinstance(message, kind):  # not the notice of a sender that has gone
                             take(message)
                 except Exception:  # noqa: BLE001 - the next message may be better
@@ -239,9 +239,10 @@ def _to_sec(message: Any) -> float:
 
 
 def message_classes(file: str, known: Mapping[str, Any] | None = None) -> SimpleNamespace:
-    """Return classes of messages, and of requests and replies of services, with those `known`.
+    """Return classes of messages, requests and replies by name, and the classes in `known`.
 
-    The lines of a file beside this one are a name, and types and names of fields, as in ROS.
+    Each line of `file`, which lies beside this module, is the name of a type in ROS, followed by
+    the type and name of each field.
     """
     classes = dict(known or {})
     for line in Path(__file__).with_name(file).read_text(encoding="utf-8").splitlines():

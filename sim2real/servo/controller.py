@@ -41,9 +41,9 @@ class TargetController:
     """Targets of one EE: the task of a run, its target stream, and a filter that stops the base.
 
     Messages may come from any thread, at any rate and with any content: those that `TargetRules`
-    exclude are counted and have no other effect; if all are for `_LONG` seconds, a warning says so.
-    Stamps and times are of the sender's clock, as in `SenderClock`. A message without a stamp was
-    sent when it arrives.
+    exclude are counted and ignored. A warning is logged if all are ignored for `_LONG` seconds.
+    Stamps and times are of the sender's clock, as in `SenderClock`. A message without a stamp
+    counts as sent when it arrives.
 
     Attributes:
         pose: World pose of the EE that is desired now, shape (7,), once `running`.
@@ -59,7 +59,7 @@ class TargetController:
         clock: Callable[[], float] = time.monotonic,
         motion: MotionSpec | None = None,
     ) -> None:
-        """Take chunks of at most 64 poses, at the seconds of a `clock`; `servo` moves the EE."""
+        """Take chunks of at most 64 poses; `clock` returns seconds, `motion` moves the EE."""
         self.subgoals = (Subgoal(motion or MotionSpec("servo")),)
         self.robot, self.rules, self._clock = robot, rules or TargetRules(), clock
         self.pose, self.running = spatial.IDENTITY, False
@@ -71,7 +71,7 @@ class TargetController:
         self._sender = SenderClock(self.rules.timeout)
         self._others = dict.fromkeys(("ahead", "frame", "dropped"), 0)
         self._ignored: tuple[float, float, dict[str, int]] | None = None  # since, until, before
-        self._late = 0  # accepted messages after the end of the one before
+        self._late = 0  # accepted messages that came after the one before had expired
         self._failure, self._last = "", ("", "")  # rule and reason of the last ignored message
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
@@ -90,7 +90,7 @@ class TargetController:
         self._put(pose, stamp, None, frame)
 
     def set_twist(self, twist: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
-        """Move the EE by a twist (6,), linear and angular, along the axes of a frame."""
+        """Move the EE at a twist (6,), m/s and rad/s, along the axes of a frame."""
         self._put(twist, stamp, None, frame, is_twist=True)
 
     def set_chunk(  # noqa: PLR0913 - keywords of a public call
@@ -169,7 +169,7 @@ class TargetController:
 
     @property
     def speed(self) -> Array:
-        """Asked speed of the EE in the next period, shape (1,), m/s."""
+        """Requested speed of the EE in the next period, shape (1,), m/s."""
         return self._inbox.speed
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
@@ -207,7 +207,7 @@ class TargetController:
             self._queue.append(message)
 
     def _watch(self, before: dict[str, int], now: float) -> None:
-        """Warn once of messages that are all ignored for long; they were counted as `before`."""
+        """Warn once if all messages are ignored for long; `before` are the counts a period ago."""
         if self.counts == before:
             return
         if self.counts["accepted"] > before["accepted"]:
@@ -229,7 +229,7 @@ class TargetController:
 
     @property
     def hint(self) -> str:
-        """Hint that most messages came after the end of the one before; empty otherwise."""
+        """Hint that most messages came after the one before had expired; empty otherwise."""
         if self._late - 1 <= 0.5 * self.counts["accepted"]:
             return ""
         seconds = self.rules.timeout
@@ -282,7 +282,7 @@ class TargetController:
         self._last = "invalid", why
 
     def _put_kept(self, now: Array) -> None:
-        """Take the poses for which the last chunk no longer stays."""
+        """Take the chunks whose `keep` seconds are over: until then the last chunk stays."""
         for _ in range(len(self._kept)):
             due, sent, times, poses = self._kept.popleft()
             if due <= now[0]:

@@ -26,11 +26,16 @@ _MESSAGES, _SECONDS = 5, 0.5
 the clocks."""
 
 _PATIENCE, _FACTOR = 10.0, 10.0
-"""The same seconds for messages that a slow queue may explain, at least and per second of delay."""
+"""Seconds in place of `_SECONDS` if a slow queue may be the reason: at least, and per second of
+delay."""
 
 
 class Message(NamedTuple):
-    """Twist (6,) or poses (k, 7 or 9) for times (k,), or neither; seconds of sender and ours."""
+    """A twist (6,), or poses (k, 7 or 9) at times (k,); None if they are no arrays of numbers.
+
+    `arrival` is of our clock; `stamp`, `times` and `observed` are of the sender's, or without a
+    stamp of ours.
+    """
 
     arrival: float
     stamp: float | None
@@ -84,7 +89,10 @@ class Frames:
 def chunk_in_world(
     values: Array, times: Array | None, frame: Array, when: float, offset: float
 ) -> tuple[Array, Array] | None:
-    """Return times (1, k) plus an offset and world poses (1, k, 7); None for other values."""
+    """Return times (1, k), plus `offset`, and world poses (1, k, 7); None for invalid values.
+
+    `frame` is the world pose of the frame of the values, `when` the time of a single pose (7,).
+    """
     if times is None and values.shape == (7,):
         values, times, offset = values[np.newaxis], np.array([when]), 0.0
     if times is not None and values.shape == (len(times), 9):
@@ -102,7 +110,7 @@ def chunk_in_world(
 
 
 def why_invalid(times: Array, poses: Array, most: int) -> str:
-    """Return why no chunk of `most` poses at most has these, shape (k, 7), at times (k,)."""
+    """Return why poses (k, 7) at times (k,) are no valid chunk of at most `most` poses."""
     if not 1 <= len(poses) <= most:
         return f"{len(poses)} poses, not 1 to {most}"
     if not (np.diff(times) > 0.0).all():
@@ -116,14 +124,15 @@ class SenderClock:
     """Estimates when stamped messages were sent, by our clock.
 
     The offset of the clocks is the smallest difference of arrival and stamp so far; it grows by
-    `DRIFT`, since the sender's clock may be slow. Messages with another difference waited in a
-    queue or have a wrong stamp, and leave the offset as it is, unless `_MESSAGES` in a row agree on
-    another one: for `_SECONDS` if no queue can be the reason, since they are ahead of the offset or
-    older than a message before; for `_FACTOR` times their delay otherwise.
+    `DRIFT`, since the sender's clock may be slow. A message with another difference waited in a
+    queue or has a wrong stamp, and leaves the offset as it is. But if `_MESSAGES` in a row agree on
+    another offset for long enough, that one is taken. Long enough are `_SECONDS` if no queue can be
+    the reason, since they are early or older than a message before; otherwise `_FACTOR` times their
+    delay, and at least `_PATIENCE`.
     """
 
     def __init__(self, tolerance: float) -> None:
-        """Start without a message; those later by more than `tolerance` seconds are in doubt."""
+        """Start without a message; those later by more than `tolerance`, seconds, are in doubt."""
         self._tolerance = tolerance
         self._offset, self._newest = math.inf, -math.inf
         self._count, self._began, self._delay, self._least = 0, 0.0, 0.0, 0.0
@@ -132,8 +141,8 @@ class SenderClock:
     def sent(self, stamp: float, arrival: float) -> float | None:
         """Return when a message was sent, seconds of our clock and at most `arrival`.
 
-        Its `stamp` is of the sender's clock. Returns None if the message is later than `arrival`
-        by more than half of the tolerance.
+        Its `stamp` is of the sender's clock. Returns None if it would be later than `arrival` by
+        more than half of the tolerance.
         """
         delay = arrival - stamp
         if self._newest == -math.inf:

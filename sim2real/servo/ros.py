@@ -15,8 +15,8 @@ class RosSource:
 
     Frames are named in the headers; a stamp of zero stands for the arrival. A path has the time of
     the policy's observation in its header, and the times of its poses in theirs, by a clock that
-    agrees with that of this computer. In the EE frame, it is relative to the pose that was desired
-    at the observation.
+    agrees with that of this computer. A path in the EE frame is relative to the pose that was
+    desired at the observation.
     """
 
     version: ClassVar[Version]
