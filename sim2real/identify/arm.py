@@ -34,10 +34,10 @@ from kinfeas.sim2real.identify.statistics import (
 _DRAWS = 16  # of delays, for the spread that jitter and lost commands cause
 _JITTERS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1)
 _LOST = (0.0, 0.01, 0.025, 0.05, 0.075, 0.1, 0.13, 0.17)
-_FAST = 0.1  # of the largest squared speed, from which on time errors count
-_LAGS = 3  # periods between pairs of neighbours at most
+_FAST = 0.1  # fraction of the largest squared speed from which on time errors are used
+_LAGS = 3  # measurements from the first to the second of a pair at most
 _USUAL_LOSS = 0.04  # mean of the exponential prior of the probability of a loss
-_PAIRS = 0.1  # weight of the likelihood of pairs, each of which is in six and depends on others
+_PAIRS = 0.1  # weight of the likelihood: each measurement is in six pairs, which are correlated
 
 
 class Positions(NamedTuple):
@@ -45,15 +45,15 @@ class Positions(NamedTuple):
 
     predicted: Array
     measured: Array
-    speed: Array  # predicted
+    speed: Array  # predicted velocity, rad/s or m/s
 
 
 class TimeErrors(NamedTuple):
-    """By how much an arm is late in a log, seconds; NaN where it is at rest."""
+    """By how much an arm is late in a log, seconds; NaN where it is at rest or slow."""
 
     late: Array  # shape (k,)
-    noise: Array  # variance of these by the noise of positions, shape (k,)
-    shared: list[Array]  # covariance of those 1, 2, ... measurements apart, shape (k - lag,)
+    noise: Array  # variance of `late` by the noise of positions, shape (k,)
+    shared: list[Array]  # covariance by it of those 1, 2, ... measurements apart, shape (k - lag,)
 
 
 class ArmProblem:
@@ -66,16 +66,16 @@ class ArmProblem:
         self.moves = bool(self._joints.any())
         self.lag, self.error = 0.02, np.inf  # time constant and its standard error, seconds
         self._at = [np.clip(log.joint_times / log.dt, 0, len(log.targets)) for log in logs]
-        # The noise of its measured positions is None if it is never at rest.
+        # `noise`, that of measured positions, is None if the arm is never at rest.
         self.noise, variance, interpolated = joint_noise(logs, self._at)
 
         def correlation(at: Array, lag: int) -> Array:
             return overlap(at, lag) if interpolated else np.full(len(at) - lag, float(lag == 0))
 
         lags = range(_LAGS + 1)
-        # Of positions, and of pairs of them 1, 2, ... apart.
+        # Variance of positions, then covariances of those 1, 2, ... measurements apart.
         self._variances = [[variance * correlation(at, lag) for lag in lags] for at in self._at]
-        self._spread = 0.0  # s, of the delays
+        self._spread = 0.0  # standard deviation of the delays, seconds
         self._blocks = time_blocks([log.joint_times for log in logs])
 
     def fit(self) -> tuple[Delays, float]:
@@ -154,7 +154,7 @@ class ArmProblem:
         return errors
 
     def spread(self, delays: Delays) -> tuple[Estimate, Estimate, float]:
-        """Return the jitter, the probability of a loss, and an error of the latency from both.
+        """Return jitter, probability of a loss, and the error of the latency from both, seconds.
 
         Time errors of the arm are compared with those of simulated delays, by the likelihood of
         pairs of neighbours.
@@ -197,7 +197,7 @@ class ArmProblem:
 
 
 def _moving_square(speed: Array) -> Array:
-    """Return squared speeds of arms, shape (k, w) -> (k,), NaN for those at rest."""
+    """Return squared speeds of arms, shape (k, w) -> (k,), NaN for those at rest or slow."""
     square = np.sum(speed**2, axis=1)
     least = max(MOVES**2, _FAST * float(square.max()))
     return np.where(square > least, square, np.nan)
@@ -206,10 +206,10 @@ def _moving_square(speed: Array) -> Array:
 def pair_likelihood(logs: Sequence[TimeErrors], drawn: Sequence[Array]) -> float:
     """Return the log-likelihood of all pairs of time errors a few measurements apart.
 
-    They are Gaussian: sums of noise and of delays, with the moments of time errors `drawn` for each
-    log, shape (draws, k).
+    Time errors are taken as Gaussian, as sums of the noise of positions and of delays. Those
+    `drawn` for each log, shape (draws, k), give the variance and covariance of the delays.
     """
-    # At constant velocity it does not depend on the speed, and few draws are noisy.
+    # One variance for all: it hardly depends on the speed, and those of few draws are noisy.
     variance = np.nanmean(np.concatenate([each.var(axis=0, ddof=1) for each in drawn])) + 1e-7
     normal = [(each - each.mean(axis=0)) / np.sqrt(variance) for each in drawn]
     total = 0.0
@@ -226,7 +226,7 @@ def pair_likelihood(logs: Sequence[TimeErrors], drawn: Sequence[Array]) -> float
 def _pairs(late: Array, variance: Array, covariance: Array, lag: int) -> float:
     """Return the log-likelihood of pairs of Gaussian time errors, (k,), with a `lag` between them.
 
-    The covariance has the shape (k - lag,). Errors far off count as less.
+    The covariance has the shape (k - lag,). Outliers are clipped.
     """
     first, second, a, b = variance[:-lag], variance[lag:], late[:-lag], late[lag:]
     determinant = np.maximum(first * second - covariance**2, 1e-3 * first * second)

@@ -20,15 +20,15 @@ from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros.topics import Topics, read_topics
 
 _HELD = 0.5  # s for which a velocity command holds at most: drivers stop without newer ones
-_CLOCKS = 1.0  # s by which stamps may precede the time of recording, if both have one clock
+_CLOCKS = 1.0  # s by which stamps precede the recording at most, if both are of the same clock
 _PERIODS = (0.005, 0.1)  # s, shortest and longest control period
 
 
 def read_bag(path: Path, robot: Robot) -> Log:
     """Return the log in a bag, with the topics of the robot.
 
-    Velocity commands and trajectories take effect when they were recorded, measurements by their
-    stamps if these are of the same clock.
+    Velocity commands and trajectories are dated by their recording, measurements by their stamps
+    if these are of the same clock.
 
     Raises:
         KinfeasError: If rosbags is not installed, or the bag is broken, lacks a topic, or has
@@ -169,8 +169,8 @@ class _Bag:
     def _check_order(self, values: Array) -> None:
         """Raise KinfeasError if two motions alternate in values, shape (k, w).
 
-        Readers sort messages by their time. After a clock that was set back, those before and after
-        it come by turns: neighbours are farther apart than every other one.
+        Readers sort messages by time. If the clock was set back, messages from before and after
+        that alternate, so that neighbours are farther apart than every second value.
         """
         next_one, next_but_one = (float(np.sum((values[n:] - values[:-n]) ** 2)) for n in (1, 2))
         if next_one > 2.0 * next_but_one:
@@ -185,7 +185,7 @@ class _Bag:
         return float(np.median(ends)) if ends else 0.0
 
     def _commands(self, base: Series) -> Series:
-        """Return the commands in world axes, with a zero where newer ones do not come."""
+        """Return the commands in world axes, and zero once none has come for `_HELD` seconds."""
         times, values = np.array(self._twists.recorded), np.array(self._twists.values)
         late = np.flatnonzero(np.diff(times, append=np.inf) > _HELD)
         times = np.insert(times, late + 1, times[late] + _HELD)
@@ -197,11 +197,11 @@ class _Bag:
         return times, np.stack([x, y, turn], axis=1)
 
     def _aimed(self, begin: float, start: Array) -> Series:
-        """Return the targets of the arm: those of a trajectory of one point at once."""
+        """Return the arm's targets over time; a single point of a trajectory is one at once."""
         aim = dict(zip(self._names, start, strict=True))
         times, values, points = [begin], [start.copy()], list[tuple[float, dict[str, float]]]()
         for number, (sent, path) in enumerate(self._paths):
-            # One of another controller leaves the joints of this one alone.
+            # Only a trajectory with joints of this one replaces it.
             later = (
                 when for when, other in self._paths[number + 1 :]
                 if not set(path.joints).isdisjoint(other.joints)
@@ -221,7 +221,10 @@ class _Bag:
 def _points(
     path: JointPath, sent: float, until: float, aim: dict[str, float]
 ) -> Iterator[tuple[float, dict[str, float]]]:
-    """Yield the targets of a trajectory up to a time; of several points, each 0.01 s."""
+    """Yield times and targets by joint up to `until`: every 0.01 s if there are several points.
+
+    `aim` has the targets before the trajectory.
+    """
     names = [name for name in path.joints if name in aim]
     ends = path.positions[:, [path.joints.index(name) for name in names]]
     if not names:

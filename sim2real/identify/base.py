@@ -33,13 +33,13 @@ LATENCIES, TIMES = np.array([0.0, 0.6]) / LATENCY_UNIT, np.log([1e-3, 3.0])
 BASE_DRAWS = 8
 """Draws of delays for the mean velocity of a base."""
 
-# A limit is left out if its error is large, or it is at its bound, and half the sum of squares
-# hardly grows without it.
+# A limit is left out if its relative error exceeds the first, or it is at its bound, and if half
+# the sum of squares grows without it by less than the second.
 _VAGUE, _SHOWN = 0.3, 4.0
-_USUAL_LIMIT, _USUAL_JERK = 1.0, 8.0  # m/s^2 and m/s^3, within a factor e, as also of rotation
-_COMPARED = np.arange(0.01, 0.42, 0.02)  # latencies without an arm, s
-_LEAST_NOISE = 1e-3  # of a base's velocity, m/s and rad/s; without any, all details seem to count
-_TRUST = 0.25  # weight of their likelihood, since residuals depend on each other
+_USUAL_LIMIT, _USUAL_JERK = 1.0, 8.0  # means of priors, m/s^2 and m/s^3, or rad; 1 sigma: factor e
+_COMPARED = np.arange(0.01, 0.42, 0.02)  # latencies that are compared without an arm, s
+_LEAST_NOISE = 1e-3  # of a base's velocity, m/s and rad/s; with less, fits would trust every detail
+_TRUST = 0.25  # weight of the likelihood of `_COMPARED`, since residuals are correlated
 _BOUNDS = {
     "latency": LATENCIES, "lag": TIMES,
     "acceleration": np.log([0.05, 50.0]), "jerk": np.log([0.5, 300.0]),
@@ -48,9 +48,9 @@ _BOUNDS = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a `BaseModel`, as fits have it: a latency in `LATENCY_UNIT`, or a logarithm.
+    """A parameter of a `BaseModel`; in fits, a latency in `LATENCY_UNIT`, others as logarithms.
 
-    Limits are of translation, `part` 0, and of rotation, 1.
+    Limits of acceleration and jerk are those of translation, `part` 0, or of rotation, 1.
     """
 
     kind: Literal["latency", "lag", "acceleration", "jerk"]
@@ -83,7 +83,7 @@ class BaseFit:
     """A fitted base."""
 
     model: BaseModel
-    # standard errors of the parameters that the logs show, relative but for times
+    # standard errors of the parameters that the logs show: of the latency in s, of others relative
     errors: dict[Parameter, float] = field(default_factory=dict)
     agrees: bool = False  # whether base and arm show the same latency
 
@@ -94,8 +94,8 @@ class Comparison:
 
     draws: int  # of delays; 0 for the mean active commands
     deviation: Array  # noise of each axis, shape (3,), m/s and rad/s
-    kept: Sequence[NDArray[np.bool_]]  # displacements of each track without jumps, shape (k,)
-    latency: tuple[float, float] | None = None  # one that is known, and its error, seconds
+    kept: Sequence[NDArray[np.bool_]]  # whether displacements of each track have no jump, (k,)
+    latency: tuple[float, float] | None = None  # the latency by an arm, and its error, seconds
 
 
 class BaseProblem:
@@ -110,7 +110,7 @@ class BaseProblem:
         self._blocks = np.repeat(time_blocks([track.times for track in tracks]), 3)
 
     def fit(self, arm: Delays | None, error: float) -> BaseFit:
-        """Return the base for the delays that the arm shows; `error` is that of the latency, s."""
+        """Return the fitted base, for the delays of an arm and the `error` of their latency, s."""
         none = np.full(2, np.inf)
         model = BaseModel(arm or Delays(0.0), 0.0, none, none)
         if not self.moves:
@@ -154,9 +154,10 @@ class BaseProblem:
     def _likely(
         self, best: BaseModel, free: Sequence[Parameter], comparison: Comparison
     ) -> tuple[BaseModel, float, float]:
-        """Return the model at the mean of all latencies, its cost, and the error of that mean, s.
+        """Return the model at the mean of likely latencies, its cost, and their error, seconds.
 
-        Limits of acceleration hide the latency within a period, and lags look like it.
+        Without an arm, one best latency says little: limits of acceleration hide the part within a
+        period, and a lag looks alike.
         """
         models = [LATENCY.put(best, latency / LATENCY_UNIT) for latency in _COMPARED]
         costs = np.array([self.solve(model, free, comparison)[1] for model in models])
@@ -178,7 +179,7 @@ class BaseProblem:
         ]  # fmt: skip
 
     def comparison(self, model: BaseModel, draws: int) -> Comparison:
-        """Return a comparison with the noise beside a model, and without jumps from it."""
+        """Return a comparison with the noise and the jumps that a model does not explain."""
         predicted = self._predicted(model, draws)
         rests = [
             (p - track.moved) / scale
@@ -198,7 +199,7 @@ class BaseProblem:
         comparison: Comparison,
         loss: Literal["linear", "soft_l1"] = "linear",
     ) -> tuple[BaseModel, float]:
-        """Return a model with the best values of its free parameters, and half the squares' sum."""
+        """Return a model with fitted `free` parameters, and its cost, half the sum of squares."""
         lower, upper = np.array([_BOUNDS[parameter.kind] for parameter in free]).T
         start = np.clip([each.of(model) for each in free], lower + 1e-6, upper - 1e-6)
         residuals = partial(self.residuals, model, free, comparison)
@@ -211,7 +212,7 @@ class BaseProblem:
     def errors(
         self, model: BaseModel, free: Sequence[Parameter], comparison: Comparison
     ) -> dict[Parameter, float]:
-        """Return the standard errors of the free parameters, relative but for times."""
+        """Return the standard errors of the free parameters, as in `BaseFit`."""
         z = np.array([parameter.of(model) for parameter in free])
         residuals = partial(self.residuals, model, free, comparison)
         beside = np.arange(len(_prior_residuals(model, comparison))) + self._blocks.max() + 1
@@ -242,7 +243,7 @@ class BaseProblem:
 
 
 def _prior_residuals(model: BaseModel, comparison: Comparison) -> Array:
-    """Return the residuals of priors, of a fixed number."""
+    """Return the residuals of priors; their number depends on the comparison only."""
     parts = []
     for values, usual in ((model.acceleration, _USUAL_LIMIT), (model.jerk, _USUAL_JERK)):
         limited = np.isfinite(values)

@@ -45,8 +45,8 @@ _REST, _PAUSE = 4.0, 0.9  # s at the beginning, and after each block
 def base_pattern(robot: Robot, dt: float) -> Array:
     """Return base commands in [-1, 1] by control period, shape (k, a).
 
-    The base drives forth and back, and begins each block of an axis in the other direction, so
-    that it ends near its start: a slow one covers more of the first reversal than of the last.
+    The base drives forth and back. Since a slow base drives farther forth than back, the blocks of
+    an axis begin in alternating directions, so that the base ends near its start.
     """
     size = command_size(robot.base)
     speed = min(1.0, _VELOCITY / robot.base.max_velocity)

@@ -1,8 +1,8 @@
 """The fit of a robot's response and noise to logs of its commands and measurements.
 
-The response of `kinfeas.sim2real.identify.model` is carried out for the recorded commands. Compared
-are the displacements of the base between two measurements, and the positions of the arm; the rest
-is noise. Intervals are of 95 % and treat blocks of two seconds as independent.
+`kinfeas.sim2real.identify.model` predicts the response to the recorded commands. The fit compares
+displacements of the base between measurements, and positions of the arm, with the measured ones;
+the residuals are noise. Intervals are of 95 % and treat blocks of two seconds as independent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ _ORDER = (
     "base_noise", "actuator_lag", "acceleration_limit", "velocity_clamp", "joint_limit_clamp",
     "dropped_commands", "command_latency", "joint_noise", "localisation", "sensor_latency",
 )  # fmt: skip
-"""From the robot outwards, as in `harsh`."""
+"""Order of adapters, from the robot outwards, as in `harsh`."""
 
 _OF_ROBOT = ("velocity_clamp", "joint_limit_clamp")
 """Adapters whose parameters are limits of the robot."""
@@ -80,10 +80,11 @@ class ResponseFit:
 
 
 def fit(logs: Sequence[Log], walk: Sequence[float]) -> ResponseFit:
-    """Return the robot of some logs with equal control periods.
+    """Return the robot fitted to logs with equal control periods.
 
-    The measured base pose is a random walk, of noise on the base and of its localisation. Both look
-    alike: the part `walk`, standard deviations after 1 s in metres and radians, is taken as known.
+    The error of the base pose is a random walk, of noise on the base's velocity and of drift of its
+    localisation. Both look alike, so that the drift is given: `walk` is its standard deviation
+    after 1 s, in metres and radians.
     """
     dt, estimates, missing = logs[0].dt, dict[str, Estimate](), list[str]()
     arm, tracks = ArmProblem(logs), [Track(log) for log in logs]
@@ -98,7 +99,7 @@ def fit(logs: Sequence[Log], walk: Sequence[float]) -> ResponseFit:
     if delays is None:
         sources = ", ".join(log.source for log in logs)
         raise KinfeasError(f"{sources}: neither base nor arm moves; {DRIVE}")
-    # Another latency of the arm says nothing of the delays of the base's commands.
+    # If the arm's latency differs, its delays do not show those of the base's commands.
     spread = arm.spread(delays) if arm.moves and (base.agrees or not problem.moves) else None
     if spread is None and arm.moves:
         missing.append(
@@ -154,7 +155,7 @@ def _delays(
 
 
 def _limits(base: BaseFit, fastest: Array, missing: list[str], dt: float) -> dict[str, Estimate]:
-    """Return lag and limits of a base, whose `fastest` accelerations, (2,), are predicted."""
+    """Return lag and limits of a base; `fastest` are its largest predicted accelerations, (2,)."""
     estimates: dict[str, Estimate] = {}
     lag = base.model.lag
     lag_error = base.errors[LAG] * lag
@@ -189,7 +190,7 @@ def _fastest(velocities: Sequence[Array], dt: float) -> Array:
 
 
 def _response(estimates: Mapping[str, Estimate], latency: float) -> ResponseModel:
-    """Return the model of the estimates, with mean delays: half of the jitter is added."""
+    """Return the model of the estimates, with mean delays; `latency` is that of commands, s."""
     names = {
         "base_lag": "actuator_lag.base", "arm_lag": "actuator_lag.arm",
         "acceleration": "acceleration_limit.linear", "jerk": "acceleration_limit.linear_jerk",

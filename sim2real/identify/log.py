@@ -12,7 +12,7 @@ from kinfeas.io.run_log import Record
 from kinfeas.robots.robot import Robot
 
 _SHORTEST = 5.0  # s of a record that is worth a fit
-_GAP = 10.0  # s without measurements, after which a clock was set
+_GAP = 10.0  # s between measurements; a longer gap means that a clock was set
 _ON_TIME = 0.95  # fraction of the control periods of a record below which estimates are doubtful
 _log = logging.getLogger(__name__)
 
@@ -84,9 +84,9 @@ def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
     source: str, robot: Robot, dt: float, twists: Series, targets: Series, base: Series,
     joints: Series, ages: Array, *, end: float, arm_seconds: float,
 ) -> Log:  # fmt: skip
-    """Return a log of commands, which hold from their times on until `end`, and measurements.
+    """Return a log; each command holds until the next one, and the last one until `end`.
 
-    Raises KinfeasError if it is shorter than a few seconds.
+    Raises KinfeasError if the log is shorter than a few seconds.
     """
     begin = min(float(twists[0][0]), float(targets[0][0])) if len(twists[0]) else end
     count = int(np.floor((end - begin) / dt + 0.5))
@@ -95,7 +95,7 @@ def make_log(  # noqa: PLR0913, PLR0917 - the parts of a log
     edges = np.linspace(begin, begin + count * dt, count + 1)
     unwrapped = _unwrapped(robot, joints[1])
     aims = _unwrapped(robot, targets[1])
-    # Both begin in the same turn.
+    # Measurements and targets of continuous joints begin in the same turn.
     turns = np.where(robot.continuous, np.round((unwrapped[0] - aims[0]) / (2.0 * np.pi)), 0.0)
     base_rows, joint_rows = _newer(base[0]), _newer(joints[0])
     return Log(
@@ -117,7 +117,7 @@ def _newer(times: Array) -> NDArray[np.intp]:
 
 
 def _means(times: Array, values: Array, edges: Array) -> Array:
-    """Return means of held values, zero before the first one, between edges (k + 1,)."""
+    """Return means between edges (k + 1,) of values that hold from their times on, 0 before."""
     steps = np.diff(np.append(times, max(edges[-1], times[-1])))
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * steps[:, None], 0)])
     knots = np.append(times, max(edges[-1], times[-1]) + 1e-12)

@@ -22,12 +22,15 @@ _OFFSETS = (np.arange(32) + 0.5) / 32.0
 """Fractions of a period at which the active command is looked up."""
 
 _NARROW = 0.125  # periods of jitter at least, so that weights change smoothly with the latency
-_LOST = 16  # commands lost in a row that are counted
+_LOST = 16  # commands lost in a row that are considered
 
 
 @njit(cache=True)
 def delayed(commands, weights):
-    """Return the mean active commands of commands, both (n, w); the first one was sent before."""
+    """Return the mean active command of each period, (n, w), for the commands sent, (n, w).
+
+    `weights`, (k,), are those of `Delays.weights`. Before the log, its first command was active.
+    """
     active = np.zeros_like(commands)
     for i in range(len(commands)):
         for k in range(len(weights)):
@@ -39,7 +42,7 @@ def delayed(commands, weights):
 
 @njit(cache=True)
 def moved_base(commands, dt, lag, acceleration, jerk):
-    """Return mean velocities by period, shape (n, 3), of active planar velocities, (n, 3).
+    """Return the base's mean velocity in each period, (n, 3), under active commands, (n, 3).
 
     `acceleration` and `jerk` are the limits of translation and rotation, shape (2,); `lag` is in
     seconds.
@@ -55,9 +58,9 @@ def moved_base(commands, dt, lag, acceleration, jerk):
 
 @njit(cache=True)
 def moved_arm(targets, dt, lag, seconds=0.0):
-    """Return joint positions at the ends of periods, (n, j), of active targets, shape (n, j).
+    """Return joint positions at the ends of periods, (n, j), under active targets, (n, j).
 
-    From each lagging target on, the arm moves on a cubic that ends at rest after `seconds`.
+    In each period the arm begins a cubic to the lagging target that ends at rest after `seconds`.
     """
     positions, seconds = np.empty_like(targets), max(seconds, dt)
     left = np.exp(-dt / lag) if lag > 0.0 else 0.0
@@ -71,7 +74,7 @@ def moved_arm(targets, dt, lag, seconds=0.0):
 
 
 def arm_delay(dt: float, seconds: float) -> float:
-    """Return by how much an arm on the cubics of `moved_arm` is late at constant velocity."""
+    """Return the delay, s, of an arm on the cubics of `moved_arm` at constant velocity."""
     s = min(dt / seconds, 1.0) if seconds > 0.0 else 1.0
     return seconds * ((4.0 - 3.0 * s) / (6.0 - 6.0 * s + s * s) - s)
 
@@ -84,10 +87,10 @@ def uniform_numbers(draws: int, n: int) -> Array:
 
 @njit(cache=True)
 def drawn_delays(uniform, dt, latency, jitter, lost):
-    """Return one draw of `Delays` for n periods, by uniform numbers in [0, 1), shape (n, 2).
+    """Return one draw of `Delays` for n periods, from uniform numbers in [0, 1), shape (n, 2).
 
-    It consists of the weights of the commands of which the active one is mixed, the newest last,
-    shape (n, k), and whether it was not lost, (n,).
+    The active command of a period is a mean of the last k commands: returned are their weights,
+    the newest last, shape (n, k), and whether the mean is not lost, shape (n,).
     """
     n, slots = len(uniform), int(np.ceil((latency + jitter) / dt)) + 2
     begins = np.zeros((n, slots))
@@ -100,7 +103,7 @@ def drawn_delays(uniform, dt, latency, jitter, lost):
 
 @njit(cache=True)
 def drawn_commands(commands, mixed, kept):
-    """Return the active commands for one draw of the delays, shape (n, w)."""
+    """Return the active commands, (n, w), for the weights and kept periods of `drawn_delays`."""
     active = np.empty_like(commands)
     for i in range(len(commands)):
         for axis in range(commands.shape[1]):
@@ -118,7 +121,7 @@ def drawn_commands(commands, mixed, kept):
 
 @njit(cache=True)
 def mean_moved_base(commands, dt, latency, jitter, lost, lag, acceleration, jerk, uniform):
-    """Return the mean of `moved_base`, (n, 3), over draws by uniform numbers, (draws, n, 2)."""
+    """Return the mean of `moved_base`, (n, 3), over draws from uniform numbers, (draws, n, 2)."""
     total = np.zeros_like(commands)
     for numbers in uniform:
         mixed, kept = drawn_delays(numbers, dt, latency, jitter, lost)
@@ -155,14 +158,14 @@ class Delays:
         return float(weights @ np.arange(len(weights))) * dt
 
     def spread(self, jitter: float, lost: float, dt: float) -> "Delays":
-        """Return delays with the same mean."""
+        """Return delays with another jitter and probability of loss, and the same mean."""
         other = Delays(self.latency, jitter, lost)
         return replace(other, latency=self.latency + self.mean(dt) - other.mean(dt))
 
 
 @dataclass(frozen=True)
 class BaseModel:
-    """Response of a base: delays, lag, and limits (2,) of translation and rotation."""
+    """Response of a base: delays, lag in s, and limits (2,) of translation and rotation or inf."""
 
     delays: Delays
     lag: float
@@ -172,7 +175,8 @@ class BaseModel:
     def velocities(self, log: Log, draws: int = 0) -> Array:
         """Return the mean velocity in each period of a log, shape (n, 3).
 
-        That of the mean active command or, since limits are not linear, the mean of `draws`.
+        It is the response to the mean active command or, more exactly since limits are not linear,
+        the mean response to `draws` of the delays.
         """
         limits = self.lag, self.acceleration, self.jerk
         if not draws:
@@ -189,14 +193,15 @@ class Track:
     Attributes:
         moved: Measured displacements.
         seconds: Duration of each, shape (k,).
-        squares: Sum of the squared durations in each period, of which the variance consists where
-            the velocity has noise that is constant in each, and measurements are interpolated.
+        times: Middle of each, seconds, shape (k,).
+        squares: Variance of each, shape (k,), s^2, if the velocity has noise of variance 1 that is
+            constant in each control period: the sum of the squared durations in these periods.
     """
 
     def __init__(self, log: Log) -> None:
         self.log = log
         self._at = np.clip(log.base_times / log.dt, 0.0, len(log.twists))
-        # Errors of times would be large in short displacements.
+        # Leaves measurements out: in short displacements, errors of their times would dominate.
         rows, last = [0], float(self._at[0])
         for row, at in enumerate(self._at.tolist()):
             if at - last >= _SHORTEST:
@@ -213,7 +218,7 @@ class Track:
         self.squares: Array = squares * log.dt**2
 
     def predicted(self, velocities: Array) -> Array:
-        """Return the displacements at a velocity for each period, shape (n, 3)."""
+        """Return the displacements, (k, 3), at a velocity for each control period, shape (n, 3)."""
         path = np.concatenate([np.zeros((1, 3)), np.cumsum(velocities, axis=0) * self.log.dt])
         at = interpolated_columns(self._at, np.arange(float(len(path))), path)
         return np.diff(at, axis=0)

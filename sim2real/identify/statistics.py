@@ -12,37 +12,37 @@ from kinfeas.sim2real.identify.log import Log
 from kinfeas.sim2real.identify.model import Track
 
 DRIVE = "drive the pattern of `kinfeas identify --drive`"
-"""End of the sentences on what records do not show."""
+"""End of the sentences of `missing`, on what records do not show."""
 
 NORMAL = 1.96
 """Half of a 95 % interval, in standard deviations."""
 
 BLOCK = 2.0
-"""Seconds of residuals that depend on each other."""
+"""Length in seconds of the blocks in which residuals may depend on each other."""
 
 MOVES = 0.02
 """What counts as motion: m/s and rad/s, or m and rad of a joint."""
 
 SLACK_SECONDS, SLACK, SLACK_JERK, SLACK_JOINTS = 0.008, 0.03, 0.4, 0.15
-"""Smallest half of the interval of a time, and of other numbers as a fraction.
+"""Least half-width of intervals: of times in seconds, of other numbers as a fraction.
 
-A link between robot and record smooths jerk, and noise of joints, by as much.
+Those of jerk and of the noise of joints are large, since a link smooths both before the record.
 """
 
-_STEP = 0.02  # of parameters, for derivatives
+_STEP = 0.02  # of parameters, for central differences
 _FLAT = 1e-9  # squared derivative below which no residual depends on a parameter
 
 Flags = NDArray[np.bool_]
 
-_JUMP, _LEAST_JUMP = 4.5, 0.004  # of a jump: standard deviations, and m or rad
+_JUMP, _LEAST_JUMP = 4.5, 0.004  # least size of a jump: in standard deviations, and in m or rad
 _LATE = 0.01  # s by which the time of a measurement may be off
-_LEAST_VELOCITY = 1e-3  # m/s and rad/s, noise of the base at least in fits
+_LEAST_VELOCITY = 1e-3  # m/s and rad/s, least noise of the base in fits
 _ROUNDING = 1e-7  # rad and m, of the numbers of a record
-_LEAST_POSITION = 1e-4  # rad and m, the same of joints
+_LEAST_POSITION = 1e-4  # rad and m, least noise of joint positions in fits
 _CHANGES = 0.03  # m/s and rad/s in 0.2 s that count as acceleration
-_ENOUGH, _MORE = 200, 1.4  # measurements for a variance, and its factor that motion explains
+_ENOUGH, _MORE = 200, 1.4  # measurements that a variance needs, and its ratio to rest that counts
 _GAP = 0.5  # s between measurements, beyond which a base may have moved on its own
-_NEIGHBOURS = 2  # measurements whose noise may depend
+_NEIGHBOURS = 2  # measurements before and after one whose noise may be correlated with its own
 _ARM_SETTLES = 0.8  # s of constant targets after which the arm is at rest
 
 
@@ -64,7 +64,7 @@ def time_estimate(value: float, error: float) -> Estimate:
 def lag_estimate(value: float, error: float, dt: float) -> Estimate:
     """Return the estimate of a time constant with a standard error, seconds.
 
-    Those below half a period cannot be told from zero.
+    Time constants below half a period cannot be distinguished from zero.
     """
     if value < 0.5 * dt:
         return Estimate(value, 0.0, 0.5 * dt)
@@ -83,17 +83,18 @@ def posterior(values: Array, weights: Array) -> Estimate:
 
 
 def time_blocks(times: Sequence[Array]) -> NDArray[np.intp]:
-    """Return the numbers of the blocks of `BLOCK` seconds that times of several logs are in."""
+    """Return the indices of the blocks of `BLOCK` seconds that times of several logs are in."""
     blocks = [np.floor(seconds / BLOCK).astype(np.intp) for seconds in times]
     firsts = np.cumsum([0, *(block.max() + 1 for block in blocks[:-1])])
     return np.concatenate([block + first for block, first in zip(blocks, firsts, strict=True)])
 
 
 def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.intp]) -> Array:
-    """Return standard errors of parameters, shape (p,), for residuals that depend within blocks.
+    """Return standard errors of parameters, shape (p,), for residuals correlated within blocks.
 
-    These are normalised residuals, their derivatives, (r, p), and the block of each, (r,). It is
-    infinite where no residual depends on the parameter.
+    Residuals, (r,), are normalised; derivatives are theirs, (r, p), blocks their indices, (r,).
+    Errors are the larger of those of independent residuals and of the cluster-robust (sandwich)
+    estimator, and infinite for a parameter on which no residual depends.
     """
     information = derivatives.T @ derivatives
     inverse = np.linalg.pinv(information)
@@ -105,7 +106,7 @@ def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.int
 
 
 def derivatives(function: Callable[[Array], Array], z: Array) -> Array:
-    """Return central differences of a function, shape (r, p), by parameters, shape (p,)."""
+    """Return the derivatives, shape (r, p), of a function by parameters `z`, shape (p,)."""
     steps = _STEP * np.eye(len(z))
     columns = [(function(z + step) - function(z - step)) / (2.0 * _STEP) for step in steps]
     return np.stack(columns, axis=1)
@@ -117,10 +118,10 @@ def spread_of(rest: Array) -> Array:
 
 
 def jumps(rest: Array, deviation: Array, speed: Array) -> Flags:
-    """Return which rests of displacements are jumps, shape (k,).
+    """Return which residuals of displacements, (k, 3), have a jump, shape (k,).
 
-    Standard deviations and predicted speeds have the shape of the rests, (k, 3). The times of
-    measurements may be off by some milliseconds.
+    Standard deviations and predicted speeds have the shape (k, 3), too. Measurement times that are
+    off by some milliseconds make no jump.
     """
     least = np.maximum(_JUMP * deviation, _LEAST_JUMP + _LATE * np.abs(speed))
     return np.max(np.abs(rest) / least, axis=1) > 1.0
@@ -135,10 +136,10 @@ def widened(flags: Flags) -> Flags:
 
 
 def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | None, float, bool]:
-    """Return the noise of joint positions, its variance, and whether `overlap` scales it.
+    """Return the noise of joint positions, their variance in fits, and whether `overlap` scales it.
 
-    That is so where measurements are interpolated between periods; `at` are their times in periods.
-    Without a rest, the variance is a guess.
+    It does if measurements are interpolated between periods; `at` are their times in periods. If
+    the arm is never at rest, the noise is None and the variance a guess.
     """
     rests, overlaps = [], []
     for log, moments in zip(logs, at, strict=True):
@@ -173,9 +174,9 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
 
 
 def overlap(at: Array, lag: int = 0) -> Array:
-    """Return the covariance of interpolated values of unit variance, (k,) -> (k - lag,).
+    """Return the covariances of interpolated values `lag` entries apart, (k,) -> (k - lag,).
 
-    `at` are places between values, ascending; pairs have a `lag` between them.
+    `at` are ascending positions between independent values of variance 1 at 0, 1, 2 and so on.
     """
     first, second = at[: len(at) - lag], at[lag:]
     apart = np.floor(second) - np.floor(first)
@@ -185,9 +186,9 @@ def overlap(at: Array, lag: int = 0) -> Array:
 
 
 def _variance(rest: Array, first: Array, second: Array) -> tuple[float, bool]:
-    """Return the variance in units of that one of two shapes, (k,), that fits; whether it is first.
+    """Return the variance of Gaussian residuals, (k, w), in units of `first` or `second`, (k,).
 
-    `rest` has shape (k, w) and is Gaussian.
+    The unit is the more likely one; also returned is whether that is `first`.
     """
     squared = np.mean(rest**2, axis=1)
     variances = [float(np.mean(squared / shape)) for shape in (first, second)]
@@ -204,7 +205,8 @@ def base_noise(
 ) -> dict[str, Estimate]:
     """Return the noise of the base, and drift and jumps of its localisation.
 
-    `walk` is the standard deviation of the drift after 1 s, metres and radians.
+    `velocities` are predicted, (n, 3) for each track. `walk` is the standard deviation of the drift
+    after 1 s, metres and radians.
     """
     dt = tracks[0].log.dt
     predicted = [track.predicted(v) for track, v in zip(tracks, velocities, strict=True)]
@@ -249,9 +251,9 @@ def base_noise(
 
 
 def _long_run(rest: Array, used: Flags) -> float:
-    """Return the variance, in a long time, of rests whose neighbours may depend, shape (k, w).
+    """Return the long-run variance of residuals, shape (k, w), with correlated neighbours.
 
-    They do where a base or a filter evens out its noise, in periods of its own.
+    Neighbours are correlated if the base or a filter smooths its noise, in periods of its own.
     """
     variance = float(np.mean(rest[used] ** 2))
     for lag in range(1, _NEIGHBOURS + 1):
@@ -261,9 +263,9 @@ def _long_run(rest: Array, used: Flags) -> float:
 
 
 def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:
-    """Return the rests to use, (k,): those of a base at rest where motion adds to them.
+    """Return which residuals to use, (k,): only those of a base at rest if motion adds to them.
 
-    It does where the times of measurements are off.
+    Motion adds to them if the times of measurements are off.
     """
     both = [used & still, used & ~still]
     if min(flags.sum() for flags in both) < _ENOUGH:
@@ -273,7 +275,7 @@ def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:
 
 
 def _quiet(track: Track, velocities: Array) -> Flags:
-    """Return in which displacements the predicted velocity is constant, shape (k,)."""
+    """Return whether the predicted velocity is constant around each displacement, shape (k,)."""
     number = np.minimum((track.times / track.log.dt).astype(np.intp), len(velocities) - 1)
     wide = max(1, round(0.1 / track.log.dt))
     padded = np.pad(velocities, ((wide, wide), (0, 0)), mode="edge")
@@ -284,7 +286,7 @@ def _quiet(track: Track, velocities: Array) -> Flags:
 def _localisation_jumps(
     tracks: Sequence[Track], rests: Sequence[Array], jump: Flags, drifts: Sequence[float]
 ) -> dict[str, Estimate]:
-    """Return rate and size of jumps, each of which draws a new error, none at first."""
+    """Return rate and sizes of jumps; each draws a new error, and a track begins without error."""
     seconds = sum(len(track.log.twists) * track.log.dt for track in tracks)
     sums, walked, count, first = np.zeros(3), np.zeros(3), 0, 0
     ends = np.cumsum([len(rest) for rest in rests])[:-1]
@@ -304,6 +306,7 @@ def _localisation_jumps(
     low = chi2.ppf(0.025, 2.0 * count) / 2.0 / seconds
     high = chi2.ppf(0.975, 2.0 * count + 2.0) / 2.0 / seconds
     rate = Estimate(count / seconds, float(low), float(high))
+    # A jump is the difference of two errors, but the first one of a track has only one.
     variances = np.maximum(sums - walked, 0.05 * sums) / (2.0 * count - first)
     sizes = {"jump": (float(variances[:2].mean()), 2.0), "turn_jump": (float(variances[2]), 1.0)}
     estimates = {}
