@@ -66,13 +66,13 @@ class JointSetpoints:
 
         Points whose time has passed are left out, but the last one, which is reached at once.
         """
-        left = path.times >= _AT_ONCE
-        left[-1] = True
-        times: Array = np.append(0.0, np.maximum(path.times[left], _AT_ONCE))
+        kept = path.times >= _AT_ONCE
+        kept[-1] = True
+        times: Array = np.append(0.0, np.maximum(path.times[kept], _AT_ONCE))
         for column, name in enumerate(path.joints):
             if name in self._paths:
                 before, now = self._paths[name], self._since_start(name, time)
-                values = np.append(before(now), path.positions[left, column])
+                values = np.append(before(now), path.positions[kept, column])
                 slopes = PchipInterpolator(times, values)(times, 1)
                 slopes[0], slopes[-1] = before(now, 1), 0.0
                 self._paths[name] = CubicHermiteSpline(times, values, slopes)

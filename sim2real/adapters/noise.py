@@ -147,11 +147,11 @@ class Localisation(Adapter):
 
     def modify_state(self, state: RobotState) -> RobotState:
         """Return the state with the erroneous base pose."""
-        now = state.localised
-        if now is None:
-            now = (state.true_state or state).base_pose
+        localised = state.localised
+        if localised is None:
+            localised = (state.true_state or state).base_pose
         base = self._displaced(state.base_pose, "error")
-        return measured(state, base_pose=base, localised=self._displaced(now, "followed"))
+        return measured(state, base_pose=base, localised=self._displaced(localised, "followed"))
 
     def _displaced(self, pose: Array, name: str) -> Array:
         """Return poses, shape (n, 7), displaced by `error` or `followed` of the memory."""

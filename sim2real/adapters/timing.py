@@ -175,9 +175,9 @@ class HeadStart(Adapter):
 
     def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
         """Return the execution with a longer head start, drawn for each episode from a range."""
-        (low, high), within = self.ranges["seconds"], super().execution(execution)
-        jitter = within.head_start_jitter + high - low
-        return replace(within, head_start=within.head_start + low, head_start_jitter=jitter)
+        (low, high), inner = self.ranges["seconds"], super().execution(execution)
+        jitter = inner.head_start_jitter + high - low
+        return replace(inner, head_start=inner.head_start + low, head_start_jitter=jitter)
 
 
 class TimeScale(Adapter):
@@ -195,8 +195,8 @@ class TimeScale(Adapter):
 
     def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
         """Return the slower execution."""
-        within = super().execution(execution)
-        return replace(within, time_scale=within.time_scale * self.ranges["factor"].low)
+        inner = super().execution(execution)
+        return replace(inner, time_scale=inner.time_scale * self.ranges["factor"].low)
 
 
 def _measurements(state: RobotState) -> dict[str, Array]:

@@ -135,11 +135,11 @@ class SafetyFilter(BackendWrapper):
 
     def stop(self) -> None:
         """Command the base to zero and the arm to hold; it may be called at any time."""
-        moved, self.stopped = not self.stopped, True
+        running, self.stopped = not self.stopped, True
         self.base_twist, self._velocity = np.zeros((1, 6)), np.zeros(3)
         if self.real_time is not None:
             self.real_time.stop()
-        elif moved and self._dt > 0.0:  # nothing moves before the first step
+        elif running and self._dt > 0.0:  # nothing moves before the first step
             self.backend.step(self.base_twist, self.joint_targets, self._dt)
 
     def close(self) -> None:

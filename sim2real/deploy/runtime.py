@@ -341,8 +341,8 @@ class _Run:
     ) -> None:  # fmt: skip
         self.write()
         loop, state, (twist, targets) = self.loop, self.guarded.state, self.guarded.command
-        steps, self._recorded = self._recorded, self.guarded.commands.steps
-        if steps == self._recorded:  # nothing was sent since the last line but a stop
+        recorded, self._recorded = self._recorded, self.guarded.commands.steps
+        if recorded == self._recorded:  # nothing was sent since the last line but a stop
             twist = np.zeros((1, 6))
         self._unwritten = Moment(
             time=self.seconds(),

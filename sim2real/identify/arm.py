@@ -167,11 +167,11 @@ class ArmProblem:
         likelihood = np.empty((len(_JITTERS), len(_LOST)))
         latencies = np.empty_like(likelihood)
         for (i, jitter), (k, lost) in product(enumerate(_JITTERS), enumerate(_LOST)):
-            tried = delays.spread(jitter, lost, self._dt)
-            latencies[i, k] = tried.latency
-            likelihood[i, k] = _PAIRS * pair_likelihood(errors, self._simulated(tried, speeds))
+            candidate = delays.spread(jitter, lost, self._dt)
+            latencies[i, k] = candidate.latency
+            likelihood[i, k] = _PAIRS * pair_likelihood(errors, self._simulated(candidate, speeds))
             likelihood[i, k] -= lost / _USUAL_LOSS
-            likelihood[i, k] += -np.inf if tried.latency < -0.25 * self._dt else 0.0
+            likelihood[i, k] += -np.inf if candidate.latency < -0.25 * self._dt else 0.0
         weights = np.exp(likelihood - likelihood.max())
         weights /= weights.sum()
         mean = float((weights * latencies).sum())

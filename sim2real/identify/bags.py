@@ -158,7 +158,7 @@ class _Bag:
         dt = float(np.clip(np.median(np.diff(commands)), *_PERIODS))
         log = make_log(
             str(self._path), self._robot, dt, self._commands(base),
-            self._aimed(float(commands[0]), joints[1][0]), base, joints, ages,
+            self._arm_targets(float(commands[0]), joints[1][0]), base, joints, ages,
             end=min(float(commands[-1]) + _HELD, float(base[0][-1]), float(joints[0][-1])),
             arm_seconds=self._arm_seconds(),
         )  # fmt: skip
@@ -196,7 +196,7 @@ class _Bag:
         x, y = cosine * forward - sine * left, sine * forward + cosine * left
         return times, np.stack([x, y, turn], axis=1)
 
-    def _aimed(self, begin: float, start: Array) -> Series:
+    def _arm_targets(self, begin: float, start: Array) -> Series:
         """Return the arm's targets over time; a single point of a trajectory is one at once."""
         aim = dict(zip(self._names, start, strict=True))
         times, values, points = [begin], [start.copy()], list[tuple[float, dict[str, float]]]()

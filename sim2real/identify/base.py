@@ -111,8 +111,8 @@ class BaseProblem:
 
     def fit(self, arm: Delays | None, error: float) -> BaseFit:
         """Return the fitted base, for the delays of an arm and the `error` of their latency, s."""
-        none = np.full(2, np.inf)
-        model = BaseModel(arm or Delays(0.0), 0.0, none, none)
+        unlimited = np.full(2, np.inf)
+        model = BaseModel(arm or Delays(0.0), 0.0, unlimited, unlimited)
         if not self.moves:
             return BaseFit(model)
         limits = [
@@ -123,8 +123,8 @@ class BaseProblem:
         free = [LATENCY, LAG, *limits]
         comparison = self.comparison(model, 0)
         starts = self._starts(model, (0.03, 0.1, 0.2) if arm is None else (arm.latency,))
-        tried = [self.solve(start, free[1:], comparison, loss="soft_l1") for start in starts]
-        best, least = min(tried, key=lambda solved: solved[1])
+        solutions = [self.solve(start, free[1:], comparison, loss="soft_l1") for start in starts]
+        best, least = min(solutions, key=lambda solved: solved[1])
         # Without an arm there is no jitter, so that all draws are the same.
         draws, latency_error = BASE_DRAWS if arm is not None else 1, None
         for _ in range(2):
@@ -134,8 +134,8 @@ class BaseProblem:
             best, least, latency_error = self._likely(best, free[1:], comparison)
         errors = self.errors(best, free, comparison)
         if arm is not None:
-            apart = abs(best.delays.latency - arm.latency)
-            if apart <= max(0.015, 3.0 * np.hypot(errors[LATENCY], error)):
+            difference = abs(best.delays.latency - arm.latency)
+            if difference <= max(0.015, 3.0 * np.hypot(errors[LATENCY], error)):
                 comparison = replace(comparison, latency=(arm.latency, max(error, 0.001)))
                 best, least = self.solve(best, free, comparison)
                 errors = self.errors(best, free, comparison)
@@ -162,12 +162,12 @@ class BaseProblem:
         models = [LATENCY.put(best, latency / LATENCY_UNIT) for latency in _COMPARED]
         costs = np.array([self.solve(model, free, comparison)[1] for model in models])
         weights = np.exp(_TRUST * (costs.min() - costs))
-        found = posterior(_COMPARED, weights / weights.sum())
-        model = LATENCY.put(best, found.value / LATENCY_UNIT)
+        estimate = posterior(_COMPARED, weights / weights.sum())
+        model = LATENCY.put(best, estimate.value / LATENCY_UNIT)
         best, least = self.solve(model, free, comparison)
-        known = found.high < _COMPARED[-2]
-        error = max(found.high - found.value, found.value - found.low) / NORMAL
-        return best, least, error if known else np.inf
+        bounded = estimate.high < _COMPARED[-2]
+        error = max(estimate.high - estimate.value, estimate.value - estimate.low) / NORMAL
+        return best, least, error if bounded else np.inf
 
     def _starts(self, model: BaseModel, latencies: Sequence[float]) -> list[BaseModel]:
         return [
@@ -181,14 +181,14 @@ class BaseProblem:
     def comparison(self, model: BaseModel, draws: int) -> Comparison:
         """Return a comparison with the noise and the jumps that a model does not explain."""
         predicted = self._predicted(model, draws)
-        rests = [
+        residuals = [
             (p - track.moved) / scale
             for p, track, scale in zip(predicted, self._tracks, self._scale, strict=True)
         ]
-        deviation = np.maximum(spread_of(np.concatenate(rests)), _LEAST_NOISE)
+        deviation = np.maximum(spread_of(np.concatenate(residuals)), _LEAST_NOISE)
         kept = [
-            ~widened(jumps(rest * scale, scale * deviation, p / t.seconds[:, np.newaxis]))
-            for p, t, rest, scale in zip(predicted, self._tracks, rests, self._scale, strict=True)
+            ~widened(jumps(r * scale, scale * deviation, p / t.seconds[:, np.newaxis]))
+            for p, t, r, scale in zip(predicted, self._tracks, residuals, self._scale, strict=True)
         ]
         return Comparison(draws, deviation, kept)
 
@@ -215,8 +215,8 @@ class BaseProblem:
         """Return the standard errors of the free parameters, as in `BaseFit`."""
         z = np.array([parameter.of(model) for parameter in free])
         residuals = partial(self.residuals, model, free, comparison)
-        beside = np.arange(len(_prior_residuals(model, comparison))) + self._blocks.max() + 1
-        blocks = np.concatenate([self._blocks, beside])
+        prior_blocks = np.arange(len(_prior_residuals(model, comparison))) + self._blocks.max() + 1
+        blocks = np.concatenate([self._blocks, prior_blocks])
         units = np.array([LATENCY_UNIT if each == LATENCY else 1.0 for each in free])
         errors = units * standard_errors(residuals(z), derivatives(residuals, z), blocks)
         return dict(zip(free, errors.tolist(), strict=True))

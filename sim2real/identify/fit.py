@@ -145,11 +145,11 @@ def _delays(
 ) -> dict[str, Estimate]:
     if spread is None:
         return {"command_latency.seconds": time_estimate(delays.mean(dt), error)}
-    jitter, lost, more = spread
+    jitter, lost, spread_error = spread
     latency = max(0.0, delays.spread(jitter.value, lost.value, dt).latency)
     return {
         "dropped_commands.probability": lost,
-        "command_latency.seconds": time_estimate(latency, float(np.hypot(error, more))),
+        "command_latency.seconds": time_estimate(latency, float(np.hypot(error, spread_error))),
         "command_latency.jitter": jitter,
     }
 
@@ -171,8 +171,8 @@ def _limits(base: BaseFit, fastest: Array, missing: list[str], dt: float) -> dic
         ):  # fmt: skip
             if (error := base.errors.get(limit, np.inf)) < 0.5:
                 value = float(getattr(base.model, limit.kind)[part])
-                spread = float(np.exp(NORMAL * error + slack))
-                estimate = Estimate(value, value / spread, value * spread)
+                factor = float(np.exp(NORMAL * error + slack))
+                estimate = Estimate(value, value / factor, value * factor)
                 estimates[f"acceleration_limit.{key}"] = estimate
             elif limit == acceleration and fastest[part] > _FAST:
                 missing.append(

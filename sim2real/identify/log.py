@@ -47,13 +47,13 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
     commanded = np.concatenate([record.base_twist[kept], record.joint_targets[kept]], axis=1)
     if not np.isfinite(np.concatenate([poses, joints, commanded], axis=1)).all():
         raise KinfeasError(f"{source}: has numbers that are not finite")
-    ages, known = record.age[kept], np.isfinite(record.age[kept])
-    measured = time - np.where(known, ages, 0.0)
-    done = (len(time) - 1) * record.about.dt / max(time[-1] - time[0], record.about.dt)
-    if done < _ON_TIME:
+    ages, has_age = record.age[kept], np.isfinite(record.age[kept])
+    measured = time - np.where(has_age, ages, 0.0)
+    fraction = (len(time) - 1) * record.about.dt / max(time[-1] - time[0], record.about.dt)
+    if fraction < _ON_TIME:
         _log.warning(
             "%s: only %.0f %% of the control periods took place; drive again on an idle machine",
-            source, 100.0 * done,
+            source, 100.0 * fraction,
         )  # fmt: skip
     base = np.stack([poses[:, 0], poses[:, 1], np.unwrap(yaw(poses))], axis=1)
     # The command of a line was active since the line before.
@@ -61,7 +61,7 @@ def log_of(record: Record, robot: Robot, source: str) -> Log:
         source, robot, record.about.dt,
         (time[:-1], record.base_twist[kept][1:][:, [0, 1, 5]]),
         (time[:-1], record.joint_targets[kept][1:]),
-        (measured, base), (measured, joints), ages[1:][known[1:]], end=float(time[-1]),
+        (measured, base), (measured, joints), ages[1:][has_age[1:]], end=float(time[-1]),
         arm_seconds=record.about.arm_seconds,
     )  # fmt: skip
 

@@ -63,11 +63,11 @@ def moved_arm(targets, dt, lag, seconds=0.0):
     In each period the arm begins a cubic to the lagging target that ends at rest after `seconds`.
     """
     positions, seconds = np.empty_like(targets), max(seconds, dt)
-    left = np.exp(-dt / lag) if lag > 0.0 else 0.0
+    decay = np.exp(-dt / lag) if lag > 0.0 else 0.0
     aim, speed = targets[0].copy(), np.zeros(targets.shape[1])
     for i in range(len(targets)):
         for k in range(targets.shape[1]):
-            aim[k] = targets[i, k] + (aim[k] - targets[i, k]) * left
+            aim[k] = targets[i, k] + (aim[k] - targets[i, k]) * decay
             at = positions[i - 1, k] if i > 0 else targets[0, k]
             positions[i, k], speed[k] = cubic(at, speed[k], aim[k] - at, seconds, dt)
     return positions

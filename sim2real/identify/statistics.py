@@ -112,19 +112,19 @@ def derivatives(function: Callable[[Array], Array], z: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def spread_of(rest: Array) -> Array:
+def spread_of(residuals: Array) -> Array:
     """Return robust standard deviations of columns, (k, w) -> (w,), m/s or rad/s."""
-    return np.maximum(1.4826 * np.median(np.abs(rest), axis=0), _LEAST_VELOCITY)
+    return np.maximum(1.4826 * np.median(np.abs(residuals), axis=0), _LEAST_VELOCITY)
 
 
-def jumps(rest: Array, deviation: Array, speed: Array) -> Flags:
+def jumps(residuals: Array, deviation: Array, speed: Array) -> Flags:
     """Return which residuals of displacements, (k, 3), have a jump, shape (k,).
 
     Standard deviations and predicted speeds have the shape (k, 3), too. Measurement times that are
     off by some milliseconds make no jump.
     """
     least = np.maximum(_JUMP * deviation, _LEAST_JUMP + _LATE * np.abs(speed))
-    return np.max(np.abs(rest) / least, axis=1) > 1.0
+    return np.max(np.abs(residuals) / least, axis=1) > 1.0
 
 
 def widened(flags: Flags) -> Flags:
@@ -141,7 +141,7 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
     It does if measurements are interpolated between periods; `at` are their times in periods. If
     the arm is never at rest, the noise is None and the variance a guess.
     """
-    rests, overlaps = [], []
+    parts, overlaps = [], []
     for log, moments in zip(logs, at, strict=True):
         settled = round(_ARM_SETTLES / log.dt)
         still = np.concatenate([[True], (np.diff(log.targets, axis=0) == 0.0).all(axis=1)])
@@ -154,17 +154,17 @@ def joint_noise(logs: Sequence[Log], at: Sequence[Array]) -> tuple[Estimate | No
         for begin, end in zip(begins, ends, strict=True):
             if end - begin > 10:
                 part = log.joints[begin:end]
-                rests.append((part - part.mean(axis=0)) * np.sqrt(len(part) / (len(part) - 1.0)))
+                parts.append((part - part.mean(axis=0)) * np.sqrt(len(part) / (len(part) - 1.0)))
                 overlaps.append(overlap(moments[begin:end]))
-    if not rests:
+    if not parts:
         steps = np.concatenate([np.diff(log.joints, n=2, axis=0) for log in logs])
         guess = float(np.median(np.abs(steps)) / 0.6745 / np.sqrt(6.0)) + 1e-6
         return None, guess**2, False
-    rest, scale = np.concatenate(rests), np.concatenate(overlaps)
-    variance, interpolated = _variance(rest, scale, np.ones(len(scale)))
-    noise, samples = variance, rest.size
+    residuals, scale = np.concatenate(parts), np.concatenate(overlaps)
+    variance, interpolated = _variance(residuals, scale, np.ones(len(scale)))
+    noise, samples = variance, residuals.size
     if not interpolated:
-        noise = _long_run(rest, np.ones(len(rest), dtype=np.bool_))
+        noise = _long_run(residuals, np.ones(len(residuals), dtype=np.bool_))
         samples = round(samples / (1.0 + 2.0 * _NEIGHBOURS))
     noise = noise if noise > _ROUNDING**2 else 0.0
     value = float(np.sqrt(noise))
@@ -185,18 +185,18 @@ def overlap(at: Array, lag: int = 0) -> Array:
     return np.where(apart == 0.0, same, np.where(apart == 1.0, f * (1.0 - g), 0.0))
 
 
-def _variance(rest: Array, first: Array, second: Array) -> tuple[float, bool]:
+def _variance(residuals: Array, first: Array, second: Array) -> tuple[float, bool]:
     """Return the variance of Gaussian residuals, (k, w), in units of `first` or `second`, (k,).
 
     The unit is the more likely one; also returned is whether that is `first`.
     """
-    squared = np.mean(rest**2, axis=1)
+    squared = np.mean(residuals**2, axis=1)
     variances = [float(np.mean(squared / shape)) for shape in (first, second)]
-    logs = [
+    costs = [
         np.log(max(variance, 1e-300)) + float(np.mean(np.log(shape)))
         for variance, shape in zip(variances, (first, second), strict=True)
     ]
-    best = int(np.argmin(logs))
+    best = int(np.argmin(costs))
     return variances[best], best == 0
 
 
@@ -210,27 +210,27 @@ def base_noise(
     """
     dt = tracks[0].log.dt
     predicted = [track.predicted(v) for track, v in zip(tracks, velocities, strict=True)]
-    rests = [track.moved - p for track, p in zip(tracks, predicted, strict=True)]
-    rest = np.concatenate(rests)
+    parts = [track.moved - p for track, p in zip(tracks, predicted, strict=True)]
+    residuals = np.concatenate(parts)
     shape = np.concatenate([track.squares for track in tracks])
     constant = np.concatenate([track.seconds * dt for track in tracks])
     quiet = np.concatenate([_quiet(track, v) for track, v in zip(tracks, velocities, strict=True)])
     scale = np.sqrt(shape)[:, np.newaxis]
     seconds = np.concatenate([track.seconds for track in tracks])[:, np.newaxis]
     speed = np.concatenate(predicted) / seconds
-    jump = jumps(rest, scale * spread_of(rest / scale), speed)
+    jump = jumps(residuals, scale * spread_of(residuals / scale), speed)
     used = ~widened(jump) & quiet
     estimates: dict[str, Estimate] = {}
     if used.sum() < 50:
         missing.append(f"no time at constant velocity: noise of the base unknown; {DRIVE}")
         return estimates
-    used = _calmest(rest, shape, used, np.abs(speed).max(axis=1) < _CHANGES)
+    used = _calmest(residuals, shape, used, np.abs(speed).max(axis=1) < _CHANGES)
     drifts = []
     for name, axes, drift in (("linear", [0, 1], walk[0]), ("angular", [2], walk[1])):
-        variance, in_periods = _variance(rest[used][:, axes], shape[used], constant[used])
+        variance, in_periods = _variance(residuals[used][:, axes], shape[used], constant[used])
         shared = 1.6  # neighbours share a period
         if not in_periods:
-            variance = _long_run(rest[:, axes] / np.sqrt(constant)[:, np.newaxis], used)
+            variance = _long_run(residuals[:, axes] / np.sqrt(constant)[:, np.newaxis], used)
             shared = 1.0 + 2.0 * _NEIGHBOURS
         count = len(axes) * used.sum() / shared
         error = variance * (np.sqrt(2.0 / count) + SLACK / 2.0)
@@ -247,22 +247,22 @@ def base_noise(
         "noise of the base and drift of its localisation look alike: a drift of "
         f"{drifts[0]:.3g} m and {drifts[1]:.3g} rad after 1 s is assumed"
     )
-    return estimates | _localisation_jumps(tracks, rests, jump & (seconds[:, 0] < _GAP), drifts)
+    return estimates | _localisation_jumps(tracks, parts, jump & (seconds[:, 0] < _GAP), drifts)
 
 
-def _long_run(rest: Array, used: Flags) -> float:
+def _long_run(residuals: Array, used: Flags) -> float:
     """Return the long-run variance of residuals, shape (k, w), with correlated neighbours.
 
     Neighbours are correlated if the base or a filter smooths its noise, in periods of its own.
     """
-    variance = float(np.mean(rest[used] ** 2))
+    variance = float(np.mean(residuals[used] ** 2))
     for lag in range(1, _NEIGHBOURS + 1):
         both = used[lag:] & used[:-lag]
-        variance += 2.0 * float(np.mean((rest[lag:] * rest[:-lag])[both]))
+        variance += 2.0 * float(np.mean((residuals[lag:] * residuals[:-lag])[both]))
     return max(variance, 0.0)
 
 
-def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:
+def _calmest(residuals: Array, shape: Array, used: Flags, still: Flags) -> Flags:
     """Return which residuals to use, (k,): only those of a base at rest if motion adds to them.
 
     Motion adds to them if the times of measurements are off.
@@ -270,36 +270,36 @@ def _calmest(rest: Array, shape: Array, used: Flags, still: Flags) -> Flags:
     both = [used & still, used & ~still]
     if min(flags.sum() for flags in both) < _ENOUGH:
         return used
-    calm, moving = (np.mean(rest[f] ** 2 / shape[f][:, np.newaxis], axis=0) for f in both)
+    calm, moving = (np.mean(residuals[f] ** 2 / shape[f][:, np.newaxis], axis=0) for f in both)
     return both[0] if np.any(moving > _MORE * calm) else used
 
 
 def _quiet(track: Track, velocities: Array) -> Flags:
     """Return whether the predicted velocity is constant around each displacement, shape (k,)."""
-    number = np.minimum((track.times / track.log.dt).astype(np.intp), len(velocities) - 1)
+    period = np.minimum((track.times / track.log.dt).astype(np.intp), len(velocities) - 1)
     wide = max(1, round(0.1 / track.log.dt))
     padded = np.pad(velocities, ((wide, wide), (0, 0)), mode="edge")
     change = np.abs(padded[2 * wide :] - padded[: -2 * wide]).max(axis=1)
-    return change[number] < _CHANGES
+    return change[period] < _CHANGES
 
 
 def _localisation_jumps(
-    tracks: Sequence[Track], rests: Sequence[Array], jump: Flags, drifts: Sequence[float]
+    tracks: Sequence[Track], parts: Sequence[Array], jump: Flags, drifts: Sequence[float]
 ) -> dict[str, Estimate]:
     """Return rate and sizes of jumps; each draws a new error, and a track begins without error."""
     seconds = sum(len(track.log.twists) * track.log.dt for track in tracks)
-    sums, walked, count, first = np.zeros(3), np.zeros(3), 0, 0
-    ends = np.cumsum([len(rest) for rest in rests])[:-1]
-    for track, rest, flags in zip(tracks, rests, np.split(jump, ends), strict=True):
+    sums, walked, count, first_jumps = np.zeros(3), np.zeros(3), 0, 0
+    ends = np.cumsum([len(residuals) for residuals in parts])[:-1]
+    for track, residuals, flags in zip(tracks, parts, np.split(jump, ends), strict=True):
         starts = np.flatnonzero(flags & ~np.concatenate([[False], flags[:-1]]))
         last = 0.0
         for start in starts:
             # An interpolated jump lies in several displacements.
             end = start + int(np.argmin(np.append(flags[start:], False)))
-            sums += rest[max(0, start - 1) : end + 1].sum(axis=0) ** 2
+            sums += residuals[max(0, start - 1) : end + 1].sum(axis=0) ** 2
             walked += (track.times[start] - last) * np.array([drifts[0], drifts[0], drifts[1]]) ** 2
             last = float(track.times[start])
-        count, first = count + len(starts), first + bool(len(starts))
+        count, first_jumps = count + len(starts), first_jumps + bool(len(starts))
     if not count:
         keys = "localisation.jump", "localisation.turn_jump", "localisation.rate"
         return dict.fromkeys(keys, Estimate(0.0, 0.0, 0.0))
@@ -307,13 +307,13 @@ def _localisation_jumps(
     high = chi2.ppf(0.975, 2.0 * count + 2.0) / 2.0 / seconds
     rate = Estimate(count / seconds, float(low), float(high))
     # A jump is the difference of two errors, but the first one of a track has only one.
-    variances = np.maximum(sums - walked, 0.05 * sums) / (2.0 * count - first)
+    variances = np.maximum(sums - walked, 0.05 * sums) / (2.0 * count - first_jumps)
     sizes = {"jump": (float(variances[:2].mean()), 2.0), "turn_jump": (float(variances[2]), 1.0)}
     estimates = {}
     for name, (variance, axes) in sizes.items():
         degrees = max(1.0, count * axes / 2.0)
-        ends_of: Array = np.sqrt(variance * degrees / chi2.ppf([0.975, 0.025], degrees))
-        estimates[f"localisation.{name}"] = Estimate(float(np.sqrt(variance)), *ends_of.tolist())
+        interval: Array = np.sqrt(variance * degrees / chi2.ppf([0.975, 0.025], degrees))
+        estimates[f"localisation.{name}"] = Estimate(float(np.sqrt(variance)), *interval.tolist())
     return {**estimates, "localisation.rate": rate}
 
 

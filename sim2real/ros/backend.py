@@ -286,9 +286,9 @@ class RosRobotLink:
         self._odometry.publish(self._odometry_of(base, stamp))
         self._joints.publish(self._joint_state(joints, stamp))
         world, frame = self._topics.base.world_frame, self._topics.base.frame
-        message, rest = self._bus.messages.TFMessage(), BaseReading(0.0, 0.0, 0.0)
+        message, identity = self._bus.messages.TFMessage(), BaseReading(0.0, 0.0, 0.0)
         message.transforms = [
-            self._transform(world, _ODOM, rest, stamp),
+            self._transform(world, _ODOM, identity, stamp),
             self._transform(_ODOM, frame, base, stamp),
         ]
         self._tf.publish(message)

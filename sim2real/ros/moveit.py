@@ -56,8 +56,8 @@ class MoveItServices:
         such domain, or the robot's `ros2.yaml` is invalid.
         """
         robot = solver.robot
-        known = (robot.folder / "ros2.yaml").is_file()
-        topics = read_topics(robot, 2) if known else None
+        has_topics = (robot.folder / "ros2.yaml").is_file()
+        topics = read_topics(robot, 2) if has_topics else None
         names = topics.joints.names if topics else {}
         self._frame = topics.base.world_frame if topics else BaseTopics.world_frame
         self._joints = [names.get(joint.name, joint.name) for joint in robot.arm]
@@ -86,10 +86,10 @@ class MoveItServices:
         self._check_frame(goals[0].header)
         start = self._start(ik.robot_state)
         with _failing(INVALID_ROBOT_STATE):
-            (found,) = self._reach(poses=pose, start=start, k=1)
-        if not found.reachable:
-            raise _RequestError(NO_IK_SOLUTION, found.reason)
-        self._fill_state(reply.solution, found.base_pose[0], found.joint_positions[0])
+            (placement,) = self._reach(poses=pose, start=start, k=1)
+        if not placement.reachable:
+            raise _RequestError(NO_IK_SOLUTION, placement.reason)
+        self._fill_state(reply.solution, placement.base_pose[0], placement.joint_positions[0])
 
     def _motion(self, request: Any, reply: Any) -> None:
         self._check(request.start_state, request.path_constraints, [request.link_name])

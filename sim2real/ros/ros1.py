@@ -42,9 +42,9 @@ class Ros1Bus:
 
     def publisher(self, topic: str, kind: Any) -> Publisher:
         """Return a sender of the newest message, which a thread of rospy writes."""
-        made = ros("rospy").Publisher(topic, kind, queue_size=1, tcp_nodelay=True)
-        self._topics.append(made)
-        return _Ros1Publisher(made)
+        publisher = ros("rospy").Publisher(topic, kind, queue_size=1, tcp_nodelay=True)
+        self._topics.append(publisher)
+        return _Ros1Publisher(publisher)
 
     def subscribe(
         self, topic: str, kind: Any, take: Callable[[Any], None], *, every: bool = False

@@ -252,14 +252,14 @@ def message_classes(file: str, known: Mapping[str, Any] | None = None) -> Simple
         space: dict[str, Any] = {"__module__": __name__, "__annotations__": {}}
         for kind, key in zip(fields[::2], fields[1::2], strict=True):
             item, _, size = kind.rstrip("]").partition("[")
-            made, new = _PRIMITIVES.get(item) or [classes[item]] * 2
+            idl, make = _PRIMITIVES.get(item) or [classes[item]] * 2
             if size.startswith("<="):
-                made, new = sequence[made, int(size[2:])], list
+                idl, make = sequence[idl, int(size[2:])], list
             elif size:
-                made, new = array[made, int(size)], partial(list, [new()] * int(size))
+                idl, make = array[idl, int(size)], partial(list, [make()] * int(size))
             elif kind != item:
-                made, new = sequence[made], list
-            space["__annotations__"][key], space[key] = made, field(default_factory=new)
+                idl, make = sequence[idl], list
+            space["__annotations__"][key], space[key] = idl, field(default_factory=make)
         if short == "Quaternion":
             space["w"] = 1.0
         if package == "builtin_interfaces":

@@ -270,9 +270,9 @@ class TargetController:
         chunk = None if message.is_twist else chunk_in_world(values, times, frame, when, offset)
         if chunk is None:
             poses = "pose (7,), or poses (k, 7) with unit quaternions and ascending times"
-            wanted = "twist (6,)" if message.is_twist else poses
+            expected = "twist (6,)" if message.is_twist else poses
             count = "" if times is None else f" with {len(times)} times"
-            self._reject(f"no {wanted}, but shape {values.shape}{count}")
+            self._reject(f"no {expected}, but shape {values.shape}{count}")
             return
         self._kept.append((when + message.keep, np.array([when]), *chunk))
         self._put_kept(now)
