@@ -56,7 +56,7 @@ class Guards:
     watchdog: PositiveSeconds | None = 0.2
 
     def timeless(self) -> "Guards":
-        """Return the guards without those of time, for worlds without a clock."""
+        """Return the guards without limits of time, for worlds without a clock."""
         never = math.inf
         ages = replace(self, max_age=never, max_scan_age=never)
         return replace(ages, max_period=never, max_clock_skew=never, watchdog=None)

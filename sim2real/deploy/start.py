@@ -96,7 +96,7 @@ def begin(
 ) -> Start:
     """Return the start of a run, as a batch of one, at the measured state of a real robot if any.
 
-    `solids`, one row, replace those of the task; around a real robot, those of its furniture.
+    `solids`, one row, replace those of the task, of which only furniture is around a real robot.
     """
     start = sample_start(task, solver, rng)
     if measured is not None:

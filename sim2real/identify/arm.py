@@ -127,7 +127,7 @@ class ArmProblem:
             ends = np.concatenate([targets[:1], ends])
             periods, measured = np.arange(float(len(ends))), log.joints[:, self._joints]
             predicted = interpolated_columns(at, periods, ends)
-            predicted += np.median(measured - predicted, axis=0)
+            predicted += np.median(measured - predicted, axis=0)  # an offset is no lateness
             speed = interpolated_columns(at, periods, np.gradient(ends, log.dt, axis=0))
             yield Positions(predicted, measured, speed)
 
@@ -209,7 +209,7 @@ def pair_likelihood(logs: Sequence[TimeErrors], drawn: Sequence[Array]) -> float
     Time errors are taken as Gaussian, as sums of the noise of positions and of delays. Those
     `drawn` for each log, shape (draws, k), give the variance and covariance of the delays.
     """
-    # One variance for all: it hardly depends on the speed, and those of few draws are noisy.
+    # One variance for all times: it hardly depends on the speed, and few draws give noisy ones.
     variance = np.nanmean(np.concatenate([each.var(axis=0, ddof=1) for each in drawn])) + 1e-7
     normal = [(each - each.mean(axis=0)) / np.sqrt(variance) for each in drawn]
     total = 0.0

@@ -99,7 +99,7 @@ def fit(logs: Sequence[Log], walk: Sequence[float]) -> ResponseFit:
     if delays is None:
         sources = ", ".join(log.source for log in logs)
         raise KinfeasError(f"{sources}: neither base nor arm moves; {DRIVE}")
-    # If the arm's latency differs, its delays do not show those of the base's commands.
+    # If the arm's latency differs, its delays say nothing about the base's commands.
     spread = arm.spread(delays) if arm.moves and (base.agrees or not problem.moves) else None
     if spread is None and arm.moves:
         missing.append(
@@ -113,7 +113,7 @@ def fit(logs: Sequence[Log], walk: Sequence[float]) -> ResponseFit:
         missing.append(f"the base does not move: its lag and limits are unknown; {DRIVE}")
     if arm.moves:
         late = float(np.mean([arm_delay(dt, log.arm_seconds) for log in logs]))
-        error = 0.5 * dt if arm.lag < 0.5 * dt else arm.error  # as of `lag_estimate`
+        error = 0.5 * dt if arm.lag < 0.5 * dt else arm.error  # as in `lag_estimate`
         estimates["actuator_lag.arm"] = lag_estimate(arm.lag + late, error, dt)
     else:
         missing.append(f"no arm motion: arm lag and lost commands unknown; {DRIVE}")

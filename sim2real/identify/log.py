@@ -30,7 +30,7 @@ class Log:
     joint_times: Array  # times of the joint positions, ascending, shape (m,), seconds
     joints: Array  # joint positions, shape (m, j), continuous joints unwrapped
     ages: Array  # ages on arrival, shape (a,), seconds; empty if unknown
-    arm_seconds: float  # duration of the cubic to each target, as of a `Backend`
+    arm_seconds: float  # duration of the cubic to each target, seconds, as in `Backend`
 
 
 def log_of(record: Record, robot: Robot, source: str) -> Log:

@@ -93,8 +93,8 @@ def standard_errors(residuals: Array, derivatives: Array, blocks: NDArray[np.int
     """Return standard errors of parameters, shape (p,), for residuals correlated within blocks.
 
     Residuals, (r,), are normalised; derivatives are theirs, (r, p), blocks their indices, (r,).
-    Errors are the larger of those of independent residuals and of the cluster-robust (sandwich)
-    estimator, and infinite for a parameter on which no residual depends.
+    Of the estimators for independent residuals and for clusters (sandwich), the larger error
+    counts. Errors are infinite for parameters on which no residual depends.
     """
     information = derivatives.T @ derivatives
     inverse = np.linalg.pinv(information)

@@ -125,8 +125,8 @@ def costmap_of(
     """Return a square costmap around a base with the first obstacle of each beam.
 
     Obstacles are two cells deep, and cells behind them unknown. `base` is x, y and yaw in the
-    world, `edge` the length of the map's sides, which lie along the axes of the world, and
-    `resolution` that of a cell's; metres and radians.
+    world, in metres and radians; `edge` and `resolution` are the side lengths of the map, which
+    lies along the axes of the world, and of its cells, in metres.
     """
     x, y, yaw = base
     count = round(edge / resolution)

@@ -1,4 +1,4 @@
-"""Conversion of ROS messages, of both versions, to and from those of a link."""
+"""Conversion of messages of ROS 1 and 2 to and from the readings and commands of a link."""
 
 import math
 import time

@@ -70,7 +70,7 @@ class GripperTopics:
                 raise ValueError(f"{key!r} must hold {many} positions, or be a number")
 
     def positions(self, grip: Grip) -> tuple[float, ...]:
-        """Return the positions of the joints, closed or open; that of PR2's command."""
+        """Return the closed or open positions of the joints, or the one of PR2's command."""
         position = self.closed if grip == "close" else self.open
         many = len(self.joints) if self.kind == "trajectory" else 1
         return position if isinstance(position, tuple) else (position,) * many

@@ -65,7 +65,7 @@ class Frames:
         return isinstance(name, str) and name.lstrip("/") in ("", *self.names)
 
     def append(self, time: float, base_pose: Array, ee_pose: Array, delay: float = 0.0) -> None:
-        """Take the poses (7,) at a time in seconds, that of the base `delay` seconds after it."""
+        """Take the EE pose (7,) at a time in seconds, and the base pose `delay` seconds later."""
         base, ee = self._history.values()
         if delay and not base:
             base.append((time, base_pose))  # at rest
