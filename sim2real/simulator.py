@@ -268,7 +268,7 @@ def spawn(  # noqa: PLR0913 - the parts of a world
     with closed_on_error(backend):
         world = world_of(backend)
         outer = with_adapters(backend, adapters, robot)
-        # Seeds the adapters as a loop does, from the numbers before those of the task.
+        # From a copy, so that adapters do not change what the task draws.
         seeds = np.array([deepcopy(rng).integers(2**64, dtype=np.uint64)])
         outer.seed(seeds, np.array([0]))
         if task is not None:
