@@ -144,6 +144,8 @@ def make_world(  # noqa: PLR0913 - as in `BaseMotionEnv`
     else:
         raise KinfeasError(f"world must be a WorldConfig or a mapping, not {world!r}")
     if gui:
+        if config.backend != "pybullet":
+            raise KinfeasError(f"render_mode 'human' needs PyBullet, not {config.backend!r}")
         config = replace(config, backend_parameters={**config.backend_parameters, "gui": True})
     made = World(load_robot(robot), load_task(task, task_parameters), config, seed=0)
     made.loop.observer.terms = terms

@@ -259,7 +259,7 @@ class ShownRobot:
         scale = float(self._episode.loop.sequence.time_scale[0])
         reached = "the arm reached every pose"
         if self._failures:
-            reached = f"{self._failures} poses were out of the arm's reach"
+            reached = f"out of the arm's reach in {self._failures} steps"
         return f"**{self._name}**: {reached}" + (f", slowed to {scale:.0%}" * (scale < 1.0))
 
     def draw(self, target: Array) -> None:

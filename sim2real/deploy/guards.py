@@ -120,10 +120,9 @@ class SafetyFilter(BackendWrapper):
         assert self.backend.scanner is not None
         scan = self.backend.scanner.scan()
         check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
-        if scan.blind is not None:
-            if scan.blind.all():
-                raise Fault("the scan is blind in all directions")
-            self._blind = scan.blind
+        self._blind = np.zeros(SCAN_BEAMS, np.bool_) if scan.blind is None else scan.blind
+        if self._blind.all():
+            raise Fault("the scan is blind in all directions")
         check_array(scan.ranges, (1, 2, SCAN_BEAMS), "the scan", error=Fault)
         return scan
 

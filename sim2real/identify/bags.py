@@ -121,12 +121,14 @@ class _Bag:
             self._put_pose(reading)
 
     def _take_joints(self, message: Any) -> None:
-        self._positions.update(zip(message.name, message.position, strict=False))
-        if any(name in message.name for name in self._names) and all(
+        if (reading := ros_messages.from_joint_state(message)) is None:
+            return
+        self._positions.update(reading.positions)
+        if any(name in reading.positions for name in self._names) and all(
             name in self._positions for name in self._names
         ):
             values = np.array([self._positions[name] for name in self._names])
-            self._put(self._joints, values, message.header.stamp.to_sec())
+            self._put(self._joints, values, reading.stamp)
 
     def _take_path(self, message: Any) -> None:
         if (path := ros_messages.path(message)) is not None:

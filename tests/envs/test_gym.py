@@ -147,7 +147,7 @@ def test_actions_are_finite_numbers_of_their_shape(kind):
 
 @pytest.mark.parametrize("arguments", [
     {"robot": None}, {"world": 3}, {"world": {"DT": 1}}, {"render_mode": "ansi"},
-    {"observation": ["sight"]},
+    {"render_mode": "human", "backend": "analytic"}, {"observation": ["sight"]},
 ], ids=list)  # fmt: skip
 def test_wrong_arguments_are_named(arguments):
     with pytest.raises(KinfeasError, match=next(iter(arguments))):

@@ -132,6 +132,14 @@ def test_invalid_trajectories_are_left_out(bag, path, robot):
     assert read_bag(bag.write(path), robot).targets.max() < 0.1 * bag.time
 
 
+def test_joint_states_without_all_positions_are_left_out(bag, path, robot):
+    topic, name, message, _ = next(each for each in bag.messages if "JointState" in each[1])
+    short = replace(message, position=message.position[:1])
+    bag.messages.insert(len(bag.messages) // 2, (topic, name, short, bag.time / 2.0))
+    log = read_bag(bag.write(path), robot)
+    np.testing.assert_allclose(log.joints[:, 1], 1.0 + 0.1 * (log.joint_times + AGE), atol=1e-6)
+
+
 def test_trajectories_of_one_controller_do_not_end_those_of_others(tmp_path):
     robot = load_robot("tiago")
     bag = Bag(2, robot)
