@@ -33,9 +33,9 @@ class RobotState:
         base_twist: World twist of the base, shape (n, 6), m/s and rad/s, where it is measured.
         joint_velocities: Velocities of the arm joints, shape (n, j), where they are measured.
         age: Seconds since the oldest part was measured, shape (n,), if known.
-        ee_in_base: EE pose in the base frame, shape (n, 7), where it differs from the kinematics.
-        localised: Base pose now as the localisation has it, shape (n, 7), if it has errors: without
-            delay, its jumps at `LOCALISATION_SPEED`.
+        ee_in_base: EE pose in the base frame, shape (n, 7), where it is not that of the kinematics.
+        localised: Current base pose in the frame of a localisation with errors, shape (n, 7): it is
+            not delayed, and follows jumps of the localisation at `LOCALISATION_SPEED`.
         true_state: True state of a simulator whose sensors have errors.
     """
 
@@ -51,13 +51,13 @@ class RobotState:
 
 @dataclass(frozen=True)
 class ObstacleDistances:
-    """Obstacles near the bases of n robots, k places each; unused places are at infinity.
+    """Obstacles near the bases of n robots, k for each; unused entries have an infinite distance.
 
     Attributes:
         closest_point: Point of the base closest to the obstacle, in the base frame, shape
             (n, k, 2), metres.
-        normal: Horizontal part of the unit vector from there to the obstacle, in the base frame,
-            shape (n, k, 2).
+        normal: Horizontal part of the unit vector from that point to the obstacle, in the base
+            frame, shape (n, k, 2).
         distance: Distance to the obstacle, shape (n, k), metres; negative in penetration, inf
             without an obstacle.
         closing_speed: Speed at which the obstacle moves towards that point, shape (n, k), m/s;
@@ -104,8 +104,8 @@ class Scan:
     Attributes:
         ranges: In `SCAN_BANDS`, shape (n, 2, `SCAN_BEAMS`), metres, at most `SCAN_RANGE`. Beam i
             has the angle -pi + 2 pi i / `SCAN_BEAMS` to the base's heading.
-        blind: Whether no sensor covers a beam, shape (`SCAN_BEAMS`,), of one robot; None if all are
-            covered. Blind beams have the longest range.
+        blind: Whether no sensor covers a beam, shape (`SCAN_BEAMS`,), for real robots; None if
+            all are covered. Blind beams have the longest range.
         age: Seconds since the oldest part was measured.
     """
 
@@ -159,14 +159,14 @@ class ObstacleSensor(Protocol):
     """Distances between bases and obstacles."""
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return obstacles closer than `within` metres to the bases, but the link to grasp."""
+        """Return obstacles closer than `within` metres to the bases, except the link to grasp."""
 
 
 class ContactSensor(Protocol):
     """Contacts of robots with their surroundings."""
 
     def touching(self, env_id: int) -> Contacts:
-        """Return contacts of a robot: not with the floor, nor of its arm with the link to grasp."""
+        """Return a robot's contacts, except with the floor or of its arm with the link to grasp."""
 
 
 class Dynamics(Protocol):
@@ -201,22 +201,22 @@ class Staging(Protocol):
 class Backend(ABC):
     """Moves n robots; real robots have n = 1.
 
-    An ability that a backend has is an object, which may be the backend itself; others are None.
+    Each optional ability is an object, which may be the backend itself, or None without it.
 
     Attributes:
         gripper: Grippers.
         scanner: Range sensors.
         obstacles: Distances to obstacles.
-        solids: Solids around all n robots, which `place_solids` puts there.
+        solids: Solids around all n robots, set by `place_solids`.
         contacts: Contact sensors.
         dynamics: Masses, frictions and motors that can change.
         resumable: Saves and restores the whole state.
         staging: Sets up the scenes of tasks.
         real_time: The robot that moves in real time, or None in a simulation that waits for `step`.
         max_batch: Robots that a process should have at most, since each costs memory or time.
-        response: How late the robots carry out commands and are measured.
+        response: Delays and limits between commands and measurements.
         arm_seconds: Duration of the cubic on which an arm moves to each joint target, from its
-            present motion to rest; 0 if it is there at the end of the period.
+            present motion to rest; 0 if it reaches the target by the end of the period.
     """
 
     gripper: Gripper | None = None
@@ -270,7 +270,7 @@ class Backend(ABC):
             raise KinfeasError(f"backend {self.name} has no solids, which the task needs")
 
     def execution(self, execution: Any) -> Any:
-        """Return an `ExecutionConfig` as adapters within change it."""
+        """Return an `ExecutionConfig` as changed by the adapters around the backend."""
         return execution
 
     @property
@@ -286,7 +286,7 @@ class RealTimeBackend(Backend):
     of the control period and returns the newest measurement.
 
     Attributes:
-        prepare: Work without measurements, to be done while `step` waits; None for none.
+        prepare: Called while `step` waits, for work that needs no measurement; None for none.
     """
 
     prepare: Callable[[], None] | None = None
@@ -305,10 +305,10 @@ class RealTimeBackend(Backend):
         """Command zero base velocity and hold the arm; callable at any time, repeatedly."""
 
     def limit_arm(self, velocity: Array) -> None:
-        """Limit the velocities of the arm joints, shape (j,), rad/s or m/s, if they are sent."""
+        """Limit the joint velocities of the arm, (j,), rad/s or m/s, if commands contain them."""
 
     def silent_source(self, seconds: float) -> str:
-        """Return which source sent no measurement for some seconds; empty if none, or unknown."""
+        """Return which source sent no measurement for some seconds, as a clause; empty if none."""
         return ""
 
     def stop_call(self) -> StopCall | None:
@@ -317,7 +317,7 @@ class RealTimeBackend(Backend):
 
 
 ABILITIES = tuple(Backend.__annotations__)
-"""Names of the abilities of a backend, and of what it says of itself."""
+"""Names of the abilities and properties of a backend, which wrappers copy."""
 
 
 class BackendWrapper(Backend):
@@ -341,7 +341,7 @@ class BackendWrapper(Backend):
         self.backend.place_solids(solids, env_ids)
 
     def execution(self, execution: Any) -> Any:
-        """Return the execution as the wrapped backend changes it."""
+        """Return the execution as changed by the wrapped backend."""
         return self.backend.execution(execution)
 
     def close(self) -> None:
@@ -356,7 +356,7 @@ class BackendWrapper(Backend):
 
 @contextmanager
 def closed_on_error(backend: Backend) -> Iterator[None]:
-    """Close a backend if what is built around it within the block raises an exception."""
+    """Close a backend if the block, which builds something around it, raises an exception."""
     with ExitStack() as opened:
         opened.callback(backend.close)
         yield

@@ -21,10 +21,10 @@ from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import UNIT, Array, distance, integrate, twist_between
 
-_COMPUTED = 1e-6  # largest deviation of the norm of a quaternion that nobody normalises
+_COMPUTED = 1e-6  # largest deviation from 1 of the norm of a quaternion that is used as it is
 MAX_TILT = 0.5
-"""Largest tilt of a base, radians. Ramps and localisation tilt less; in another order of the
-quaternion, an upright base of yaw a is tilted by pi - |a|."""
+"""Largest tilt of a base, radians. Ramps and localisation tilt less. A quaternion wxyz, read as
+xyzw, tilts an upright base of yaw a by pi - |a|."""
 
 Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
 
@@ -116,9 +116,10 @@ class ConformanceError(KinfeasError):
 class CheckedMotion:
     """A motion generator that checks the return values of another generator.
 
-    Goals and twists are checked at each call, states and other values at the first call of each
-    method after a start, or at `every_step`. States keep the layout of the first, so that rows can
-    be exchanged. Exceptions of the generator get a note with its `name`, by default its class.
+    Goals and twists are checked at each call; states and other values at the first call of each
+    method after a start, or at each call with `every_step`. All states must have the keys, shapes
+    and types of the first one, so that rows can be exchanged. Exceptions of the generator get a
+    note with its `name`, by default its class.
 
     Attributes:
         avoids_solids: Whether it plans around solids.
@@ -143,7 +144,7 @@ class CheckedMotion:
         self._layout: Layout | None = None
 
     def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
-        """Return the state of n motions, shapes (n, 7), (n, 7), n; there is at least one."""
+        """Return the state of n >= 1 motions from poses, shape (n, 7) each, and n `rngs`."""
         state = self._call("start", ee_pose, target_pose, rngs)
         self._check_state("start", state, len(ee_pose))
         self._checked.clear()
@@ -158,7 +159,7 @@ class CheckedMotion:
         return goal
 
     def finished(self, state: State, target_pose: Array) -> NDArray[np.bool_]:
-        """Return whether the motions are at the end of their paths, shape (n,); true without."""
+        """Return whether the motions are at the end of their paths, (n,); true without paths."""
         n = len(target_pose)
         if "finished" not in self._optional:
             return np.ones(n, dtype=np.bool_)
@@ -219,7 +220,7 @@ class CheckedMotion:
         return robot
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
-        """Return the poses some metres ahead, (n, 7) and (d,) -> (n, d, 7), at most the goal.
+        """Return the poses some metres ahead, (n, 7) and (d,) -> (n, d, 7), up to the goal.
 
         They lie on the straight line to the goal if the generator does not look ahead.
         """
@@ -242,7 +243,7 @@ class CheckedMotion:
             return getattr(self.generator, method)(*arguments)
 
     def _due(self, method: str) -> bool:
-        """Return whether a method's return value is to be checked now; then it is not due again."""
+        """Return whether to check the return value of a method now, and record that it was."""
         due = self._every_step or method not in self._checked
         self._checked.add(method)
         return due

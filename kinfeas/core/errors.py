@@ -54,7 +54,7 @@ def raised_by(error: BaseException) -> str | None:
 
 
 def plugin_frames(error: BaseException) -> int:
-    """Return how many of an exception's last frames are those of a plugin, from its code on."""
+    """Return the number of an exception's innermost frames from the plugin's code on, or 0."""
     return int(vars(error).get(_FRAMES, 0))
 
 

@@ -37,7 +37,7 @@ def is_bag(path: Path) -> bool:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Convert errors of reading into a `KinfeasError` that names `path`, no device or pipe."""
+    """Convert errors of reading into a `KinfeasError` that names `path`; reject devices, pipes."""
     with _naming(path, "read"):
         mode = _mode(path)
         if mode and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
@@ -64,7 +64,7 @@ def read_csv(
 ) -> "dict[str, NDArray[np.float64]]":
     """Return columns of a CSV file by name, NaN where a row has no entry.
 
-    The `optional` ones may be missing, others are ignored.
+    Those in `optional` may be missing. Columns of the file beyond `columns` are ignored.
 
     Raises:
         KinfeasError: If the file cannot be read, a column is missing or there twice, a row is
@@ -130,7 +130,7 @@ def file_hash(path: Path) -> str:
 
 
 def check_undamaged(path: Path, written: str | None) -> None:
-    """Raise KinfeasError unless a file has the `file_hash` that it was written with, if known."""
+    """Raise KinfeasError unless the `file_hash` is the one `written`; None if it is unknown."""
     with reading(path):
         if written is not None and written != file_hash(path):
             raise KinfeasError(f"{path}: is damaged: its SHA-256 has changed")
@@ -230,7 +230,7 @@ def find_folder(folder: Path) -> Path:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder, where the file system can; raise KinfeasError if another process has."""
+    """Lock a folder, if its file system has locks; raise KinfeasError if another process has it."""
     with writing(folder):
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -242,7 +242,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def try_lock(descriptor: int) -> bool:
-    """Return whether no other process has locked an open file, which is locked now."""
+    """Lock an open file without waiting; return False if another process has locked it."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

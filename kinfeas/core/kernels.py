@@ -1,4 +1,4 @@
-"""Decorators that compile kernels with numba, and folder and lock of numba's cache of them.
+"""Decorators that compile kernels with numba, and the folder and lock of numba's cache.
 
 `kernel` is for functions that Python calls, `inner` and `inlined` for those that kernels call;
 `exact`, `exact_inner` and `exact_inlined` compute sums in the written order. `compiled` makes a
@@ -64,7 +64,7 @@ class _Notice(event.Listener):
 
 
 def _settle() -> None:
-    """Set numba's cache folder if neither the sources nor the user's cache are writable.
+    """Set numba's cache folder if neither the sources nor the user's cache folder is writable.
 
     Raises:
         KinfeasError: If no folder is writable by this user alone.
@@ -79,15 +79,15 @@ def _settle() -> None:
 def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., None]], Any]:
     """Return a decorator that compiles a generalized ufunc, in one process at a time.
 
-    Numba caches such a function in two parts that refer to each other by names of the process. A
-    cache filled by two processes at once would crash every later process.
+    Numba caches such a function in two parts, which refer to each other by names that differ in
+    each process. A cache filled by two processes at once would crash every later process.
     """
 
     def compile_alone(function: Callable[..., None]) -> Any:
         with _alone() as alone:
             decorate: Any = numba.guvectorize
             made = decorate(signatures, layout, nopython=True, cache=alone)(function)
-        return made.ufunc  # numba's wrapper around it takes as long as a pose
+        return made.ufunc  # numba's wrapper would take as long as the arithmetic of a pose
 
     return compile_alone
 
@@ -98,7 +98,7 @@ def _alone() -> Iterator[bool]:
     try:
         lock = os.open(_own_folder() / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except (OSError, KinfeasError):
-        yield True  # without a folder there is no cache
+        yield True  # no folder for a lock
         return
     try:
         while not (locked := try_lock(lock)) and time.monotonic() < _DEADLINE:

@@ -32,11 +32,11 @@ class EpisodeRecords:
     task_done: NDArray[np.bool_] | None = None
     base_collisions: NDArray[np.intp] | None = None  # collisions of the base, shape (n,)
     arm_collisions: NDArray[np.intp] | None = None  # collisions of the arm, shape (n,)
-    # of streams of targets alone: root mean square of the deviation, metres, shape (n,)
+    # root mean square of the deviation, metres, shape (n,); this and the next two only for streams
     rms_deviation: Array | None = None
     path_length: Array | None = None  # length of the EE's true path, metres, shape (n,)
     target_path_length: Array | None = None  # length of the stream's path, metres, shape (n,)
-    # largest and mean distance in the frame of the localisation, metres, (n,), if that has errors
+    # as the deviations, but in the frame of the localisation, (n,); None if that has no errors
     max_tracking_error: Array | None = None
     mean_tracking_error: Array | None = None
     response_sums: Array | None = None  # sums for `lateness`, shape (n, 2), of robots with delay
@@ -87,9 +87,9 @@ class Proportion:
 
 
 def lateness(sums: Array) -> float | None:
-    """Return by how many seconds bases follow their commands later than their response says.
+    """Return the seconds by which bases are later than their response model predicts.
 
-    Least squares over the sums of episodes, shape (n, 2); None for bases at rest.
+    Least-squares estimate from `Loop.response_sums`, shape (n, 2); None for bases at rest.
     """
     moved, accelerated = sums.sum(axis=0).tolist()
     return moved / accelerated if accelerated > 0.0 else None
@@ -112,14 +112,14 @@ def wilson(hits: int, trials: int) -> Proportion:
 class Metrics(TypedDict):
     """Metrics of episodes; `low` and `high` are the ends of the interval of a fraction.
 
-    Deviations are the true ones in a simulation; those that control can be blamed for, without the
-    errors of the localisation, are tracking errors. Both are from the position desired one command
-    latency of the response model ago, so that loops without a model also count the latency.
-    `lateness_s` is by how many seconds bases are later than their response model says, at least;
-    null for those without delay. Task success and collisions are null if the backend does not
-    measure them. The last five are those of streams of targets: `smooth` is the fraction of
-    episodes without IK failure and joint jump, `speed_share` the mean speed of the EE relative to
-    the speed of the stream.
+    Deviations are the true ones in a simulation. Tracking errors leave out the errors of the
+    localisation, which control cannot correct. Both are measured from the position desired one
+    command latency of the response model ago; loops without a model therefore count the latency.
+    `lateness_s` is a lower estimate of the seconds by which bases are later than their response
+    model predicts; null for those without delay. Task success and collisions are null if the
+    backend does not measure them. The last five are metrics of streams of targets: `smooth` is the
+    fraction of episodes without IK failure and joint jump, `speed_share` the mean speed of the EE
+    relative to the speed of the stream.
     """
 
     episodes: int

@@ -21,9 +21,9 @@ class MotionGenerator(Protocol):
 
     Pure: the state is an argument and a return value, a dict of arrays with leading axis n, so that
     callers can restart single motions and preview steps. States may share arrays; callers write
-    into copies. The target is an argument of every call, since it may move; values of the start
-    belong into the state. A generator may be called several times a step, is built from keyword
-    parameters, and does not depend on the robot or the frame that it moves.
+    into copies. The target is an argument of every call, since it may move; values that are fixed
+    at the start belong in the state. A generator may be called several times a step, is built from
+    keyword parameters, and does not depend on the robot or the frame that it moves.
     """
 
     def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
@@ -77,7 +77,7 @@ class AvoidsSolids(Protocol):
     """A motion generator that plans around solids."""
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
-        """Return the state of n motions that avoid the solids as they stand now.
+        """Return the state of n motions that avoid the solids at their present positions.
 
         Called after `start` and, where solids move, about once a second. `solids` are those around
         each motion, n rows; other arguments as in `MotionGenerator.twist`.
@@ -95,7 +95,7 @@ class WholeBodyPath:
     ee: Array  # world poses of the EE, shape (k, 7)
     # x, y and unwrapped yaw of the base, then arm joints, shape (k, 3 + j), metres and radians
     robot: Array
-    seconds: Array  # shortest times that base and arm need from each to the next, shape (k - 1,)
+    seconds: Array  # shortest times in which base and arm get from row to row, shape (k - 1,)
 
 
 @runtime_checkable
@@ -108,7 +108,7 @@ class FollowsWholeBodyPath(Protocol):
         """Return the state of n motions along their paths.
 
         The second value has `WAYPOINTS` configurations of each path, shape (n, 64, 3 + j), for
-        `robot_ahead`. Called before `replan` of `AvoidsSolids`, which leaves these motions alone.
+        `robot_ahead`. Called before `replan` of `AvoidsSolids`, which keeps these motions.
         There is a path for each motion, from about `ee_pose` to the target; other arguments as in
         `MotionGenerator.twist`.
         """
@@ -128,10 +128,10 @@ class LooksAhead(Protocol):
     """A motion generator whose paths can be read in advance."""
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
-        """Return the poses that lie ahead on the motions, at most their ends, shape (n, d, 7).
+        """Return the poses that lie ahead on the motions, up to their ends, shape (n, d, 7).
 
-        Distances are lengths of the position's path from here, shape (d,), metres; other arguments
-        as in `MotionGenerator.twist`.
+        `distances` are path lengths of the position from `ee_pose` on, shape (d,), metres; other
+        arguments as in `MotionGenerator.twist`.
         """
 
 
@@ -140,7 +140,7 @@ OPTIONAL = ("finished", "base_pose", "replan", "follow", "robot_ahead", "ahead")
 
 
 def with_rows(array: NDArray[Any], rows: Rows | None, values: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy of `array` with `values` in `rows`; the values themselves for None."""
+    """Return a copy of `array` with `values` in `rows`; `values` themselves if `rows` is None."""
     if rows is None:
         return values
     changed = array.copy()
@@ -156,7 +156,7 @@ def of_rows(state: State, rows: Rows) -> State:
 def merged(state: State, rows: Rows, values: State, n: int) -> State:
     """Return the state of n rows with `values` in `rows`; other rows of an empty state are zero.
 
-    Keys, types and shapes of both are equal, which `CheckedMotion` checks.
+    `CheckedMotion` checks that keys, types and shapes of both are equal.
     """
     if len(rows) == n:
         return values

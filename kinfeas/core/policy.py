@@ -18,7 +18,7 @@ class Observation:
         joint_positions: Arm joints, shape (n, j), radians or metres.
         desired: Desired world pose of the EE now, shape (n, 7).
         planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7), at the time
-            scale of the execution; the values show the motion at full speed.
+            scale of the execution; the terms in `values` are for motions at full speed.
         demonstrated_base: World pose of the base in the demonstration, shape (n, 7); NaN where the
             motion has none.
         planned_base: World pose of the base on a whole-body path, `LEAD` seconds ahead, shape
@@ -54,8 +54,8 @@ class TermInfo:
 class Policy(Protocol):
     """Commands the base.
 
-    The attribute `observation_terms`, if there is one, names other terms than the default ones;
-    `filters` names command filters that come before the others where motions are known in advance.
+    The attribute `observation_terms`, if there is one, names other terms than the default ones.
+    `filters` names command filters that are applied before the others, unless targets are a stream.
     A policy with a state of its own has `reset(rows, n)`: begin new episodes in `rows`, shape (m,),
     of n robots.
     """

@@ -101,9 +101,9 @@ def twist_between(start, end, dt, like, out):
 
 @compiled(["void(f8[:], f8[:], f8[:], f8, f8[:])"], "(p),(p),(p),()->(p)")
 def catch_up(pose, target, frame, dt, out):
-    """Velocity (3) and rotation (4) that lead from a pose in `frame` to `target` in `dt` seconds.
+    """Velocity (3) and rotation (4) that lead from `pose` to `target` in `dt` seconds.
 
-    `target` and `frame` are in one frame.
+    They and `pose` are relative to `frame`; `target` and `frame` are in a common frame.
     """
     twist = np.empty(6)
     _write_relative(target, frame, out)
@@ -115,7 +115,7 @@ def catch_up(pose, target, frame, dt, out):
 
 @compiled(["void(f8, f8, f8, f8[:], f8[:])"], "(),(),(),(p)->(p)")
 def planar_pose(x, y, angle, like, out):
-    """Pose on the floor at a heading; `like` as above."""
+    """Pose on the floor at a heading; `like` has its size."""
     sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
     sign = math.copysign(1.0, cosine)  # no comparison, which would warn of NaN
     out[0], out[1], out[2], out[3], out[4] = x, y, 0.0, 0.0, 0.0
@@ -178,7 +178,7 @@ def planar_offset(pose, frame, like, out):
 
 @compiled(["void(f8[:], f8[:], b1[:], f8[:])"], "(j),(j),(j)->(j)")
 def joint_displacement(before, after, continuous, out):
-    """Displacement of each joint; of continuous joints the shorter one."""
+    """Displacement of each joint; for continuous joints the shorter of the two."""
     for j in range(len(before)):
         change = after[j] - before[j]
         out[j] = wrapped(change) if continuous[j] else change

@@ -7,7 +7,7 @@ from annotated_types import Interval
 
 from kinfeas.core.quantities import Positive
 
-Delay = Annotated[float, Interval(ge=0.0, le=60.0)]  # commands are kept as long
+Delay = Annotated[float, Interval(ge=0.0, le=60.0)]  # bounded, since commands are kept that long
 
 
 @dataclass(frozen=True)
@@ -19,14 +19,14 @@ class ResponseModel:
     """
 
     command_latency: Delay = 0.0  # seconds until a command takes effect
-    sensor_latency: Delay = 0.0  # age of a measurement, seconds, where it is not measured itself
+    sensor_latency: Delay = 0.0  # age of measurements that do not state their age, seconds
     base_lag: Delay = 0.0  # time constant of the base's velocity, seconds
     arm_lag: Delay = 0.0  # time constant of the joint positions, seconds
     # limit of the base's planar acceleration, m/s^2; None for none
     acceleration: Positive | None = None
-    rotation_acceleration: Positive | None = None  # the same of its rotation, rad/s^2
+    rotation_acceleration: Positive | None = None  # the same for its rotation, rad/s^2
     jerk: Positive | None = None  # limit of the base's planar jerk, m/s^3; None for none
-    rotation_jerk: Positive | None = None  # the same of its rotation, rad/s^3
+    rotation_jerk: Positive | None = None  # the same for its rotation, rad/s^3
 
     @property
     def immediate(self) -> bool:

@@ -50,9 +50,9 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
             def goal_pose(self, state, target_pose): ...  # -> (7,)
             def twist(self, state, ee_pose, target_pose, dt): ...  # -> (6,), dict
 
-    The optional methods of `kinfeas.core.motion` are those for one motion, too, such as
+    The optional methods of `kinfeas.core.motion` are for one motion as well. Examples are
     `finished(self, state, target_pose)`, which returns whether it is at the end of a path of its
-    own, and `replan(self, state, ee_pose, target_pose, solids)`, whose solids are one row. The
+    own, and `replan(self, state, ee_pose, target_pose, solids)`, whose solids have one row. The
     class gets its own copy of every array and may write into it. Numbers in the state become
     float64. Each row costs a Python call; write generators for large batches with arrays.
     """
@@ -84,7 +84,7 @@ class RowByRow:
     single: SingleMotion
 
     def start(self, ee_pose: Array, target_pose: Array, rngs: Rngs) -> State:
-        """Return the state of n motions; shapes (n, 7), (n, 7), n. No motion has no keys."""
+        """Return the state of n motions; shapes (n, 7), (n, 7), n. It has no keys if n is 0."""
         rows = zip(ee_pose, target_pose, rngs, strict=True)
         states = [self.single.start(ee.copy(), target.copy(), rng) for ee, target, rng in rows]
         return _stacked(states)
@@ -153,7 +153,7 @@ def _ahead(
 
 
 def _each(self: RowByRow, name: str, state: State, *arguments: Iterable[Any]) -> list[Any]:
-    """Return the values of a method of each motion, called with its rows of the arguments."""
+    """Return a method's result for each motion, called with that row of state and arguments."""
     method = getattr(self.single, name)
     return [
         method({key: values[i].copy() for key, values in state.items()}, *map(copy.copy, row))

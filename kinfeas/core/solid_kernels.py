@@ -39,7 +39,7 @@ def write_prism(pose, size, cylinder, out):
 
 @inlined
 def _offsets(prism, x, y):
-    """Return a position along the axes of a prism from its centre."""
+    """Return the offsets of a position from the centre of a prism, along its axes."""
     dx, dy = x - prism[2], y - prism[3]
     return prism[0] * dx + prism[1] * dy, prism[0] * dy - prism[1] * dx
 
@@ -48,7 +48,7 @@ def _offsets(prism, x, y):
 def outward(prism, x, y):
     """Return the horizontal distance from a prism without its rounding, and the unit vector away.
 
-    The distance is negative inside, where the nearest side counts.
+    Inside, the distance is negative and both are those of the nearest side.
     """
     u, v = _offsets(prism, x, y)
     beyond_u, beyond_v = abs(u) - prism[4], abs(v) - prism[5]
@@ -110,7 +110,7 @@ def gaps(points, pose, size, cylinder, planar, vertical):
     "(k,p),(k,s),(k),(k,v),(),()->(k,p),(k,s)",
 )
 def swept(pose, size, cylinder, velocity, first, last, pose_out, size_out):
-    """Poses and sizes of solids that fill the room of others between two times, seconds."""
+    """Poses and sizes of solids that cover the motion of others between two times, seconds."""
     for k in range(len(pose)):
         copy_row(pose[k], pose_out[k])
         copy_row(size[k], size_out[k])

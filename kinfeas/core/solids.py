@@ -31,7 +31,7 @@ class Solids:
     """Solids of n rows, k places each, any of which may be empty."""
 
     pose: Array  # world x, y and yaw of each centre, shape (n, k, 3), metres and radians
-    # half extents along its own x and y (of a cylinder, its radius twice), lowest and highest z,
+    # half extents along its own x and y (for a cylinder, both its radius), lowest and highest z,
     # shape (n, k, 4), metres; a place with half extents of 0 is empty
     size: Array
     cylinder: NDArray[np.bool_]  # whether it is a cylinder instead of a box, shape (n, k)
@@ -58,7 +58,7 @@ class Solids:
 
     @property
     def table(self) -> Array:
-        """Solids of the first row without empty places, shape (k, 11), one a line.
+        """Table with a line for each solid of the first row, shape (k, 11).
 
         A line has the values of pose, size, cylinder (0 or 1), velocity and span.
         """
@@ -82,7 +82,7 @@ class Solids:
         return np.all(self.size[..., :2] > 0.0, axis=-1)
 
     def each(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> "Solids":
-        """Return the solids of which each array is changed by a function."""
+        """Return the solids with `change` applied to each of their arrays."""
         return Solids(*map(change, vars(self).values()))
 
     def of(self, rows: NDArray[np.intp]) -> "Solids":
@@ -94,22 +94,22 @@ class Solids:
         return self.of(np.zeros(n, dtype=np.intp))
 
     def beyond(self, places: int) -> "Solids":
-        """Return the solids without the first places of each row."""
+        """Return the solids without the first `places` places of each row."""
         return self.only(slice(places, None)) if places else self
 
     def joined(self, other: "Solids") -> "Solids":
-        """Return these solids and, in further places of the same rows, other ones."""
+        """Return rows with the places of these solids, followed by those of `other`."""
         both = zip(vars(self).values(), vars(other).values(), strict=True)
         return Solids(*(np.concatenate(values, axis=1) for values in both))
 
     def only(self, places: slice | NDArray[np.intp]) -> "Solids":
-        """Return the solids of some places of each row."""
+        """Return the solids in some places of each row."""
         return self.each(lambda values: values[:, places])
 
     def wider(self, margin: float, above: float = 0.0) -> "Solids":
         """Return the solids grown by a margin sideways and by `above` above and below.
 
-        Where a negative margin leaves nothing, they stay `THIN`.
+        A negative margin leaves half extents of `THIN` at least.
         """
         growth = np.where(self.filled[..., np.newaxis], [margin, margin, -above, above], 0.0)
         size = self.size + growth
@@ -117,7 +117,7 @@ class Solids:
         return replace(self, size=size)
 
     def put(self, rows: NDArray[np.intp], other: "Solids") -> "Solids":
-        """Return these solids with other ones in some rows."""
+        """Return these solids with `other` instead in some rows."""
         places = max(self.places, other.places)
         changed = Solids.empty(len(self.size), places)
         for name, values in vars(changed).items():
@@ -127,7 +127,7 @@ class Solids:
         return changed
 
     def at(self, seconds: Array) -> "Solids":
-        """Return the solids as they stand and move some seconds, shape (n,), after their start."""
+        """Return the solids with their poses and velocities `seconds`, (n,), after their start."""
         speed = np.linalg.norm(self.velocity, axis=2)
         if not speed.any():
             return self
@@ -144,8 +144,8 @@ class Solids:
     def gaps(self, points: Array) -> tuple[Array, Array]:
         """Return the horizontal and the vertical gaps from points to solids, shape (n, m, k).
 
-        A gap of 0 is a touch or an overlap; empty places are infinitely far. The length of both is
-        the distance.
+        A gap of 0 is a touch or an overlap; empty places are infinitely far. The distance is the
+        Euclidean norm of the two gaps.
 
         Args:
             points: Points of each row in the world, shape (n, m, 3), metres.
@@ -153,7 +153,10 @@ class Solids:
         return solid_kernels.gaps(points, self.pose, self.size, self.cylinder)
 
     def swept(self, first: float, last: float) -> "Solids":
-        """Return solids that fill the room of these between two times, seconds from now."""
+        """Return solids that cover the motion of these between two times, seconds from now.
+
+        Solids that turn back in between are not treated apart.
+        """
         arrays = self.pose, self.size, self.cylinder, self.velocity
         pose, size = solid_kernels.swept(*arrays, first, last)
         return replace(self, pose=pose, size=size)
@@ -187,7 +190,7 @@ class MovingSolids:
 
     Attributes:
         start: Solids at the start of the episodes; no places without any.
-        seconds: Time since then, shape (n,).
+        seconds: Time since the start, shape (n,).
         moving: Which rows have solids that move, shape (n,).
     """
 
@@ -235,7 +238,7 @@ class MovingSolids:
 
 
 def stacked_solids(solids: Sequence[Solids]) -> Solids:
-    """Return rows of solids as one batch; empty places fill up those with fewer."""
+    """Return rows of solids as one batch; rows with fewer solids get empty places."""
     places, none = max(rows.places for rows in solids), np.arange(0)
     padded = [vars(rows.put(none, Solids.empty(0, places))).values() for rows in solids]
     return Solids(*map(np.concatenate, zip(*padded, strict=True)))

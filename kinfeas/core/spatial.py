@@ -27,7 +27,7 @@ UNIT = 1e-2
 """Largest deviation of the norm of a quaternion in an input from 1."""
 
 _POSE, _TWIST = (7,), (6,)
-_DEGENERATE = 1e-3  # least length of a column of a rotation, and of its part across the other one
+_DEGENERATE = 1e-3  # least length of the first column, and of the second one across the first
 
 
 def rotation(pose: Array) -> Rotation:
@@ -36,7 +36,7 @@ def rotation(pose: Array) -> Rotation:
 
 
 def rpy(pose: Array) -> Array:
-    """Return roll, pitch and yaw about fixed axes, shape (..., 3), radians; any in gimbal lock."""
+    """Return roll, pitch and yaw about fixed axes, (..., 3), radians; ambiguous in gimbal lock."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of gimbal lock
         return rotation(pose).as_euler("xyz")
@@ -111,7 +111,8 @@ def twist_between(start: Array, end: Array, dt: ArrayLike) -> Array:
 def catch_up(pose: Array, target: Array, frame: Array, dt: float) -> tuple[Array, Array]:
     """Return velocity (n, 3), m/s, and rotation (n, 4) from poses to targets in `dt` seconds.
 
-    The poses are relative to `frame`, targets and `frame` are in one frame; shapes (n, 7).
+    Poses and results are relative to `frame`; targets and `frame` are in a common frame; all poses
+    have the shape (n, 7).
     """
     motion: Array = _call(pose_kernels.catch_up, pose, target, frame, dt)
     return motion[:, :3], motion[:, 3:]
@@ -159,18 +160,21 @@ def _call(
 
 
 def interpolated_columns(at: Array, knots: Array, values: Array) -> Array:
-    """Return rows (m, w) at `at` between those of `values`, (k, w), at ascending `knots`."""
+    """Return rows at `at`, (m, w), interpolated between `values`, (k, w), at ascending `knots`."""
     return np.stack([np.interp(at, knots, column) for column in values.T], axis=1)
 
 
 def interpolated(times: Array, samples: Array, poses: Array) -> Array:
-    """Return poses (m, 7) at `times` between those (t, 7) at ascending times `samples`."""
+    """Return poses at `times`, (m, 7), interpolated between `poses`, (t, 7), at `samples`.
+
+    `samples` are ascending times.
+    """
     position = interpolated_columns(times, samples, poses[:, :3])
     return make_pose(position, Slerp(samples, rotation(poses))(times))
 
 
 def continuous(quaternions: Array) -> Array:
-    """Return quaternions of the same rotations whose signs never change, shape (..., k, 4)."""
+    """Return quaternions of the same rotations whose sign never flips, shape (..., k, 4)."""
     cosine = np.sum(quaternions[..., 1:, :] * quaternions[..., :-1, :], axis=-1)
     signs = np.cumprod(np.where(cosine < 0.0, -1.0, 1.0), axis=-1)
     smooth = quaternions.copy()

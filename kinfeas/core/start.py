@@ -41,5 +41,5 @@ def stacked(starts: Sequence[Start]) -> Start:
 
 
 def episode_rng(seed: int, episode: int, stream: Sequence[int] = ()) -> np.random.Generator:
-    """Return the random generator of an episode; `stream` separates those of equal numbers."""
+    """Return the random generator of an episode; `stream` separates sets of numbered episodes."""
     return np.random.default_rng(np.random.SeedSequence((seed, episode), spawn_key=tuple(stream)))
