@@ -41,7 +41,7 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
         subgoals: Motions that every EE makes in sequence, at least one.
         backend: Moves the robots.
         dt: Control period in seconds.
-        execution: Execution of motions, before adapters change it; as planned by default.
+        execution: Execution of motions, which adapters may change; as planned by default.
         adapters: Adapters around the backend, the first one innermost.
         filters: Change the policy's commands, in this order.
         stream: Targets that move, if there are any.
@@ -106,7 +106,7 @@ def build_backend(name: str, parameters: Mapping[str, object], **offered: object
 
 
 def build_simulator(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
-    """Return a simulated backend, for programs without guards; otherwise as `build_backend`.
+    """Return a simulated backend as `build_backend` does, for programs without safety guards.
 
     Raises:
         KinfeasError: Also if the backend moves a robot in real time; its class is not called.

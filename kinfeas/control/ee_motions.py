@@ -31,8 +31,8 @@ class EeMotions:
 
     Attributes:
         generators: Generators of the sub-goals, each once.
-        states: Their states.
-        which: Numbers of the generators that make the motions, shape (n,).
+        states: State of each generator for all n motions; empty before its first one.
+        which: Index in `generators` of the one that makes each motion, shape (n,).
     """
 
     def __init__(self, subgoals: Sequence[SubgoalMotion]) -> None:
@@ -45,12 +45,12 @@ class EeMotions:
         self.clear(np.empty(0, dtype=np.intp))
 
     def clear(self, subgoal: NDArray[np.intp]) -> None:
-        """Forget the states; begin motions of sub-goals of these numbers, shape (n,)."""
+        """Forget the states, and `assign` motions to the generators of sub-goals, shape (n,)."""
         self.states: list[State] = [{} for _ in self.generators]
         self.assign(subgoal)
 
     def assign(self, subgoal: NDArray[np.intp]) -> None:
-        """Let the generators of sub-goals, shape (n,), make the motions from now on."""
+        """Let the generators of sub-goals of these numbers, shape (n,), make the motions."""
         self.which: NDArray[np.intp] = self._of_subgoal[subgoal]
 
     def of(self, rows: Rows | None = None) -> list[Motions]:
@@ -68,7 +68,7 @@ class EeMotions:
         self.states[number] = merged(self.states[number], rows, state, len(self.which))
 
     def ask(self, question: Callable[[Motions], Array]) -> Array:
-        """Return what the generators answer about all motions, with the leading shape (n,)."""
+        """Return the generators' answers about their motions, in the order of all n, (n, ...)."""
         groups = self.of()
         answers = [question(group) for group in groups]
         if len(answers) == 1:
@@ -79,7 +79,7 @@ class EeMotions:
     def twist(self, poses: Array, targets: Array, seconds: Array) -> tuple[Array, list[State]]:
         """Return the world twists of the next step, shape (n, 6), and the states after it.
 
-        Motions of 0 seconds rest. Nothing changes.
+        Motions of 0 seconds rest. The motions themselves do not advance; see `move`.
 
         Args:
             poses: World poses of the frames that move, shape (n, 7).
@@ -96,7 +96,7 @@ class EeMotions:
         return twist, states
 
     def move(self, states: Sequence[State], paused: NDArray[np.bool_] | None = None) -> None:
-        """Go on to `states`, but for the motions that are `paused`, shape (n,)."""
+        """Go on to `states`, except for motions that are `paused`, shape (n,)."""
         if paused is not None:
             rows, pairs = np.flatnonzero(paused), zip(states, self.states, strict=True)
             states = [
@@ -106,7 +106,7 @@ class EeMotions:
         self.states = list(states)
 
     def at(self, states: Sequence[State]) -> "EeMotions":
-        """Return the same motions in other states, which move on their own."""
+        """Return a copy of the motions in other states, which advances independently."""
         other = copy.copy(self)
         other.states = list(states)
         return other

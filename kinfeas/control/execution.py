@@ -39,7 +39,7 @@ class ExecutionConfig:
     # motion seconds for which a sub-goal with a grip continues after the arrival, to bring the EE
     # within `GRASP_METRES` of its end
     grasp_settle_time: Seconds = 0.0
-    # upper bound of the seconds by which each episode's head start is longer
+    # upper bound of the random extension of each episode's head start, seconds
     head_start_jitter: Seconds = 0.0
     # longest pause of motion and base, in seconds, while the arm moves to another configuration
     # that is further away than 0.15 s at full joint velocity

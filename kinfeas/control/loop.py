@@ -44,9 +44,9 @@ _NO_ROWS: Rows = np.empty(0, dtype=np.intp)
 class Outcome:
     """Result of one step of the loop; each array has the leading shape (n,).
 
-    The position that is due is that desired one command latency of the response model ago; of a
-    stream, that desired now. `collision` is None without solids, or where the loop does not find
-    them.
+    The EE position that is due was desired one command latency of the response model ago; with a
+    stream of targets, it is the one desired now. `collision` is None without solids, or if the loop
+    does not detect collisions.
     """
 
     feasible: NDArray[np.bool_]  # whether IK found the desired pose
@@ -71,10 +71,11 @@ class Loop:
         dt: Control period, seconds.
         surroundings: Solids and scans, where the backend has them.
         observer: Observes the robots, with the terms of the policy.
-        policy: Policy that commands the bases, or None while it learns. Set it by `set_policy`.
+        policy: Policy that commands the bases, or None if each step is given an action. Set it by
+            `set_policy`.
         robots: State of the robots now.
         ee_pose: World poses of the EEs now, shape (n, 7).
-        observation: Observation of the policy now.
+        observation: Present input of the policy.
         action: Last action, before the filters, shape (n, a).
         previous_command: Last base commands, after the filters, shape (n, a).
         finds_collisions: Whether outcomes say which robots touch solids.
@@ -141,7 +142,7 @@ class Loop:
             rngs: One source of randomness for each of them.
             rows: Which of the n robots begin anew; all of them by default, which also sets n.
         """
-        # Drawn with and without adapters, so that adapters do not change the motions.
+        # Drawn even if no adapter needs them, so that adapters do not change the motions.
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])
         fresh = np.arange(len(rngs)) if rows is None else rows
         n = len(rngs) if rows is None else len(self.previous_command)
@@ -172,8 +173,9 @@ class Loop:
     def step(self, action: Array | None = None) -> Outcome:
         """Advance all robots by one control period.
 
-        A sub-goal ends on a feasible step that brings the EE to its end, with a path of its own at
-        the end of that; the next sub-goal begins at the desired pose, after the dwell time.
+        A sub-goal ends on a feasible step that brings the EE to its goal; a motion along a path of
+        its own must also be at the end of the path. The next sub-goal begins at the desired pose,
+        after the dwell time.
 
         Args:
             action: Base commands, clipped to [-1, 1], shape (n, a); those of the policy by default.
@@ -219,9 +221,9 @@ class Loop:
         return outcome
 
     def prepare(self) -> None:
-        """Plan the next period ahead of the measurement that ends this one, where nothing changes.
+        """Compute the parts of the next period that need no measurement.
 
-        For backends, while a robot moves: the step after the measurement is shorter then.
+        Called while a real robot moves, so that the step after its measurement is shorter.
         """
         if self.sequence.stream is None:
             self.observer.prepare()
@@ -260,7 +262,7 @@ class Loop:
 
     @property
     def resumable(self) -> bool:
-        """Whether `snapshot` holds the whole state, which filters with a `reset` have, too."""
+        """Whether `snapshot` holds the whole state; it lacks that of filters with a `reset`."""
         stateful = any(hasattr(each, "reset") for each in self.filters)
         return self.backend.resumable is not None and not stateful
 
@@ -393,9 +395,10 @@ def _arrays(period: Period) -> dict[str, NDArray[Any]]:
 
 
 def _read_only(observation: Observation) -> Observation:
-    """Return an observation whose arrays are read-only, but for `values`, which no other part has.
+    """Return an observation with read-only arrays, except `values`, which only the policy uses.
 
-    They are views, since kernels are compiled again for read-only arrays.
+    They are views. The arrays of the loop stay writable, since numba would compile kernels again
+    for read-only ones.
     """
     shown = dict(vars(observation))
     for name, array in shown.items():

@@ -16,7 +16,7 @@ from kinfeas.kinematics.drive import command_size
 from kinfeas.robots.robot import Robot
 
 HORIZON = 0.1  # seconds of planned motion that an observation shows, at any control rate
-CLIP = 3.0  # bound of a scaled number: an EE far from its path would dominate all others
+CLIP = 3.0  # bound of a scaled number, so that no EE far from its path dominates the others
 
 AHEAD = np.array([0.5, 1.0, 1.5])
 """Distances along the planned motion at which an observation shows it, metres."""
@@ -38,7 +38,7 @@ class ObservedState:
         joint_positions: Arm joints, continuous ones in (-pi, pi], shape (n, j).
     """
 
-    # Where a term needs them:
+    # None unless a term needs them:
     previous_command: Array | None = None  # base command of the last period, shape (n, c)
     ahead: Array | None = None  # positions `AHEAD` on the planned motion, shape (n, 3 d), metres
     planned_base: Array | None = None  # x, y and yaw on a whole-body path, shape (n, 3)
@@ -137,7 +137,7 @@ def scale(robot: Robot, terms: Sequence[str] = OBSERVATION) -> Array:
 
 
 def surroundings_columns(robot: Robot, terms: Sequence[str]) -> list[int]:
-    """Return the places of the numbers of `SURROUNDINGS` in an observation."""
+    """Return the columns of the terms `SURROUNDINGS` in an observation."""
     each = [[name in SURROUNDINGS] * TERMS[name].width(robot) for name in terms]
     return np.flatnonzero(np.concatenate(each)).tolist()
 

@@ -40,7 +40,7 @@ class Observer:
         self._base_offset: Array | None = None
 
     def prepare(self) -> None:
-        """Ask the motions for what they keep until they change: goals, next step and paths."""
+        """Compute what the motions cache until they change: goals, next step and paths."""
         _ = self._sequence.goal, self._sequence.next_step, self._sequence.planned
         if "planned_ahead" in self.terms:
             self._ahead()
@@ -84,7 +84,7 @@ class Observer:
     def base_error(self) -> Array | None:
         """Distances of the bases from the planned ones, metres, shape (n,).
 
-        Half a metre for each radian; 0 without a planned base. None unless a term observes it.
+        A radian counts as half a metre. 0 without a planned base; None unless a term observes it.
         """
         if self._base_offset is None:
             return None

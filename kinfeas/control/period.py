@@ -1,4 +1,4 @@
-"""One control period of n robots: a value from the motions, through the filters, to the arms."""
+"""One control period of n robots: motions plan it, filters change it, arms carry it out."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -32,7 +32,7 @@ class KinematicInputs:
 
     base_pose: Array  # world pose of the base at the beginning, shape (n, 7)
     joints: Array  # where IK begins, shape (n, j), radians or metres: the last command
-    # world pose at which the EE should be one lead of the arm after the end, shape (n, 7)
+    # world pose of the EE at the end, or by the lead of a lagging arm later, shape (n, 7)
     desired: Array
     solids: Solids | None = None  # world solids at the end, n rows, which the arms avoid
     posture_guide: Array | None = None  # arm joints that IK prefers, shape (n, j); NaN for none
@@ -56,7 +56,7 @@ class Move:
 
     base_twist: Array  # world twists, shape (n, 6), m/s and rad/s
     arm: IkSolution  # IK solutions
-    command: Array  # base commands of which they come, shape (n, a)
+    command: Array  # base commands from which they are computed, shape (n, a)
     base_pose: Array  # world poses of the bases at the end of the period, shape (n, 7)
 
 
@@ -69,7 +69,7 @@ class Period(KinematicInputs):
     time_scale: Array  # fraction of the planned motion that it carries out, shape (n,)
     motions: MotionSequence  # motions of the EEs, which do not change while filters read them
     paused: NDArray[np.bool_] | None = None  # rows whose arms reconfigure, (n,), or None
-    velocity_constraints: VelocityConstraints | None = None  # of an obstacle filter before
+    velocity_constraints: VelocityConstraints | None = None  # of a preceding obstacle filter
     move: Move | None = None  # commands of bases and arms, where a filter has computed them
 
     @property
@@ -79,7 +79,7 @@ class Period(KinematicInputs):
         return seconds if self.paused is None else np.where(self.paused, 0.0, seconds)
 
     def changed(self, **fields: object) -> "Period":
-        """Return the period with changed fields, sooner than `dataclasses.replace`."""
+        """Return the period with changed fields, faster than `dataclasses.replace`."""
         period = object.__new__(Period)
         vars(period).update(vars(self), **fields)
         return period
@@ -112,11 +112,10 @@ def check_time_scale(time_scale: Array, shape: tuple[int, ...], name: str) -> No
 class CommandFilter(Protocol):
     """Changes base commands before they are sent; entry points `kinfeas.filters`.
 
-    A filter is built from keyword parameters; of `solver`, `backend`, `dt` (seconds), `execution`,
-    `response`, `stream` (None without moving targets) and `executor` (or None), `assemble` sets
-    those it names.
-    One with a state has `reset(rows, n)`, as a `Policy`; `max_batch` limits the robots of a process
-    if it needs time or memory for each.
+    A filter is built from keyword parameters. If its constructor names `solver`, `backend`, `dt`
+    (seconds), `execution`, `response`, `stream` (None without moving targets) or `executor` (or
+    None), `assemble` passes these. A filter with a state has `reset(rows, n)`, as a `Policy` does.
+    One that needs time or memory for each robot has `max_batch`, the largest number in a process.
     """
 
     def __call__(self, period: Period) -> Period:
@@ -124,7 +123,7 @@ class CommandFilter(Protocol):
 
 
 class KinematicStep:
-    """Effect of base commands in one control period of `dt` seconds: base twists, and arms by IK.
+    """Effect of base commands in a control period of `dt` seconds: base twists, and arms by IK.
 
     `max_joint_step` is the longest displacement of each arm joint, shape (j,), radians or metres.
     """

@@ -21,44 +21,44 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 
 _POSE_SECONDS, _VELOCITY_SECONDS = 0.02, 0.4
-"""Time constants with which the prediction takes over measured positions and velocities."""
+"""Time constants with which measurements correct predicted positions and velocities."""
 
 _JUMP, _JUMP_SPEED = 0.004, 0.1
-"""Difference between measured and predicted pose beyond which the localisation has jumped: metres
-or radians, and those for each second between measurements."""
+"""Difference between measured and predicted pose that counts as a jump of the localisation: metres
+or radians, plus those for each second between measurements."""
 
-_OLDEST = 0.3  # age of a measurement, seconds, up to which commands are kept
+_OLDEST = 0.3  # largest age of a measurement, seconds, for which commands are kept
 
 _TINY = 1e-9  # seconds
 
-_LAGS = 50.0  # in a period, beyond which an arm is there at once
+_LAGS = 50.0  # time constants in a period beyond which an arm counts as immediate
 
-_MEMORY = 1.0  # time constant, seconds, in which differences count less for `lateness`
+_MEMORY = 1.0  # time constant, seconds, with which `Lateness` forgets differences
 
 _LEVER = 0.3  # radius at which rotations are compared with translations, metres
 
 _ACCELERATION, _VELOCITY = 3, 6
-"""First columns in the motion of a base, shape (9,), which begins with the planar velocity that its
-controller asks for: the acceleration of that, and the velocity of the base. It is one array, since
-compilers see that its parts do not overlap."""
+"""First columns of acceleration and velocity in the motion of a base, shape (9,): the velocity that
+its controller asks for, the acceleration of that, and the velocity of the base, all planar. They
+are in one array, since compilers see that its parts do not overlap."""
 
 
 class Lateness(NamedTuple):
-    """Differences of a base from its model, of which `lateness` is the regression."""
+    """Differences of a base from its model, and their regression for `core.metrics.lateness`."""
 
-    behind: Array  # displacement by which it is behind its model, fading, shape (3,)
-    faster: Array  # change of its velocity, fading likewise, shape (3,)
-    sums: Array  # sums of products of both, and of squares of the latter, shape (2,)
+    behind: Array  # displacement by which it is behind its model, with fading memory, shape (3,)
+    faster: Array  # change of its velocity, with the same memory, shape (3,)
+    sums: Array  # sums over time of behind * faster and of faster squared, shape (2,)
 
 
 class BaseEstimate(NamedTuple):
-    """What is known of a base, shape (3,) each."""
+    """Estimated state of a base; shape (3,) unless stated."""
 
     pose: Array  # predicted planar pose
     jump: Array  # part of a jump of the localisation that is yet to be followed
     measured: Array  # last measurement of the planar pose
-    motion: Array  # at that time, shape (9,)
-    correction: Array  # part of its velocity that comes of measurements
+    motion: Array  # motion at the time of that measurement, shape (9,)
+    correction: Array  # part of its velocity that is due to corrections by measurements
     lateness: Lateness
 
 
@@ -90,7 +90,7 @@ class BaseResponse:
         return dt / math.expm1(lags)
 
     def reached(self, base_pose: Array, motion: Array, twist: Array, dt: float) -> Array:
-        """Return the world poses `dt` seconds plus the lead of the arm after a world twist.
+        """Return the world poses after `dt` seconds plus the lead of the arm under a world twist.
 
         Poses have the shape (n, 7), motions (n, 9), twists (n, 6), m/s and rad/s.
         """
@@ -102,8 +102,9 @@ class BaseResponse:
 class Predictor:
     """States of n robots at the time at which the next command takes effect.
 
-    Measured poses and velocities are carried forward by the response of the robots to the commands
-    that are on their way. Measurements correct errors of that, jumps of the localisation gradually.
+    Measured poses are carried forward by the response of the robots to commands that were sent but
+    have not yet taken effect. Measurements correct the prediction; it follows jumps of the
+    localisation gradually.
 
     Attributes:
         delay: Seconds until a command takes effect.
@@ -154,13 +155,13 @@ class Predictor:
 
     @property
     def due(self) -> Array:
-        """Positions at which the EEs are to be now, metres, shape (n, 3)."""
+        """Positions due now, which were desired `delay` seconds ago, metres, shape (n, 3)."""
         before, fraction = divmod(self.delay / self.dt, 1.0)
         newer, older = self._desired[:, -1 - int(before)], self._desired[:, -2 - int(before)]
         return newer + (older - newer) * fraction
 
     def command(self, twist: Array, targets: Array, desired: Array) -> None:
-        """Note the commands of a period and the poses of the EEs that are desired of them.
+        """Record the commands of a period and the EE poses that are desired at its end.
 
         World twists have the shape (n, 6), joint targets (n, j), poses (n, 7).
         """
@@ -236,7 +237,7 @@ def _shortened(x, y, longest):
 
 @inlined
 def _accelerated(x, y, before_x, before_y, most, jerk, seconds):
-    """Return the feasible acceleration nearest to (x, y), as the adapter `acceleration_limit`."""
+    """Return the feasible acceleration for the target (x, y), as adapter `acceleration_limit`."""
     if jerk == math.inf:
         return _shortened(x, y, most)
     length, half = math.sqrt(square(x) + square(y)), 0.5 * jerk * seconds
@@ -299,7 +300,7 @@ def _predict(
     measured, ages, ages_before, twists, targets, timing, limits, max_velocity, continuous,
     bases, motions, joints, moved,
 ):  # fmt: skip
-    """Update bases, shape (n, 29), to measurements; write motions, joints and displacements.
+    """Update bases, shape (n, 29), with measurements; write motions, joints and displacements.
 
     Measurements have the shape (n, 3), motions (n, 9), displacements (n, 6). `timing` are the delay
     of commands, the control period and the lag of the arms, seconds.
@@ -340,7 +341,7 @@ def _predict(
 def _compare(base, motion, planar, measured, seconds, lag):
     """Compare a measured displacement of a base with the predicted one, shape (3,).
 
-    A base that is late by t has come t times the change of its velocity less far.
+    A base that is late by t seconds falls behind by t times the change of its velocity.
     """
     last, before, correction = base.measured, base.motion, base.correction
     behind, faster, sums = base.lateness

@@ -27,13 +27,13 @@ class MotionSequence(SubgoalMotions):
 
     Attributes:
         head_start: Control periods until each row begins the first sub-goal, shape (n,).
-        settling: Control periods in which it still settles at the end of a sub-goal, shape (n,).
-        dwelling: Control periods after those until it begins the next one, shape (n,).
+        settling: Remaining control periods of settling at the end of a sub-goal, shape (n,).
+        dwelling: Control periods from then until the next sub-goal begins, shape (n,).
         periods: Control periods since the start of each row, shape (n,).
         time_scale: Fraction of the planned motion that the last period carried out, shape (n,).
         stream: Targets that move; then no sub-goal ends. None for those of the start.
         lead: Periods by which arms aim ahead of the desired motion, since they lag.
-        delay: Seconds until a command takes effect, by which poses of bases are ahead.
+        delay: Seconds until a command takes effect: base poses are predicted for that time.
     """
 
     TIMES = ("head_start", "settling", "dwelling", "periods", "time_scale")
@@ -65,14 +65,14 @@ class MotionSequence(SubgoalMotions):
         """Begin the first sub-goal, as `SubgoalMotions.start` does, after the head start."""
         super().start(ee_pose, targets, rngs, rows)
         first, jitter = self._execution.head_start, self._execution.head_start_jitter
-        more = [jitter * rng.random() if jitter else 0.0 for rng in rngs]  # nothing drawn in vain
+        more = [jitter * rng.random() if jitter else 0.0 for rng in rngs]  # no unused draws
         head_start = np.array([_periods(first + each, self.dt) for each in more], dtype=np.intp)
         none = np.zeros(len(rngs), dtype=np.intp)
         times = head_start, none, none, none, np.ones(len(rngs))
         self._put(dict(zip(self.TIMES, times, strict=True)), rows)
 
     def start_stream(self, rngs: Rngs, rows: Rows, base: Array) -> None:
-        """Begin the targets of m rows that move, if any do; bases of all n rows, shape (n, 7)."""
+        """Begin the stream of targets in m rows, if there is one; `base` has all n rows, (n, 7)."""
         if self.stream is not None:
             self.stream.start(self.desired, rngs, rows)
             self.aim(self.stream.targets(self._progress(rows, base)))
@@ -88,7 +88,7 @@ class MotionSequence(SubgoalMotions):
         return self.elapsed - self._motion_time * self.head_start
 
     def clock_after(self, seconds: Array) -> Array:
-        """Return `clock` a period later, in which motions go on for some seconds, shape (n,)."""
+        """Return `clock` after a period in which motions advance by some seconds, shape (n,)."""
         clock: Array = self.clock + np.where(self.head_start > 0, self._motion_time, seconds)
         return clock
 
@@ -107,11 +107,11 @@ class MotionSequence(SubgoalMotions):
         return super().step_of(np.where(resting, 0.0, seconds) if resting.any() else seconds)
 
     def ended(self, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which rows are at the end of their motion, (n,); none of a stream."""
+        """Return which rows are at the end of their motion, shape (n,); none with a stream."""
         return np.zeros_like(near) if self.stream is not None else super().ended(near)
 
     def arm_target(self, step: MotionStep, paused: NDArray[np.bool_] | None = None) -> Array:
-        """Return the poses that arms aim at in a step, by `lead` ahead, shape (n, 7)."""
+        """Return the poses that arms aim at in a step, `lead` periods ahead, shape (n, 7)."""
         after = self.after(step, paused)
         if self.lead == 0.0:
             return after
@@ -149,9 +149,10 @@ class MotionSequence(SubgoalMotions):
     def end_subgoals(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Return which rows have just come to the end of a sub-goal's motion but the last, (n,).
+        """Count down head starts, settling and dwells, and begin the sub-goals that are due.
 
-        `settled` is whether the EE is as near to it as a grip needs, shape (n,).
+        Return which rows have just ended the motion of a sub-goal, except the last one, and have
+        settled, shape (n,). `settled` is whether the EE is as near to its end as a grip needs.
         """
         execution = self._execution
         if len(self.subgoals) == 1 and not execution.head_start + execution.head_start_jitter:
@@ -209,5 +210,5 @@ class MotionSequence(SubgoalMotions):
 
 
 def _periods(seconds: float, dt: float) -> int:
-    # Rounding must not make 2 s of 0.1 s 21 periods.
+    # Rounding must not make 21 periods of 0.1 s out of 2 s.
     return math.ceil(seconds / dt - 1e-6)

@@ -1,4 +1,4 @@
-"""Motions of n EEs from sub-goal to sub-goal, without the times between them."""
+"""Motions of n EEs from sub-goal to sub-goal, without head starts, settling and dwells."""
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
@@ -21,11 +21,11 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 
-LONGEST = 300.0  # seconds after which a motion counts as ended where it is looked at in advance
+LONGEST = 300.0  # seconds after which the preview of a motion ends
 
 _END_SECONDS, _REST = 1.0, 1e-6
-"""How long before their end motions may count as ended, and the displacement in `HORIZON` seconds,
-metres or radians, below which an EE is at rest."""
+"""Seconds for which a motion must have counted as ended, since it may still be moving then, and the
+displacement in `HORIZON` seconds, metres or radians, below which an EE is at rest."""
 
 _PATHS = "waypoints"
 
@@ -45,9 +45,8 @@ class MotionStep:
 class SubgoalMotions:
     """The desired motion of n EEs through the same sub-goals.
 
-    No row depends on the others: a sub-goal is begun with randomness that its row's seed and the
-    sub-goal's number determine. Arrays are replaced, never written into, since others may hold
-    them.
+    No row depends on the others: the random numbers of a sub-goal depend only on the seed of its
+    row and its number. Arrays are replaced, never written into, since others may hold them.
 
     Attributes:
         desired: Desired world pose of the EE, shape (n, 7).
@@ -113,7 +112,7 @@ class SubgoalMotions:
 
     @property
     def demonstrated_base(self) -> Array:
-        """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
+        """World pose of the base in the demonstration now, shape (n, 7), or NaN."""
         targets = self._target
         return self._motions.ask(
             lambda group: group.generator.base_pose(group.state, targets[group.rows])
@@ -121,11 +120,11 @@ class SubgoalMotions:
 
     @property
     def planned(self) -> PlannedRobots:
-        """Bases and arms on whole-body paths soon."""
+        """Bases and arms on whole-body paths; see `PlannedRobots` for the times."""
         return self.until_changed("planned", lambda: self.whole_body.soon(self._motions))
 
     def until_changed(self, name: str, compute: Callable[[], _T]) -> _T:
-        """Return a value that is kept by its name until something changes."""
+        """Return a computed value, which is cached by its name until the motions change."""
         if name not in self._kept:
             self._kept[name] = compute()
         return self._kept[name]
@@ -139,15 +138,15 @@ class SubgoalMotions:
     def avoid(
         self, solids: Solids, rows: Rows | None = None, robots: tuple[Array, Array] | None = None
     ) -> None:
-        """Plan the motions of rows around the solids as they stand now.
+        """Plan the motions of rows around the solids at their present positions.
 
-        Motions that begin later, at other sub-goals, also avoid them; those of `start` do not.
+        Motions of later sub-goals also avoid them; those that `start` begins do not.
 
         Args:
             solids: Solids around each of the n rows.
             rows: Which motions are planned anew; all of them by default.
-            robots: World poses of the bases, shape (n, 7), and arm joints, shape (n, j), now; some
-                generators plan for them, too.
+            robots: World poses of the bases, shape (n, 7), and arm joints, shape (n, j), now, from
+                which whole-body paths begin.
         """
         self._solids, self.whole_body.robots = solids, robots
         if self.avoids_solids:
@@ -178,7 +177,7 @@ class SubgoalMotions:
         return self._ended(self._motions, near)
 
     def copied(self) -> Self:
-        """Return motions that move on their own.
+        """Return a copy of the motions that advances independently.
 
         Both share arrays, which are never written into.
         """
@@ -187,10 +186,10 @@ class SubgoalMotions:
         return twin
 
     def to_the_end(self, rows: Rows, *, to_rest: bool = False) -> list[Array]:
-        """Return the desired poses every `HORIZON` seconds until each row's sub-goal, (k, 7).
+        """Return the desired poses every `HORIZON` seconds until the end of a sub-goal, (k, 7).
 
-        There is one array for each of the rows; nothing moves. With `to_rest` they go on until the
-        EE no longer moves, and a path of its own is over.
+        There is one array for each of the rows; the motions do not advance. With `to_rest` the
+        poses go on until the motion has ended and the EE is at rest.
         """
         desired, motions = self.desired, self._motions
         steps, ends = np.zeros((2, len(rows)), dtype=np.intp)
@@ -214,18 +213,18 @@ class SubgoalMotions:
     def step_of(self, seconds: float | Array) -> MotionStep:
         """Return the next step of some seconds, one number or shape (n,), 0 for rest.
 
-        Generators are called, nothing moves.
+        The motions do not advance; see `move`.
         """
         return self._step(self._motions, self.desired, seconds)
 
     def after(self, step: MotionStep, paused: NDArray[np.bool_] | None = None) -> Array:
-        """Return the desired poses after a step, but for the rows that are paused, shape (n, 7)."""
+        """Return the desired poses after a step, shape (n, 7); those now in paused rows."""
         if paused is None:
             return step.desired
         return np.where(paused[:, np.newaxis], self.desired, step.desired)
 
     def move(self, step: MotionStep, paused: NDArray[np.bool_] | None = None) -> None:
-        """Carry out a step, but for the rows that are `paused`, shape (n,)."""
+        """Carry out a step, except in the rows that are `paused`, shape (n,)."""
         self._motions.move(step.states, paused)
         self.desired = self.after(step, paused)
         passed = step.seconds if paused is None else np.where(paused, 0.0, step.seconds)
@@ -233,7 +232,7 @@ class SubgoalMotions:
         self._changed()
 
     def begin_again(self, rows: Rows) -> None:
-        """Start the motions of `rows` at their desired poses, as after a wait."""
+        """Restart the motions of `rows` from their desired poses, for example after a wait."""
         if rows.size:
             self._begin(rows)
             self._replan(rows)

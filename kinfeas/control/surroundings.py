@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 class Surroundings:
     """Solids of a backend and its scans.
 
-    A robot that moves in real time has no solids of its own; those of its start are known.
+    A robot in real time whose backend has no solids is assumed to be among those of its start.
     """
 
     def __init__(self, backend: Backend, shapes: CollisionModel) -> None:

@@ -39,7 +39,7 @@ class TargetStream(Protocol):
 
     @property
     def speed(self) -> Array:
-        """Asked speed of the EE in the next period, shape (n,), m/s."""
+        """Speed that is asked of the EE in the next period, shape (n,), m/s."""
 
     @property
     def live(self) -> NDArray[np.bool_]:
@@ -56,16 +56,16 @@ class TargetStream(Protocol):
 class TargetRules:
     """Limits of targets, and rules for their messages."""
 
-    # age of a message, or of the last pose of a chunk, from which on it is ignored. The EE comes to
-    # rest if no newer one arrives, seconds
+    # largest age of a message, or of the last pose of a chunk, seconds; older ones are ignored, and
+    # the EE comes to rest if no newer one arrives
     timeout: PositiveSeconds = 0.1
-    # distance from the current target to a pose beyond which it is ignored, metres; unless it is as
-    # near to the pose of the last message, which the EE may lag behind
+    # largest distance of a pose from the current target or, since the target may lag behind, from
+    # the pose of the last message, metres; poses farther from both are ignored
     max_jump: Positive = 0.5
-    max_turn: Positive = 1.6  # the same angle, radians
+    max_turn: Positive = 1.6  # the same for the angle, radians
     max_velocity: Positive = 0.2  # limit of the target's velocity, m/s
     max_angular_velocity: Positive = 0.5  # the same, rad/s
-    # lowest and highest target, metres; a target beyond only moves back
+    # lowest and highest z of a target, metres; a target beyond only moves back
     heights: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -82,16 +82,16 @@ class TargetRules:
 
 
 RULES = ("accepted", "invalid", "late", "repeated", "jump")
-"""What becomes of a message. Invalid ones have numbers that are not finite or far too large, no
+"""Results of checking a message. Invalid ones have numbers that are not finite or far too large, no
 unit quaternion or times that do not ascend; repeated ones are no newer than the last one."""
 
 
 class TargetInbox:
     """Targets of n motions, each from the newest message of its row.
 
-    A twist moves the target as it is. A single pose is reached when the next one is expected, so
-    that slow streams do not stutter; poses of a chunk are interpolated by their times. The target
-    waits where the motion waits.
+    A twist is the velocity of the target. A single pose is reached when the next one is expected,
+    so that slow streams do not stutter; poses of a chunk are interpolated by their times. The
+    target waits where the motion waits.
 
     Attributes:
         target: World poses, shape (n, 7).
@@ -118,7 +118,7 @@ class TargetInbox:
         self.counts = np.zeros((n, len(RULES)), dtype=np.intp)
 
     def start(self, target: Array, rows: Rows | None = None) -> None:
-        """Rest at targets (m, 7), without messages, in `rows` or as all of them."""
+        """Rest at targets (m, 7), without messages, in `rows`; by default in all, which sets n."""
         if rows is None:
             self._put_all(target)
             return
@@ -137,7 +137,7 @@ class TargetInbox:
     def put_poses(self, rows: Rows, now: Array, sent: Array, times: Array, poses: Array) -> None:
         """Take world poses (m, k, 7) for times (m, k); other arguments as in `put_twists`.
 
-        Of one pose, k = 1, the time is its sending.
+        The time of a single pose, k = 1, is that of its sending.
         """
         m, k, _ = poses.shape
         if not 1 <= k <= self._size:
@@ -170,7 +170,7 @@ class TargetInbox:
         self._has_poses[accepted], self._last_aim[accepted] = True, aims[good]
 
     def reject(self, rows: Rows, rule: str = "invalid") -> None:
-        """Count messages that are no poses or twists at all, or ignored by another of `RULES`."""
+        """Count messages without usable poses or twists, or ignored by another of `RULES`."""
         self.counts[rows, RULES.index(rule)] += 1
 
     def wait(self, rows: Rows, time_scale: Array, desired: Array) -> None:
@@ -182,7 +182,7 @@ class TargetInbox:
             desired: World poses of the motions now, shape (m, 7), where targets continue if none
                 of the period was carried out.
         """
-        waiting = time_scale != 1.0  # other targets keep every bit
+        waiting = time_scale != 1.0  # the other targets stay bit-identical
         if not waiting.any():
             return
         rows, time_scale = rows[waiting], time_scale[waiting]
@@ -198,8 +198,8 @@ class TargetInbox:
         Args:
             rows: Rows of the m targets that move.
             now: Time of the period's beginning, shape (m,).
-            dt: Its length.
-            seconds: Its motion time.
+            dt: Its length, seconds.
+            seconds: Its motion time, seconds.
         """
         rest, live = self.target[rows], now <= self._until[rows]
         aims = interpolated(now + dt, self._times[rows], self._poses[rows])
@@ -258,12 +258,12 @@ class TargetInbox:
 
 
 def _numbers(values: Array) -> NDArray[np.bool_]:
-    """Return which rows have finite numbers of usual size only, shape (n,)."""
+    """Return which rows have only finite numbers up to `REMOTEST`, shape (n,)."""
     return np.max(np.abs(values), axis=1, initial=0.0) <= REMOTEST
 
 
 def interpolated(now: Array, times: Array, poses: Array) -> Array:
-    """Return poses between those of a chunk, (n, k, 7) at times (n, k), shape (n, 7)."""
+    """Return poses at `now`, (n,), between those of chunks, (n, k, 7) at times (n, k): (n, 7)."""
     rows, last = np.arange(len(times)), times.shape[1] - 1
     passed = (times <= now[:, np.newaxis]).sum(axis=1)
     before, after = np.maximum(passed - 1, 0), np.minimum(passed, last)

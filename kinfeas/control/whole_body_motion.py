@@ -29,9 +29,9 @@ class WholeBodyMotions:
     """Paths of base and arm of n EE motions, planned again where solids come into their way.
 
     Attributes:
-        planner: Planner of the paths, if a generator follows any; None leaves those that there are.
+        planner: Planner of the paths; None if no generator follows any.
         robots: World poses of the bases, shape (n, 7), and arm joints, shape (n, j), now; None
-            while they are not known.
+            while they are unknown and no path can be planned.
         waypoints: Base and arm along each row's path, shape (n, w, 3 + j), or NaN; w is 0 if no
             generator follows any.
     """
@@ -55,7 +55,7 @@ class WholeBodyMotions:
         self.waypoints = with_rows(self.waypoints, rows, np.array(np.nan))
 
     def soon(self, motions: EeMotions) -> PlannedRobots:
-        """Return where n robots are soon."""
+        """Return bases and arms on the paths of n motions."""
         n, points, size = self.waypoints.shape
         if not points:
             return PlannedRobots(np.full((n, 7), np.nan), None)
@@ -68,7 +68,7 @@ class WholeBodyMotions:
     def follow(
         self, group: Motions, poses: tuple[Array, Array], ends: tuple[Array, Array], solids: Solids
     ) -> State:
-        """Plan paths where there are none or they are not free any more; return the next state.
+        """Plan paths among solids where there is none, or it is no longer free; return the state.
 
         Args:
             group: The motions of r rows.
@@ -91,7 +91,7 @@ class WholeBodyMotions:
     def _paths(
         self, motions: Motions, ends: tuple[Array, Array], solids: Solids
     ) -> dict[int, WholeBodyPath]:
-        """Return the paths that are needed and found, by their places in the rows."""
+        """Return the new paths that are needed and found, by their index in the r rows."""
         paths: dict[int, WholeBodyPath] = {}
         if self.planner is None or self.robots is None:
             return paths
@@ -106,7 +106,7 @@ class WholeBodyMotions:
         return paths
 
     def _ahead(self, motions: Motions, seconds: Array) -> Array:
-        """Return base and arm of motions some seconds ahead, (s,) -> (r, s, 3 + j), or NaN."""
+        """Return base and arm of r motions some seconds ahead, (s,) -> (r, s, 3 + j), or NaN."""
         every = len(motions.rows) == len(self.waypoints)  # then there is nothing to copy
         waypoints = self.waypoints if every else self.waypoints[motions.rows]
         return motions.generator.robot_ahead(motions.state, waypoints, seconds)

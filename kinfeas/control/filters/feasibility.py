@@ -39,7 +39,7 @@ class FeasibilityFilter:
     """
 
     speeds: ClassVar[tuple[float, ...]] = (1.0,)
-    """Fractions of the speed of the candidates, which are tried with each."""
+    """Factors of the candidates' speed; each one makes a full set of candidates."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class FeasibilityFilter:
         return self._moved(period, command, failed, move)
 
     def ahead(self, period: Period) -> Period:
-        """Return the period at whose end commands are judged: a longer one if robots are late."""
+        """Return the period in which commands are tried: a longer one if robots respond late."""
         if self._periods == 1.0:
             return period
         step = period.motions.step_of(period.motion_seconds * self._periods)
@@ -77,7 +77,7 @@ class FeasibilityFilter:
         self, period: Period, command: Array, changed: Rows, move: Move, *,
         allow_reconfiguration: bool = True,
     ) -> Period:  # fmt: skip
-        """Return the period with commands of which some rows have changed since the move."""
+        """Return the period with commands that differ from those of `move` in `changed` rows."""
         if self._periods > 1.0:
             return period.changed(command=command, move=None)
         if changed.size:
@@ -130,7 +130,7 @@ class FeasibilityFilter:
 
 
 def replaced(move: Move, rows: Rows, retried: Move, command: Array) -> Move:
-    """Return a move that is `retried` in some rows; `command` is that of all rows."""
+    """Return a move that is `retried` in some rows; its `command` has all. Changes `move.arm`."""
     twist = with_rows(move.base_twist, rows, retried.base_twist)
     base_pose = with_rows(move.base_pose, rows, retried.base_pose)
     move.arm.put(rows, retried.arm)

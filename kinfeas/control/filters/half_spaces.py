@@ -18,12 +18,12 @@ _RESTORE = 0.5  # seconds in which a base restores most of a distance that is to
 _SLACK = 1e-6  # velocity in m/s by which rounding may exceed a limit
 
 _ROUNDS = 100
-"""Half-spaces at most that are taken up, some of them again; most points take fewer than five."""
+"""Largest number of times that a half-space becomes active; most points take fewer than five."""
 
 _FRACTIONS = (1.0, 0.5, 0.0)
 """Fractions of negative offsets that are tried, until there is a point in all half-spaces."""
 
-_PARALLEL = 1e-9  # squared sine of the angle to others below which a normal depends on them
+_PARALLEL = 1e-9  # squared sine of the angle to active normals below which one depends on them
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,8 @@ def approach(point, normal, like, out):
 def allowed(distance, closing_speed, rules, out):
     """Velocity at which each obstacle may be approached.
 
-    `rules` are the distance to keep, the braking and the seconds in which it may be used up.
+    `rules` are the distance to keep, metres, the braking, m/s^2, and the least time in which a base
+    may use up the distance beyond it, seconds.
     """
     least, braking, seconds = rules
     for k in range(len(distance)):
@@ -124,8 +125,8 @@ def _move(point, normals, offsets, slack):
     """Move a point (a,) to the nearest one of all half-spaces; return whether there is one.
 
     Goldfarb and Idnani, "A numerically stable dual method for solving strictly convex quadratic
-    programs", 1983: the half-space that is exceeded most is taken up, and those are let go whose
-    border then no longer pushes the point.
+    programs", 1983: the half-space that is exceeded most becomes active; active ones whose border
+    then no longer pushes the point are dropped.
     """
     count = 0
     borders, pushes = np.empty(len(point), dtype=np.int64), np.empty(len(point))
@@ -162,7 +163,7 @@ def _move(point, normals, offsets, slack):
 
 @kernel
 def _weights(normals, borders, normal):
-    """Return weights, (b,), of the normals of b borders whose sum is nearest to a normal, (a,)."""
+    """Return the weights, (b,), with which b borders' normals best approximate a normal, (a,)."""
     active = normals[borders]
     return np.linalg.solve(active @ active.T, active @ normal)
 

@@ -21,13 +21,13 @@ _OFF_EE, _OFF_BASE, _OFF_ARM = 0.02, 0.05, 0.3
 """Deviations of EE, base and arm from a path beyond which it is planned anew, metres and radians or
 metres."""
 
-_OFF_START = 0.1  # the same of base, its yaw and joints at which a plan may begin
+_OFF_START = 0.1  # the largest one of base, its yaw and joints with which a plan may begin
 
 _REPLAN_SECONDS = 2.0
 """Control time until a motion may be planned anew; it doubles each time no whole path is found."""
 
 _GAIN, _GENTLE = 3.0, 1.5
-"""Feedback of the base's deviation, 1/s; and that of late bases whose arm makes up for it."""
+"""Feedback of the base's deviation, 1/s; the second one for late bases whose arm compensates."""
 
 _STEER, _MOVING = 3.0, 0.05
 """Angle by which a differential base steers towards its path for each metre beside it, radians; and
@@ -55,7 +55,7 @@ class PathPlanner:
         executor: Runs the searches beside the loop.
 
     Attributes:
-        max_batch: Episodes side by side, whose plans take about as many seconds.
+        max_batch: Largest number of episodes side by side; a plan takes about a second for each.
     """
 
     max_batch = 32
@@ -75,7 +75,7 @@ class PathPlanner:
         self._search: Future[dict[int, BasePath | None]] | None = None
         self._subgoal = self._again_at = np.empty(0, dtype=np.intp)
         self._wait: Array = np.empty(0)
-        self._open: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)  # whether a path is missing
+        self._open: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)  # without a complete path
 
     def reset(self, rows: Rows, n: int) -> None:
         """Forget the paths of new episodes in `rows` of n."""
@@ -234,18 +234,19 @@ def robots_on(paths: Mapping[int, BasePath], rows: Rows, seconds: Array) -> Arra
 
 
 def off_path(robot: Robot, period: Period, rows: Rows, robots: Array) -> tuple[Array, Array]:
-    """Return how far bases, metres, and arm joints, radians or metres, are from others, (m,) each.
+    """Return how far m bases, metres, and arms, radians or metres, are from `robots`, (m,) each.
 
-    `robots` have x, y and yaw of the base and arm joints, shape (m, 3 + j).
+    `robots` have x, y and yaw of the base and arm joints, shape (m, 3 + j). The joint that is
+    farthest counts.
     """
     arm = np.abs(joint_displacement(robot, period.joints[rows], robots[:, 3:])).max(axis=1)
     return _beside(period.base_pose[rows], robots)[0], arm
 
 
 def _beside(base_pose: Array, robots: Array) -> tuple[Array, Array]:
-    """Return how far m bases are from others, metres and radians, shape (m,) each.
+    """Return how far m bases are from those of `robots`, metres and radians, shape (m,) each.
 
-    One of each two has a world pose, shape (m, 7), the other x, y and yaw, shape (m, 3 + j).
+    `base_pose` is a world pose, shape (m, 7); `robots` begin with x, y and yaw, shape (m, 3 + j).
     """
     metres: Array = np.linalg.norm(robots[:, :2] - base_pose[:, :2], axis=1)
     return metres, np.abs(wrap(robots[:, 2] - yaw(base_pose)))

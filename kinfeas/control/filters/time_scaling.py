@@ -16,12 +16,12 @@ _FRACTIONS = (0.5, 0.25, 0.0)
 """Fractions of the planned step that are tried, until there is a feasible command."""
 
 _MOST_DEVIATION = 3.0
-"""Multiple of `max_deviation` with which the first fraction is tried again, of arms with a pose
-tolerance. Even at rest IK may exceed the limit to reduce the rotation error: a lasting wait."""
+"""Multiple of `max_deviation` with which the first fraction is tried again for arms with a pose
+tolerance: IK may exceed the limit even at rest, to reduce the rotation error, and wait for ever."""
 
 _STUCK = 0.3
-"""Fraction of the planned step where none is feasible, of robots that respond late: on hold, their
-bases would come to rest somewhere else."""
+"""Fraction of the planned step where none is feasible, for robots that respond late: at rest, their
+bases would stop somewhere else."""
 
 
 class SlowAttempt(NamedTuple):
@@ -34,17 +34,17 @@ class SlowAttempt(NamedTuple):
 class TimeScalingFilter(FeasibilityFilter):
     """Replaces infeasible base commands as the feasibility filter, and slows down the EE.
 
-    Candidates have three speeds. Where none is feasible for the whole step of the EE, those for a
-    part of it are tried. Then the EE rests, and of the candidates the one with the arm nearest to
-    the end of the whole step is taken. Last are candidates with more deviation. Without any, base
-    and arm hold. Thus no IK failure and no joint jump is commanded to robots that respond at once;
-    commands of others are tried half a second ahead. It must be the last filter.
+    Candidates have three speeds. If none is feasible for the whole step of the EE, half and a
+    quarter of the step are tried, then rest: the EE waits, and the feasible candidate is taken
+    whose arm comes nearest to the end of the whole step. Last are candidates with more deviation.
+    Without any, base and arm hold. So no IK failure and no joint jump is commanded to robots that
+    respond at once; commands of others are tried half a second ahead. It must be the last filter.
 
     Args:
         solver: IK of the robot.
         dt: Control period, seconds.
         response: Response of the robot.
-        max_deviation: As of the feasibility filter; three times as much where the EE would wait.
+        max_deviation: As in the feasibility filter; three times as much where the EE would wait.
     """
 
     # Near joint limits the arm only follows a slow base.
@@ -96,8 +96,8 @@ class TimeScalingFilter(FeasibilityFilter):
     def _rest(self, period: Period, whole: Period, command: Array, rows: Rows) -> Rows:
         """Put candidates for a resting EE into some rows of the commands, shape (n, a).
 
-        Arms come nearest to the end of the `whole` step with them: near the policy's command, the
-        base may rest for ever, too. Rows without a feasible candidate are returned.
+        Those whose arms come nearest to the end of the `whole` step are taken. With the nearest to
+        the policy's command, a base might rest for ever. Rows without a feasible one are returned.
         """
         m, k = len(rows), len(self.candidates)
         tries = np.tile(self.candidates, (m, 1, 1))
