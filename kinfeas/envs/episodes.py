@@ -24,8 +24,8 @@ from kinfeas.envs.world import Transition, World
 from kinfeas.tasks.task import StagedTask
 
 BATCH, _BATCHES = 64, 4
-"""Episodes side by side in a process at most, and their multiple that a process gets at once. Rows
-of ended episodes cost time until the last one ends; no result depends on these numbers."""
+"""Largest number of episodes side by side in a process, and of such batches that a process gets at
+once. Rows of ended episodes cost time until the last one ends. No result depends on either."""
 
 COLLISION_GAP = 0.5
 """Seconds without contact after which the next contact with a body is another collision."""
@@ -34,7 +34,7 @@ _ROUND = 2
 """Episodes of a process in a round of an evaluation with a time limit."""
 
 Watch = Callable[[World, Transition, Rows, Rows], None]
-"""Called after each step with the world, the transition, the live rows and their episodes."""
+"""Called after each step with world, transition, rows of running episodes and their numbers."""
 
 OnDone = Callable[[int], None]
 """Called with the number of episodes that have just ended."""
@@ -89,7 +89,7 @@ def evaluate_episodes(
 ) -> EpisodeRecords:
     """Return the records of a range of episodes, in worlds built for them.
 
-    Several processes need a picklable `build`. No result depends on them.
+    Several processes need a picklable `build`. Results do not depend on the number of processes.
 
     Raises:
         KinfeasError: If a world cannot be built, or a worker process dies.
@@ -130,7 +130,7 @@ def evaluate_within(  # noqa: PLR0913, PLR0917 - an evaluation and its limits
 
 @contextmanager
 def closed(world: World) -> Iterator[None]:
-    """Close a world after a block, whose result lasts: an exception of `close` is only logged."""
+    """Close a world after a block; exceptions of `close` are logged, so that no result is lost."""
     try:
         yield
     finally:
@@ -279,7 +279,7 @@ class _Tally:
         base_bodies, arm_bodies = {-1} if base else set(), {-1} if arm else set()
         if (sensor := self.world.backend.contacts) is not None:
             contacts = sensor.touching(row)
-            # Geometry, which ends the episode, sees a touch just before the engine does.
+            # The geometric check, which ends the episode, finds a touch just before the engine.
             base_bodies = {body for _, body, _ in contacts.base} or base_bodies
             arm_bodies = {body for _, body, _ in contacts.arm}
         self.base.add(episode, base_bodies)

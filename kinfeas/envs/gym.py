@@ -24,7 +24,8 @@ _FARTHEST = 1000.0
 _LENGTHS = ("ee_position", "goal_position", "planned_ahead", "planned_base")
 
 _BEYOND, _NOISE = 0.1, 0.5
-"""Distance beyond a joint limit at most, rad or m: of motors in a simulation, and of adapters."""
+"""Largest distance of measured joints beyond their limits, rad or m: by motors in a physics engine,
+and by adapters."""
 
 
 class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -71,7 +72,7 @@ class BaseMotionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin n episodes and return their observations, shape (n, d), and numbers."""
+        """Begin n episodes; return their observations, shape (n, d), and infos with numbers."""
         super().reset(seed=checked_seed(seed))
         seed_world(self.world, seed, self.np_random_seed)
         observation = self._batch.start().astype(np.float32)
@@ -126,11 +127,11 @@ def make_world(  # noqa: PLR0913 - as in `BaseMotionEnv`
     *,
     gui: bool = False,
 ) -> World:
-    """Return a world of seed 0, in which rewards belong to the commanded actions.
+    """Return a world of seed 0.
 
     The analytic world has the defaults of `WorldConfig`, others have the settings of the robot's
-    evaluations without filters of the commands; a mapping changes these. Arguments as in
-    `BaseMotionEnv`; `gui` opens a window.
+    evaluations, but without command filters, so that rewards belong to the commanded actions. A
+    mapping changes these settings. Arguments as in `BaseMotionEnv`; `gui` opens a window.
     """
     terms = check_terms(observation, "observation")
     if isinstance(world, WorldConfig):
@@ -154,7 +155,7 @@ def make_world(  # noqa: PLR0913 - as in `BaseMotionEnv`
 
 def observation_space(world: World) -> "spaces.Box[np.float32]":
     """Return the space of the observation of one robot, shape (d,), metres and radians."""
-    # Beyond one turn, where arms may go, although they do not begin there.
+    # Joints may go beyond one turn, although they do not begin there.
     limits, continuous = world.robot.joint_limits, world.robot.continuous
     beyond = 0.0 if world.config.backend == "analytic" else _BEYOND
     beyond += _NOISE if world.config.adapters else 0.0

@@ -12,9 +12,9 @@ from kinfeas.core.quantities import NotNegative, PositiveFraction
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 
-_FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4
-_FAILURE_METRES, _FAILURE_RADIANS = 0.1, 0.3
-_BASE_METRES = 0.5
+_FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4  # least cost, and increase for each squared unit error
+_FAILURE_METRES, _FAILURE_RADIANS = 0.1, 0.3  # unit errors of IK
+_BASE_METRES = 0.5  # distance from the planned base that costs the full penalty
 
 
 @dataclass(frozen=True)
@@ -22,19 +22,20 @@ class RewardConfig:
     """Weights of the reward."""
 
     # `indicator` costs 1 for each kinematic failure, as in the paper; `graded` costs between 0.2
-    # and 1, growing with the distance that IK could not close
+    # and 1, growing with the square of the remaining error of IK
     failure: Literal["indicator", "graded"] = "graded"
     action_penalty: NotNegative = 0.001  # factor lambda on the squared norm of the action
     # cost of a step in which an arm joint has to move faster than it can
     jump_penalty: NotNegative = 0.1
     # cost of a joint at its limit, falling linearly to 0 at `limit_margin`
     limit_penalty: NotNegative = 0.02
-    # distance to the nearest joint limit, as a share of half the joint's range
+    # distance to the nearest joint limit, as a fraction of half the joint's range
     limit_margin: PositiveFraction = 0.2
     # cost of a step with the EE 5 cm or more from its desired position; less, with the square of
     # the distance, where it is nearer
     deviation_penalty: NotNegative = 0.0
-    # cost of a collision of the base with a solid, which ends the episode; of the arm a tenth
+    # cost of a collision of the base with a solid, which ends the episode; those of the arm cost a
+    # tenth
     collision_penalty: NotNegative = 10.0
     # cost of a step with the base 0.5 m or more from the planned base, which is ahead of it; less,
     # with the square of the distance, where it is nearer
@@ -52,7 +53,8 @@ def reward(
     """Return the reward of a step, shape (n,).
 
     The action is in [-1, 1], shape (n, a), arm joints, shape (n, j), are those after the step, and
-    `base_error` is the distance from the planned base, metres, shape (n,).
+    `base_error` is the distance from the planned base, metres, shape (n,). With a pose tolerance,
+    feasible steps cost half the squared ratios of position and rotation error to the tolerance.
     """
     lower, upper = robot.joint_limits
     tolerance = robot.pose_tolerance
@@ -103,7 +105,7 @@ def _earn(
 
 @exact
 def _limit_distance(joints, lower, upper):
-    """Return the distance to the nearest limit as a share of half the range; 1 without limits."""
+    """Return the distance to the nearest limit as a fraction of half the range; 1 without any."""
     distance = 1.0
     for j in range(len(joints)):
         if upper[j] < np.inf:

@@ -36,7 +36,7 @@ from kinfeas.tasks.task import (
 
 @dataclass(frozen=True)
 class WorldConfig(ExecutionConfig):
-    """Settings of a world beside robot and task; see `ExecutionConfig` for those of motions."""
+    """Settings of a world besides robot and task; see `ExecutionConfig` for those of motions."""
 
     dt: ControlPeriod = 0.1  # control period, seconds
     # steps without an IK solution in one episode beyond which it ends
@@ -53,7 +53,7 @@ class WorldConfig(ExecutionConfig):
 
     @property
     def late(self) -> bool:
-        """Whether robots respond late: by the set response, or by an adapter."""
+        """Whether robots respond late, because of `response` or an adapter."""
         return super().late or respond_late(self.adapters)
 
 
@@ -74,7 +74,7 @@ def evaluation_world(backend: str = "analytic", robot: str | Path | None = None)
 
 @dataclass(frozen=True)
 class Transition:
-    """The result of a step of n episodes, each of leading shape (n,)."""
+    """The result of a step of n episodes; arrays have the leading shape (n,)."""
 
     observation: Array  # shape (n, d)
     reward: Array  # reward of the step
@@ -84,8 +84,9 @@ class Transition:
     # whether the last sub-goal was reached on a feasible step, or the end of a stream of targets
     reached: NDArray[np.bool_]
     outcome: Outcome  # result of the loop's step
-    path_length: Array | None = None  # true path length of the EE in a stream of targets, metres
-    planned_length: Array | None = None  # that which the stream asks for, metres
+    # true path length of the EE in the step, metres; this and the next only for streams of targets
+    path_length: Array | None = None
+    planned_length: Array | None = None  # path length that the stream asks for, metres
 
     @property
     def done(self) -> NDArray[np.bool_]:
@@ -103,7 +104,7 @@ class World:
         task: The task, as the backend has set it up.
         backend: The backend within the adapters.
         next_episode: Number of the episode that `start_next` begins next.
-        stream: Separates the episodes of a seed from those of other streams; empty in evaluations.
+        stream: Separates episodes of a seed from those with equal numbers; empty in evaluations.
     """
 
     next_episode: int = 0
@@ -237,7 +238,7 @@ class BatchStep(NamedTuple):
     observation: Array  # observations, shape (n, d); of the next episode where one has ended
     reward: Array  # mean reward of the control periods of the action, shape (n,)
     ends: dict[int, End]  # ends of episodes by row
-    infos: dict[str, NDArray[Any]]  # of `step_info` before restarts, if the batch has `infos`
+    infos: dict[str, NDArray[Any]]  # from `step_info` before restarts; empty without `Batch.infos`
 
 
 @dataclass
@@ -255,7 +256,7 @@ class Batch:
     infos: bool = False
 
     def start(self) -> Array:
-        """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
+        """Begin new episodes in all rows and return their observations, shape (n, d)."""
         return self.world.start_next(self.size)
 
     def step(self, actions: Array) -> BatchStep:

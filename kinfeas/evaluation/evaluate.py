@@ -24,9 +24,9 @@ from kinfeas.tasks.task import StreamTask, Task
 class Summary(Metrics):
     """Metrics of a policy, what they were measured on, and the ceiling; null if not measured.
 
-    `settings` are those given. `failed` are the numbers of the episodes without success, or with
-    a task that was not done, by the reason; `per_episode` has a column for each field of the
-    records.
+    `settings` are the changes to the defaults. `failed` are the numbers of the episodes without
+    success, or with a task that was not done, by reason; `per_episode` has a column for each field
+    of the records.
     """
 
     robot: str
@@ -59,7 +59,7 @@ class EvalConfig:
     seed: int = 1
     world: WorldConfig = field(default_factory=evaluation_world)
     first: int = 0
-    settings: Settings = field(default_factory=dict)  # that made `task` and `world`
+    settings: Settings = field(default_factory=dict)  # changes of defaults in `task` and `world`
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ def read_settings(
 ) -> EvalSettings:
     """Return the settings in which the policies of a robot are evaluated, changed by `settings`.
 
-    With adapters they are those of a deployment, such as the control rate; the filters of the
-    section `sim2real` are for robots that respond late, also by a setting `world.response`.
+    With adapters, the section `sim2real` of the robot applies, such as the control rate of a
+    deployment. Its filters apply if robots respond late, because of an adapter or `world.response`.
     """
     data, source = evaluation_section(backend, robot)
     plain = from_mapping(EvalSettings, data, source, settings)
@@ -104,7 +104,7 @@ def configure(
 ) -> EvalConfig:
     """Return an evaluation on a task by its name or YAML file.
 
-    There are 500 episodes by default, with physics 50. `settings` are values by key of
+    There are 500 episodes by default, or 50 with physics. `settings` are values by key of
     `EvalSettings`. Streams of targets have the filters of the section `servo` by default.
 
     Raises:
@@ -120,9 +120,9 @@ def configure(
 
 
 def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
-    """Return no adapters, each one alone, and all but each one, by label; none of these twice.
+    """Return no adapters, each one alone, and all but each one, by label, without duplicates.
 
-    The adapters of a name that repeats are numbered.
+    Adapters with the same name are numbered.
     """
     names = [adapter.name for adapter in adapters]
     labels = [
@@ -192,7 +192,7 @@ def run(
 
 
 def _failed(records: EpisodeRecords, first: int) -> dict[str, list[int]]:
-    """Return the numbers of the episodes that failed by the reason, empty ones left out."""
+    """Return the numbers of the failed episodes by reason, without reasons that do not occur."""
     collided, task_done = records.base_collisions, records.task_done
     done = records.success if task_done is None else records.success & task_done
     reasons = np.full(len(records.reached), "time", dtype=object)
@@ -222,7 +222,7 @@ def add_ceiling(
     config: EvalConfig,
     on_done: Callable[[float], None] | None = None,
 ) -> None:
-    """Write the fraction of goals that some base pose reaches beside the metrics of an evaluation.
+    """Write into summaries the fraction of episodes whose goals are within reach of a base pose.
 
     It stays null for streams of targets. `on_done` is called with the fraction of work just done.
     """

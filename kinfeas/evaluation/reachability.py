@@ -22,7 +22,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import StreamTask, Task, build_subgoals, sample_start
 
 WAYPOINT_STAGES = STAGES[:4]
-"""Base poses tried around a waypoint by the end of each stage."""
+"""Numbers of base poses that have been tried around a waypoint at the end of each stage."""
 
 WAYPOINTS = 16
 """Poses along a sub-goal."""
@@ -54,12 +54,12 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     """Return for each episode whether some base pose reaches the goals of all sub-goals.
 
     A robot with pose tolerance reaches a goal within the tolerance of success, others exactly.
-    Base and arm are free of all solids, moving ones where they start, and a disc within the base
-    can be driven from the start to the base pose among those that stand. The episodes are those of
-    an evaluation. With `path`, some base poses must also reach all waypoints: each its own, and
-    base motions between them are not checked. `on_done` is called with the fraction of work, 0-1,
-    that has just been done. With `limits`, the limits that keep sub-goals out of reach are counted,
-    too.
+    Base and arm must be free of all solids; moving ones are where they start. A disc within the
+    base must be able to drive from the start to the base pose among the solids that stand. The
+    episodes are those of an evaluation. With `path`, base poses must also reach all waypoints; each
+    may have its own, and base motions between them are not checked. `on_done` is called with the
+    fraction of work, 0-1, that has just been done. With `limits`, the limits that keep sub-goals
+    out of reach are counted, too.
     """
     if isinstance(task, StreamTask):
         raise KinfeasError(f"task {task.name!r} has no ceiling: its targets move")
@@ -89,9 +89,9 @@ def _limits(
     tries: Sequence[Array],
     starts: Start,
 ) -> tuple[dict[str, int], ...]:
-    """Return the numbers of episodes in which each sub-goal is out of reach, by the limit.
+    """Return the numbers of episodes in which each sub-goal is out of reach, by limit.
 
-    The first pose that is out of reach counts: the goal, then those on the way.
+    The limit is that of the first pose out of reach: the goal, then the waypoints.
     """
     goals = tries[0]  # shape (episodes, sub-goals)
     counts: tuple[Counter[str], ...] = tuple(Counter() for _ in goals.T)
@@ -139,7 +139,7 @@ def _starts(
 
 
 def _follow(motions: SubgoalMotions) -> Iterator[tuple[Array, NDArray[np.intp]]]:
-    """Yield the desired poses after each period, shape (n, 7), and their sub-goals."""
+    """Yield the desired poses after each period, (n, 7), and their sub-goals; -1 after the last."""
     left = np.full(len(motions.subgoal), _MAX_PERIODS)
     finished = np.zeros(len(left), dtype=np.bool_)
     while not finished.all():
@@ -157,6 +157,6 @@ def _follow(motions: SubgoalMotions) -> Iterator[tuple[Array, NDArray[np.intp]]]
 
 
 def _spread(subgoal: NDArray[np.intp], number: int) -> NDArray[np.intp]:
-    """Return `WAYPOINTS` moments of a sub-goal, its last included and the start excluded."""
+    """Return the indices of `WAYPOINTS` periods, evenly spaced up to the last, of a sub-goal."""
     moments = np.flatnonzero(subgoal == number)
     return moments[np.arange(1, WAYPOINTS + 1) * len(moments) // WAYPOINTS - 1]
