@@ -61,8 +61,8 @@ def assemble(  # noqa: PLR0913 - the parts of a loop
 
     build = partial(registry.build, "kinfeas.filters", offered=offered)
     built = [
-        build(each.name, each.parameters) if isinstance(each, PluginSpec) else each
-        for each in filters
+        build(entry.name, entry.parameters) if isinstance(entry, PluginSpec) else entry
+        for entry in filters
     ]
     sequence = MotionSequence(subgoals, solver, dt, execution, backend.gripper, stream)
     loop = Loop(solver, sequence, backend, dt, execution, response, built, build)
@@ -123,7 +123,7 @@ def build_simulator(name: str, parameters: Mapping[str, object], **offered: obje
 def respond_late(adapters: Sequence[PluginSpec]) -> bool:
     """Return whether any of these adapters makes robots respond later."""
     classes = (registry.load("kinfeas.adapters", adapter.name) for adapter in adapters)
-    return any(getattr(each, "late", False) for each in classes)
+    return any(getattr(adapter_class, "late", False) for adapter_class in classes)
 
 
 FOLDER = "sim2real"  # folder of the shipped lists of adapters

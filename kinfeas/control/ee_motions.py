@@ -56,11 +56,11 @@ class EeMotions:
     def of(self, rows: Rows | None = None) -> list[Motions]:
         """Return the motions in some ascending rows, all by default, by their generators."""
         rows = np.arange(len(self.which)) if rows is None else rows
-        each = [rows]
+        groups = [rows]
         if len(self.generators) > 1:
             which = self.which[rows]
-            each = [rows[which == number] for number in range(len(self.generators))]
-        return [self._made_by(number, some) for number, some in enumerate(each) if some.size]
+            groups = [rows[which == number] for number in range(len(self.generators))]
+        return [self._made_by(number, group) for number, group in enumerate(groups) if group.size]
 
     def put(self, motions: Motions, state: State) -> None:
         """Replace the state of motions that `of` returned."""

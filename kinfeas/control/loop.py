@@ -188,10 +188,10 @@ class Loop:
         self.action = (self._policy_action() if action is None else action).clip(-1.0, 1.0)
         period = self._period()
         for command_filter, note in zip(self.filters, self._notes, strict=True):
-            given = _arrays(period) if self._unchecked else {}
+            copies = _arrays(period) if self._unchecked else {}
             with note:
                 changed: object = command_filter(period)
-            for key, values in given.items():
+            for key, values in copies.items():
                 if not np.array_equal(values, getattr(period, key), equal_nan=True):
                     raise KinfeasError(f"{note.plugin} must not write into {key!r} of the period")
             if not isinstance(changed, Period):
@@ -390,8 +390,8 @@ class Loop:
 
 def _arrays(period: Period) -> dict[str, NDArray[Any]]:
     """Return copies of the arrays of a period."""
-    arrays = {key: each for key, each in vars(period).items() if isinstance(each, np.ndarray)}
-    return {key: each.copy() for key, each in arrays.items()}
+    arrays = {key: value for key, value in vars(period).items() if isinstance(value, np.ndarray)}
+    return {key: value.copy() for key, value in arrays.items()}
 
 
 def _read_only(observation: Observation) -> Observation:
@@ -400,9 +400,9 @@ def _read_only(observation: Observation) -> Observation:
     They are views. The arrays of the loop stay writable, since numba would compile kernels again
     for read-only ones.
     """
-    shown = dict(vars(observation))
-    for name, array in shown.items():
+    fields = dict(vars(observation))
+    for name, array in fields.items():
         if isinstance(array, np.ndarray) and name != "values":
-            shown[name] = array.view()
-            shown[name].flags.writeable = False
-    return Observation(**shown)
+            fields[name] = array.view()
+            fields[name].flags.writeable = False
+    return Observation(**fields)

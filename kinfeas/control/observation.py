@@ -132,14 +132,14 @@ def size(robot: Robot, terms: Sequence[str] = OBSERVATION) -> int:
 
 def scale(robot: Robot, terms: Sequence[str] = OBSERVATION) -> Array:
     """Return factors that bring each number of an observation to about unit range, shape (d,)."""
-    each = [np.resize(TERMS[name].scale, TERMS[name].width(robot)) for name in terms]
-    return np.concatenate(each)
+    factors = [np.resize(TERMS[name].scale, TERMS[name].width(robot)) for name in terms]
+    return np.concatenate(factors)
 
 
 def surroundings_columns(robot: Robot, terms: Sequence[str]) -> list[int]:
     """Return the columns of the terms `SURROUNDINGS` in an observation."""
-    each = [[name in SURROUNDINGS] * TERMS[name].width(robot) for name in terms]
-    return np.flatnonzero(np.concatenate(each)).tolist()
+    flags = [[name in SURROUNDINGS] * TERMS[name].width(robot) for name in terms]
+    return np.flatnonzero(np.concatenate(flags)).tolist()
 
 
 def scaled(observation: Array, factors: NDArray[np.float32]) -> NDArray[np.float32]:

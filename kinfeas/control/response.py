@@ -135,8 +135,8 @@ class Predictor:
         n, joints = len(robots.base_pose), robots.joint_positions
         ee = compose(robots.base_pose, forward(self._chain, joints))
         base, planar = np.zeros((n, 29)), _planar(robots.base_pose).T
-        known = _base_of(base.T)
-        known.pose[:], known.measured[:] = planar, planar
+        estimate = _base_of(base.T)
+        estimate.pose[:], estimate.measured[:] = planar, planar
         fresh = {
             "_base": base,
             "_age": self._ages(robots),
@@ -265,12 +265,12 @@ def advance(motion, twist, seconds, limits, moved):
     a, v = _ACCELERATION, _VELOCITY
     motion[a], motion[a + 1] = _accelerated(x, y, motion[a], motion[a + 1], most, jerk, seconds)
     motion[a + 2], _ = _accelerated(turn, 0.0, motion[a + 2], 0.0, turning, twisting, seconds)
-    left = math.exp(-seconds / lag) if lag > 0.0 else 0.0
+    decay = math.exp(-seconds / lag) if lag > 0.0 else 0.0
     for i in range(3):
         motion[i] += motion[a + i] * seconds
         behind = motion[v + i] - motion[i]
-        motion[v + i] = motion[i] + behind * left
-        moved[i] += motion[i] * seconds + behind * lag * (1.0 - left)
+        motion[v + i] = motion[i] + behind * decay
+        moved[i] += motion[i] * seconds + behind * lag * (1.0 - decay)
 
 
 @kernel
@@ -326,13 +326,13 @@ def _predict(
             seconds = min(delay, delay - (slots - k - 1) * dt) - start
             if seconds < _TINY:
                 continue
-            part = 1.0 - math.exp(-seconds / arm_lag) if arm_lag > 0.0 else 1.0
+            fraction = 1.0 - math.exp(-seconds / arm_lag) if arm_lag > 0.0 else 1.0
             for j in range(joints.shape[1]):
-                away = targets[i, k, j] - joints[i, j]
+                displacement = targets[i, k, j] - joints[i, j]
                 if continuous[j]:
-                    away = wrapped(away)
-                most = max_velocity[j] * seconds
-                joints[i, j] += min(max(away * part, -most), most)
+                    displacement = wrapped(displacement)
+                largest = max_velocity[j] * seconds
+                joints[i, j] += min(max(displacement * fraction, -largest), largest)
                 if continuous[j]:
                     joints[i, j] = wrapped(joints[i, j])
 
@@ -345,19 +345,19 @@ def _compare(base, motion, planar, measured, seconds, lag):
     """
     last, before, correction = base.measured, base.motion, base.correction
     behind, faster, sums = base.lateness
-    off_x, off_y = measured[0] - last[0] - planar[0], measured[1] - last[1] - planar[1]
-    off = off_x, off_y, wrapped(measured[2] - last[2] - planar[2])
-    beyond = max(math.sqrt(square(off_x) + square(off_y)), abs(off[2]))
-    left = math.exp(-seconds / lag) if lag > 0.0 else 0.0
+    error_x, error_y = measured[0] - last[0] - planar[0], measured[1] - last[1] - planar[1]
+    error = error_x, error_y, wrapped(measured[2] - last[2] - planar[2])
+    largest = max(math.sqrt(square(error_x) + square(error_y)), abs(error[2]))
+    decay = math.exp(-seconds / lag) if lag > 0.0 else 0.0
     forgotten = math.exp(-seconds / _MEMORY)
     for k in range(3):
-        change = motion[_VELOCITY + k] - before[_VELOCITY + k] + correction[k] * (1.0 - left)
-        missing = -off[k] - correction[k] * lag * (1.0 - left)
-        if beyond > _JUMP + _JUMP_SPEED * seconds:
+        change = motion[_VELOCITY + k] - before[_VELOCITY + k] + correction[k] * (1.0 - decay)
+        missing = -error[k] - correction[k] * lag * (1.0 - decay)
+        if largest > _JUMP + _JUMP_SPEED * seconds:
             missing = 0.0
         behind[k] = behind[k] * forgotten + missing
         faster[k] = faster[k] * forgotten + change
-        correction[k] *= left
+        correction[k] *= decay
         weight = square(_LEVER) if k == 2 else 1.0
         sums[0] += behind[k] * faster[k] * weight
         sums[1] += square(faster[k]) * weight
@@ -377,13 +377,13 @@ def _correct(base, motion, planar, measured, seconds):
         for k in range(3):
             jump[k] += planar[k]
             planar[k] = 0.0
-    position = 1.0 - math.exp(-seconds / _POSE_SECONDS)
-    velocity = (1.0 - math.exp(-seconds / _VELOCITY_SECONDS)) / seconds
+    position_gain = 1.0 - math.exp(-seconds / _POSE_SECONDS)
+    velocity_gain = (1.0 - math.exp(-seconds / _VELOCITY_SECONDS)) / seconds
     longest = LOCALISATION_SPEED * seconds
     x, y = _shortened(jump[0], jump[1], longest)
     followed = x, y, min(max(jump[2], -longest), longest)
     for k in range(3):
         jump[k] -= followed[k]
-        pose[k] += position * planar[k] + followed[k]
-        correction[k] += velocity * planar[k]
-        motion[_VELOCITY + k] += velocity * planar[k]
+        pose[k] += position_gain * planar[k] + followed[k]
+        correction[k] += velocity_gain * planar[k]
+        motion[_VELOCITY + k] += velocity_gain * planar[k]

@@ -64,11 +64,11 @@ class MotionSequence(SubgoalMotions):
     def start(self, ee_pose: Array, targets: Array, rngs: Rngs, rows: Rows | None = None) -> None:
         """Begin the first sub-goal, as `SubgoalMotions.start` does, after the head start."""
         super().start(ee_pose, targets, rngs, rows)
-        first, jitter = self._execution.head_start, self._execution.head_start_jitter
-        more = [jitter * rng.random() if jitter else 0.0 for rng in rngs]  # no unused draws
-        head_start = np.array([_periods(first + each, self.dt) for each in more], dtype=np.intp)
-        none = np.zeros(len(rngs), dtype=np.intp)
-        times = head_start, none, none, none, np.ones(len(rngs))
+        least, jitter = self._execution.head_start, self._execution.head_start_jitter
+        extras = [jitter * rng.random() if jitter else 0.0 for rng in rngs]  # no unused draws
+        head_start = np.array([_periods(least + extra, self.dt) for extra in extras], dtype=np.intp)
+        zeros = np.zeros(len(rngs), dtype=np.intp)
+        times = head_start, zeros, zeros, zeros, np.ones(len(rngs))
         self._put(dict(zip(self.TIMES, times, strict=True)), rows)
 
     def start_stream(self, rngs: Rngs, rows: Rows, base: Array) -> None:

@@ -90,12 +90,12 @@ class SubgoalMotions:
             rows: Which of the n rows begin anew; all of them by default, which also sets n.
         """
         n = len(rngs)
-        none = np.zeros(n, dtype=np.intp)
+        zeros = np.zeros(n, dtype=np.intp)
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        fresh = ee_pose, none, seeds, targets, np.zeros(n)
+        fresh = ee_pose, zeros, seeds, targets, np.zeros(n)
         self._put(dict(zip(SubgoalMotions.ROWS, fresh, strict=True)), rows)
         if rows is None:
-            self._motions.clear(none)
+            self._motions.clear(zeros)
             self.whole_body.start(n)
             self._solids, rows = None, np.arange(n)
         self._begin(rows)
@@ -192,23 +192,23 @@ class SubgoalMotions:
         poses go on until the motion has ended and the EE is at rest.
         """
         desired, motions = self.desired, self._motions
-        steps, ends = np.zeros((2, len(rows)), dtype=np.intp)
+        counts, ended_periods = np.zeros((2, len(rows)), dtype=np.intp)
         poses, goal = [desired[rows]], self.goal[rows]
-        while not steps.all() and len(poses) * HORIZON < LONGEST:
+        while not counts.all() and len(poses) * HORIZON < LONGEST:
             step = self._step(motions, desired, HORIZON)
             desired, motions = step.desired, motions.at(step.states)
             poses.append(desired[rows])
             metres, radians = spatial.distance(poses[-1], goal)
             near = np.zeros(len(desired), dtype=np.bool_)
             near[rows] = (metres <= GRASP_METRES) & (radians <= GOAL_RADIANS)
-            there = self._ended(motions, near)[rows]
+            ended = self._ended(motions, near)[rows]
             if to_rest:
-                ends = np.where(there, ends + 1, 0)
+                ended_periods = np.where(ended, ended_periods + 1, 0)
                 moved = np.maximum(*spatial.distance(poses[-2], poses[-1]))
-                there = (ends * HORIZON > _END_SECONDS) & (moved < _REST)
-            steps = np.where((steps == 0) & there, len(poses), steps)
-        steps[steps == 0] = len(poses)
-        return [np.stack([pose[i] for pose in poses[:k]]) for i, k in enumerate(steps.tolist())]
+                ended = (ended_periods * HORIZON > _END_SECONDS) & (moved < _REST)
+            counts = np.where((counts == 0) & ended, len(poses), counts)
+        counts[counts == 0] = len(poses)
+        return [np.stack([pose[i] for pose in poses[:k]]) for i, k in enumerate(counts.tolist())]
 
     def step_of(self, seconds: float | Array) -> MotionStep:
         """Return the next step of some seconds, one number or shape (n,), 0 for rest.
@@ -305,15 +305,15 @@ class SubgoalMotions:
 
     def _step(self, motions: EeMotions, desired: Array, seconds: float | Array) -> MotionStep:
         frame, targets = self._to_frame(desired), self._target
-        each = np.full(len(frame), seconds)
-        twist, states = motions.twist(frame, targets, each)
+        durations = np.full(len(frame), seconds)
+        twist, states = motions.twist(frame, targets, durations)
         after = preview = self._to_ee(spatial.integrate(frame, twist, seconds))
         if isinstance(seconds, np.ndarray) or seconds != HORIZON:
             preview = self._to_ee(spatial.integrate(frame, twist, HORIZON))
-        if not each.all():
-            rests = each[:, np.newaxis] == 0.0
+        if not durations.all():
+            rests = durations[:, np.newaxis] == 0.0
             after, preview = (np.where(rests, desired, pose) for pose in (after, preview))
-        return MotionStep(after, preview, states, each)
+        return MotionStep(after, preview, states, durations)
 
     def _ended(self, motions: EeMotions, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
         ended, targets = near.copy(), self._target

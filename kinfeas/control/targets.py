@@ -130,7 +130,7 @@ class TargetInbox:
 
     def put_twists(self, rows: Rows, now: Array, sent: Array, twist: Array) -> None:
         """Take world twists (m, 6) of m rows, sent at times (m,) and read at `now`, (m,)."""
-        valid = _numbers(twist)
+        valid = _in_range(twist)
         good = self._admitted(rows, now, sent, sent, valid)
         self._twist[rows[good]], self._has_poses[rows[good]] = twist[good], False
 
@@ -144,7 +144,7 @@ class TargetInbox:
             self.reject(rows)
             return
         numbers = np.concatenate([poses.reshape(m, -1), times], axis=1)
-        valid = _numbers(numbers)
+        valid = _in_range(numbers)
         usable = np.where(valid[:, np.newaxis, np.newaxis], poses, spatial.IDENTITY)
         length = np.linalg.norm(usable[:, :, 3:], axis=2)
         valid &= (np.abs(length - 1.0) <= spatial.UNIT).all(axis=1)
@@ -188,9 +188,9 @@ class TargetInbox:
         rows, time_scale = rows[waiting], time_scale[waiting]
         before = self._before[rows]
         displacement = spatial.twist_between(before, self.target[rows], 1.0)
-        rest = spatial.integrate(before, displacement, time_scale)
-        rest = np.where(time_scale[:, np.newaxis] == 0.0, desired[waiting], rest)
-        self.target = with_rows(self.target, rows, rest)
+        target = spatial.integrate(before, displacement, time_scale)
+        target = np.where(time_scale[:, np.newaxis] == 0.0, desired[waiting], target)
+        self.target = with_rows(self.target, rows, target)
 
     def advance(self, rows: Rows, now: Array, dt: float, seconds: float) -> None:
         """Move targets to the end of the next period.
@@ -201,21 +201,21 @@ class TargetInbox:
             dt: Its length, seconds.
             seconds: Its motion time, seconds.
         """
-        rest, live = self.target[rows], now <= self._until[rows]
+        before, live = self.target[rows], now <= self._until[rows]
         aims = interpolated(now + dt, self._times[rows], self._poses[rows])
         twist = np.where(
             self._has_poses[rows, np.newaxis],
-            spatial.twist_between(rest, aims, seconds),
+            spatial.twist_between(before, aims, seconds),
             self._twist[rows],
         )
         twist *= (live * self._slowing(twist))[:, np.newaxis]
-        target = spatial.integrate(rest, twist, seconds)
+        target = spatial.integrate(before, twist, seconds)
         if self.rules.heights is not None:
             low, high = self.rules.heights
-            z = rest[:, 2]
+            z = before[:, 2]
             target[:, 2] = np.clip(target[:, 2], np.minimum(low, z), np.maximum(high, z))
         self.live[rows], self.speed[rows] = live, np.linalg.norm(twist[:, :3], axis=1)
-        self._before[rows], self.target = rest, with_rows(self.target, rows, target)
+        self._before[rows], self.target = before, with_rows(self.target, rows, target)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
@@ -257,7 +257,7 @@ class TargetInbox:
         return 1.0 / np.maximum(1.0, np.maximum(linear, angular))
 
 
-def _numbers(values: Array) -> NDArray[np.bool_]:
+def _in_range(values: Array) -> NDArray[np.bool_]:
     """Return which rows have only finite numbers up to `REMOTEST`, shape (n,)."""
     return np.max(np.abs(values), axis=1, initial=0.0) <= REMOTEST
 

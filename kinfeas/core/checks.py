@@ -189,8 +189,8 @@ class CheckedMotion:
         pose = self._call("base_pose", state, target_pose)
         if self._due("base_pose"):
             self._check_array("base_pose", pose, (n, 7), finite=False)
-            given = pose[~np.isnan(pose).all(axis=1)]
-            self._check_array("base_pose", given, given.shape)
+            demonstrated = pose[~np.isnan(pose).all(axis=1)]
+            self._check_array("base_pose", demonstrated, demonstrated.shape)
         return pose
 
     def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
@@ -227,8 +227,8 @@ class CheckedMotion:
         if "ahead" not in self._optional:
             goal = self.goal_pose(state, target_pose)
             metres = np.maximum(distance(ee_pose, goal)[0], 1e-9)[:, np.newaxis]
-            whole = twist_between(ee_pose, goal, 1.0)[:, np.newaxis]
-            return integrate(ee_pose[:, np.newaxis], whole, np.minimum(distances / metres, 1.0))
+            twist = twist_between(ee_pose, goal, 1.0)[:, np.newaxis]
+            return integrate(ee_pose[:, np.newaxis], twist, np.minimum(distances / metres, 1.0))
         poses = self._call("ahead", state, ee_pose, target_pose, distances)
         if self._due("ahead"):
             self._check_array("ahead", poses, (len(ee_pose), len(distances), 7))

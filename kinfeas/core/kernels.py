@@ -63,14 +63,14 @@ class _Notice(event.Listener):
     def on_end(self, event: event.Event) -> None: ...
 
 
-def _settle() -> None:
+def _set_cache_folder() -> None:
     """Set numba's cache folder if neither the sources nor the user's cache folder is writable.
 
     Raises:
         KinfeasError: If no folder is writable by this user alone.
     """
     try:
-        njit(cache=True)(_any)
+        njit(cache=True)(_probe)
     except RuntimeError:
         os.environ["NUMBA_CACHE_DIR"] = str(_own_folder())
         numba.config.reload_config()
@@ -84,16 +84,16 @@ def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., 
     """
 
     def compile_alone(function: Callable[..., None]) -> Any:
-        with _alone() as alone:
+        with _cache_lock() as locked:
             decorate: Any = numba.guvectorize
-            made = decorate(signatures, layout, nopython=True, cache=alone)(function)
+            made = decorate(signatures, layout, nopython=True, cache=locked)(function)
         return made.ufunc  # numba's wrapper would take as long as the arithmetic of a pose
 
     return compile_alone
 
 
 @contextmanager
-def _alone() -> Iterator[bool]:
+def _cache_lock() -> Iterator[bool]:
     """Wait for the user's lock file; return whether this process may write the cache."""
     try:
         lock = os.open(_own_folder() / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
@@ -108,7 +108,7 @@ def _alone() -> Iterator[bool]:
         os.close(lock)
 
 
-def _any() -> None: ...  # stands for any kernel
+def _probe() -> None: ...  # stands for any kernel
 
 
 def _own_folder() -> Path:
@@ -129,13 +129,13 @@ def _own_folder() -> Path:
 def _private(folder: Path) -> Path:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = folder.lstat()
-    others = not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid()
-    if others or status.st_mode & 0o022 or not os.access(folder, os.W_OK | os.X_OK):
+    foreign = not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid()
+    if foreign or status.st_mode & 0o022 or not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f"other users can write {folder}")
     return folder
 
 
-_settle()  # before the first kernel
+_set_cache_folder()  # before the first kernel
 event.register("numba:compile", _Notice())
 
 

@@ -65,15 +65,15 @@ def join(parts: Sequence[EpisodeRecords]) -> EpisodeRecords:
     joined: dict[str, Any] = {}
     for name in (field.name for field in fields(EpisodeRecords)):
         values = [getattr(part, name) for part in parts]
-        some = next((array for array in values if array is not None), None)
-        if some is not None:  # a part without solids has no collisions
-            counts = zip(parts, values, strict=True)
-            shape = some.shape[1:]
+        example = next((array for array in values if array is not None), None)
+        if example is not None:  # a part without solids has no collisions
+            pairs = zip(parts, values, strict=True)
+            shape = example.shape[1:]
             values = [
-                np.zeros((len(p.reached), *shape), some.dtype) if v is None else v
-                for p, v in counts
+                np.zeros((len(part.reached), *shape), example.dtype) if value is None else value
+                for part, value in pairs
             ]
-        joined[name] = None if some is None else np.concatenate(values)
+        joined[name] = None if example is None else np.concatenate(values)
     return EpisodeRecords(**joined)
 
 
@@ -91,8 +91,8 @@ def lateness(sums: Array) -> float | None:
 
     Least-squares estimate from `Loop.response_sums`, shape (n, 2); None for bases at rest.
     """
-    moved, accelerated = sums.sum(axis=0).tolist()
-    return moved / accelerated if accelerated > 0.0 else None
+    products, squares = sums.sum(axis=0).tolist()
+    return products / squares if squares > 0.0 else None
 
 
 def wilson(hits: int, trials: int) -> Proportion:
@@ -155,17 +155,17 @@ class Metrics(TypedDict):
 def summarize(records: EpisodeRecords) -> Metrics:
     """Return the metrics of episodes: fractions in 0-1, distances in metres."""
     base, arm = records.base_collisions, records.arm_collisions
-    smooth = speed = rms = free = None
+    smooth = speed = rms = collision_free = None
     if base is not None and arm is not None:
-        free = base + arm == 0
+        collision_free = base + arm == 0
     if (
         records.path_length is not None
         and records.target_path_length is not None
         and records.rms_deviation is not None
     ):
         smooth = records.success & (records.joint_jumps == 0)
-        if asked := float(records.target_path_length.sum()):
-            speed = float(records.path_length.sum()) / asked
+        if target_length := float(records.target_path_length.sum()):
+            speed = float(records.path_length.sum()) / target_length
         rms = float(np.sqrt(np.average(records.rms_deviation**2, weights=records.steps)))
     tracking = records.mean_tracking_error
     tracking = records.mean_deviation if tracking is None else tracking
@@ -184,7 +184,7 @@ def summarize(records: EpisodeRecords) -> Metrics:
         **_fraction("task_success", records.task_done),
         "base_collisions": None if base is None else float(base.mean()),
         "arm_collisions": None if arm is None else float(arm.mean()),
-        "collision_free_rate": None if free is None else float(free.mean()),
+        "collision_free_rate": None if collision_free is None else float(collision_free.mean()),
         **_fraction("smooth", smooth),
         "speed_share": speed,
         "rms_deviation_m": rms,

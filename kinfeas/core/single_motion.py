@@ -123,8 +123,8 @@ def _base_pose(self: RowByRow, state: State, target_pose: Array) -> Array:
 def _replan(
     self: RowByRow, state: State, ee_pose: Array, target_pose: Array, solids: Solids
 ) -> State:
-    each = [solids.of(np.array([row])) for row in range(len(ee_pose))]
-    return _stacked(_each(self, "replan", state, ee_pose, target_pose, each))
+    row_solids = [solids.of(np.array([row])) for row in range(len(ee_pose))]
+    return _stacked(_each(self, "replan", state, ee_pose, target_pose, row_solids))
 
 
 def _follow(
@@ -139,17 +139,17 @@ def _follow(
 
 
 def _robot_ahead(self: RowByRow, state: State, waypoints: Array, seconds: Array) -> Array:
-    each = [seconds] * len(waypoints)
+    repeated = [seconds] * len(waypoints)
     return _rows(
-        _each(self, "robot_ahead", state, waypoints, each), len(seconds), *waypoints.shape[2:]
+        _each(self, "robot_ahead", state, waypoints, repeated), len(seconds), *waypoints.shape[2:]
     )
 
 
 def _ahead(
     self: RowByRow, state: State, ee_pose: Array, target_pose: Array, distances: Array
 ) -> Array:
-    each = [distances] * len(ee_pose)
-    return _rows(_each(self, "ahead", state, ee_pose, target_pose, each), len(distances), 7)
+    repeated = [distances] * len(ee_pose)
+    return _rows(_each(self, "ahead", state, ee_pose, target_pose, repeated), len(distances), 7)
 
 
 def _each(self: RowByRow, name: str, state: State, *arguments: Iterable[Any]) -> list[Any]:

@@ -151,12 +151,12 @@ class World:
         They begin in `rows`; by default in all, which also sets n.
         """
         rngs = [self.rng(episode) for episode in episodes]
-        places = range(len(episodes)) if rows is None else rows.tolist()
+        indices = range(len(episodes)) if rows is None else rows.tolist()
         if not self._staged:
-            places = [None] * len(episodes)
+            indices = [None] * len(episodes)
         starts = [
             sample_start(self.task, self.solver, rng, row)
-            for rng, row in zip(rngs, places, strict=True)
+            for rng, row in zip(rngs, indices, strict=True)
         ]
         self.loop.start(stacked(starts), rngs, rows)
         failures, steps = np.zeros((2, len(episodes)), dtype=np.intp)

@@ -72,11 +72,11 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
         waypoints = draw_waypoints(solver, task, episodes, seed)
         groups.append((Postures(solver), waypoints, WAYPOINT_STAGES))
     tries = [np.empty(poses.shape[:2]) for _, poses, _ in groups]
-    for (postures, poses, stages), own in zip(groups, tries, strict=True):
-        for episode, number in np.ndindex(own.shape):
+    for (postures, poses, stages), group_tries in zip(groups, tries, strict=True):
+        for episode, number in np.ndindex(group_tries.shape):
             start = starts.of(np.array([episode]))
             around = start.solids, start.base_pose[0]
-            own[episode, number] = postures.tries(poses[episode, number], stages, *around)
+            group_tries[episode, number] = postures.tries(poses[episode, number], stages, *around)
             if on_done is not None:
                 on_done(1.0 / sum(map(np.size, tries)))
     counts = _limits(groups, tries, starts) if limits else ()
@@ -96,12 +96,12 @@ def _limits(
     goals = tries[0]  # shape (episodes, sub-goals)
     counts: tuple[Counter[str], ...] = tuple(Counter() for _ in goals.T)
     missed_before = np.zeros((len(goals), len(counts)), dtype=np.bool_)
-    for (postures, poses, _), own in zip(groups, tries, strict=True):
-        each = np.isfinite(own).reshape(*missed_before.shape, -1)
-        episodes, numbers = np.nonzero(~each.all(axis=2) & ~missed_before)
+    for (postures, poses, _), group_tries in zip(groups, tries, strict=True):
+        reachable = np.isfinite(group_tries).reshape(*missed_before.shape, -1)
+        episodes, numbers = np.nonzero(~reachable.all(axis=2) & ~missed_before)
         missed_before[episodes, numbers] = True
         if episodes.size:
-            first = numbers * each.shape[2] + np.argmin(each[episodes, numbers], axis=1)
+            first = numbers * reachable.shape[2] + np.argmin(reachable[episodes, numbers], axis=1)
             solver, missed = postures.solver, poses[episodes, first]
             placer = BasePlacer(solver.robot, solver.options)
             for number, episode, pose in zip(numbers.tolist(), episodes, missed, strict=True):
@@ -121,7 +121,7 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
     if starts.solids is not None:
         motions.avoid(starts.solids, None, (starts.base_pose, starts.joint_positions))
     steps = list(_follow(motions))
-    desired, subgoal = (np.stack(each, 1) for each in zip(*steps, strict=True))
+    desired, subgoal = (np.stack(column, 1) for column in zip(*steps, strict=True))
     moments = [
         np.concatenate([_spread(row, number) for number in range(len(motions.subgoals))])
         for row in subgoal

@@ -138,9 +138,9 @@ def _move(point, normals, offsets, slack):
         while True:
             weights = _weights(normals, borders[:count], normal)
             ahead = normal - normals[borders[:count]].T @ weights
-            square = _dot(ahead, ahead)
-            free = count < len(point) and square > _PARALLEL * _dot(normal, normal)
-            step, last = (excess / square if free else np.inf), -1
+            squared = _dot(ahead, ahead)
+            free = count < len(point) and squared > _PARALLEL * _dot(normal, normal)
+            step, last = (excess / squared if free else np.inf), -1
             for i in range(count):
                 if weights[i] > 0.0 and pushes[i] < step * weights[i]:
                     step, last = pushes[i] / weights[i], i
@@ -148,7 +148,7 @@ def _move(point, normals, offsets, slack):
                 return False
             if free:
                 point -= step * ahead
-                excess -= step * square
+                excess -= step * squared
             pushes[:count] -= step * weights
             push += step
             if last < 0:

@@ -94,7 +94,7 @@ class PathPlanner:
             self._plan(due, period)
         if self._search is not None:
             if self._search.done():
-                self._take(self._search.result())
+                self._store(self._search.result())
                 self._search = None
             elif (rests := elapsed == 0.0).any():
                 period = period.slowed(np.where(rests, 0.0, period.time_scale))
@@ -118,18 +118,18 @@ class PathPlanner:
             self._paths.pop(row, None)
         copied = period.changed(motions=motions.copied())
         if self._executor is None:
-            self._take(self._searched(rows, copied))
+            self._store(self._find_paths(rows, copied))
         else:
-            self._search = self._executor.submit(self._searched, rows, copied)
+            self._search = self._executor.submit(self._find_paths, rows, copied)
 
-    def _take(self, paths: dict[int, BasePath | None]) -> None:
+    def _store(self, paths: dict[int, BasePath | None]) -> None:
         for row, path in paths.items():
             self._open[row] = path is None or not path.complete
             self._paths.pop(row, None)
             if path is not None:
                 self._paths[row] = path
 
-    def _searched(self, rows: Rows, period: Period) -> dict[int, BasePath | None]:
+    def _find_paths(self, rows: Rows, period: Period) -> dict[int, BasePath | None]:
         motions, solids = period.motions, period.solids
         paths: dict[int, BasePath | None] = {}
         for row, ee in zip(rows.tolist(), motions.to_the_end(rows), strict=True):
@@ -177,7 +177,7 @@ class PathFollower:
         scale[rows] *= [path.time_scale_at(clock[row]) for row, path in paths.items()]
         now, base_pose = robots_on(paths, rows, clock), period.base_pose[rows]
         if period.motion is not None:
-            metres, radians = _beside(base_pose, now)
+            metres, radians = _base_deviations(base_pose, now)
             late = np.maximum(metres / _WAITS_METRES, radians / _WAITS_RADIANS)
             scale[rows] *= np.clip(1.0 / np.maximum(late, 1.0), _LEAST, 1.0)
         if (scale != period.time_scale).any():
@@ -219,7 +219,7 @@ class PlanFollower:
             row = np.zeros(1, dtype=np.intp)
             start = robots_on(paths, row, elapsed)
             base, arm = off_path(self._robot, period, row, start)
-            turn = _beside(period.base_pose[row], start)[1]
+            turn = _base_deviations(period.base_pose[row], start)[1]
             if max(base[0], turn[0], arm[0]) > _OFF_START:
                 raise KinfeasError(
                     f"the robot is not at the start of the plan: the base is {base[0]:.2f} m and "
@@ -240,10 +240,10 @@ def off_path(robot: Robot, period: Period, rows: Rows, robots: Array) -> tuple[A
     farthest counts.
     """
     arm = np.abs(joint_displacement(robot, period.joints[rows], robots[:, 3:])).max(axis=1)
-    return _beside(period.base_pose[rows], robots)[0], arm
+    return _base_deviations(period.base_pose[rows], robots)[0], arm
 
 
-def _beside(base_pose: Array, robots: Array) -> tuple[Array, Array]:
+def _base_deviations(base_pose: Array, robots: Array) -> tuple[Array, Array]:
     """Return how far m bases are from those of `robots`, metres and radians, shape (m,) each.
 
     `base_pose` is a world pose, shape (m, 7); `robots` begin with x, y and yaw, shape (m, 3 + j).
@@ -263,9 +263,9 @@ def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float, gai
         dt: Control period in seconds.
         gain: Feedback of the base's deviation, 1/s.
     """
-    heading, away = yaw(base_pose), now - base_pose[:, :3]
-    away[:, 2] = wrap(now[:, 2] - heading)
-    velocity = (then - now) / dt + gain * away
+    heading, deviation = yaw(base_pose), now - base_pose[:, :3]
+    deviation[:, 2] = wrap(now[:, 2] - heading)
+    velocity = (then - now) / dt + gain * deviation
     turn, cosine, sine = velocity[:, 2], np.cos(heading), np.sin(heading)
     ahead = cosine * velocity[:, 0] + sine * velocity[:, 1]
     if base.drive == "omnidirectional":
@@ -273,6 +273,6 @@ def follow(base: Base, base_pose: Array, now: Array, then: Array, dt: float, gai
         speeds = [ahead / base.max_velocity, left / base.max_velocity]
     else:
         speeds = [ahead / base.max_velocity]
-        aside = cosine * away[:, 1] - sine * away[:, 0]
+        aside = cosine * deviation[:, 1] - sine * deviation[:, 0]
         turn = turn + gain * np.arctan(_STEER * aside) * np.clip(ahead / _MOVING, -1.0, 1.0)
     return np.clip(np.stack([*speeds, turn / base.max_rotation], axis=1), -1.0, 1.0)

@@ -71,16 +71,16 @@ class TimeScalingFilter(FeasibilityFilter):
         failed = (~good).nonzero()[0]
         if period.paused is not None:
             failed = failed[~period.paused[failed]]
-        left = self._replace(whole, command, failed, self.max_deviation)
+        unsolved = self._replace(whole, command, failed, self.max_deviation)
         for attempt in self._attempts:
-            if left.size:
-                period = _slowed(period, left, attempt.fraction * planned[left])
-                left = self._try(attempt, period, whole, command, left)
-        if left.size:
+            if unsolved.size:
+                period = _slowed(period, unsolved, attempt.fraction * planned[unsolved])
+                unsolved = self._try(attempt, period, whole, command, unsolved)
+        if unsolved.size:
             if self._at_once:
-                command[left] = 0.0
-            least = 0.0 if self._at_once else _STUCK
-            period = _slowed(period, left, least * planned[left])
+                command[unsolved] = 0.0
+            fraction = 0.0 if self._at_once else _STUCK
+            period = _slowed(period, unsolved, fraction * planned[unsolved])
         return self._moved(period, command, failed, move, allow_reconfiguration=False)
 
     def _try(
@@ -108,9 +108,9 @@ class TimeScalingFilter(FeasibilityFilter):
         arm = self._tried(tries.reshape(m * k, -1), ends, self.max_deviation)[0].arm
         errors = arm.position_error + ROTATION_WEIGHT * arm.rotation_error
         best = np.where(feasible, errors.reshape(m, k), np.inf).argmin(axis=1)
-        found = feasible.any(axis=1)
-        command[rows[found]] = tries[found, best[found]]
-        return rows[~found]
+        solved = feasible.any(axis=1)
+        command[rows[solved]] = tries[solved, best[solved]]
+        return rows[~solved]
 
 
 def _slowed(period: Period, rows: Rows, time_scale: Array) -> Period:
