@@ -54,7 +54,7 @@ class EeMotions:
         self.which: NDArray[np.intp] = self._of_subgoal[subgoal]
 
     def of(self, rows: Rows | None = None) -> list[Motions]:
-        """Return the motions in some ascending rows, all by default, by their generators."""
+        """Return the motions in some ascending rows, all by default, grouped by generator."""
         rows = np.arange(len(self.which)) if rows is None else rows
         groups = [rows]
         if len(self.generators) > 1:

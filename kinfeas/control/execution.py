@@ -54,6 +54,6 @@ class ExecutionConfig:
 
 
 def tool_pose(robot: Robot) -> Array:
-    """Return the tool tip, x the approach and y the finger axis, in the EE frame, shape (7,)."""
+    """Return the tool tip in the EE frame, shape (7,): x is the approach, y the finger axis."""
     x, y, z, w = robot.gripper_rotation
     return np.concatenate([robot.tool_tip, spatial.canonical(np.array([-x, -y, -z, w]))])

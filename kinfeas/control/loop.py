@@ -273,7 +273,7 @@ class Loop:
 
     @property
     def response_sums(self) -> Array | None:
-        """Sums of each episode for `response.lateness`, (n, 2); None for robots without delay."""
+        """Sums of each episode for `metrics.lateness`, (n, 2); None for robots without delay."""
         return None if self._predictor is None else self._predictor.sums
 
     @property

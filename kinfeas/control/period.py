@@ -91,7 +91,7 @@ class Period(KinematicInputs):
         return self if command is self.command else self.changed(command=command)
 
     def slowed(self, time_scale: Array) -> "Period":
-        """Return the period with fractions, shape (n,), of the planned motion.
+        """Return the period with only fractions, shape (n,), of the planned motion.
 
         Raises:
             KinfeasError: If they have another shape or are not in [0, 1].

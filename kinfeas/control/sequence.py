@@ -102,7 +102,7 @@ class MotionSequence(SubgoalMotions):
         return self.step_of(self._motion_time * time_scale)
 
     def step_of(self, seconds: float | Array) -> MotionStep:
-        """Return the next step, as `SubgoalMotions.step_of` does, but for rows that rest."""
+        """Return the next step, as `SubgoalMotions.step_of` does; 0 seconds in rows that rest."""
         resting = self.resting
         return super().step_of(np.where(resting, 0.0, seconds) if resting.any() else seconds)
 

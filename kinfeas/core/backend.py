@@ -91,7 +91,7 @@ class ObstacleDistances:
 
 
 SCAN_BANDS = ((0.0, 0.35), (0.35, 1.5))
-"""Lowest and highest z of the bands of a scan, metres: the height of lasers, and that above."""
+"""Lowest and highest z of the bands of a scan, metres: heights of laser scanners, and above."""
 
 SCAN_BEAMS, SCAN_RANGE = 64, 3.0
 """Beams of a band, and their longest range in metres."""
@@ -275,7 +275,7 @@ class Backend(ABC):
 
     @property
     def name(self) -> str:
-        """Name of the innermost backend in errors."""
+        """Name of the innermost backend, for errors."""
         return type(self).__name__
 
 

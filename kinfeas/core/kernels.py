@@ -52,7 +52,7 @@ _POLL, _DEADLINE = 0.02, time.monotonic() + 10.0
 
 
 class _Notice(event.Listener):
-    """Says, in the first process, that the first calls after an installation take long."""
+    """Logs, in the main process, that the first calls after an installation take long."""
 
     def on_start(self, event: event.Event) -> None:
         ours = event.data["dispatcher"].__module__.startswith("kinfeas.")

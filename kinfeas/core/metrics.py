@@ -24,9 +24,9 @@ class EpisodeRecords:
     failures: NDArray[np.intp]  # steps without an IK solution, shape (n,)
     max_deviation: Array  # largest distance of the EE from the desired position, metres, shape (n,)
     mean_deviation: Array  # mean of that distance over the episode, metres, shape (n,)
-    # distance of the EE from the goal at the end, metres, (n,); inf before the last sub-goal
+    # distance of the EE at the end from goal or stream, metres, (n,); inf before the last sub-goal
     final_distance: Array
-    joint_jumps: NDArray[np.intp]  # steps in which a joint moved faster than its limit, shape (n,)
+    joint_jumps: NDArray[np.intp]  # steps with a joint commanded faster than its limit, shape (n,)
     steps: NDArray[np.intp]  # length of the episode, shape (n,)
     # whether objects meet the task's condition, or without objects the goal was reached, shape (n,)
     task_done: NDArray[np.bool_] | None = None

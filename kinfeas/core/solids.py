@@ -153,10 +153,7 @@ class Solids:
         return solid_kernels.gaps(points, self.pose, self.size, self.cylinder)
 
     def swept(self, first: float, last: float) -> "Solids":
-        """Return solids that cover the motion of these between two times, seconds from now.
-
-        Solids that turn back in between are not treated apart.
-        """
+        """Return solids that cover these at constant velocity between two times, seconds."""
         arrays = self.pose, self.size, self.cylinder, self.velocity
         pose, size = solid_kernels.swept(*arrays, first, last)
         return replace(self, pose=pose, size=size)

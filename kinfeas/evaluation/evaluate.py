@@ -1,4 +1,4 @@
-"""Evaluation of a policy: metrics of its episodes in any world, beside the reachability bound."""
+"""Evaluation of a policy: metrics of its episodes in any world, and their reachability bound."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, field
