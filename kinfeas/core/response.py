@@ -24,9 +24,9 @@ class ResponseModel:
     arm_lag: Delay = 0.0  # time constant of the joint positions, seconds
     # limit of the base's planar acceleration, m/s^2; None for none
     acceleration: Positive | None = None
-    rotation_acceleration: Positive | None = None  # the same for its rotation, rad/s^2
+    rotation_acceleration: Positive | None = None  # the same for the base's rotation, rad/s^2
     jerk: Positive | None = None  # limit of the base's planar jerk, m/s^3; None for none
-    rotation_jerk: Positive | None = None  # the same for its rotation, rad/s^3
+    rotation_jerk: Positive | None = None  # the same for the base's rotation, rad/s^3
 
     @property
     def immediate(self) -> bool:

@@ -127,7 +127,7 @@ def make_world(  # noqa: PLR0913 - as in `BaseMotionEnv`
     *,
     gui: bool = False,
 ) -> World:
-    """Return a world of seed 0.
+    """Return the world of an environment, with seed 0.
 
     The analytic world has the defaults of `WorldConfig`, others have the settings of the robot's
     evaluations, but without command filters, so that rewards belong to the commanded actions. A

@@ -222,7 +222,7 @@ def add_ceiling(
     config: EvalConfig,
     on_done: Callable[[float], None] | None = None,
 ) -> None:
-    """Write into summaries the fraction of episodes whose goals are within reach of a base pose.
+    """Write into summaries the fraction of episodes whose goals some base pose reaches.
 
     It stays null for streams of targets. `on_done` is called with the fraction of work just done.
     """

@@ -130,7 +130,7 @@ class FeasibilityFilter:
 
 
 def replaced(move: Move, rows: Rows, retried: Move, command: Array) -> Move:
-    """Return a move that is `retried` in some rows; its `command` has all. Changes `move.arm`."""
+    """Return `move` with `retried` in some rows, and the `command` of all; changes `move.arm`."""
     twist = with_rows(move.base_twist, rows, retried.base_twist)
     base_pose = with_rows(move.base_pose, rows, retried.base_pose)
     move.arm.put(rows, retried.arm)
