@@ -1,4 +1,4 @@
-"""Whether boxes, cylinders and spheres are near each other, by GJK."""
+"""Proximity test of boxes, cylinders and spheres, by GJK."""
 
 import math
 
@@ -44,7 +44,7 @@ def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos
 
 @inner
 def add_support(w, toward, sign, v, kind, size, rot, pos):
-    """Add sign times the support point of the shape in the direction toward * v."""
+    """Add to w `sign` times the support point of a shape in the direction `toward` * v."""
     x = toward * (rot[0, 0] * v[0] + rot[1, 0] * v[1] + rot[2, 0] * v[2])
     y = toward * (rot[0, 1] * v[0] + rot[1, 1] * v[1] + rot[2, 1] * v[2])
     z = toward * (rot[0, 2] * v[0] + rot[1, 2] * v[1] + rot[2, 2] * v[2])
@@ -63,7 +63,7 @@ def add_support(w, toward, sign, v, kind, size, rot, pos):
 
 @inner
 def _nearest(simplex, count, v):
-    """Write the point of the simplex nearest to the origin; reduce it to the face of that point.
+    """Write the simplex's point nearest to the origin; reduce the simplex to the face around it.
 
     Returns:
         Number of points that remain; 4 if the origin is inside.

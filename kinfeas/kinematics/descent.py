@@ -19,7 +19,7 @@ class Descent(NamedTuple):
     max_iterations: int  # largest number of steps
     stall_steps: int = 3  # steps without progress after which it ends
     damping_floor: float = 1e-6  # least damping, m^2
-    damping_gain: float = 0.02  # factor of the squared error, m^2, that is added to it
+    damping_gain: float = 0.02  # times the squared error, m^2, is added to the least damping
 
 
 class Limits(NamedTuple):
@@ -32,18 +32,18 @@ class Limits(NamedTuple):
 class Scratch(NamedTuple):
     """Memory of a descent, allocated once for a whole batch."""
 
-    frames: Frames
-    columns: Array
-    normal: Array
-    error: Array
-    solved: Array
-    step: Array
-    unbounded: Array
-    pull: Array
-    side: Array
-    released: Array
-    trial: Array
-    seed: Array
+    frames: Frames  # frames of the chain at the current joint positions
+    columns: Array  # columns of the Jacobian J, weighted, shape (v, 6)
+    normal: Array  # Cholesky factor of `_solve_damped`, shape (6, 6)
+    error: Array  # EE error e, linear, then angular and weighted, shape (6,)
+    solved: Array  # y of `_solve_damped`, shape (6,)
+    step: Array  # joint step within the limits, shape (v,)
+    unbounded: Array  # joint step without limits, shape (v,)
+    pull: Array  # joint step towards which the first step is damped, shape (v,)
+    side: Array  # 1 or -1 for joints held at the upper or lower limit, 0 for free ones, shape (v,)
+    released: Array  # joints that have been released from a limit, shape (v,)
+    trial: Array  # joint positions of the current descent, shape (v,)
+    seed: Array  # copy of the seed of a search, shape (v,)
 
 
 @kernel
@@ -61,9 +61,9 @@ def make_scratch(joints, variables):
 def descend(chain: Chain, options: Descent, limits: Limits, target, q, scratch: Scratch):
     """Move `q` towards the target; return the remaining position and rotation error, m and rad.
 
-    Each step is damped by the squared error (Sugihara, IEEE T-RO 2011) and solves the damped
-    least-squares problem within the joint limits. The first step is damped towards `scratch.pull`,
-    a motion in the null space; `scratch.pull` is zero afterwards.
+    Each step solves a damped least-squares problem within the joint limits; the damping grows with
+    the squared error (Sugihara, IEEE T-RO 2011). The first step is damped towards `scratch.pull`
+    in place of zero: a redundant arm follows it in its null space. `scratch.pull` ends as zero.
 
     Args:
         chain: From base to EE, driven by v variables.
@@ -167,10 +167,10 @@ def _half_turn(target, current, error):
 def _step_within_limits(limits, q, damping, scratch):
     """Write the damped least-squares step that keeps `q` within its limits.
 
-    Of min |J s - e|^2 + damping |s - p|^2 within bounds, with the pull p, the free joints' part is
-    s = p + J' y. A joint that would pass a bound is held there. When no other does, a held joint
-    that would move back within its bounds is released, each joint once, and the rest is solved
-    again.
+    The step s minimizes |J s - e|^2 + damping |s - p|^2 within bounds, with the pull p. Free joints
+    move by s = p + J' y; joints that would pass a bound are held there. When no further joint would
+    pass a bound, the held joint that would move back farthest is released, each joint at most once,
+    and the step is solved again.
     """
     step, unbounded = scratch.step, scratch.unbounded
     side, released = scratch.side, scratch.released
@@ -207,7 +207,7 @@ def _release(scratch):
 
 @inlined
 def _solve_damped(scratch, damping):
-    """Write y of (J J' + damping) y = e for free joints; pull and held joints reduce e."""
+    """Solve (J J' + damping) y = e - J p for y, for free joints; steps of held joints reduce e."""
     columns, low, y = scratch.columns, scratch.normal, scratch.solved
     copy_row(scratch.error, y)
     low[:] = 0.0
@@ -229,7 +229,7 @@ def _solve_damped(scratch, damping):
         total = low[i, i] + damping
         for j in range(i):
             total -= low[i, j] * low[i, j]
-        # The diagonal holds the inverse, since it only divides.
+        # The diagonal holds reciprocals, since it is only divided by.
         low[i, i] = 1.0 / math.sqrt(total)
     for i in range(6):
         for j in range(i):

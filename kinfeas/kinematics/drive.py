@@ -1,4 +1,4 @@
-"""Base drives: commands into base motion."""
+"""Base drives: conversion between base commands, velocities and world twists."""
 
 import math
 
@@ -33,7 +33,7 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
 def world_twist(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
     """Return the world twist, shape (n, 6), of a velocity in the base frame, shape (n, 3).
 
-    The velocity is forward, left and rotation, m/s and rad/s; other arguments as in `base_twist`.
+    The velocity is forward, left (m/s) and angular (rad/s); other arguments as in `base_twist`.
     """
     return _world_twist(base_pose, velocity, _turned_first(base, dt), TWIST)
 
@@ -50,8 +50,9 @@ def base_velocity(base: Base, base_pose: Array, twist: Array, dt: float) -> Arra
 def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
     """Return the action in [-1, 1] that comes closest to a planar world velocity (n, 2), m/s.
 
-    An omnidirectional base copies it, without rotation. A differential one steers toward it,
-    backwards if it points behind, and drives by the part of it that lies along the new heading.
+    An omnidirectional base takes this velocity without rotating. A differential base turns its
+    front toward the velocity, or its back if the velocity points backwards, and then drives at the
+    velocity's component along the new heading.
     """
     like = TWIST[: command_size(base)]
     return _action_toward(base_pose, velocity, _limits(base), dt, like)
@@ -75,7 +76,7 @@ def _write_twist(pose, forward, left, turn, seconds, out):
 
 @exact_inlined
 def within_speed(forward, left, fastest):
-    """Return a planar velocity, slowed down to the fastest one."""
+    """Return a planar velocity, slowed down to at most the speed `fastest`."""
     scale = fastest / max(math.sqrt(forward * forward + left * left), fastest)
     return forward * scale, left * scale
 
@@ -115,7 +116,7 @@ def write_action_toward(pose, velocity, limits, dt, out):
         forward, left = within_speed(forward, left, fastest)
         out[0], out[1], out[2] = forward / fastest, left / fastest, 0.0
         return
-    # Of the absolute value, since a velocity of -0 would point behind.
+    # With the absolute value, since a forward velocity of -0 would point backwards.
     bearing = math.atan2(left if forward >= 0.0 else -left, abs(forward))
     turn = min(max(bearing / dt, -fastest_turn), fastest_turn)
     along = forward * math.cos(turn * dt) + left * math.sin(turn * dt)

@@ -20,33 +20,34 @@ FIXED = -1
 class Tree(NamedTuple):
     """The m moving joints of a robot, each after its parent.
 
-    Every joint moves about or along the z axis of its own frame: the constant transforms before and
-    after it contain the rotation to the URDF's axis, so that a joint mixes only two columns.
+    Every joint rotates about or slides along the z axis of its own frame: the constant transforms
+    before and after it contain the rotation to the URDF's axis. Its motion thus changes only two
+    columns of a rotation matrix. The v variables are the positions of the arm's joints.
     """
 
     parent: NDArray[np.intp]  # parent joint, shape (m,); -1 is the robot's base
-    rotation: Array  # from the parent's body to the joint, shape (m, 3, 3)
-    offset: Array  # same, metres, shape (m, 3)
+    rotation: Array  # orientation of the joint in the parent's body, shape (m, 3, 3)
+    offset: Array  # position of the joint in the parent's body, shape (m, 3), metres
     prismatic: NDArray[np.bool_]  # whether the joint is prismatic, shape (m,)
-    variable: NDArray[np.intp]  # arm variable that drives it, shape (m,)
+    variable: NDArray[np.intp]  # index of the variable that drives the joint, shape (m,)
     multiplier: Array  # joint position per unit of the variable, shape (m,); 1 unless mimic
-    bias: Array  # joint position at variable 0, shape (m,)
+    bias: Array  # joint position where the variable is 0, shape (m,)
 
 
 class Mount(NamedTuple):
-    """Pose of a link on the body of a joint."""
+    """Pose of a link on the body that a joint moves."""
 
     joint: int  # index into the tree; -1 is the robot's base
-    rotation: Array  # from that body to the link, shape (3, 3)
-    offset: Array  # same, metres, shape (3,)
+    rotation: Array  # orientation of the link in that body, shape (3, 3)
+    offset: Array  # position of the link in that body, shape (3,), metres
 
 
 class Chain(NamedTuple):
     """A serial tree (parent of i is i - 1) with the EE frame on its last body."""
 
     tree: Tree  # joints from the base to the EE
-    ee_rotation: Array  # from the last body to the EE frame, shape (3, 3)
-    ee_offset: Array  # same, metres, shape (3,)
+    ee_rotation: Array  # orientation of the EE frame in the last body, shape (3, 3)
+    ee_offset: Array  # position of the EE frame in the last body, shape (3,), metres
     variables: int  # number of the arm's joints, including those that do not move the EE
 
 
@@ -54,9 +55,10 @@ _Segment = tuple[int, Array, Array, bool, int, float, float]  # fields of a `Tre
 
 
 def build_tree(robot: Robot, tip: str | None = None) -> tuple[Tree, dict[str, Mount]]:
-    """Return the joints that the arm drives, or those up to the link `tip`, and each link's mount.
+    """Return the tree of joints that the arm drives, and the mount of each link by name.
 
-    All other joints are at `robot.fixed_joints`.
+    With `tip`, only joints and links from the root to this link are included. All other joints are
+    at `robot.fixed_joints`.
     """
     urdf = robot.urdf
     on_path = {joint.child for joint in urdf.path_to(tip)} if tip else set(urdf.links)
@@ -90,7 +92,7 @@ def build_chain(robot: Robot) -> Chain:
 
 
 def _attach(robot: Robot, joint: Joint, mount: Mount, segments: list[_Segment]) -> Mount:
-    """Return the mount of the joint's child; a joint that the arm drives joins `segments`."""
+    """Return the mount of the joint's child; add the joint to `segments` if the arm drives it."""
     rotation = mount.rotation @ Rotation.from_quat(joint.origin[3:]).as_matrix()
     offset = mount.offset + mount.rotation @ joint.origin[:3]
     if joint.kind == "fixed":
@@ -111,7 +113,7 @@ def _attach(robot: Robot, joint: Joint, mount: Mount, segments: list[_Segment]) 
 
 
 def _z_onto(axis: Array) -> Array:
-    """Return a rotation matrix that takes z onto the unit vector `axis`, exact for the axes."""
+    """Return a rotation matrix from z to the unit vector `axis`, exact for coordinate axes."""
     helper = np.eye(3)[np.argmin(np.abs(axis))]
     x = np.cross(helper, axis)
     x /= np.linalg.norm(x)
@@ -129,7 +131,7 @@ def forward(chain: Chain, joint_positions: Array) -> Array:
 def jacobian(chain: Chain, joint_positions: Array) -> Array:
     """Return the Jacobian of the EE at joint positions (..., v), rad or m, shape (..., 6, v).
 
-    Linear rows come before angular ones, in the base's axes, at the EE origin.
+    Rows are linear, then angular, in the axes of the base frame, at the EE origin.
     """
     flat, leading = flattened(chain.variables, joint_positions)
     columns = np.empty((*flat.shape, 6))
@@ -138,7 +140,7 @@ def jacobian(chain: Chain, joint_positions: Array) -> Array:
 
 
 def flattened(variables: int, joint_positions: Array) -> tuple[Array, tuple[int, ...]]:
-    """Return joint positions (..., v) as an array for kernels, (n, v), and their leading axes."""
+    """Return joint positions (..., v) as an array for kernels, (n, v), and their leading shape."""
     rows = np.ascontiguousarray(joint_positions, dtype=np.float64)
     if rows.shape[-1] != variables:
         raise KinfeasError(f"joint positions must be of shape (..., {variables}), not {rows.shape}")

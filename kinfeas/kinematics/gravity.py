@@ -17,9 +17,9 @@ GRAVITY = 9.81  # acceleration, m/s^2
 class GravityModel(NamedTuple):
     """The masses that the arm's joints carry, and the torques that its motors can hold.
 
-    `load` has for each joint the mass of its body, kg; the same times its centre in its frame,
-    three numbers, kg m; mass of all bodies from it on, kg; largest gravity torque, N m or N, inf
-    for none. It is one array since each costs a call of a kernel.
+    A row of `load` has the mass of a joint's body, kg; that mass times its centre in the body's
+    frame, three numbers, kg m; the mass of this body and all bodies beyond it, kg; and the largest
+    gravity torque, N m or N, inf for no limit. One array, since each one slows down kernel calls.
     """
 
     tree: Tree  # all m joints that the arm drives, mimic joints included, as in `CollisionModel`
@@ -38,8 +38,8 @@ _MASS, _CARRIED, _LIMIT = 0, 4, 5
 def build_gravity_model(robot: Robot) -> GravityModel:
     """Return the gravity model of `robot`, with all other joints at `robot.fixed_joints`.
 
-    Arm joints have a limit if the robot has a `max_gravity_load`, they have an effort limit, which
-    is not 0, in the URDF, and are not counterbalanced.
+    An arm joint has a limit if the robot has a `max_gravity_load`, the URDF has an effort limit
+    above 0 for the joint, and the joint is not counterbalanced.
     """
     tree, mounts = build_tree(robot)
     load = np.zeros((len(tree.variable), 6))
@@ -71,8 +71,8 @@ class _Placed(NamedTuple):
 def gravity_torques(model: GravityModel, joint_positions: Array) -> Array:
     """Return the torques with which motors hold the arm at rest, shape (..., v), N m or N.
 
-    They are the generalized forces of the arm joints, those of joints that mimic them included, at
-    positions (..., v), radians or metres, with the base level.
+    These are generalized forces of the arm joints at positions (..., v), radians or metres, with
+    the base level. They include the load of mimic joints.
     """
     flat, leading = flattened(model.variables, joint_positions)
     torque = np.empty_like(flat)
@@ -110,10 +110,10 @@ def overloads(tree: Tree, load, q, scratch: CollisionScratch):
 
 @inlined
 def _write_torques(tree, load, q, scratch, out):
-    """Write the gravity torques of the arm joints, shape (v,): derivatives of the energy."""
+    """Write the gravity torques of the arm joints, (v,): derivatives of the potential energy."""
     bodies, origins = scratch.bodies, scratch.origins
     place_bodies(tree, q, scratch)
-    moment = scratch.motion  # x and y; bodies are placed, their joints' motions are not needed
+    moment = scratch.motion  # first moments of mass, x and y; the motions are not needed any more
     for i in range(len(load)):
         for r in range(2):
             moment[i, r] = load[i, _MASS] * origins[i, r]

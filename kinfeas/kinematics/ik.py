@@ -58,7 +58,7 @@ class IkOptions:
     self_clearance: NotNegative = 0.0
 
     def thorough(self) -> "IkOptions":
-        """Return options with the same solutions that search at least as hard as the default."""
+        """Return options that accept the same solutions and search no less than the default."""
         efforts = "library", "restarts", "candidates", "max_iterations", "centering"
         default = IkOptions()
         return replace(self, **{k: max(getattr(self, k), getattr(default, k)) for k in efforts})
@@ -74,7 +74,7 @@ class IkSolution:
     rotation_error: Array  # the same, shape (n,), radians
 
     def put(self, rows: NDArray[np.intp], solutions: "IkSolution") -> None:
-        """Replace the solutions of the m targets `rows`, shape (m,)."""
+        """Replace the solutions of the targets `rows`, shape (m,), by m other ones."""
         for entry in fields(self):
             getattr(self, entry.name)[rows] = getattr(solutions, entry.name)
 
@@ -91,7 +91,7 @@ class IkSolver:
         self._problem = _make_problem(self)
 
     def local(self, **changes: Any) -> "IkSolver":
-        """Return a solver with changed options whose searches begin at seeds and guides alone."""
+        """Return a solver with changed options that searches from seeds and posture guides only."""
         return IkSolver(self.robot, replace(self.options, restarts=0, library=1, **changes))
 
     def admissible(self, joint_positions: Array) -> NDArray[np.bool_]:
@@ -116,24 +116,24 @@ class IkSolver:
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
-        If the EE is near the target at the seed, the search begins there: within `max_joint_step`,
-        where redundant arms centre their joints, then within the joint limits. Otherwise, or if
-        that fails, it restarts from the configurations of a fixed library with the nearest EE, and
-        takes the one of up to `candidates` solutions that the arm reaches soonest. The solution of
-        a row depends on the arguments of that row alone.
+        If the EE is near the target at the seed, the search begins there: first within
+        `max_joint_step`, where redundant arms centre their joints, then within the joint limits.
+        Otherwise, or if that fails, it restarts from configurations of a fixed library, those with
+        the EE nearest to the target first. Of up to `candidates` solutions from there, it takes the
+        one that the arm reaches soonest. Each row's solution depends on that row's arguments alone.
 
         Args:
             ee_pose_in_base: Targets, shape (n, 7).
             seed: First joint positions, shape (n, v), radians or metres.
             max_joint_step: Largest displacement of each joint in one control step, shape (v,);
-                solutions within it come first. There, a joint whose seed is beyond a limit is
-                limited by its seed instead.
+                solutions within it come first. In these, a joint whose seed is beyond a joint limit
+                may stay there, but not go farther beyond.
             allow_reconfiguration: Whether solutions beyond `max_joint_step` are allowed.
-            solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
-                solution.
-            posture_guide: Joint positions towards which arms move within `max_joint_step` if a
-                solution is there, and near which others begin to search, shape (n, v); NaN for
-                none.
+            solids: n rows, in the base frame. In a solution, no shape that the arm moves touches
+                them.
+            posture_guide: Preferred joint positions, shape (n, v); NaN for none. The search begins
+                as near to them as `max_joint_step` allows and, beyond this step, at the guide
+                itself. Without `max_joint_step`, guides have no effect.
 
         Raises:
             KinfeasError: If an array has another shape, or `max_joint_step` is needed and missing.
@@ -151,7 +151,7 @@ class IkSolver:
         around = _NO_SOLIDS if solids is None else solid_arrays(solids, n)
         clearance = 0.0 if solids is None else self.options.solid_clearance
         feasible, errors = np.empty(n, dtype=np.bool_), np.empty((n, 2))
-        # No arm is reconfigured for the clearance.
+        # No arm is reconfigured only to keep the clearance.
         anywhere = allow_reconfiguration and not (clearance and len(step))
         results = solution, feasible, errors
         solve_batch(self._problem, targets, step, anywhere, guide, around, clearance, *results)
@@ -167,7 +167,7 @@ class IkSolver:
 
 
 def _checked(name: str, values: Array, shape: tuple[int, ...]) -> Array:
-    """Return an array for kernels, which do not check it; raise KinfeasError for another shape."""
+    """Return values as an array for kernels; raise KinfeasError unless it has this shape."""
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != shape:
         raise KinfeasError(f"{name} must be of shape {shape}, not {array.shape}")
@@ -209,9 +209,9 @@ def _make_problem(solver: IkSolver) -> Problem:
 
 
 def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
-    """Return up to 65536 configurations that cover the joint limits evenly, (count, v).
+    """Return configurations that cover the joint limits evenly, shape (count, v).
 
-    Each seed has others.
+    Different seeds have different configurations, for counts of up to 65536.
     """
     lower, upper = robot.finite_joint_limits
     return lower + (upper - lower) * spread(count, len(robot.arm), seed * 65536)
@@ -227,7 +227,7 @@ def _ranges(lower: Array, upper: Array) -> tuple[Array, Array]:
 
 
 def _centering(half: Array, strength: float) -> Array:
-    """Return the pull towards the middles, (v,), or (0,) for arms that are not redundant."""
+    """Return `Problem.centering`, shape (v,), or (0,) for arms that are not redundant."""
     if strength == 0.0 or len(half) <= POSE_DIMENSIONS:
         return np.empty(0)
     inverse = np.divide(1.0, half, out=np.zeros_like(half), where=half > 0.0)
@@ -235,10 +235,10 @@ def _centering(half: Array, strength: float) -> Array:
 
 
 def _reach(chain: Chain, middle: Array, half: Array) -> Array:
-    """Return the centre (3,) and radius of a ball that contains the last joint.
+    """Return the centre and radius of a ball in the base frame that contains the last joint, (4,).
 
-    The lengths of the links after the first revolute joint bound the distance from it. Prismatic
-    joints before it move it along a line, whose half length adds to the radius.
+    The centre is the first revolute joint, where prismatic joints before it are at the middles of
+    their ranges. Half of these ranges and the lengths of all links beyond add up to the radius.
     """
     tree = chain.tree
     turning = np.flatnonzero(~tree.prismatic)

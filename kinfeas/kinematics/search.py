@@ -25,40 +25,40 @@ from kinfeas.kinematics.solids import bounds, touches_solids
 class SearchSettings(NamedTuple):
     """Settings of the search."""
 
-    aim: float = 0.2  # fraction of the tolerances at which a descent ends early
+    aim: float = 0.2  # fraction of the tolerances at which a descent ends
     warm_cost: float = 0.3**2  # squared error up to which descents begin at the seed, m^2
     restarts: int = 6  # restarts after which a hopeless search ends
-    hopeless_cost: float = 0.02**2  # least squared error of all of them where it is hopeless, m^2
+    hopeless_cost: float = 0.02**2  # a search is hopeless if all its squared errors exceed it, m^2
 
 
 SEARCH = SearchSettings()
 
 GUIDED, CENTRED, NEAR, FROM_GUIDE, ANYWHERE = range(5)
-"""Descents from a seed, in this order: within `max_joint_step`, towards the guide, centring the
-joints, or neither; then within the joint limits, from the guide, and from the seed or where the
-last descent near it ended."""
+"""Descents of a search from a seed, in this order. The first three keep to `max_joint_step`: one
+towards the guide, one that centres the joints, one that does neither. The last two keep to the
+joint limits: one begins at the guide, one at the seed or where `NEAR` has ended."""
 
 
 class Problem(NamedTuple):
     """Constants of a robot's search.
 
-    Arms move towards the middles by `centering` times the root of the distance, a fraction of
-    `max_joint_step`.
+    Redundant arms move towards the middles of their joint ranges. As a fraction of `max_joint_step`
+    they move by `centering` times the square root of the distance from the middle.
     """
 
     chain: Chain  # from base to EE, driven by v variables
     descent: Descent  # options of a descent
     collision: CollisionModel  # self-collision model
     check_collision: bool  # whether self-collision is checked
-    load: Array  # of a `GravityModel`, shape (m, 6); (0, 6) if any posture can be held
+    load: Array  # of a `GravityModel`, shape (m, 6); (0, 6) if gravity torques have no limits
     limits: Limits  # joint limits
     velocity: Array  # joint velocity limits, shape (v,)
     continuous: NDArray[np.bool_]  # whether joints are continuous, shape (v,)
     middle: Array  # middles of the joint ranges, shape (v,)
-    centering: Array  # pull towards the middles, shape (v,); (0,) for none
+    centering: Array  # factors of the motion towards the middles, shape (v,); (0,) for none
     reach: Array  # centre and radius of a ball that contains the last joint, shape (4,), metres
     library: Array  # configurations to restart from, shape (l, v)
-    features: NDArray[np.float32]  # for ranking these, shape (13, l); see `library_features`
+    features: NDArray[np.float32]  # `library_features`, shape (13, l)
     restarts: int  # largest number of restarts
     candidates: int  # number of solutions of which the nearest is taken
     accept_position: float  # position error of a feasible pose, metres
@@ -82,13 +82,14 @@ def solve_batch(
     problem: Problem, targets, max_joint_step, allow_reconfiguration, guide, solids, clearance,
     solution, feasible, errors,
 ):  # fmt: skip
-    """Solve row by row; arguments as in `IkSolver.solve`, `max_joint_step` (0,) for none.
+    """Solve row by row; arguments are as in `IkSolver.solve`.
 
-    `solids` are `SolidArrays`, from which arms keep a clearance, metres; those without solids may
-    have fewer rows, as `guide` without any.
+    Without a limit, `max_joint_step` has shape (0,). Arms keep `clearance` metres from `solids`,
+    which are `SolidArrays`. Without solids or guides, these arrays may have fewer rows.
 
-    `solution`, shape (n, v), has the seeds and receives the solutions, `feasible` whether there is
-    one, `errors`, shape (n, 2), its errors or those of the closest attempt, metres and radians.
+    `solution`, shape (n, v), has the seeds and receives the solutions; `feasible`, shape (n,),
+    receives whether there is one; `errors`, shape (n, 2), receives the errors of the solution or
+    the closest attempt, metres and radians.
     """
     joints, n = solution.shape[1], len(solution)
     memory = Memory(
@@ -125,7 +126,7 @@ class IkQuery(NamedTuple):
 
     target: tuple[Array, Array]  # EE orientation in the base frame, (3, 3), and position, (3,)
     guide: Array  # shape (1, v) or (0, v)
-    around: tuple[Array, Array, NDArray[np.bool_]]  # solids: pose, size and whether cylinders
+    around: tuple[Array, Array, NDArray[np.bool_]]  # `SolidArrays` of the row, with the clearance
     solution: Array  # the seed, which a solution replaces, shape (v,)
     error: Array  # of the solution or the closest attempt, shape (2,), metres and radians
 
@@ -135,9 +136,9 @@ class Memory(NamedTuple):
 
     scratch: Scratch
     touching: CollisionScratch
-    seeded: Limits  # joint limits, but a joint of the seed beyond may stay, since it cannot jump
-    near: Limits  # of these, within `max_joint_step` of the seed
-    guided: Limits  # of those, within `max_joint_step` of the guide
+    seeded: Limits  # joint limits, widened to the seed where it is beyond, since joints cannot jump
+    near: Limits  # limits within `seeded` and within `max_joint_step` of the seed
+    guided: Limits  # limits within `near` and within `max_joint_step` of where GUIDED begins
 
 
 @kernel
@@ -231,7 +232,7 @@ def _clip(limits, values, q):
 
 @inlined
 def _chordal_cost(problem, target, frames):
-    """Return a squared error, m^2, of which the part of the rotation is |R - R'|^2 / 2."""
+    """Return |p - p'|^2 + (weight^2 / 2) |R - R'|^2, m^2, between target and EE."""
     cost, trace = 0.0, 0.0
     for i in range(3):
         cost += square(target[1][i] - frames.position[i])
@@ -242,7 +243,7 @@ def _chordal_cost(problem, target, frames):
 
 @inlined
 def _go_to_guide(problem, step, guide, memory, q):
-    """Move `q` to the guide within the limits `near`; write the limits around it, too."""
+    """Move `q` towards the guide, within the limits `near`; write the limits `guided` around it."""
     near = memory.near
     for j in range(len(q)):
         move = guide[j] - q[j]

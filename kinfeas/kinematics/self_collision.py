@@ -1,4 +1,4 @@
-"""Collisions of batches of configurations with the robot itself and the floor, on primitives."""
+"""Collisions of a robot with itself and the floor, in batches of configurations, on primitives."""
 
 import math
 from itertools import combinations, product
@@ -28,35 +28,36 @@ class CollisionModel(NamedTuple):
     kind: NDArray[np.intp]  # shape kinds of `convex`, shape (s,)
     size: Array  # half extents, shape (s, 3), metres
     radius: Array  # radius of the bounding sphere, shape (s,), metres
-    rotation: Array  # from body to shape, shape (s, 3, 3)
-    offset: Array  # same, metres, shape (s, 3)
-    pairs: NDArray[np.uintp]  # indices of shapes to check, (p, 2); signed ones are slower
+    rotation: Array  # orientation of the shape in its body, shape (s, 3, 3)
+    offset: Array  # position of its centre in its body, shape (s, 3), metres
+    pairs: NDArray[np.uintp]  # indices of shapes to check, (p, 2); signed integers are slower
     variables: int  # number of the arm's joints
     apart: Array  # distance below which the shapes of a pair count as touching, (p,), metres
     above: NDArray[np.bool_]  # shapes that must stay above the floor, shape (s,)
 
 
 class CollisionScratch(NamedTuple):
-    """Memory of a check, allocated once for a whole batch; has the poses of the last one."""
+    """Memory of a check, allocated once for a whole batch; frames are those of the last check."""
 
-    motion: Array
-    bodies: Array
-    origins: Array
-    rotation: Array
-    position: Array
-    simplex: Array
-    solid: Array
-    prism: Array
-    torque: Array
+    motion: Array  # of `place_joints`, shape (m, 3)
+    bodies: Array  # orientations of the joints' bodies in the base frame, shape (m, 3, 3)
+    origins: Array  # origins of the joints' bodies in the base frame, shape (m, 3), metres
+    rotation: Array  # orientations of the shapes in the base frame, shape (s, 3, 3)
+    position: Array  # centres of the shapes in the base frame, shape (s, 3), metres
+    simplex: Array  # memory of `closer_than`
+    solid: Array  # orientation, centre and half extents of a solid, shape (5, 3)
+    prism: Array  # the same solid as a prism, shape (`PRISM`,)
+    torque: Array  # gravity torques, shape (v,)
 
 
 def build_collision_model(robot: Robot, clearance: float = 0.0) -> CollisionModel:
     """Return the collision model of `robot`, with all other joints at `robot.fixed_joints`.
 
-    With a clearance, metres, shapes that keep it at the robot's `home` keep it everywhere.
+    With a clearance, metres, a pair of shapes that keeps it at the robot's `home` must keep it in
+    all configurations.
 
-    It leaves out pairs of shapes on one link, on links that are joined rigidly or by one joint, on
-    links that the arm does not move against each other, and the robot's `ignored_collisions`.
+    The model has no pairs of shapes on one link, on links that are joined rigidly or by one joint,
+    on links that the arm does not move against each other, or in `robot.ignored_collisions`.
     Shapes that the arm moves must stay above the floor if they are above it at `home`.
     """
     tree, mounts = build_tree(robot)

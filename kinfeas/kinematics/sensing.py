@@ -1,4 +1,4 @@
-"""What bases measure of the solids around them: range scans, and nearest points."""
+"""Measurements of the solids around bases: range scans and nearest points."""
 
 import math
 from collections.abc import Iterable
@@ -18,13 +18,14 @@ from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
 from kinfeas.kinematics.solids import kernel_rows, write_local
 
 AS_NEAR = 0.1
-"""Distance beyond that of the nearest point of a solid within which others are reported, metres."""
+"""Points of a solid that are at most this much farther than its nearest are reported, metres."""
 
 _SLICE, _SIDES = 0.05, 16
-"""Largest height of a slice, metres; sides of a round outline, and directions of rectangles."""
+"""Largest height of a slice, metres; numbers of sides of a round outline and of directions in which
+rectangles are tried."""
 
 _POINTS = 64
-"""Points of a row for which there is room at first; a row with more needs a second pass."""
+"""Points of a row for which there is memory at first; a row with more needs a second pass."""
 
 
 def scan(
@@ -37,8 +38,8 @@ def scan(
     """Return ranges around the bases in b bands of height, shape (n, b, beams), metres.
 
     Beam i has the angle -pi + 2 pi i / `beams` to the base's heading and begins at the origin of
-    the base frame. Its range ends at the first solid of which a part is within the band, is 0
-    inside of one and `max_range` without one.
+    the base frame. Its range is the distance to the first solid that is at least partly within the
+    band, 0 inside such a solid, and `max_range` if there is none.
 
     Args:
         solids: In the world, n rows, or None.
@@ -75,7 +76,7 @@ def _scan(prism, bands, cosine, sine, max_range, ranges):
     squared, beams = x * x + y * y, ranges.shape[1]
     if squared >= square(max_range + radius):
         return
-    # The beams that pass through the circle around it; rounding may add one at each side.
+    # The beams that pass through the circle around the solid; rounding may add one at each side.
     first, last = 0, beams - 1
     if squared > square(radius):
         middle = math.atan2(y, x) + np.pi
@@ -98,7 +99,7 @@ def _scan(prism, bands, cosine, sine, max_range, ranges):
 
 @inlined
 def _until_circle(x, y, squared_radius, cosine, sine):
-    """Return the length of a ray from the origin to a circle around (x, y); inf beside it."""
+    """Return the length of a ray from the origin to a circle around (x, y); inf if it misses."""
     along, aside = x * cosine + y * sine, y * cosine - x * sine
     if x * x + y * y <= squared_radius:
         return 0.0
@@ -109,7 +110,7 @@ def _until_circle(x, y, squared_radius, cosine, sine):
 
 @inlined
 def _until_rectangle(x, y, half, cosine, sine):
-    """Return the same for an upright rectangle around (x, y)."""
+    """Return the length of a ray from the origin to a rectangle around (x, y) along the axes."""
     enter, leave = 0.0, np.inf
     for centre, extent, slope in ((x, half[0], cosine), (y, half[1], sine)):
         if abs(slope) > 1e-12:
@@ -125,15 +126,15 @@ def base_obstacles(
 ) -> ObstacleDistances:
     """Return the solids nearer than `within` metres to the shapes that the arm does not move.
 
-    Tilted shapes count as the upright boxes around them. Of each solid, all pairs of a corner and
-    an opposite side are reported that are at most 0.1 m farther apart than its nearest point: with
-    one point of a side that is parallel to a wall, a base could rotate about it into the wall.
+    Tilted shapes count as the upright boxes around them. For each solid, all pairs of a corner and
+    an opposite side are reported that are at most 0.1 m farther apart than the nearest pair: if a
+    side parallel to a wall had one point only, a base could rotate about it into the wall.
 
     Args:
         prisms: Shapes of the robot, from `base_prisms`.
         base_pose: World poses of the bases, on the floor, shape (n, 7).
         solids: In the world, n rows.
-        within: Metres.
+        within: Largest distance, metres.
     """
     n, room = len(base_pose), _POINTS
     base, rows = kernel_rows(solids, base_pose, n)
@@ -173,9 +174,10 @@ def base_prisms(model: CollisionModel) -> Array:
 
 
 def fine_base_prisms(model: CollisionModel, meshes: Iterable[Array] = ()) -> Array:
-    """Return the same with horizontal slices of tilted shapes and of meshes, closer to them.
+    """Return `base_prisms` with tilted shapes and meshes cut into slices, which fit more closely.
 
-    `meshes` are vertices on the base, shape (v, 3), metres, whose convex hulls are shapes, too.
+    Slices are horizontal. `meshes` are vertices in the base frame, shape (v, 3) each, metres; their
+    convex hulls count as shapes on the base.
     """
     tilted = (np.abs(model.rotation[:, 2]).max(axis=1) < 1.0 - 1e-9) & (model.kind != SPHERE)
     angle = 2.0 * np.pi / _SIDES * (np.arange(_SIDES) + 0.5)
@@ -196,7 +198,7 @@ def _slices(points: Array) -> Array:
     first, second = (points[ends] for ends in np.triu_indices(len(points), 1))
     low, high = points[:, 2].min(), points[:, 2].max()
     prisms = []
-    slices = max(math.ceil((high - low) / _SLICE), 1)  # one of flat meshes
+    slices = max(math.ceil((high - low) / _SLICE), 1)  # one slice of a flat mesh
     for bottom, top in pairwise(np.linspace(low, high, 1 + slices)):
         parts = [points[(points[:, 2] >= bottom) & (points[:, 2] <= top)]]
         for height in (bottom, top):
@@ -209,7 +211,7 @@ def _slices(points: Array) -> Array:
 
 
 def _prism_around(points: Array, low: float, high: float) -> list[float]:
-    """Return a small prism around points (v, 2), metres, between two heights."""
+    """Return the smaller of a box and a cylinder around points (v, 2), metres, as a prism."""
     angle = np.linspace(0.0, 0.5 * np.pi, _SIDES, endpoint=False)
     along = np.stack([np.cos(angle), np.sin(angle)])
     across = np.stack([-along[1], along[0]])
@@ -228,7 +230,7 @@ def _prism_around(points: Array, low: float, high: float) -> list[float]:
 def _obstacles_batch(prisms, base, rows, velocity, within, out):
     """Write points, normals, distances and closing speeds, shape (n, p, 6).
 
-    Returns the largest number of a row.
+    Returns the largest number of points of a row.
     """
     pose, size, cylinder = rows
     local, most, reach = np.empty(pose.shape[1:]), 0, 0.0
@@ -267,7 +269,7 @@ def _obstacles(prisms, reach, solids, within, pairs, solid, out):
             gap, x, y = outward(solid, own[2], own[3])
             along, across = own[0] * x + own[1] * y, own[0] * y - own[1] * x
             extent = abs(along) * own[4] + abs(across) * own[5] + own[6] + solid[6]
-            if gap - extent > nearest + AS_NEAR:  # a side of the solid separates them
+            if gap - extent > nearest + AS_NEAR:  # apart along the solid's normal
                 continue
             first = count
             count = _pair_corners(own, solid, 1.0, pairs, count)
@@ -287,9 +289,9 @@ def _obstacles(prisms, reach, solids, within, pairs, solid, out):
 
 @inner
 def _pair_corners(prism, other, sign, pairs, count):
-    """Add the corners of one prism with their nearest points of another; return the new count.
+    """Add pairs of a corner of `prism` and its nearest point of `other`; return the new count.
 
-    The sign is 1 if the first prism is the robot's, else -1.
+    The sign is 1 if `prism` is the robot's, -1 if it is the solid's.
     """
     corners = 4 if prism[4] > 0.0 else 1
     for corner in range(corners):

@@ -37,7 +37,7 @@ def write_local(pose, base, out):
 
 
 def in_base(solids: Solids, base_pose: Array) -> Solids:
-    """Return the solids as seen from bases on the floor, world poses of shape (n, 7)."""
+    """Return n rows of solids in the frames of bases on the floor, world poses of shape (n, 7)."""
     pose, velocity = _in_base(solids.pose, solids.velocity, base_pose)
     return Solids(pose, solids.size, solids.cylinder, velocity, solids.span)
 
@@ -126,10 +126,10 @@ def _base_collides_batch(model, base, solids, touching):
 
 @inner
 def bounds(model: CollisionModel, moved, scratch: CollisionScratch):
-    """Return least and largest x, then y and z, of the shapes that the arm moves, or the others.
+    """Return the box around the shapes that the arm moves (`moved`), or around all others.
 
-    In metres, in the base frame, of the spheres around shapes where `place_shapes` has put them,
-    with `MARGIN`.
+    These are least and largest x, then y and z, in the base frame, metres. The box contains the
+    spheres around the shapes, grown by `MARGIN`, where `place_shapes` has put them.
     """
     back, right, low = np.inf, np.inf, np.inf
     front, left, high = -np.inf, -np.inf, -np.inf
@@ -149,8 +149,8 @@ def touches_solids(
 ):
     """Return whether a shape touches one of k solids in the base frame.
 
-    The shapes are those that the arm moves, or the others, and `around` are their `bounds`. Pose,
-    size and cylinder are a row of `Solids`.
+    The shapes are those that the arm moves (`moved`), or all others; `around` are their `bounds`.
+    Pose, size and cylinder are a row of `Solids`.
     """
     back, front, right, left, low, high = around
     for k in range(len(pose)):
