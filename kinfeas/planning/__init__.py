@@ -1,4 +1,4 @@
-"""Plans of whole motions in advance: where to stand, and paths of EE, base and arm.
+"""Planning of whole motions in advance: base poses, and paths of EE, base and arm.
 
 May import kinematics and lower packages.
 """

@@ -37,7 +37,7 @@ class Attempt(NamedTuple):
     margin: float  # distance of the base path from solids, metres; may be negative
     reach: float  # distance from start and goal within which the arm is not at rest, metres
     rounding: float  # standard deviation of the smoothing of the base path, metres
-    small: bool  # whether the arm takes least room at rest, or else is nearest to start and goal
+    small: bool  # whether the arm rests where it takes least room, not nearest to start and goal
 
 
 @dataclass(frozen=True)
@@ -50,33 +50,33 @@ class BaseGoalSettings:
         Attempt(0.0, np.inf, 0.1, small=True),
         Attempt(-0.03, np.inf, 0.1, small=True),
     )
-    used: float = 0.5  # what a base pose at the goal costs more in later attempts, metres
+    used: float = 0.5  # cost added to a base pose at the goal after its attempt failed, metres
     margin: float = 0.02  # distance from solids on the motion, metres
     early: float = 1.0  # time by which the robot may be early or late where solids move, seconds
-    proposals: tuple[int, ...] = (0, 64, 256, 1024, 2048)  # stages of base poses for a goal
-    goal_margins: tuple[float, ...] = (0.08, 0.08, 0.03, 0.0)  # distance from solids there, metres
-    enough: int = 8  # base poses that suffice; twice as many are compared
+    proposals: tuple[int, ...] = (0, 64, 256, 1024, 2048)  # base poses tried at the ends of stages
+    goal_margins: tuple[float, ...] = (0.08, 0.08, 0.03, 0.0)  # their distance from solids, metres
+    enough: int = 8  # base poses that end the stages; at most twice as many are compared
     border: float = 3.0  # width of the floor around start and goal that is searched, metres
     step: float = 0.05  # distance between the poses of a motion, metres
-    unfold: tuple[float, ...] = (3.0, 1.2, 0.3)  # base path while the arm unfolds, metres
+    unfold: tuple[float, ...] = (3.0, 1.2, 0.3)  # lengths of path to unfold the arm, tried in order
     rest_reach: tuple[float, float] = (0.4, 0.75)  # EE at rest: distance from the base, metres
-    rest_bearing: float = 0.6  # its largest bearing, radians
-    rest_height: tuple[float, float] = (0.5, 1.3)  # its height, metres
+    rest_bearing: float = 0.6  # largest bearing of the EE at rest, radians
+    rest_height: tuple[float, float] = (0.5, 1.3)  # height of the EE at rest, metres
     rests: int = 512  # largest number of arm configurations at rest
     table: float = 0.9  # height above which few solids reach, metres
-    above: float = 0.6  # fraction of the room of an arm above it that counts
-    stray: tuple[float, float, float] = (0.08, 0.08, 0.15)  # of a base, metres and radians
-    worse: float = 0.05  # of strayed bases that an arm at rest may reach less than the best one
+    above: float = 0.6  # fraction of the room of an arm above this height that counts
+    stray: tuple[float, float, float] = (0.08, 0.08, 0.15)  # deviation of a base: x, y, yaw; m, rad
+    worse: float = 0.05  # fraction of deviating bases that a rest may compensate less than the best
     speed: float = 0.7  # fraction of the velocity limits of base and arm that a motion uses
-    joint_cost: float = 0.1  # metres that a radian of the arm costs where goals are compared
+    joint_cost: float = 0.1  # cost of a radian of arm motion where goals are compared, metres
 
 
 class BaseGoalPlanner:
     """Finds motions of one robot to EE goals among solids.
 
-    A* finds the path of the base, with the arm at rest, to base poses from which IK reaches the
-    goal. The arm moves to its rest on the first metres and from there to the goal on the last ones.
-    Solids that move are where they will be when the robot comes by.
+    A* finds a path of the base, with the arm at rest, to one of the base poses from which IK
+    reaches the goal. The arm moves to its rest configuration on the first metres and from it to the
+    goal on the last metres. Moving solids count where they will be when the robot comes by.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class BaseGoalPlanner:
         return not collides(self.solver.collision, arm, base, then).any()
 
     def _ends(self, goal: Array, solids: Solids) -> tuple[Array, Array]:
-        """Return base poses x, y, yaw, (p, 3), and arms, (p, j), that reach a goal."""
+        """Return base poses x, y, yaw, (p, 3), from which arms, (p, j), reach a goal."""
         settings, stages = self.settings, self.settings.proposals
         ends, arms = np.empty((0, 3)), np.empty((0, len(self.robot.arm)))
         for first, last, margin in zip(stages, stages[1:], settings.goal_margins, strict=False):
@@ -166,9 +166,10 @@ class BaseGoalPlanner:
     def _drive(
         self, start: Array, ends: Array, cost: Array, arm: tuple[Array, float], solids: Solids
     ) -> tuple[Array, int]:
-        """Return base poses on the path to the cheapest end, (k, 3), and its number, or -1.
+        """Return base poses on the path to the cheapest end, (k, 3), and the end's index, or -1.
 
-        `arm` has the joints at rest and the `reach` of the attempt, `cost` is of the ends, (p,).
+        `cost` is that of arriving at each end, shape (p,), metres; `arm` has the joints at rest and
+        the `reach` of the attempt.
         """
         corners, border = np.vstack([start[:2], ends[:, :2]]), self.settings.border
         low, high = corners.min(axis=0) - border, corners.max(axis=0) + border
@@ -187,9 +188,8 @@ class BaseGoalPlanner:
     ) -> tuple[WholeBodyPath, int]:
         """Return the motion along base poses, (k, 3), and the number of poses that are not free.
 
-        Those touch something or are not admissible.
-
-        `arms` are the configurations at the start, at rest and at the end.
+        Poses that touch solids or are not admissible are not free. `arms` are the configurations
+        at the start, at rest and at the end.
         """
         s, (begin, rest, end) = _path_lengths(base), arms
         model, pose = self.solver.collision, planar_pose(*base.T)
@@ -237,9 +237,9 @@ class BaseGoalPlanner:
 
 
 def _rests(postures: Postures, settings: BaseGoalSettings) -> Array:
-    """Return arm configurations with the EE ahead, those with centred joints first, (r, j).
+    """Return rest configurations, with the EE ahead of the base, most centred first, (r, j).
 
-    From them, an arm also reaches its EE pose where its base strays.
+    They are those that can best keep their EE pose while the base deviates from its path.
     """
     robot, joints, ee = postures.solver.robot, postures.joints, postures.ee_pose
     reach, bearing = np.hypot(ee[:, 0], ee[:, 1]), np.arctan2(ee[:, 1], ee[:, 0])
@@ -249,16 +249,16 @@ def _rests(postures: Postures, settings: BaseGoalSettings) -> Array:
     lower, upper = robot.finite_joint_limits
     off = np.abs(joints - (lower + upper) / 2.0) / np.maximum((upper - lower) / 2.0, 1e-9)
     off[:, ~np.isfinite(np.subtract(*robot.joint_limits))] = 0.0
-    # A robot whose EE never comes there drives with the most centred arm.
+    # Where no configuration has the EE there, the most centred one is taken.
     order = np.lexsort((off.max(axis=1), ~fits))[: min(settings.rests, max(int(fits.sum()), 1))]
     reached = _reached(postures.solver, joints[order], ee[order], settings.stray)
     return joints[order[reached >= reached.max() - settings.worse]]
 
 
 def _reached(solver: IkSolver, joints: Array, ee: Array, stray: tuple[float, ...]) -> Array:
-    """Return the fraction of strayed bases from which arms reach their EE, shape (r,).
+    """Return the fraction of deviating bases from which each arm keeps its EE pose, shape (r,).
 
-    Joints have shape (r, j), EE poses in the base frame (r, 7).
+    Joints have shape (r, j), EE poses in the frame of the base that does not deviate (r, 7).
     """
     strayed = np.array(list(product((-1.0, 0.0, 1.0), repeat=3))) * stray
     targets = relative(ee[:, np.newaxis], planar_pose(*strayed.T)).reshape(-1, 7)
@@ -268,7 +268,7 @@ def _reached(solver: IkSolver, joints: Array, ee: Array, stray: tuple[float, ...
 
 @kernel
 def _room(model, joints, table, above):
-    """Return how far arms reach from the base's origin, seen from above, (n, j) -> (n,), metres.
+    """Return how far arms extend from the base's origin, seen from above, (n, j) -> (n,), metres.
 
     Of shapes above the height `table`, the fraction `above` of the distance counts.
     """
@@ -284,13 +284,13 @@ def _room(model, joints, table, above):
 
 
 def _path_lengths(base: Array) -> Array:
-    """Return the length of a path of base poses until each, (k, 3) -> (k,), metres."""
+    """Return the length of a base path up to each pose, with rotations, (k, 3) -> (k,), metres."""
     x, y, angle = np.abs(np.diff(base, axis=0)).T
     return np.cumsum([0.0, *(np.maximum(np.hypot(x, y), LATTICE.lever * angle) + 1e-9)])
 
 
 def _smooth(corners: Array, deviation: float, step: float) -> Array:
-    """Return base poses at even steps along corners, rounded, shape (m, 3) -> (k, 3)."""
+    """Return base poses at even steps along a path with rounded corners, (m, 3) -> (k, 3)."""
     corners = np.column_stack([corners[:, :2], np.unwrap(corners[:, 2])])
     s = _path_lengths(corners)
     count = max(int(s[-1] / step), 8) + 1
@@ -311,7 +311,7 @@ def _eased(fraction: Array) -> Array:
 
 
 def _later(solids: Solids, seconds: Array) -> Solids:
-    """Return one row of solids as they will stand after some seconds, m rows."""
+    """Return m rows: the solids of the first row as they will stand after m times, seconds."""
     later = solids.repeated(len(seconds))
     pose = later.pose.copy()
     ahead = np.minimum(seconds, LATTICE.foresight)[:, np.newaxis, np.newaxis]

@@ -35,13 +35,13 @@ class BaseLattice(NamedTuple):
     """Settings of the lattice and of the costs of driving on it."""
 
     cell: float = 0.125  # side of a cell, metres
-    headings: int = 16  # in a full turn
-    lever: float = 1.0  # metres of driving that take as long as a radian of turning
+    headings: int = 16  # number of headings in a full turn
+    lever: float = 1.0  # metres of driving that cost as much as a radian of turning
     clearance: float = 0.6  # distance that the base prefers to keep from solids, metres
-    crowded: float = 6.0  # what a metre beside a solid costs more
-    sideways: float = 1.0  # what a metre sideways costs more than one ahead; one back twice that
+    crowded: float = 6.0  # additional cost of a metre right beside a solid
+    sideways: float = 1.0  # additional cost of a metre sideways; a metre backwards has twice that
     foresight: float = 10.0  # seconds for which solids are assumed to move on
-    greed: float = 1.3  # factor of the estimated cost ahead; paths may be longer by this
+    greed: float = 1.3  # factor of the estimated cost ahead; paths may cost more by this factor
 
 
 LATTICE = BaseLattice()
@@ -53,7 +53,7 @@ _MOST_CELLS = 10_000_000
 def lattice_moves(*, omnidirectional: bool) -> NDArray[np.int64]:
     """Return the moves from each heading, shape (headings, m, 4).
 
-    Each has steps of x, y and heading, and a cost in millimetres.
+    A move has its steps along x, y and heading, and its cost in millimetres.
     """
     moves = []
     for heading in range(LATTICE.headings):
@@ -81,7 +81,7 @@ def driving_costs(
     """Return the cost of a metre of driving at each cell, shape (x, y).
 
     Args:
-        solids: In the world, one row; those that move have no cost.
+        solids: In the world, one row; moving solids are left out.
         low: Position of the first cell, shape (2,), metres.
         high: Position that the last cell reaches, shape (2,), metres.
         cell: Side of a cell, metres.
@@ -105,9 +105,10 @@ def driving_costs(
 
 
 class Query(NamedTuple):
-    """One search of a base path among solids, which are where they will be when the base comes by.
+    """A query for a base path among solids.
 
-    The arm is at rest, except within `reach` of start and goals.
+    The arm is at rest, except within `reach` of start and goals. Moving solids count where they
+    will be when the base comes by.
     """
 
     model: CollisionModel  # shapes of the robot
@@ -128,7 +129,7 @@ class Search(NamedTuple):
 
     frontier: Frontier
     seconds: Array  # time at which the base is at a node, shape (lattice nodes,)
-    ahead: Frontier  # cheapest way from each cell to a goal, without headings and arm
+    ahead: Frontier  # of the search for the cheapest path from each cell to a goal, for a disc
     metre_cost: Array  # finite `driving_costs`
     first: int  # node of the start
     ends: NDArray[np.int64]  # nodes of the goals, shape (p,)
@@ -141,7 +142,7 @@ class Search(NamedTuple):
 
 @kernel
 def search_base(query: Query):
-    """Return base poses on the cheapest path to a goal, shape (k, 3), and its number, or -1."""
+    """Return base poses on the cheapest path to a goal, (k, 3), and the goal's index, or -1."""
     search = _begin(query)
     frontier, first, total = search.frontier, search.first, len(search.seconds)
     while True:
@@ -151,10 +152,10 @@ def search_base(query: Query):
         if node >= total:
             return _path(query, path_to(frontier, frontier.parent[node])), node - total
         goal = _goal_at(query, search, node)
-        if goal >= 0:  # the arrival, at its whole cost
+        if goal >= 0:  # arrivals are nodes of their own, since goals have costs
             cost = frontier.cost[node] + query.goal_costs[goal]
             open_node(frontier, total + goal, node, cost, cost)
-        # Without motion nodes are checked here, since most are opened and never come to.
+        # Without moving solids, nodes are checked here: most are opened, but never closed.
         if goal >= 0 or node == first or search.moving or not _touches(query, search, node, 0.0):
             _expand(query, search, node)
 
@@ -196,7 +197,7 @@ def _path(query, nodes):
 
 @inlined
 def _goal_at(query, search, node):
-    """Return the number of the cheapest goal at a node, or -1."""
+    """Return the index of the cheapest goal at a node, or -1."""
     best = -1
     for p in range(len(search.ends)):
         if search.ends[p] == node and (best < 0 or query.goal_costs[p] < query.goal_costs[best]):
@@ -206,7 +207,7 @@ def _goal_at(query, search, node):
 
 @inlined
 def _expand(query, search, node):
-    """Open the nodes to which the moves from a node lead, at `greed` times the cost ahead."""
+    """Open the nodes that moves from a node lead to; `greed` weighs the estimated cost ahead."""
     frontier, metre_cost, ahead = search.frontier, search.metre_cost, search.ahead
     nx, ny = metre_cost.shape
     heading, x, y = _coordinates(node, ny)
@@ -221,7 +222,7 @@ def _expand(query, search, node):
         cost += 0.0005 * length * (metre_cost[x, y] + metre_cost[i, j])
         if not improves(frontier, other, cost):
             continue
-        if search.moving:  # solids may have left when the base comes by another path
+        if search.moving:  # by another path, solids may have left when the base arrives
             driven = LATTICE.cell * math.hypot(step_x, step_y)
             angle = _TURN * abs(step_heading)
             seconds = search.seconds[node] + max(driven / query.speed[0], angle / query.speed[1])

@@ -1,4 +1,4 @@
-"""Paths of base and arm along known EE paths, by beam search."""
+"""Paths of base and arm along given EE paths, by beam search."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.planning.beam import Beam, BeamExpander
 from kinfeas.planning.placement import Postures
 
-_STRAIGHT = 1e-6  # angle of an arc, radians, that counts as none
+_STRAIGHT = 1e-6  # angle of an arc below which it counts as straight, radians
 _ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
 
 
@@ -22,14 +22,14 @@ _ROUNDING = 1e-6  # seconds by which a motion time may be below that of a node
 class BasePathSettings:
     """Settings of the search for base paths."""
 
-    metres: float = 0.07  # distance of the EE poses at which the search has a beam, metres
-    radians: float = 0.07  # the same of orientations, radians
-    widths: tuple[int, ...] = (1, 2)  # widths of the beams of the searches, one after the other
-    backtracking: tuple[int, ...] = (0, 4, 16)  # poses back from where no robot goes on
+    metres: float = 0.07  # distance between successive EE poses that have a beam, metres
+    radians: float = 0.07  # rotation between successive EE poses that have a beam, radians
+    widths: tuple[int, ...] = (1, 2)  # widths of the beams of successive searches
+    backtracking: tuple[int, ...] = (0, 4, 16)  # beams removed where no robot goes on, in order
     slow: float = 0.1  # fraction of the speed of the EE from there to where the search had ended
     solids: float = 2.0  # distance from the EE within which the robot may touch a solid, metres
     proposals: int = 256  # base poses tried at the EE pose where a search ends
-    rest: float = 3.0  # longest motion time, while the EE rests first, in which a robot moves, s
+    rest: float = 3.0  # longest part of an initial rest of the EE in which the robot moves, s
 
 
 SETTINGS = BasePathSettings()
@@ -37,12 +37,15 @@ SETTINGS = BasePathSettings()
 
 @dataclass(frozen=True)
 class BasePath:
-    """A path of base and arm along an EE path."""
+    """A path of base and arm along an EE path.
+
+    Motion time runs at full speed of the EE: a time scale below 1 stretches it to real time.
+    """
 
     ee: Array  # world poses of the EE, shape (k, 7)
-    step: float  # motion time from one to the next, seconds
-    begin: float  # motion time of the first one, seconds
-    seconds: Array  # motion times for which the path has a robot, shape (m,)
+    step: float  # motion time from one EE pose to the next, seconds
+    begin: float  # motion time of the first EE pose, seconds
+    seconds: Array  # motion times for which the path has base and arm, shape (m,)
     robot: Array  # x, y and unwrapped yaw of the base, then arm joints, shape (m, 3 + j)
     time_scale: Array  # fraction of its speed at which the EE moves until each of these times, (m,)
 
@@ -54,7 +57,7 @@ class BasePath:
 
     @property
     def complete(self) -> bool:
-        """Whether the path has a robot at the end of the EE path."""
+        """Whether the path reaches the end of the EE path."""
         return round((self.seconds[-1] - self.begin) / self.step) == len(self.ee) - 1
 
     def ee_at(self, seconds: float) -> Array:
@@ -64,7 +67,7 @@ class BasePath:
         return pose
 
     def robots_at(self, seconds: Array) -> Array:
-        """Return bases on arcs, and arms, at motion times (t,), shape (t, 3 + j)."""
+        """Return base and arm at motion times (t,), shape (t, 3 + j), with bases on arcs."""
         if len(self.seconds) == 1:
             return self.robot.repeat(len(seconds), axis=0)
         last = np.searchsorted(self.seconds, seconds, "right").clip(1, len(self.seconds) - 1)
@@ -86,10 +89,10 @@ class BasePath:
 class BasePathPlanner:
     """Finds paths of base and arm along EE paths.
 
-    A beam search: robots of the beam at one EE pose lead to the beam at the next. Where none goes
-    on, the search goes back to earlier poses; from there the EE is slow. If that does not help, a
-    search with a wider beam begins, unless no base reaches the pose; and if that does not either,
-    arms jump to other configurations, unless the path must not have joint jumps.
+    A beam search: the robots (configurations of base and arm) of the beam at one EE pose lead to
+    the beam at the next. Where none goes on, the search goes back to earlier poses and slows the EE
+    down from there. If this fails, a search with a wider beam begins, unless the EE reaches the
+    next pose from no base. If this fails too, arms of partial paths jump to other configurations.
     """
 
     def __init__(self, solver: IkSolver) -> None:
@@ -119,14 +122,14 @@ class BasePathPlanner:
         Args:
             base_pose: World pose of the base now, shape (7,).
             joints: Arm joints now, shape (j,).
-            ee: World poses of the EE from now, or from the end of its rest, on, shape (k, 7).
-            step: Motion time from one to the next, seconds.
-            begin: Motion time of the first of these poses, seconds.
-            time_scale: Fraction of its speed at which the EE moves at most.
+            ee: World poses of the EE, shape (k, 7), the first one now.
+            step: Motion time from one EE pose to the next, seconds.
+            begin: Motion time of the first EE pose, or of the end of the rest there, seconds.
+            time_scale: Largest fraction of its speed at which the EE moves.
             solids: In the world, one row.
-            rest: Motion time for which the EE rests before, seconds.
-            partial: Whether arms may jump, and a path may end before the EE path, where no robot
-                goes on.
+            rest: Motion time for which the EE rests at the first pose, seconds.
+            partial: Whether arms may jump, and the path may end where no robot goes on, before the
+                end of the EE path.
         """
         resting = round(min(rest, SETTINGS.rest) / step)
         nodes = np.union1d(0, resting + _nodes(ee))
@@ -151,7 +154,7 @@ class BasePathPlanner:
         return BasePath(ee, step, begin, seconds, robots, until)
 
     def _reaches(self, pose: Array) -> bool:
-        """Return whether the EE reaches a pose, (7,), from some base; solids are left out."""
+        """Return whether the EE reaches a pose, (7,), from some base pose, ignoring solids."""
         numbers = 0, SETTINGS.proposals
         return len(self._postures.reaching(pose, numbers, restarts=False)[0]) > 0
 
@@ -173,7 +176,7 @@ class _Search:
         self._solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
         self._rng = np.random.default_rng(0)
         self.beams = [beam]
-        self.nodes = nodes  # numbers of EE poses; one twice where arms jump
+        self.nodes = nodes  # indices of EE poses; the same one twice where arms jump
         self.scales = np.ones(len(ee))  # fraction of its speed at which the EE moves from each pose
 
     @property
@@ -187,7 +190,7 @@ class _Search:
         return pose
 
     def ends(self, go_back: Callable[[int], None]) -> bool:
-        """Add beams, and go back where no robot goes on; return whether the last one has robots."""
+        """Add beams, and go back where no robot goes on; return whether the last node has one."""
         ways = list(SETTINGS.backtracking)
         while not self.complete:
             if not self.go_on():
@@ -207,7 +210,7 @@ class _Search:
         return len(beam.cost) > 0
 
     def slow_down(self, back: int) -> None:
-        """Go back by some nodes, and let the EE be slow, if it moves, until the next one."""
+        """Go back by some nodes; slow the EE down, unless it rests, until the unreached node."""
         k = len(self.beams)
         first = max(k - 1 - back, 0)
         slow = np.arange(max(self.nodes[first], self._resting), self.nodes[k], 2)
@@ -215,7 +218,7 @@ class _Search:
         self.nodes, self.beams = np.union1d(self.nodes, slow), self.beams[: first + 1]
 
     def jump(self, back: int) -> None:
-        """Go back by some nodes, and let the arms jump there if they can."""
+        """Go back by some nodes and let the arms jump there, if they can."""
         first = max(len(self.beams) - 1 - back, 0)
         node, among = self.nodes[first], self._solids_at(self._seconds(first).sum())
         beam = self._expander.reconfigured(self.beams[first], self._ee[node], among)
@@ -225,7 +228,7 @@ class _Search:
             self.beams = [*self.beams[: first + 1], beam]
 
     def _seconds(self, node: int) -> Array:
-        """Return the times between the nodes until one, shape (node,), seconds."""
+        """Return the durations between successive nodes up to a node, shape (node,), seconds."""
         seconds: Array = np.diff(self.nodes[: node + 1]) * self._step
         return seconds / self.scales[self.nodes[:node]]
 
@@ -234,9 +237,9 @@ class _Search:
 
 
 def _along_arc(whole: Array, fraction: Array) -> Array:
-    """Return the displacements of bases with a constant twist after fractions (t,) of their ways.
+    """Return the x and y displacements of bases after fractions (t,) of their arcs, shape (t, 2).
 
-    `whole` are x, y and yaw of the whole ways, shape (t, 3), the results x and y, shape (t, 2).
+    `whole` are the x, y and yaw displacements of the whole arcs, shape (t, 3).
     """
     angle = np.where(np.abs(whole[:, 2]) < _STRAIGHT, _STRAIGHT, whole[:, 2]) / 2.0
     turn, size = (fraction - 1.0) * angle, np.sin(fraction * angle) / np.sin(angle)
@@ -253,7 +256,7 @@ def _near(solids: Solids, ee: Array, reach: float) -> Solids | None:
 
 
 def path_length(ee: Array) -> Array:
-    """Return the length of an EE path until each pose, shape (k,), in distances of its beams."""
+    """Return the length of an EE path up to each pose, (k,), in units of the beams' distance."""
     metres, radians = distance(ee[:-1], ee[1:])
     parts = np.maximum(metres / SETTINGS.metres, radians / SETTINGS.radians)
     length: Array = np.append(0.0, np.cumsum(parts))
@@ -261,7 +264,7 @@ def path_length(ee: Array) -> Array:
 
 
 def _nodes(ee: Array) -> NDArray[np.intp]:
-    """Return the numbers of poses at about even distances, the first and the last among them."""
+    """Return the indices of poses at about even distances, with the first and the last."""
     length = path_length(ee)[1:]
     even = np.linspace(0.0, length[-1], max(math.ceil(length[-1]), 1) + 1)[1:-1]
     return np.unique([0, *np.searchsorted(length, even) + 1, len(ee) - 1])

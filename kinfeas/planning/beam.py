@@ -1,4 +1,7 @@
-"""Robots with their EE at one pose of a path, and those that follow from them at the next."""
+"""Beams: configurations of base and arm at one EE pose of a path, and those at the next.
+
+A configuration of base and arm is called a robot here.
+"""
 
 import copy
 import math
@@ -27,10 +30,10 @@ from kinfeas.robots.robot import joint_displacement
 
 @dataclass(frozen=True)
 class BeamSettings:
-    """Settings of a beam and of those that follow it."""
+    """Settings of the beams."""
 
     beam: int = 150  # robots that are kept at each pose
-    commands: int = 900  # base commands that these try together
+    commands: int = 900  # base commands that the robots of a beam try together
     robot_commands: int = 200  # largest number of commands that one robot tries
     noise: float = 0.5  # largest difference from the EE's velocity of half of the commands
     configurations: int = 2  # arm configurations to which each robot tries to jump
@@ -38,35 +41,35 @@ class BeamSettings:
     rotation: float = 0.5  # largest angular speed of the base, rad/s
     base_fraction: float = 0.8  # of the limits of the base; the rest is for control
     arm_fraction: float = 0.7  # of the velocity limits of the arm, likewise
-    cell: float = 0.12  # robots in one cell count as the same: its size, metres,
-    heading: float = math.pi / 8.0  # its size in heading, radians,
-    elbows: int = 4  # and the number of parts of the elbow's range
+    cell: float = 0.12  # size of a cell, of whose robots a beam keeps the best, metres
+    heading: float = math.pi / 8.0  # size of a cell in heading, radians
+    elbows: int = 4  # number of cells in the elbow's range
     cell_robots: int = 4  # robots of a cell that try IK
     centred: float = 0.6  # fraction of the joint ranges that costs nothing
     limit_cost: float = 5.0  # cost of the squared rest of the range
     effort_cost: float = 0.1  # cost of the squared base command
-    change_cost: float = 0.3  # cost of its squared change
+    change_cost: float = 0.3  # cost of the squared change of the base command
     sensitive_cost: float = 0.3  # cost of the logarithm of `Proposal.sensitivity`
-    farthest: float = 1.3  # joint motion by the Jacobian, as a fraction of its limit, that IK tries
+    farthest: float = 1.3  # largest `Proposal.motion` for which IK is tried
     tried: int = 150  # robots that try IK
-    joint_margin: float = 0.05  # distance from joint limits, as a fraction of half the range, and
-    clearance: float = 0.01  # of the robot's shapes from each other, metres; cost of arms without
-    margin_cost: float = 5.0  # one of these
+    joint_margin: float = 0.05  # distance from joint limits, as a fraction of half the range
+    clearance: float = 0.01  # distance of the robot's shapes from each other, metres
+    margin_cost: float = 5.0  # cost of arms that do not keep these two distances
     base_clearance: float = 2.0  # distance of bases from solids, in units of `ik.solid_clearance`
     error_cost: float = 100.0  # cost of the error of arms with a pose tolerance, 1/m
-    off_metres: float = 0.03  # displacement of a base along x and y, metres, and
-    off_radians: float = 0.04  # its rotation, radians, that arms should make up for
-    off_seconds: float = 1.0  # time that they have for it, seconds
-    off_cost: float = 60.0  # cost of an arm that cannot in any direction
+    off_metres: float = 0.03  # deviation of a base that arms should compensate, x and y, metres
+    off_radians: float = 0.04  # deviation of a base that arms should compensate, yaw, radians
+    off_seconds: float = 1.0  # time in which arms should compensate it, seconds
+    off_cost: float = 60.0  # cost of an arm that cannot compensate it in any direction
     memory: float = 0.8  # fraction of the costs that counts at the next pose
 
 
 SETTINGS = BeamSettings()
 
-_CELLS = 1e4  # largest number of cells along an axis, so that the number of each is exact
+_CELLS = 1e4  # largest number of cells along an axis, so that indices of cells are exact floats
 _AHEAD, _ASIDE = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]]) * SETTINGS.off_metres
 _OFF = planar_pose(_AHEAD, _ASIDE, np.sign(_AHEAD) * SETTINGS.off_radians)
-"""Poses of bases a little elsewhere, in their frames, shape (4, 7)."""
+"""Poses of deviating bases in the frames of those that do not deviate, shape (4, 7)."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class Beam:
     joints: Array  # arm joints, shape (m, j)
     command: Array  # base commands that led here, shape (m, a)
     cost: Array  # cost of the path, shape (m,)
-    parent: NDArray[np.intp]  # number of the robot of the beam before, shape (m,)
+    parent: NDArray[np.intp]  # index of the preceding robot in the previous beam, shape (m,)
 
     def of(self, rows: NDArray[np.intp]) -> "Beam":
         """Return some of the robots."""
@@ -85,13 +88,12 @@ class Beam:
 
 
 class BeamExpander:
-    """Finds the beams that follow from others.
+    """Finds the beam at the next EE pose.
 
-    Every robot of a beam tries random base commands. Those that seem best by its Jacobian go to IK,
-    which moves the arm within its velocity limits, and the best robot of each cell goes on. Robots
-    with arms far from joint limits, from self-collision and from singularities are better, and
-    those that reach the pose from a base a little elsewhere, since these can make up for a base
-    that is not where it should be.
+    Every robot of a beam tries random base commands. For those that the Jacobian predicts to be
+    best, IK moves the arm within its velocity limits, and the best robot of each cell goes on. Arms
+    far from joint limits, self-collision and singularities cost less, as do arms that also reach
+    the pose from nearby base poses, since they can compensate deviations of the base.
     """
 
     def __init__(self, solver: IkSolver) -> None:
@@ -111,7 +113,7 @@ class BeamExpander:
         self._elbow = max(len(robot.arm) - 4, 0)
 
     def wider(self, width: int) -> "BeamExpander":
-        """Return one of `width` times as many robots in a beam, and as many that try IK."""
+        """Return an expander with `width` times as many commands, IK attempts and robots kept."""
         other = copy.copy(self)
         other._width = width
         return other
@@ -130,7 +132,7 @@ class BeamExpander:
         rng: np.random.Generator,
         solids: Solids | None,
     ) -> Beam:
-        """Return the best robots with their EE at a target, some seconds after those of a beam."""
+        """Return the next beam: the best robots with their EE at a target after some seconds."""
         tried = self._proposed(beam, target, seconds, rng)
         arm = self._reached(self._careful, tried.joints, target, tried.base, seconds, solids)
         cost = tried.cost.copy()
@@ -148,7 +150,7 @@ class BeamExpander:
         return replace(best, cost=best.cost + self._off_cost(best, target, solids))
 
     def reconfigured(self, beam: Beam, target: Array, solids: Solids | None) -> Beam:
-        """Return robots at the target of a beam whose arms have other configurations there."""
+        """Return the robots of a beam, at its target, with arms in other configurations."""
         rows = np.arange(len(beam.cost)).repeat(SETTINGS.configurations)
         beam = replace(beam.of(rows), parent=rows)
         seeds = spread_configurations(self.robot, len(rows))
@@ -182,7 +184,7 @@ class BeamExpander:
         return Beam(poses[rows], beam.joints[parent], command[rows], cost[rows], parent)
 
     def _off_cost(self, beam: Beam, target: Array, solids: Solids | None) -> Array:
-        """Return the cost of arms that do not make up for a base a little elsewhere."""
+        """Return the cost of arms that cannot compensate deviations of the base."""
         base = compose(beam.base, _OFF[:, np.newaxis]).reshape(-1, 7)
         joints = np.tile(beam.joints, (len(_OFF), 1))
         arm = self._reached(self.solver, joints, target, base, SETTINGS.off_seconds, solids)
@@ -210,7 +212,7 @@ class BeamExpander:
         seconds: float,
         solids: Solids | None,
     ) -> IkSolution:
-        """Return the arms, as far as they get in some time from joints (m, j), at a target."""
+        """Return IK solutions for a target that arms reach in some time from joints (m, j)."""
         among = None if solids is None else solids.repeated(len(base))
         arm = solver.solve(
             relative(target, base),
@@ -244,7 +246,8 @@ class BeamExpander:
     def _commands(self, beam: Beam, rng: np.random.Generator) -> Array:
         """Return the commands that each robot tries, shape (m, t, a).
 
-        The first is the last one, the second half is noise around the velocity of the EE.
+        The first is the robot's last command. The second half is noise, to which `propose` adds
+        the velocity of the EE.
         """
         commands = self._width * SETTINGS.commands
         tries = min(commands // len(beam.cost), SETTINGS.robot_commands)
@@ -255,7 +258,7 @@ class BeamExpander:
         return command
 
     def _best(self, beam: Beam, target: Array) -> Beam:
-        """Return the best robots of different cells, at most as many as the beam has."""
+        """Return the best robot of each cell, and of these at most as many as a beam keeps."""
         elbow = beam.joints[:, self._elbow] - self._middle[self._elbow]
         bent = elbow / self._half[self._elbow] * SETTINGS.elbows / 2.0
         cells = _cells(beam.base, target) + _CELLS**3 * np.floor(bent)
@@ -264,13 +267,13 @@ class BeamExpander:
 
 
 def _cells(base: Array, target: Array) -> Array:
-    """Return the numbers of the cells of bases, shape (m, 7) -> (m,), around the EE's target."""
+    """Return the indices of the cells of bases, shape (m, 7) -> (m,), around the EE's target."""
     x, y = np.floor((base[:, :2] - target[:2]) / SETTINGS.cell).T
     return x + _CELLS * y + _CELLS**2 * np.floor(yaw(base) / SETTINGS.heading)
 
 
 def _cheapest(cells: Array, cost: Array, most: int) -> NDArray[np.intp]:
-    """Return which of m robots, in cells (m,), are the `most` cheapest of their cells."""
+    """Return the indices of the `most` cheapest robots in each cell, given m cells and costs."""
     order = np.lexsort((cost, cells))
     begins = np.append(True, np.diff(cells[order]) != 0.0)
     rank = np.arange(len(order))

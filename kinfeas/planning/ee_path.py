@@ -25,17 +25,17 @@ class EePathSettings(NamedTuple):
     clearance: float  # preferred horizontal distance of the EE from solids, metres
     min_height: float  # lowest z of a detour, unless start or goal are lower, metres
     max_height: float  # highest z of a detour, likewise, metres
-    foresight: float  # time for which moving solids take the room that they move into, s
-    margin: float = 0.05  # further distance of corners, which smoothing consumes, metres
-    penalty: float = 4.0  # of a metre at a distance of 0; falls to 0 at the clearance
-    deepest: float = 2.0  # depth within the clearance, as a multiple, beyond which it stays
+    foresight: float  # moving solids occupy all the room that they pass within this time, s
+    margin: float = 0.05  # distance that corners keep beyond the radius, for smoothing, metres
+    penalty: float = 4.0  # additional cost of a metre at a distance of 0; 0 at the clearance
+    deepest: float = 2.0  # depth within the clearance, in clearances, beyond which cost is constant
     cell: float = 0.2  # least side of a cell, metres
     most_cells: int = 96  # largest number of cells along an axis
-    level: float = 0.3  # largest distance of heights of the grid, metres
+    level: float = 0.3  # largest distance between heights of the grid, metres
     most_levels: int = 12  # largest number of heights
     border: float = 3.0  # free space around start and goal that the search covers, metres
     horizon: float = 3.0  # part of a path that must be free and cheap to be kept, metres
-    cheap: float = 2.0  # largest cost of a metre there
+    cheap: float = 2.0  # largest mean cost of a metre of this part
     gain: float = 0.9  # fraction of the cost below which a new path replaces one that is not cheap
     window: float = 0.35  # length of the moving average that rounds corners, metres
 
@@ -51,8 +51,8 @@ def plan_ee_paths(
 
     Args:
         settings: Settings of the search.
-        current: Whether current paths lead to the goals, shape (n,), fractions of them that have
-            passed, shape (n,), and their control points, shape (n, 64, 3), world, metres.
+        current: Whether current paths lead to the goals, shape (n,), the fractions of them that are
+            done, shape (n,), and their control points, shape (n, 64, 3), world, metres.
         start: World positions of the EE now, shape (n, 3), metres.
         goal: World positions of the EE at the end, shape (n, 3), metres.
         solids: In the world as they are now, n rows.
@@ -67,7 +67,7 @@ def plan_ee_paths(
 
 @kernel
 def _replan_batch(settings, new, fraction, start, goal, solids, points):
-    """Write control points of new paths, and which are new instead of which lead to the goal."""
+    """Write new paths; `new` has which paths lead to the goals and receives which are new."""
     pose, size, cylinder = solids
     for i in range(len(new)):
         prisms = make_prisms(pose[i], size[i], cylinder[i])
@@ -108,9 +108,9 @@ def _cost_of_metre(beside, settings):
 
 @kernel
 def _assess(points, fraction, prisms, settings):
-    """Return whether the rest of a path is free, whether it is cheap, and its cost.
+    """Return whether a path is free and whether it is cheap on the next metres, and its cost.
 
-    The first two are of the next metres alone.
+    The cost is that of the whole rest of the path; the next metres are those of `horizon`.
     """
     free, length, cost, near_cost, near = True, 0.0, 0.0, 0.0, 0.0
     k, at = int(fraction * (POINTS - 1)) + 1, np.empty(3)
@@ -136,7 +136,7 @@ class _Grid(NamedTuple):
     prisms: Array  # the solids, shape (k, `PRISM`)
     origin: Array  # position of the first node, shape (3,), metres
     cell: float  # side of a cell, metres
-    level: float  # distance of heights, metres
+    level: float  # distance between heights, metres
     free: NDArray[np.bool_]  # which nodes are free, shape (x, y, heights)
     cost: Array  # cost of a metre at each cell, shape (x, y)
 
@@ -206,7 +206,7 @@ def _write_node(node, grid, out):
 
 @inner
 def _segment(a, b, grid, settings, bound):
-    """Return the cost of a straight piece; infinite if it is not free or more than `bound`.
+    """Return the cost of a straight piece; infinite if it is not free or costs more than `bound`.
 
     With a negative bound, solids are ignored.
     """
@@ -237,7 +237,7 @@ def _segment(a, b, grid, settings, bound):
 
 @kernel
 def _nearest_free(point, grid, settings):
-    """Return the number of the nearest free node, preferably one in sight; -1 without any."""
+    """Return the index of the nearest free node, preferably one in sight, or -1."""
     best, number, radius = np.inf, -1, settings.radius
     near, node = np.empty(2, dtype=np.int64), np.empty(3)
     for i in range(2):
@@ -264,7 +264,7 @@ def _nearest_free(point, grid, settings):
 
 @kernel
 def _divided(corners):
-    """Return the corners of a path without those on straight lines, and points between them."""
+    """Return the corners at which a path bends, its ends, and the midpoints between them."""
     kept = [0]
     for i in range(1, len(corners) - 1):
         a, b, c = corners[kept[-1]], corners[i], corners[i + 1]
@@ -285,7 +285,7 @@ def _divided(corners):
 
 @kernel
 def _shortcut(points, grid, settings):
-    """Return those corners of the cheapest path along some of the points, in order."""
+    """Return the points that the cheapest path through some of them visits, in order."""
     count = len(points)
     best, before = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
     best[0] = 0.0
@@ -358,7 +358,7 @@ def _at(corners, length, integral, s):
 
 @kernel
 def _worse(points, sharp, prisms, radius):
-    """Return whether a path comes nearer than the radius where the other one does not."""
+    """Return whether a path comes nearer to solids than the radius where `sharp` does not."""
     a, b = np.empty(3), np.empty(3)
     for i in range(2 * POINTS - 1):
         write_position(points, 0.5 * i, a)

@@ -16,9 +16,9 @@ UNSEEN, CLOSED = -1, -2  # values of `Frontier.slot` of nodes that are not open
 class Frontier(NamedTuple):
     """Nodes of a search: the open ones are a binary heap by priority, then number."""
 
-    cost: Array  # least cost of each node so far, shape (n,); without a value if it is unseen
-    parent: NDArray[np.int32]  # node before it on its path, shape (n,), likewise
-    priority: Array  # cost of the path through it, shape (n,), likewise
+    cost: Array  # least cost of each node so far, shape (n,); undefined for unseen nodes
+    parent: NDArray[np.int32]  # node before each node on its path, shape (n,), likewise
+    priority: Array  # estimated cost of a path through each node, shape (n,), likewise
     slot: NDArray[np.int32]  # index of each node in the heap, shape (n,), or `UNSEEN` or `CLOSED`
     heap: NDArray[np.int32]  # open nodes, shape (n,)
     size: NDArray[np.int32]  # number of open nodes, shape (1,)
@@ -39,14 +39,14 @@ def make_frontier(nodes):
 
 @inner
 def improves(frontier, node, cost):
-    """Return whether a path to a node costs less than those before."""
+    """Return whether a path to a node that is not closed costs less than all before."""
     slot = frontier.slot[node]
     return slot == UNSEEN or (slot >= 0 and cost < frontier.cost[node])
 
 
 @inner
 def open_node(frontier, node, parent, cost, priority):
-    """Open a node, or move an open one forward, with the path through a parent."""
+    """Open a node with a path through `parent`, or give an open one this cheaper path."""
     heap, slot = frontier.heap, frontier.slot
     i = slot[node]
     if i < 0:
@@ -112,9 +112,9 @@ def search_grid(free, metre_cost, cell, level, sources, source_costs, goal):
             flat array.
         metre_cost: Cost of a metre at each cell, at least 1, shape (x, y).
         cell: Side of a cell, metres.
-        level: Distance of heights, metres.
+        level: Distance between heights, metres.
         sources: Nodes at which paths begin, shape (s,).
-        source_costs: Their costs, shape (s,), metres.
+        source_costs: Costs at which these paths begin, shape (s,), metres.
         goal: Node at which the search ends, or -1.
     """
     nx, ny, nz = free.shape
@@ -162,9 +162,10 @@ def make_prisms(pose, size, cylinder):
 
 @kernel
 def scan_grid(prisms, origin, cell, level, shape, limit, apart):
-    """Return horizontal gaps of cells from prisms, at most `limit`, (x, y), and free nodes.
+    """Return the horizontal gap from each cell to prisms, at most `limit`, and the free nodes.
 
-    Those are at least `apart` from all prisms, shape (x, y, heights), metres.
+    Gaps have shape (x, y), metres. Free nodes, shape (x, y, heights), are at least `apart` metres
+    from all prisms.
     """
     gaps, free = np.full((shape[0], shape[1]), limit), np.ones(shape, dtype=np.bool_)
     reach = max(limit, apart)

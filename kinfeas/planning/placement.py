@@ -1,4 +1,4 @@
-"""Where to stand: base poses from which the EE reaches goals, and the fraction reached."""
+"""Base poses from which the EE reaches goals, and the fraction of goals that it reaches."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,8 +32,8 @@ class PlacementSettings:
     seed: int = 3  # of these configurations
     cell: float = 0.1  # side of a cell of the floor, metres
     border: float = 3.0  # width of the floor around all solids, the start and the goals, metres
-    detour: float = 30.0  # from start and goals beyond which solids end this floor, metres
-    directions: int = 64  # in which the extent of the base is measured
+    detour: float = 30.0  # distance from start and goals to which solids widen this floor, metres
+    directions: int = 64  # number of directions in which the extent of the base is measured
 
 
 _SETTINGS = PlacementSettings()
@@ -43,12 +43,13 @@ _SETTINGS = PlacementSettings()
 class Reachability:
     """Reached goals.
 
-    `limits` are the numbers of goals out of reach for each sub-goal, by `reach.LIMITS`, or empty.
+    `limits` has, for each sub-goal, numbers of goals out of reach by a key of `reach.LIMITS`; empty
+    if these are not counted.
     """
 
     reached: NDArray[np.bool_]  # whether a base pose was found for each goal, shape (n,)
-    share: Proportion  # share of reached goals with its Wilson interval
-    convergence: tuple[float, ...]  # share reached by the end of each stage
+    share: Proportion  # fraction of reached goals with its Wilson interval
+    convergence: tuple[float, ...]  # fraction of goals reached by the end of each stage
     limits: tuple[dict[str, int], ...] = ()
 
 
@@ -85,8 +86,8 @@ def reachability(tries: Array, stages: Sequence[int]) -> Reachability:
 class Postures:
     """Arm configurations that propose base poses, admissible unless self-collision is ignored.
 
-    They are spread over the joint limits: the robot is turned and moved until its EE is above or
-    below a goal. Those with the least error in height and tilt come first, and IK decides.
+    They are spread over the joint limits. For each, the base is turned and moved until the EE is
+    above or below a goal. Proposals with the least error in height and tilt are tried first, by IK.
     """
 
     def __init__(self, solver: IkSolver) -> None:
@@ -105,9 +106,9 @@ class Postures:
         solids: Solids | None = None,
         start: Array | None = None,
     ) -> float:
-        """Return which of ascending numbers of proposals has one that reaches a goal, or inf.
+        """Return the first of `stages`, numbers of proposals, that reaches a goal, or inf.
 
-        Other arguments are those of `reaching`.
+        Stages ascend; other arguments are those of `reaching`.
         """
         for numbers in pairwise((0, *stages)):
             if len(self.reaching(goal, numbers, solids, start)[0]):
@@ -127,7 +128,7 @@ class Postures:
 
         Args:
             goal: World pose of the EE, shape (7,).
-            numbers: First and last number of the proposals to try, the best first.
+            numbers: Range of proposals to try, first and end, where the best is number 0.
             solids: In the world, one row, of which base and arm must be free.
             start: World pose of the base, shape (7,), from which a disc within the base must be
                 able to drive to the base poses among the solids.
@@ -203,7 +204,7 @@ def connected(
 ) -> NDArray[np.bool_]:
     """Return whether a disc can be driven from a start to positions, shape (m,).
 
-    The answer is optimistic by the width of a cell. Moving solids are left out; ways that lead
+    The answer is optimistic by the width of a cell. Moving solids are left out; paths that lead
     farther than `detour` from start and positions are not found.
 
     Args:

@@ -1,4 +1,4 @@
-"""Base commands that robots try on their way along an EE path, with the arm motions they need."""
+"""Base commands that robots try along an EE path, and the arm motions that these need."""
 
 import math
 from typing import NamedTuple
@@ -12,13 +12,13 @@ from kinfeas.kinematics.descent import rotation_error
 from kinfeas.kinematics.drive import within_speed, write_action_toward
 from kinfeas.kinematics.forward import Chain, fill_columns, make_frames, place_chain, write_matrix
 
-_DAMPING = 1e-4  # of arm motions, squared metres that the EE moves with a whole joint step
-_BASE_DAMPING = 100.0  # of base motions, arm steps squared for a metre or radian squared
-_POSE = 6  # joints of an arm that can reach any pose nearby
+_DAMPING = 1e-4  # damping of arm motions, squared metres for a squared fraction of `step`
+_BASE_DAMPING = 100.0  # damping of base motions, squared fractions for a squared metre or radian
+_POSE = 6  # joints that an arm needs to reach all poses nearby
 
 
 class Proposal(NamedTuple):
-    """Commands of m robots that try t each."""
+    """Predictions for m robots that try t base commands each."""
 
     base: Array  # x, y and yaw of the base afterwards, shape (m, t, 3), metres and radians
     motion: Array  # largest joint displacement as a fraction of `step`, shape (m, t)
@@ -28,12 +28,12 @@ class Proposal(NamedTuple):
 
 @kernel
 def propose(chain: Chain, base, joints, command, near, target, step, limits, seconds):
-    """Return the proposals of commands; some of these move towards the motion of the EE.
+    """Return predictions for base commands, some of which are first moved towards the EE's motion.
 
-    Those of an arm of fewer than six joints also move to where the arm leaves the least error.
+    If the arm has fewer than six joints, they are also moved to where it leaves the least error.
 
     After a command the EE has an error e in the frame of the base. With the Jacobian J of the arm
-    and its largest displacements D = diag(`step`), it moves by D s, where
+    and its largest displacements D = diag(`step`), the arm moves by D s, where
 
         s = argmin |J D s - e|^2 + damping |s|^2 = C (C' C + damping)^-1 e,  C = (J D)'.
 
@@ -44,8 +44,8 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
         chain: From the base to the EE.
         base: World poses of the bases, shape (m, 7).
         joints: Arm joints, shape (m, j).
-        command: Base commands, shape (m, t, a), which are changed from the number `near` on.
-        near: Number of commands that stay.
+        command: Base commands, shape (m, t, a); those from index `near` on are changed in place.
+        near: Number of commands of each robot that stay.
         target: World pose of the EE afterwards, shape (7,).
         step: Largest joint displacements, shape (j,), radians or metres.
         limits: Velocity limits of the base, m/s and rad/s.
@@ -96,7 +96,7 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
 
 @inlined
 def _write_scaled(chain, frames, step, out):
-    """Write C, shape (j, 6)."""
+    """Write C = (J D)', shape (j, 6)."""
     fill_columns(chain.tree, frames, out)
     for j in range(len(out)):
         for k in range(6):
@@ -105,7 +105,7 @@ def _write_scaled(chain, frames, step, out):
 
 @inlined
 def _write_velocity(base, yaw, position, target, seconds, out):
-    """Write the velocity of a base that brings a resting arm's EE to the target's x and y."""
+    """Write the base velocity that brings the EE to the target's x and y with the arm at rest."""
     cosine, sine = math.cos(yaw), math.sin(yaw)
     out[0] = target[0] - base[0] - cosine * position[0] + sine * position[1]
     out[1] = target[1] - base[1] - sine * position[0] - cosine * position[1]
@@ -151,7 +151,7 @@ def _write_gain(position, low, size, moved, gain, normal):
 
 @inlined
 def _correct(gain, error, turn, limits, seconds, action):
-    """Change a command by the displacement that reduces an error in the frame at its end."""
+    """Change a command by the base displacement `gain` * `error`, in the base frame at its end."""
     x, y, angle = 0.0, 0.0, 0.0
     for k in range(6):
         x += gain[0, k] * error[k]

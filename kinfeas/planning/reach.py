@@ -1,4 +1,4 @@
-"""Base poses for EE poses with their margins, or the reason for which there is none."""
+"""Base poses for EE poses, with margins, or the reason for which there is none."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.planning.placement import Postures, at_goals
 from kinfeas.robots.robot import Robot
 
-LIMITS = {  # reasons for which a pose is out of reach; the first that applies
+LIMITS = {  # reasons for which a pose is out of reach, of which the first that applies is reported
     "floor": "below the floor",
     "height": "above or below the heights of the EE",
     "orientation": "no arm configuration has this height and tilt",
@@ -32,8 +32,8 @@ LIMITS = {  # reasons for which a pose is out of reach; the first that applies
 class ReachSettings:
     """Settings of the search for base poses and their margins."""
 
-    first: tuple[int, ...] = (64, 160, 512)  # base poses of each stage without restarts of IK
-    stages: tuple[int, ...] = (8, 32, 128, 512, 1024)  # the same with restarts, if these find none
+    first: tuple[int, ...] = (64, 160, 512)  # base poses tried by the end of each stage of local IK
+    stages: tuple[int, ...] = (8, 32, 128, 512, 1024)  # the same with IK restarts, if none is found
     compared: int = 64  # base poses of which the best are returned
     unlimited: int = 1024  # base poses tried with a limit lifted, to find the one that applies
     together: int = 512  # base poses that are tried for several poses
@@ -70,8 +70,7 @@ class Placement:
     def margin(self) -> Array:
         """Distance from infeasible arms and collisions, 0-1, by which base poses are sorted, (m,).
 
-        It is the least of twice `joint_margin`, `manipulability` and the fraction of 0.1 m that
-        `clearance` is.
+        It is the least of twice `joint_margin`, `manipulability` and `clearance` divided by 0.1 m.
         """
         near = self.clearance / _SETTINGS.clearances[-1]
         return np.minimum(np.minimum(2.0 * self.joint_margin, self.manipulability), near)
@@ -86,7 +85,7 @@ class Placement:
         return f"in the way of base or arm: {', '.join(map(str, self.solids))}"
 
     def named(self, names: Sequence[str]) -> "Placement":
-        """Return the same with the names of solids in place of their places."""
+        """Return the placement with solids by name, where `names` are those of all places."""
         return replace(self, solids=tuple(dict.fromkeys(names[int(k)] for k in self.solids)))
 
     def of(self, rows: NDArray[np.intp]) -> "Placement":
@@ -138,7 +137,8 @@ class BasePlacer:
     ) -> Placement:
         """Return base poses from each of which the arm reaches all EE poses, shape (n, 7).
 
-        Other arguments are those of `place`. An EE pose that is out of reach gives the limit.
+        Other arguments are those of `place`. If an EE pose alone is out of reach, the result is
+        that of `place` for this pose.
         """
         each = [self._search(goal, _SETTINGS.stages, solids, start)[0] for goal in goals]
         for goal, bases in zip(goals, each, strict=True):
@@ -183,13 +183,13 @@ class BasePlacer:
 
     @property
     def _heights(self) -> tuple[float, float]:
-        """The least and the greatest height of the EE above the floor without limits, metres."""
+        """The least and the greatest height of the EE, metres, ignoring self-collision."""
         heights = self._without[0][1].ee_pose[:, 2].clip(0.0)
         return float(heights.min()), float(heights.max())
 
     @cached_property
     def _without(self) -> list[tuple[str, Postures]]:
-        """Postures without limits, by the limit if they do not reach a pose either."""
+        """Pairs of a limit and postures that keep only this limit and those before it."""
         robot, options = replace(self.solver.robot, max_gravity_load=None), self.solver.options
         free = Postures(IkSolver(robot, replace(options, self_collision=False)))
         if not self.solver.gravity.limited:
@@ -207,7 +207,7 @@ class BasePlacer:
     ) -> tuple[Array, Array]:
         """Return base poses and arms of the stages until `count` are found.
 
-        Stages with restarts end with the first base pose.
+        Stages with IK restarts follow only while there is none.
         """
         postures, quick = postures or self._postures, _SETTINGS.first
         base, joints = np.empty((0, 7)), np.empty((0, postures.joints.shape[1]))
@@ -251,7 +251,7 @@ class BasePlacer:
         return clearance.min(axis=1)
 
     def _in_the_way(self, goal: Array, solids: Solids) -> tuple[int, ...]:
-        """Return the places of the solids that the robot touches with the fewest of them."""
+        """Return the places of the smallest, then most frequent, set of solids that are touched."""
         base, joints = self._search(goal, (_SETTINGS.unlimited,))
         touching = self.touching(base, joints, solids)
         touching = touching[touching.any(axis=1)]

@@ -20,7 +20,7 @@ def squared_length(a, b):
 
 @exact
 def fractions_ahead(points, fraction, distances, out):
-    """Write the fractions of paths some metres ahead, (n,) and (d,) -> (n, d), at most 1."""
+    """Write the path fractions `distances` metres ahead, (n,) and (d,) -> (n, d), at most 1."""
     lengths, ends = np.empty(POINTS - 1), np.empty((2, 3))
     for i in range(len(fraction)):
         t = fraction[i] * (POINTS - 1)
@@ -43,7 +43,7 @@ def fractions_ahead(points, fraction, distances, out):
 
 @exact_inner
 def write_position(points, t, out):
-    """Write the position, or the first columns, of a path `t` control points from its beginning."""
+    """Write the first columns of a path, as its position, `t` control points from its beginning."""
     k = min(int(t), POINTS - 2)
     u = t - k
     v = 1.0 - u
@@ -65,9 +65,9 @@ def position_at(points, fraction, out):
 
 @compiled(["void(f8[:, :], f8, f8, f8[:], f8[:], f8[:])"], "(k,p),(),(),(p),(p)->(p)")
 def pose_at(points, fraction, rate, origin, target, out):
-    """Pose at a fraction of a path to `origin`, which is bent so that it ends at `target`.
+    """Pose at a fraction of a path that was planned to end at `origin` and is bent to `target`.
 
-    Without a rate the motion is straight from `origin` to `target`.
+    With a rate of 0 there is no path: the motion is straight from `origin` to `target`.
     """
     displacement = np.empty(6)
     write_twist(origin, target, 1.0, displacement)
@@ -104,9 +104,9 @@ def _ramped(u):
 
 @compiled(["void(f8, f8, f8, f8, f8, f8[:])"], "(),(),(),(),()->()")
 def fraction_after(time, seconds, first, rate, ramp, out):
-    """Fraction of its path that a motion of some `seconds` has behind it after a time.
+    """Fraction of its path that a motion has done after a time.
 
-    Without a rate it is that of `minimum_jerk`.
+    With a rate of 0 it is that of a `minimum_jerk` motion of `seconds`.
     """
     if rate <= 0.0:
         s = time / seconds

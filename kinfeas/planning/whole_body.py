@@ -24,14 +24,14 @@ State = tuple[Array, Array]
 class WholeBodySettings:
     """Settings of plans along EE paths."""
 
-    starts: int = 4  # base poses at the beginning that are tried
-    examined: int = 24  # poses of a path without a plan that are tried alone
+    starts: int = 4  # base poses tried at the beginning of a path
+    examined: int = 24  # EE poses that are tried alone if a path has no plan
     slower: tuple[int, ...] = (2, 4)  # factors by which the EE is slower where there is no plan
     longest: float = 300.0  # time that a slower EE may need, seconds
     apart: float = 0.1  # time from a moment to the next, up to a half more, seconds
-    rounds: int = 6  # of finer moments; where an arm needs longer even then, it has a jump
+    rounds: int = 6  # rounds of finer moments; an arm that is too slow even then counts as jumping
     tolerance: float = 1.2  # factor of the IK tolerances between the poses of the search
-    corrections: int = 2  # of bases by the errors of their arms
+    corrections: int = 2  # times that bases are moved by the errors that arms leave
     resting: float = 1e-6  # `path_length` from a pose to the next while the EE rests
 
 
@@ -66,11 +66,11 @@ def plan_along(
     Args:
         placer: Of the robot.
         ee: World poses of the EE, shape (k, 7).
-        step: Time from one to the next, seconds; the plan takes longer where the base needs it.
+        step: Time between successive EE poses, seconds; longer where base or arm need more.
         start: Base and arm now, with the EE at the first pose; by default, one of the best base
             poses for it.
         solids: In the world, one row.
-        names: Their names in errors.
+        names: Names of the solids in errors.
 
     Raises:
         KinfeasError: If there is no plan; with the first pose that is out of reach, if any.
@@ -115,9 +115,9 @@ def _first_plan(
 
 
 def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments | None:
-    """Return base and arm at each EE pose of a path, and between those where it takes longer.
+    """Return base and arm at each EE pose of a path, and at moments between distant ones, or None.
 
-    None if one of them has no arm near those of the path, which has arms at some EE poses only, an
+    None means that IK finds no arm near those of the path, which has arms at some EE poses only, an
     arm jumps, or base or arm touches a solid.
     """
     options, motion_time = solver.options, path.motion_time
@@ -145,10 +145,10 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
 
 
 def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | None:
-    """Return base and arm at some motion times, slower where they need time, or None."""
+    """Return base and arm at some motion times, within velocity limits, or None if IK fails."""
     robot, every = solver.robot, path.motion_time
     ee = interpolated(motion_time, every, path.ee)
-    # From one to the next, robots of the path move as the EE does; where it rests, as time passes.
+    # Between those of the path, base and arm move in proportion to the EE, or to time if it rests.
     length = path_length(path.ee) + _SETTINGS.resting * np.arange(float(len(every)))
     along, nodes = (np.interp(times, every, length) for times in (motion_time, path.seconds))
     rows = path.robots_at(np.interp(along, nodes, path.seconds))
@@ -168,10 +168,10 @@ def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | 
 
 
 def _arms(solver: IkSolver, ee: Array, rows: Array) -> IkSolution:
-    """Return arms near those of robots, (m, 3 + j), with EEs at poses, (m, 7).
+    """Return IK solutions for EE poses, (m, 7), near bases and arms `rows`, (m, 3 + j).
 
-    Joints get there from those of the robots within `apart`. The bases after the first move by the
-    errors that arms leave, if they can move sideways.
+    Joints can get there from `rows` within `apart`. If the base can move sideways, bases in `rows`
+    after the first are moved by the errors that arms leave.
     """
     robot, base = solver.robot, planar_pose(*rows[:, :3].T)
     step = _SETTINGS.apart * robot.max_joint_velocity
@@ -195,7 +195,7 @@ def _reason(
     solids: Solids | None,
     names: Sequence[str],
 ) -> str:
-    """Return why the start or one of the EE poses cannot be; empty if all can."""
+    """Return the reason for which the start or an EE pose is infeasible; empty if none is."""
     if start is not None and solids is not None:
         base, joints = start[0][np.newaxis], start[1][np.newaxis]
         (touching,) = placer.touching(base, joints, solids)
